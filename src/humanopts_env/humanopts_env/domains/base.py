@@ -1,0 +1,221 @@
+"""What a domain is: discrete named features, named actions, and rules without hidden state."""
+
+from collections.abc import Collection, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, Protocol, runtime_checkable, TypeGuard, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+S = TypeVar('S', bound=Hashable)
+Parameter = int | float | str | bool
+
+
+class DomainError(ValueError):
+    """A domain was asked for something that it does not have; the text says what and why."""
+
+
+class StateError(DomainError):
+    """A text or an index is not a state of the domain."""
+
+
+class FeatureKind(Enum):
+    """Whether the values of a feature have an order."""
+
+    ORDINAL = 'ordinal'
+    NOMINAL = 'nominal'  # one-hot for the trees
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """One discrete feature; its value in a state is an index into ``values``."""
+
+    name: str  # snake_case
+    question: str  # completes "Does OPTION depend on ...?"
+    kind: FeatureKind
+    values: tuple[str, ...]  # how each value reads to a person
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """One primitive action."""
+
+    name: str  # snake_case
+    key: str  # one character, or up, down, left, right
+    description: str
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome(Generic[S]):
+    """What one primitive step led to."""
+
+    state: S
+    reward: float
+    terminated: bool  # the task is over in ``state``
+
+
+class Domain(Protocol[S]):
+    """
+    The rules of one game. Implementations are immutable: all state is in the values passed.
+
+    ``humanopts_env.contract`` states what every implementation must satisfy.
+    """
+
+    name: str  # as registered
+    parameters: Mapping[str, Parameter]  # keyword arguments that make an equal domain
+    features: Sequence[Feature]
+    actions: Sequence[Action]
+    gamma: float  # discount per primitive step
+    max_steps: int  # an episode is cut off after so many steps; 0: never
+    glyph_styles: Mapping[str, str]  # style (rich's notation) of single characters of ``render``
+
+    def reset(self, rng: np.random.Generator) -> S:
+        """Draw a start state of the task."""
+        ...
+
+    def step(self, state: S, action: int, rng: np.random.Generator) -> Outcome[S]:
+        """
+        Take one primitive action.
+
+        :param action: index into ``actions``.
+        :raises DomainError: the action is not in the domain, or the episode is over in ``state``.
+        """
+        ...
+
+    def is_over(self, state: S) -> bool:
+        """Tell whether the task is over in ``state``, so that no step can be taken."""
+        ...
+
+    def can_follow(self, state: S, action: int, successor: S) -> bool:
+        """Tell whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
+        ...
+
+    def feature_values(self, state: S) -> NDArray[np.int32]:
+        """Return the value of every feature, (F,), indices into ``Feature.values``."""
+        ...
+
+    def encode(self, state: S) -> str:
+        """Return the state in the domain's notation, one line."""
+        ...
+
+    def decode(self, text: str) -> S:
+        """
+        Return the state that ``encode`` wrote.
+
+        :raises StateError: ``text`` is not a state of this domain.
+        """
+        ...
+
+    def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
+        """Draw states from which a person could be asked to demonstrate (never over)."""
+        ...
+
+    def render(self, state: S, shown: Collection[str] | None = None) -> str:
+        """
+        Draw the state as text lines.
+
+        :param shown: names of the features that may be revealed; None: all.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Transitions:
+    """
+    Exact one-step transitions of an enumerable domain.
+
+    Axes: S states, A actions, B possible outcomes (1 where the domain is deterministic). Unused
+    outcomes have probability 0. From states where the task is over they are defined like any
+    other, as in Gymnasium; nothing may be planned from there.
+    """
+
+    successor: NDArray[np.int32]  # (S, A, B)
+    probability: NDArray[np.float64]  # (S, A, B), sums to 1 over B
+    reward: NDArray[np.float64]  # (S, A, B)
+    terminated: NDArray[np.bool_]  # (S, A, B)
+
+    @property
+    def deterministic(self) -> bool:
+        """Whether every action has one outcome."""
+        return bool(self.successor.shape[2] == 1)
+
+
+@dataclass(frozen=True, slots=True)
+class BoardSlice:
+    """States that differ only in where the agent is, laid out as on the board."""
+
+    title: str
+    states: NDArray[np.int32]  # (rows, cols) state indices; -1: no state there
+
+
+@runtime_checkable
+class EnumerableDomain(Domain[S], Protocol[S]):
+    """A domain whose states can all be listed."""
+
+    @property
+    def n_states(self) -> int:
+        """Number of states, reachable or not."""
+        ...
+
+    def index(self, state: S) -> int:
+        """Return the state's index, 0..n_states-1."""
+        ...
+
+    def state_at(self, index: int) -> S:
+        """
+        Return the state of an index.
+
+        :raises StateError: there is no such state.
+        """
+        ...
+
+    def transitions(self) -> Transitions:
+        """Return the exact transitions; built once, then shared and read-only."""
+        ...
+
+    def feature_table(self) -> NDArray[np.int32]:
+        """Return (S, F): ``feature_values`` of every state; shared and read-only."""
+        ...
+
+    def start_states(self) -> NDArray[np.int32]:
+        """Return the indices that ``reset`` draws from, uniformly."""
+        ...
+
+    def over(self) -> NDArray[np.bool_]:
+        """Return (S,): ``is_over`` of every state; shared and read-only."""
+        ...
+
+    def board_slices(self) -> list[BoardSlice]:
+        """Return a few layouts for figures of values and policies; may be empty."""
+        ...
+
+
+def is_enumerable(domain: Domain[S]) -> TypeGuard[EnumerableDomain[S]]:
+    """Tell whether the domain's states can all be listed."""
+    return isinstance(domain, EnumerableDomain)
+
+
+def feature_columns(domain: Domain[S], names: Sequence[str]) -> list[int]:
+    """
+    Return the columns of features, in the domain's order whatever the order of ``names``.
+
+    :raises DomainError: a name is not a feature of the domain.
+    """
+    known = [feature.name for feature in domain.features]
+    for name in names:
+        if name not in known:
+            raise DomainError(f'{domain.name} has no feature {name!r}; it has {", ".join(known)}')
+    return [column for column, name in enumerate(known) if name in set(names)]
+
+
+def action_index(domain: Domain[S], name: str) -> int:
+    """
+    Return the index of an action.
+
+    :raises DomainError: the domain has no such action.
+    """
+    names = [action.name for action in domain.actions]
+    if name not in names:
+        raise DomainError(f'{domain.name} has no action {name!r}; it has {", ".join(names)}')
+    return names.index(name)

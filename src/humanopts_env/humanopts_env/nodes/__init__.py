@@ -1,0 +1,1 @@
+"""ROS nodes, and what they share. Only modules here and ``convert`` may import rclpy."""

@@ -1,0 +1,22 @@
+from setuptools import find_packages, setup
+
+NAME = 'humanopts_env'
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={NAME: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+    ],
+    entry_points={
+        'console_scripts': ['game = humanopts_env.nodes.game_node:main'],
+        'humanopts.domains': ['taxi = humanopts_env.domains.taxi:Taxi'],
+        'humanopts.reference_options': [
+            'taxi = humanopts_env.domains.taxi_reference:reference_options',
+        ],
+        'gymnasium.envs': ['humanopts = humanopts_env.gym_env:register_all'],
+    },
+)

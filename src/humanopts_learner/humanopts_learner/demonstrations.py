@@ -1,0 +1,215 @@
+"""Demonstrations: what a person showed, checked against the rules of the game."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from enum import Enum
+from functools import cached_property
+import json
+import math
+from typing import Any
+import uuid as uuid_module
+
+from humanopts_env.domains.base import action_index, Domain, DomainError, feature_columns
+import numpy as np
+from numpy.typing import NDArray
+
+
+class DemonstrationError(ValueError):
+    """A demonstration cannot be used; the text names what is wrong with it."""
+
+
+class Kind(Enum):
+    """What a demonstration says."""
+
+    TRAJECTORY = 'trajectory'
+    NOT_HERE = 'not_here'  # the option makes no sense in its one state
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """
+    One trajectory s0 a0 r0 .. sT of one option, or one "not here" answer (T = 0).
+
+    Fields are those of ``humanopts_interfaces/msg/Demonstration``.
+    """
+
+    kind: Kind
+    uuid: str
+    domain: str
+    domain_parameters: str  # JSON object
+    participant: str
+    session: str
+    option_name: str
+    number: int  # 1, 2, 3, ... within participant and option
+    chosen_features: tuple[str, ...]
+    feature_names: tuple[str, ...]
+    features: tuple[tuple[int, ...], ...]  # (T + 1) rows of all features
+    states: tuple[str, ...]  # T + 1
+    actions: tuple[str, ...]  # T
+    rewards: tuple[float, ...]  # T
+    terminated: bool = False
+    can_start_at_end: bool = False
+    seconds: float = 0.0
+
+    @cached_property
+    def feature_rows(self) -> NDArray[np.int32]:
+        """All features of all states, (T + 1, F)."""
+        return np.array(self.features, dtype=np.int32).reshape(len(self.states), -1)
+
+    @property
+    def total_reward(self) -> float:
+        """Undiscounted return of the trajectory."""
+        return math.fsum(self.rewards)
+
+    def to_json(self) -> str:
+        """Return the demonstration as one line of JSON."""
+        values = asdict(self)
+        values['kind'] = self.kind.value
+        return json.dumps(values, sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> 'Demonstration':
+        """
+        Read what ``to_json`` wrote.
+
+        :raises DemonstrationError: it is not a demonstration.
+        """
+        try:
+            values = json.loads(text)
+            return cls.from_fields(values)
+        except (json.JSONDecodeError, TypeError) as error:
+            raise DemonstrationError(f'not a demonstration: {error}') from error
+
+    @classmethod
+    def from_fields(cls, values: Mapping[str, Any]) -> 'Demonstration':
+        """
+        Build from plain values, lists in place of tuples.
+
+        :raises DemonstrationError: a field is missing or has the wrong form.
+        """
+        missing = [field.name for field in fields(cls) if field.name not in values]
+        if missing:
+            raise DemonstrationError(f'the demonstration has no {", ".join(missing)}')
+        try:
+            return cls(
+                kind=Kind(values['kind']),
+                uuid=str(values['uuid']),
+                domain=str(values['domain']),
+                domain_parameters=str(values['domain_parameters']),
+                participant=str(values['participant']),
+                session=str(values['session']),
+                option_name=str(values['option_name']),
+                number=int(values['number']),
+                chosen_features=tuple(map(str, values['chosen_features'])),
+                feature_names=tuple(map(str, values['feature_names'])),
+                features=tuple(tuple(int(v) for v in row) for row in values['features']),
+                states=tuple(map(str, values['states'])),
+                actions=tuple(map(str, values['actions'])),
+                rewards=tuple(map(float, values['rewards'])),
+                terminated=bool(values['terminated']),
+                can_start_at_end=bool(values['can_start_at_end']),
+                seconds=float(values['seconds']),
+            )
+        except (TypeError, ValueError) as error:
+            raise DemonstrationError(f'a field of the demonstration is wrong: {error}') from error
+
+
+def check_demonstration(demonstration: Demonstration, domain: Domain[Any]) -> None:
+    """
+    Check a demonstration against the rules of its domain.
+
+    :raises DemonstrationError: it has no steps, numbers that are not finite, features of another
+        domain, or actions that do not lead from one state to the next.
+    """
+    demo = demonstration
+    try:
+        uuid_module.UUID(demo.uuid)
+    except ValueError:
+        raise DemonstrationError(f'its uuid {demo.uuid!r} is not a UUID') from None
+    if demo.domain != domain.name or _parameters(demo) != dict(domain.parameters):
+        raise DemonstrationError(
+            f'it is of domain {demo.domain} {demo.domain_parameters}, and the game is '
+            f'{domain.name} {json.dumps(dict(domain.parameters), sort_keys=True)}'
+        )
+    if not demo.option_name.strip():
+        raise DemonstrationError('it names no option')
+    if not demo.chosen_features:
+        raise DemonstrationError('it names no feature that the option depends on')
+    _check_features(demo, domain)
+    _check_steps(demo, domain)
+
+
+def group_by_option(
+    demonstrations: Sequence[Demonstration],
+) -> dict[tuple[str, str], list[Demonstration]]:
+    """
+    Group by (participant, option name), in order of first appearance, each sorted by number.
+
+    A uuid that appears again is dropped, so a stream that was repeated counts once.
+    """
+    groups: dict[tuple[str, str], list[Demonstration]] = {}
+    seen: set[str] = set()
+    for demo in demonstrations:
+        if demo.uuid not in seen:
+            seen.add(demo.uuid)
+            groups.setdefault((demo.participant, demo.option_name), []).append(demo)
+    for group in groups.values():
+        group.sort(key=lambda demo: (demo.number, demo.uuid))
+    return groups
+
+
+def _parameters(demo: Demonstration) -> Any:
+    try:
+        return json.loads(demo.domain_parameters or '{}')
+    except json.JSONDecodeError:
+        raise DemonstrationError(
+            f'its domain parameters are not JSON: {demo.domain_parameters!r}'
+        ) from None
+
+
+def _check_features(demo: Demonstration, domain: Domain[Any]) -> None:
+    known = tuple(feature.name for feature in domain.features)
+    if demo.feature_names != known:
+        raise DemonstrationError(
+            f'its features are not those of {domain.name}: {", ".join(demo.feature_names)}'
+        )
+    try:
+        feature_columns(domain, demo.chosen_features)
+    except DomainError as error:
+        raise DemonstrationError(str(error)) from None
+    if len(demo.features) != len(demo.states) or any(len(r) != len(known) for r in demo.features):
+        raise DemonstrationError(
+            f'it has {len(demo.states)} states but {len(demo.features)} rows of features, '
+            f'or rows that are not {len(known)} wide'
+        )
+
+
+def _check_steps(demo: Demonstration, domain: Domain[Any]) -> None:
+    steps = len(demo.actions)
+    if demo.kind is Kind.TRAJECTORY and steps == 0:
+        raise DemonstrationError('it has no steps')
+    if demo.kind is Kind.NOT_HERE and (steps or len(demo.states) != 1):
+        raise DemonstrationError('a "not here" answer has one state and no steps')
+    if len(demo.states) != steps + 1 or len(demo.rewards) != steps:
+        raise DemonstrationError(
+            f'{steps} actions need {steps + 1} states and {steps} rewards, not '
+            f'{len(demo.states)} and {len(demo.rewards)}'
+        )
+    if not all(math.isfinite(value) for value in (*demo.rewards, demo.seconds)):
+        raise DemonstrationError('it holds a number that is not finite (NaN or infinity)')
+    try:
+        states = [domain.decode(text) for text in demo.states]
+        actions = [action_index(domain, name) for name in demo.actions]
+    except DomainError as error:
+        raise DemonstrationError(str(error)) from None
+    for row, state in enumerate(states):
+        if not np.array_equal(domain.feature_values(state), demo.feature_rows[row]):
+            raise DemonstrationError(f'the features of state {row} are not those of its state')
+    for t, action in enumerate(actions):
+        if domain.is_over(states[t]):
+            raise DemonstrationError(f'it goes on after the task was over in state {t}')
+        if not domain.can_follow(states[t], action, states[t + 1]):
+            raise DemonstrationError(
+                f'action {demo.actions[t]} does not lead from state {t} ({demo.states[t]}) '
+                f'to state {t + 1} ({demo.states[t + 1]})'
+            )

@@ -1,0 +1,21 @@
+from setuptools import find_packages, setup
+
+NAME = 'humanopts_learner'
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={NAME: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+    ],
+    entry_points={
+        'console_scripts': [
+            'learner = humanopts_learner.nodes.learner_node:main',
+            'option_server = humanopts_learner.nodes.option_server:main',
+            'planner = humanopts_learner.nodes.planner_node:main',
+        ],
+    },
+)

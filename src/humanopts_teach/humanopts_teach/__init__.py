@@ -1,0 +1,1 @@
+"""Teaching dialogue, teleoperation, recording, bag analysis, the launcher and the command line."""

@@ -1,0 +1,26 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = 'humanopts_teach'
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={NAME: ['py.typed', 'report/*.html']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}/launch', glob('launch/*.launch.py')),
+    ],
+    entry_points={
+        'console_scripts': [
+            'humanopts = humanopts_teach.cli:main',
+            'keyboard_teleop = humanopts_teach.nodes.keyboard_teleop:main',
+            'lesson = humanopts_teach.nodes.lesson_node:main',
+            'recorder = humanopts_teach.nodes.recorder:main',
+            'simulated_teacher = humanopts_teach.nodes.simulated_teacher:main',
+        ],
+    },
+)

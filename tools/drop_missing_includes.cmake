@@ -1,0 +1,18 @@
+# The ROS wheels export include paths of the machine that built them. Passed as
+# CMAKE_PROJECT_INCLUDE, this drops the ones that do not exist here, once every package is found.
+function(humanopts_drop_missing_includes)
+  get_property(targets DIRECTORY PROPERTY IMPORTED_TARGETS)
+  foreach(target IN LISTS targets)
+    get_target_property(includes ${target} INTERFACE_INCLUDE_DIRECTORIES)
+    if(includes)
+      set(kept "")
+      foreach(path IN LISTS includes)
+        if(path MATCHES "^\\$<" OR EXISTS "${path}")
+          list(APPEND kept "${path}")
+        endif()
+      endforeach()
+      set_target_properties(${target} PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "${kept}")
+    endif()
+  endforeach()
+endfunction()
+cmake_language(DEFER CALL humanopts_drop_missing_includes)
