@@ -1,0 +1,216 @@
+"""What every humanopts node shares: stamped publishers, readiness, a clean start and end."""
+
+from collections.abc import Callable
+import os
+import signal
+import sys
+from types import FrameType
+from typing import Any, Generic, TypeVar
+import uuid
+
+from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_interfaces.msg import NodeStatus
+from rcl_interfaces.msg import ParameterDescriptor
+import rclpy
+from rclpy.callback_groups import CallbackGroup
+from rclpy.client import Client
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.service import Service
+from rclpy.service_introspection import ServiceIntrospectionState
+from rclpy.signals import SignalHandlerOptions
+
+M = TypeVar('M')
+RECORDER = 'recorder'
+LAUNCHER_PID = 'HUMANOPTS_LAUNCHER_PID'
+_CHECK_PERIOD = 0.02  # s between looks at what a starting node waits for
+
+
+class StartError(RuntimeError):
+    """A node cannot start with these parameters; the text says which and why."""
+
+
+class PublishError(RuntimeError):
+    """A message could not be sent; the text names the topic and the cause."""
+
+
+class StampedPublisher(Generic[M]):
+    """Publishes on one topic, filling in header, publisher_id and sequence."""
+
+    def __init__(self, node: 'NodeBase', kind: type[M], topic: str, qos: QoSProfile) -> None:
+        self._node = node
+        self._publisher: Publisher = node.create_publisher(kind, topic, qos)
+        self.sequence = 0  # of the last message that was sent
+
+    @property
+    def topic(self) -> str:
+        """Full name of the topic."""
+        return str(self._publisher.topic_name)
+
+    def stamp(self, message: M) -> M:
+        """Fill in the fields that ``publish`` would, without sending."""
+        filled: Any = message
+        filled.header.stamp = self._node.get_clock().now().to_msg()
+        filled.publisher_id = self._node.publisher_id
+        filled.sequence = self.sequence + 1
+        return message
+
+    def publish(self, message: M) -> None:
+        """
+        Send the message.
+
+        :raises PublishError: the middleware refused it, as it does when a reader that keeps
+            everything has stopped reading.
+        """
+        try:
+            self._publisher.publish(self.stamp(message))
+        except Exception as error:
+            raise PublishError(f'cannot publish on {self.topic}: {error}') from error
+        self.sequence += 1
+
+    def recorded(self) -> bool:
+        """Tell whether the recorder's subscription is matched."""
+        readers = self._node.get_subscriptions_info_by_topic(self.topic)
+        matched = self._publisher.get_subscription_count() >= len(readers)
+        return matched and any(reader.node_name == RECORDER for reader in readers)
+
+
+class NodeBase(Node):
+    """
+    A node that says when it is ready.
+
+    It is ready once nothing is left that it ``waits_for`` and, where a recorder is expected, the
+    recorder has matched every publisher, so that the first message is in the bag.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.publisher_id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
+        self._stamped: list[StampedPublisher[Any]] = []
+        self._expect_recorder = bool(
+            self.setting('expect_recorder', False, 'wait until the recorder has every publisher')
+        )
+        self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
+        self.ready = False
+        self.set_status(NodeStatus.STATE_STARTING)
+        self._start_timer = self.create_timer(_CHECK_PERIOD, self._check_start)
+
+    def setting(self, name: str, default: Any, description: str, **limits: Any) -> Any:
+        """
+        Declare a read-only parameter and return its value.
+
+        :param limits: further fields of its ParameterDescriptor.
+        :raises StartError: the value given at start has the wrong type or is out of range.
+        """
+        descriptor = ParameterDescriptor(description=description, read_only=True, **limits)
+        try:
+            return self.declare_parameter(name, default, descriptor).value
+        except ParameterException as error:
+            raise StartError(f'parameter {name}: {error}') from error
+
+    def stamped_publisher(
+        self, kind: type[M], topic: str, qos: QoSProfile = STREAM
+    ) -> StampedPublisher[M]:
+        """Create a publisher of a message with header, publisher_id and sequence."""
+        publisher = StampedPublisher(self, kind, topic, qos)
+        self._stamped.append(publisher)
+        return publisher
+
+    def recorded_service(
+        self,
+        kind: Any,
+        name: str,
+        callback: Callable[..., Any],
+        group: CallbackGroup | None = None,
+    ) -> Service:
+        """Create a service whose requests and responses are on the graph."""
+        service = self.create_service(kind, name, callback, callback_group=group)
+        service.configure_introspection(
+            self.get_clock(), STREAM, ServiceIntrospectionState.CONTENTS
+        )
+        return service
+
+    def recorded_client(self, kind: Any, name: str, group: CallbackGroup | None = None) -> Client:
+        """Create a client whose requests and responses are on the graph."""
+        client = self.create_client(kind, name, callback_group=group)
+        client.configure_introspection(
+            self.get_clock(), STREAM, ServiceIntrospectionState.CONTENTS
+        )
+        return client
+
+    def set_status(self, state: int, text: str = '') -> None:
+        """Publish the node's state; a failure to do so is only logged."""
+        status = NodeStatus(state=state, node=self.get_fully_qualified_name(), text=text)
+        try:
+            self._status.publish(status)
+        except PublishError as error:
+            self.get_logger().error(str(error))
+
+    def waits_for(self) -> str | None:
+        """Say what the node still needs before it is ready; None: nothing. To be overridden."""
+        return None
+
+    def on_ready(self) -> None:
+        """Do what comes first, such as publishing a first state. To be overridden."""
+
+    def close(self) -> None:
+        """Finish work before the node ends. To be overridden."""
+
+    def _check_start(self) -> None:
+        if self.waits_for() is not None:
+            return
+        if self._expect_recorder and not all(p.recorded() for p in self._stamped):
+            return
+        self.destroy_timer(self._start_timer)
+        self.ready = True
+        self.on_ready()
+        self.set_status(NodeStatus.STATE_READY)
+
+
+class _Stop:
+    """Set by SIGINT or SIGTERM, or when the launcher that started the process is gone."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._launcher = int(os.environ.get(LAUNCHER_PID, '0'))
+        signal.signal(signal.SIGINT, self._request)
+        signal.signal(signal.SIGTERM, self._request)
+
+    def _request(self, signum: int, frame: FrameType | None) -> None:
+        self.requested = True
+
+    def __bool__(self) -> bool:
+        return self.requested or (self._launcher != 0 and os.getppid() != self._launcher)
+
+
+def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> int:
+    """
+    Run a node until SIGINT or SIGTERM.
+
+    :return: the process's exit status: 0 after a clean end, 2 when it cannot start.
+    """
+    stop = _Stop()
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor()
+    node: NodeBase | None = None
+    try:
+        node = factory()
+        executor.add_node(node)
+        while not stop:
+            executor.spin_once(0.1)
+        node.close()
+        node.set_status(NodeStatus.STATE_STOPPING)
+    except StartError as error:
+        print(f'humanopts: {error}', file=sys.stderr)
+        return 2
+    except ExternalShutdownException:
+        pass
+    finally:
+        executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,24 @@
+"""The named QoS profiles of the graph; nothing else in humanopts builds one."""
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+
+def _profile(durability: DurabilityPolicy, depth: int) -> QoSProfile:
+    """Build a reliable profile; depth 0 keeps everything."""
+    history = HistoryPolicy.KEEP_LAST if depth else HistoryPolicy.KEEP_ALL
+    return QoSProfile(
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=durability,
+        history=history,
+        depth=depth,
+    )
+
+
+# Current values: the last one is enough, and who comes late gets it.
+LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
+# Reads a latched topic that several nodes publish (node_status): the last one of each.
+LATCHED_ALL = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)
+# Append-only streams, for the recorder and the lock-step partners. A reader that has stopped
+# blocks the writer, so displays read LATCHED topics or DISPLAY instead.
+STREAM = _profile(DurabilityPolicy.VOLATILE, 0)
+DISPLAY = _profile(DurabilityPolicy.VOLATILE, 1)
