@@ -8,6 +8,7 @@ from types import FrameType
 from typing import Any, Generic, TypeVar
 import uuid
 
+from humanopts_env.environment import LAUNCHER_PID
 from humanopts_env.nodes.qos import LATCHED, STREAM
 from humanopts_interfaces.msg import NodeStatus
 from rcl_interfaces.msg import ParameterDescriptor
@@ -25,7 +26,6 @@ from rclpy.signals import SignalHandlerOptions
 
 M = TypeVar('M')
 RECORDER = 'recorder'
-LAUNCHER_PID = 'HUMANOPTS_LAUNCHER_PID'
 _CHECK_PERIOD = 0.02  # s between looks at what a starting node waits for
 
 
@@ -164,7 +164,7 @@ class NodeBase(Node):
             return
         if self._expect_recorder and not all(p.recorded() for p in self._stamped):
             return
-        self.destroy_timer(self._start_timer)
+        self._start_timer.cancel()
         self.ready = True
         self.on_ready()
         self.set_status(NodeStatus.STATE_READY)

@@ -1,0 +1,80 @@
+# make demo and make test do all the set-up that they need; the second time they skip it.
+PYTHON ?= python3
+VENV := .venv
+OUT ?= runs/demo-$(shell date +%Y%m%d-%H%M%S)
+SEED ?= 1
+BUILD := $(VENV)/bin/colcon --log-level error build --event-handlers console_direct- summary-
+CMAKE_ARGS := --cmake-args -DPython3_EXECUTABLE=$(CURDIR)/$(VENV)/bin/python \
+  -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF \
+  -DCMAKE_PROJECT_INCLUDE=$(CURDIR)/tools/drop_missing_includes.cmake
+INTERFACES := $(shell find src/humanopts_interfaces -type f)
+PACKAGES := $(shell find src -type f -not -path 'src/humanopts_interfaces/*' \
+  -not -path '*/test/*' -not -name '*.pyc')
+PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*' \
+  -not -path '*/nodes/*' -not -name convert.py)
+WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
+SHELL := /bin/bash
+
+export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
+export CMAKE_PREFIX_PATH := $(CURDIR)/$(VENV)
+unexport PYTHONPATH
+
+.PHONY: help setup demo test lint format lock clean
+
+help:
+	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
+	@echo 'make test    run the tests'
+	@echo 'make lint    ruff, mypy --strict on pure code, package.xml checks'
+	@echo 'make setup   only the set-up that the others do when it is needed'
+	@echo 'make format  reformat the Python code'
+	@echo 'make lock    resolve requirements.in into requirements.lock again'
+	@echo 'make clean   remove everything that make made'
+
+setup: build/.packages
+
+$(VENV)/.locked: requirements.lock
+	@tools/check_prerequisites.sh $(PYTHON)
+	@echo 'Installing the locked packages into $(VENV) ...'
+	@rm -rf $(VENV) && $(PYTHON) -m venv $(VENV)
+	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --require-hashes \
+	  -r requirements.lock 2> >(grep -v '^WARNING: Location' >&2)
+	@touch $@
+
+build/.interfaces: $(VENV)/.locked $(INTERFACES)
+	@echo 'Building the ROS interfaces (about a minute) ...'
+	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(BUILD) --packages-select humanopts_interfaces \
+	  $(CMAKE_ARGS) 2> >(grep -v 'local_setup' >&2)
+	@touch $@
+
+build/.packages: build/.interfaces $(PACKAGES)
+	@echo 'Building the Python packages ...'
+	@rm -rf install/humanopts_{env,learner,teach} build/humanopts_{env,learner,teach}
+	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(BUILD) \
+	  --packages-select humanopts_env humanopts_learner humanopts_teach \
+	  2> >(grep -v 'local_setup' >&2) > build/packages.log || { cat build/packages.log; exit 1; }
+	@touch $@
+
+demo: setup
+	@./humanopts demo --domain taxi --out $(OUT) --seed $(SEED)
+
+test: setup
+	@$(WITH_ROS) $(VENV)/bin/python -m pytest $(ARGS)
+
+lint: setup
+	@$(VENV)/bin/ruff check src tests tools
+	@$(VENV)/bin/ruff format --check --quiet src tests tools
+	@$(VENV)/bin/mypy $(PURE)
+	@$(VENV)/bin/python tools/check_packages.py
+
+format: setup
+	@$(VENV)/bin/ruff check --fix --quiet src tests tools
+	@$(VENV)/bin/ruff format src tests tools
+
+lock:
+	@$(PYTHON) -m venv build/lock && build/lock/bin/pip install --quiet uv
+	@build/lock/bin/uv pip compile --universal --python-version 3.11 --generate-hashes \
+	  --no-emit-index-url --no-header --quiet requirements.in -o requirements.lock
+
+clean:
+	@rm -rf $(VENV) build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	@find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

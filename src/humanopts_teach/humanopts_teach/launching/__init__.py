@@ -1,0 +1,1 @@
+"""Which processes make up the graph, and how they are started, watched and stopped."""

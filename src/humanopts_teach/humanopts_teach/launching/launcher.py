@@ -1,0 +1,201 @@
+"""Starts one process per node, watches them, and stops them all, the recorder last."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import termios
+import time
+from typing import Any
+
+from humanopts_env.environment import LAUNCHER_PID
+import yaml
+
+from humanopts_teach.launching.processes import ProcessSpec
+
+TAIL_LINES = 12
+_STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
+
+
+class LaunchError(RuntimeError):
+    """The graph cannot be started, or a node of it died; the text says which and why."""
+
+
+@dataclass(frozen=True)
+class _Running:
+    spec: ProcessSpec
+    process: 'subprocess.Popen[bytes]'
+    log: Path
+
+
+class Launcher:
+    """
+    The processes of one launch.
+
+    Each writes to a log of its own below ``log_directory``. They run in process groups of their
+    own, so that Ctrl-C reaches only the launcher, which then stops them in order. A node whose
+    launcher is gone ends by itself.
+    """
+
+    def __init__(
+        self, specs: Sequence[ProcessSpec], log_directory: Path, namespace: str = '/'
+    ) -> None:
+        self._specs = list(specs)
+        self._directory = log_directory
+        self._namespace = namespace
+        self._running: list[_Running] = []
+        self._terminal: list[Any] | None = None
+
+    @property
+    def node_names(self) -> list[str]:
+        """Fully qualified names of the nodes."""
+        return [f'{self._namespace.rstrip("/")}/{spec.name}' for spec in self._specs]
+
+    def start(self) -> None:
+        """
+        Start every process.
+
+        :raises LaunchError: the log directory cannot be written.
+        """
+        try:
+            self._directory.mkdir(parents=True, exist_ok=True)
+            for spec in self._specs:
+                if not spec.terminal:
+                    self._start(spec)
+        except OSError as error:
+            self.stop()
+            raise LaunchError(f'cannot write logs in {self._directory}: {error}') from error
+
+    def run_terminal(self) -> int:
+        """
+        Run the process that takes over the terminal, to its end, and restore the terminal.
+
+        :return: its exit status.
+        :raises LaunchError: another node died meanwhile; the terminal's process is ended.
+        """
+        (spec,) = [spec for spec in self._specs if spec.terminal]
+        self._save_terminal()
+        try:
+            running = self._start(spec)
+            while running.process.poll() is None:
+                self.check(besides=spec.name)
+                time.sleep(0.1)
+            self._running.remove(running)
+            return self._terminal_status(running)
+        finally:
+            self._end([entry for entry in self._running if entry.spec.terminal])
+            self._restore_terminal()
+
+    def check(self, besides: str = '') -> None:
+        """
+        Look whether every process is alive.
+
+        :param besides: a node that may end by itself.
+        :raises LaunchError: one ended; the text names it and holds its last lines.
+        """
+        for running in self._running:
+            status = running.process.poll()
+            if status is not None and running.spec.name != besides:
+                raise LaunchError(
+                    f'the node {running.spec.name} ended ({_ending(status)}) while it was needed'
+                    f'{_last_lines(running.log)}'
+                )
+
+    def stop(self) -> list[str]:
+        """
+        End every process: the recorder when all others are gone, so that their last messages are
+        in the bag.
+
+        :return: what did not end cleanly, in words.
+        """
+        others = [entry for entry in self._running if entry.spec.name != 'recorder']
+        recorder = [entry for entry in self._running if entry.spec.name == 'recorder']
+        problems = self._end(others) + self._end(recorder)
+        self._running.clear()
+        return problems
+
+    def _start(self, spec: ProcessSpec) -> _Running:
+        log = self._directory / f'{spec.name}.log'
+        command = [sys.executable, '-m', spec.module, '--ros-args']
+        command += ['-r', f'__ns:={self._namespace}', '--params-file', str(self._parameters(spec))]
+        command += ['--disable-stdout-logs'] if spec.terminal else []
+        with log.open('wb') as output:
+            process = subprocess.Popen(
+                command,
+                stdin=None if spec.terminal else subprocess.DEVNULL,
+                stdout=None if spec.terminal else output,
+                stderr=output,
+                env=_child_environment(),
+                process_group=None if spec.terminal else 0,
+            )
+        running = _Running(spec, process, log)
+        self._running.append(running)
+        return running
+
+    def _parameters(self, spec: ProcessSpec) -> Path:
+        path = self._directory / f'{spec.name}.yaml'
+        tree = {'/**': {'ros__parameters': dict(spec.parameters)}}
+        path.write_text(yaml.safe_dump(tree), encoding='utf-8')
+        return path
+
+    def _end(self, entries: Sequence[_Running]) -> list[str]:
+        for entry in entries:
+            if entry.process.poll() is None:
+                entry.process.send_signal(signal.SIGTERM)
+        deadline = time.monotonic() + _STOP_SECONDS
+        problems = []
+        for entry in entries:
+            try:
+                entry.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                entry.process.kill()
+                entry.process.wait()
+                problems.append(f'{entry.spec.name} did not stop when asked and was killed')
+        return problems
+
+    def _terminal_status(self, running: _Running) -> int:
+        status = running.process.returncode
+        if status < 0:
+            raise LaunchError(
+                f'the node {running.spec.name} ended ({_ending(status)})'
+                f'{_last_lines(running.log)}'
+            )
+        if status:
+            sys.stderr.write(running.log.read_text(encoding='utf-8', errors='replace'))
+        return status
+
+    def _save_terminal(self) -> None:
+        if sys.stdin.isatty():
+            self._terminal = termios.tcgetattr(sys.stdin)
+
+    def _restore_terminal(self) -> None:
+        """Undo raw mode, the alternate screen and a hidden cursor, however the node ended."""
+        if self._terminal is not None:
+            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._terminal)
+            if sys.stdout.isatty():
+                sys.stdout.write('\x1b[?1049l\x1b[?25h\x1b[0m')
+                sys.stdout.flush()
+
+
+def _child_environment() -> Mapping[str, str]:
+    return {**os.environ, LAUNCHER_PID: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
+
+
+def _ending(status: int) -> str:
+    if status < 0:
+        return f'by signal {signal.Signals(-status).name}'
+    return f'exit status {status}'
+
+
+def _last_lines(log: Path) -> str:
+    try:
+        lines = log.read_text(encoding='utf-8', errors='replace').splitlines()
+    except OSError:
+        return ''
+    tail = [line for line in lines if line.strip()][-TAIL_LINES:]
+    if not tail:
+        return '; it wrote nothing'
+    return '; its last lines:\n' + '\n'.join(f'  {line}' for line in tail)
