@@ -1,0 +1,1 @@
+"""Options: learned from demonstrations, judged, run, and kept as files."""

@@ -1,0 +1,1 @@
+"""Decision trees: fitted by scikit-learn, kept and evaluated as plain arrays."""

@@ -1,0 +1,176 @@
+"""
+Learning an option from demonstrations (paper, section 6; held apart by demonstration).
+
+Examples of I are positive in visited states, negative in "not here" states, and negative in end
+states unless the person says that the option could start again there. Examples of beta are
+positive in end states and negative in the other states of a trajectory.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from humanopts_env.domains.base import action_index, Domain
+from humanopts_env.domains.registry import parameters_json
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration, group_by_option, Kind
+from humanopts_learner.options.option import LearnedOption, MEMBERSHIP
+from humanopts_learner.trees.encoding import Column, encode_rows, encoding
+from humanopts_learner.trees.fitting import fit_tree
+from humanopts_learner.trees.tree import Tree
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_STEPS = 200  # of an option, where episodes of its domain have no limit
+
+
+class NotLearnableError(ValueError):
+    """There is not enough to learn from; the text says what is missing."""
+
+
+@dataclass(frozen=True)
+class Examples:
+    """Labelled rows of all features, and which demonstration each comes from."""
+
+    rows: NDArray[np.int32]  # (N, F)
+    labels: NDArray[np.int64]  # (N,)
+    source: NDArray[np.int64]  # (N,) index of the demonstration
+
+    def of(self, chosen: NDArray[np.bool_]) -> 'Examples':
+        """Return the examples of chosen demonstrations (D,)."""
+        kept = chosen[self.source]
+        return Examples(self.rows[kept], self.labels[kept], self.source[kept])
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Everything that is known of one option of one participant."""
+
+    demonstrations: tuple[Demonstration, ...]  # (D,) by number, each once
+    features: tuple[str, ...]  # chosen with the newest demonstration
+    columns: tuple[Column, ...]
+    policy: Examples
+    initiation: Examples
+    termination: Examples
+
+    @property
+    def trajectories(self) -> list[Demonstration]:
+        """Demonstrations that are not "not here" answers."""
+        return [demo for demo in self.demonstrations if demo.kind is Kind.TRAJECTORY]
+
+
+@dataclass(frozen=True)
+class Trees:
+    """The three parts of an option."""
+
+    policy: Tree
+    initiation: Tree
+    termination: Tree
+
+
+def make_dataset(demonstrations: Sequence[Demonstration], domain: Domain[Any]) -> Dataset:
+    """
+    Collect the examples of one option.
+
+    :param demonstrations: of one participant and option, checked; order and repeats do not matter.
+    :raises NotLearnableError: there is no trajectory, or they are of several options.
+    :raises DomainError: a chosen feature or an action is not in the domain.
+    """
+    groups = group_by_option(demonstrations)
+    if len(groups) > 1:
+        raise NotLearnableError(
+            'demonstrations of several options or people: '
+            + ', '.join(f'{option} by {person}' for person, option in groups)
+        )
+    demos = next(iter(groups.values()), [])
+    if not any(demo.kind is Kind.TRAJECTORY for demo in demos):
+        raise NotLearnableError(
+            f'{len(demos)} "not here" and no demonstration yet: show the option at least once'
+        )
+    chosen = set(demos[-1].chosen_features)
+    features = tuple(f.name for f in domain.features if f.name in chosen)
+    columns = encoding(domain, demos[-1].chosen_features)
+    return Dataset(
+        tuple(demos),
+        features,
+        columns,
+        _examples(demos, [_policy_labels(demo, domain) for demo in demos]),
+        _examples(demos, [_initiation_labels(demo) for demo in demos]),
+        _examples(demos, [_termination_labels(demo) for demo in demos]),
+    )
+
+
+def fit_trees(data: Dataset, domain: Domain[Any], seed: int) -> Trees:
+    """Fit the three trees to a data set that has at least one trajectory."""
+    return Trees(
+        fit_part(data, data.policy, range(len(domain.actions)), seed),
+        fit_part(data, data.initiation, MEMBERSHIP, seed),
+        fit_part(data, data.termination, MEMBERSHIP, seed),
+    )
+
+
+def fit_part(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -> Tree:
+    """Fit one of the three trees to its examples; ties are broken alike for one option."""
+    demo = data.demonstrations[0]
+    rng = generator(seed, 'tree', demo.participant, demo.option_name)
+    X = encode_rows(data.columns, examples.rows)
+    return fit_tree(X, examples.labels, classes, int(rng.integers(2**31)))
+
+
+def assemble(data: Dataset, trees: Trees, domain: Domain[Any]) -> LearnedOption:
+    """Return the option that has these trees."""
+    first, trajectories = data.demonstrations[0], len(data.trajectories)
+    return LearnedOption(
+        name=first.option_name,
+        participant=first.participant,
+        domain=domain.name,
+        domain_parameters=parameters_json(domain),
+        actions=tuple(action.name for action in domain.actions),
+        features=data.features,
+        columns=data.columns,
+        policy=trees.policy,
+        initiation=trees.initiation,
+        termination=trees.termination,
+        n_demonstrations=trajectories,
+        n_not_here=len(data.demonstrations) - trajectories,
+        max_steps=domain.max_steps or MAX_STEPS,
+        uuids=tuple(demo.uuid for demo in data.demonstrations),
+    )
+
+
+def learn_option(
+    demonstrations: Sequence[Demonstration], domain: Domain[Any], seed: int
+) -> LearnedOption:
+    """
+    Learn an option; the same demonstrations in any order give the same option.
+
+    :param demonstrations: of one participant and option, checked.
+    :raises NotLearnableError: there is no trajectory among them, or they are of several options.
+    """
+    data = make_dataset(demonstrations, domain)
+    return assemble(data, fit_trees(data, domain, seed), domain)
+
+
+def _examples(
+    demos: Sequence[Demonstration], labels: Sequence[tuple[NDArray[np.int32], list[int]]]
+) -> Examples:
+    rows = np.concatenate([rows for rows, _ in labels])
+    source = np.repeat(np.arange(len(demos)), [len(values) for _, values in labels])
+    return Examples(rows, np.array([v for _, vs in labels for v in vs], dtype=np.int64), source)
+
+
+def _policy_labels(
+    demo: Demonstration, domain: Domain[Any]
+) -> tuple[NDArray[np.int32], list[int]]:
+    return demo.feature_rows[: len(demo.actions)], [action_index(domain, a) for a in demo.actions]
+
+
+def _initiation_labels(demo: Demonstration) -> tuple[NDArray[np.int32], list[int]]:
+    member_at_end = demo.kind is Kind.TRAJECTORY and demo.can_start_at_end
+    return demo.feature_rows, [1] * len(demo.actions) + [int(member_at_end)]
+
+
+def _termination_labels(demo: Demonstration) -> tuple[NDArray[np.int32], list[int]]:
+    if demo.kind is Kind.NOT_HERE:
+        return demo.feature_rows[:0], []
+    return demo.feature_rows, [0] * len(demo.actions) + [1]

@@ -1,0 +1,164 @@
+"""A learned option: its policy, initiation set and termination condition as decision trees."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from humanopts_env.domains.base import Domain, EnumerableDomain
+from humanopts_env.domains.registry import parameters_json
+from humanopts_learner.trees.encoding import Column, encode_rows
+from humanopts_learner.trees.tree import Tree
+import numpy as np
+from numpy.typing import NDArray
+
+HALF = 0.5  # from this probability on a state belongs to I, and the option ends
+MEMBER = 1  # class of I and beta
+MEMBERSHIP = (0, MEMBER)
+
+
+class OptionError(ValueError):
+    """An option cannot be used as asked; the text says why."""
+
+
+class Mode(Enum):
+    """How the probabilities of an option become decisions, in execution and in models."""
+
+    GREEDY = 'greedy'  # the likeliest action; ends where beta is 0.5 or more
+    SAMPLED = 'sampled'  # drawn
+
+
+@dataclass(frozen=True)
+class LearnedOption:
+    """
+    An option learned from one participant. Rows below are of all F features of its domain.
+
+    Paper, section 6: three decision trees over the features that the person chose.
+    """
+
+    name: str
+    participant: str
+    domain: str  # registered name
+    domain_parameters: str  # JSON object, keys sorted
+    actions: tuple[str, ...]  # what the classes of the policy index
+    features: tuple[str, ...]  # chosen, in the domain's order
+    columns: tuple[Column, ...]  # what the columns of the trees are
+    policy: Tree
+    initiation: Tree
+    termination: Tree
+    n_demonstrations: int  # trajectories that it was learned from
+    n_not_here: int
+    max_steps: int
+    uuids: tuple[str, ...]  # demonstrations and "not here" answers that it was learned from
+
+    def __post_init__(self) -> None:
+        """Check that the trees fit the actions and the columns."""
+        if self.policy.classes != tuple(range(len(self.actions))):
+            raise OptionError(f'the policy of {self.name!r} does not choose among its actions')
+        trees = {'policy': self.policy, 'I': self.initiation, 'beta': self.termination}
+        for part, tree in trees.items():
+            if tree.n_columns != len(self.columns):
+                raise OptionError(f'the tree of {part} of {self.name!r} has other columns')
+            if tree is not self.policy and tree.classes != MEMBERSHIP:
+                raise OptionError(f'the tree of {part} of {self.name!r} is not yes or no')
+        if self.max_steps < 1:
+            raise OptionError(f'{self.name!r} has max_steps {self.max_steps}, not 1 or more')
+
+    def check_domain(self, domain: Domain[Any]) -> None:
+        """
+        Check that the option was learned in this domain.
+
+        :raises OptionError: another domain or other parameters, features or actions.
+        """
+        if (self.domain, self.domain_parameters) != (domain.name, parameters_json(domain)):
+            raise OptionError(
+                f'{self.name!r} was learned in {self.domain} {self.domain_parameters}, and the '
+                f'game is {domain.name} {parameters_json(domain)}'
+            )
+        names = [feature.name for feature in domain.features]
+        strange = [c.feature for c in self.columns if names[c.index : c.index + 1] != [c.feature]]
+        if strange or self.actions != tuple(action.name for action in domain.actions):
+            raise OptionError(
+                f'the features or actions of {self.name!r} are not those of the game'
+            )
+
+    def action_probabilities(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return (N, A): pi of every action in each of the N states."""
+        return self.policy.probabilities(encode_rows(self.columns, rows))
+
+    def initiation_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return (N,): the share of members of I among examples like each state."""
+        return self.initiation.probabilities(encode_rows(self.columns, rows))[:, MEMBER]
+
+    def termination_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return (N,): beta of each state."""
+        return self.termination.probabilities(encode_rows(self.columns, rows))[:, MEMBER]
+
+    def greedy_action(self, rows: NDArray[np.int32]) -> NDArray[np.intp]:
+        """Return (N,): the likeliest action, the lowest index among equals."""
+        best: NDArray[np.intp] = self.action_probabilities(rows).argmax(axis=1)
+        return best
+
+    def can_start(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return (N,): whether each state is in the initiation set."""
+        return self.initiation_probability(rows) >= HALF
+
+    def ends(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return (N,): whether the option ends in each state; not asked before its first step."""
+        return self.termination_probability(rows) >= HALF
+
+    def choose_action(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> int:
+        """Return what the option does in one state (F,)."""
+        if mode is Mode.GREEDY:
+            return int(self.greedy_action(row[None])[0])
+        return int(rng.choice(len(self.actions), p=self.action_probabilities(row[None])[0]))
+
+    def choose_end(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> bool:
+        """Return whether the option ends in one state (F,) that it came to."""
+        limit = HALF if mode is Mode.GREEDY else 1.0 - rng.random()
+        return bool(self.termination_probability(row[None])[0] >= limit)
+
+
+@dataclass(frozen=True)
+class OptionTables:
+    """What an option does in every state of an enumerable domain, in greedy mode."""
+
+    action: NDArray[np.intp]  # (S,)
+    initiation: NDArray[np.bool_]  # (S,)
+    termination: NDArray[np.bool_]  # (S,)
+
+
+@dataclass(frozen=True)
+class OptionDistributions:
+    """What an option does in every state of an enumerable domain, in sampled mode."""
+
+    policy: NDArray[np.float64]  # (S, A)
+    initiation: NDArray[np.bool_]  # (S,)
+    termination: NDArray[np.float64]  # (S,)
+
+
+def option_tables(option: LearnedOption, domain: EnumerableDomain[Any]) -> OptionTables:
+    """
+    Evaluate the option in every state.
+
+    :raises OptionError: it was not learned in this domain.
+    """
+    option.check_domain(domain)
+    rows = domain.feature_table()
+    return OptionTables(option.greedy_action(rows), option.can_start(rows), option.ends(rows))
+
+
+def option_distributions(
+    option: LearnedOption, domain: EnumerableDomain[Any]
+) -> OptionDistributions:
+    """
+    Evaluate the option's probabilities in every state.
+
+    :raises OptionError: it was not learned in this domain.
+    """
+    option.check_domain(domain)
+    rows = domain.feature_table()
+    return OptionDistributions(
+        option.action_probabilities(rows),
+        option.can_start(rows),
+        option.termination_probability(rows),
+    )

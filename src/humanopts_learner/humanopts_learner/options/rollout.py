@@ -1,0 +1,114 @@
+"""Running an option in the rules of its domain, to its end."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
+from humanopts_env.seeding import generator
+from humanopts_learner.options.option import LearnedOption, Mode, option_tables
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """What running an option from each of N start states led to."""
+
+    total_reward: NDArray[np.float64]  # (N,) undiscounted
+    steps: NDArray[np.int64]  # (N,)
+    reached: NDArray[np.bool_]  # (N,) beta holds or the task is over; else cut off
+
+
+def rollouts(
+    option: LearnedOption,
+    domain: Domain[Any],
+    starts: Sequence[Any],
+    seed: int = 0,
+    keys: Sequence[str] = (),
+    mode: Mode = Mode.GREEDY,
+    max_steps: int | None = None,
+) -> Rollouts:
+    """
+    Run the option from every start state.
+
+    It ends where the termination condition holds, which is looked at only after a step; where the
+    task is over; or after ``max_steps``.
+
+    :param starts: (N,) states, not over.
+    :param keys: (N,) names of the runs: chance in a run depends on the seed, the option and this.
+    :param max_steps: None: the option's own.
+    :raises OptionError: the option was not learned in this domain.
+    """
+    limit = option.max_steps if max_steps is None else max_steps
+    if mode is Mode.GREEDY and is_enumerable(domain) and domain.transitions().deterministic:
+        tables = option_tables(option, domain)
+        at = np.array([domain.index(state) for state in starts], dtype=np.intp)
+        which = np.zeros(len(at), dtype=np.intp)
+        return follow(domain, tables.action[None], tables.termination[None], which, at, limit)
+    option.check_domain(domain)
+    names = keys or [str(number) for number in range(len(starts))]
+    runs = [
+        _run(option, domain, start, generator(seed, 'rollout', option.name, key), mode, limit)
+        for start, key in zip(starts, names, strict=True)
+    ]
+    rewards, steps, reached = zip(*runs) if runs else ((), (), ())
+    return Rollouts(
+        np.array(rewards, dtype=np.float64),
+        np.array(steps, dtype=np.int64),
+        np.array(reached, dtype=np.bool_),
+    )
+
+
+def follow(
+    domain: EnumerableDomain[Any],
+    action: NDArray[np.intp],
+    termination: NDArray[np.bool_],
+    which: NDArray[np.intp],
+    starts: NDArray[np.intp],
+    max_steps: int,
+) -> Rollouts:
+    """
+    Run several policies at once in a deterministic domain.
+
+    :param action: (M, S) what each of M policies does in each state.
+    :param termination: (M, S) where it ends.
+    :param which: (N,) the policy of each run.
+    :param starts: (N,) its start, a state index.
+    """
+    table, over = domain.transitions(), domain.over()
+    total, steps = np.zeros(len(starts)), np.zeros(len(starts), dtype=np.int64)
+    reached = np.zeros(len(starts), dtype=np.bool_)
+    going, at, policy = np.arange(len(starts)), starts, which
+    for _ in range(max_steps):
+        if not going.size:
+            break
+        pair = at, action[policy, at], 0
+        at = table.successor[pair]
+        total[going] += table.reward[pair]
+        steps[going] += 1
+        ended = termination[policy, at] | table.terminated[pair] | over[at]
+        if ended.any():
+            reached[going[ended]] = True
+            going, at, policy = going[~ended], at[~ended], policy[~ended]
+    return Rollouts(total, steps, reached)
+
+
+def _run(
+    option: LearnedOption,
+    domain: Domain[Any],
+    state: Any,
+    rng: np.random.Generator,
+    mode: Mode,
+    max_steps: int,
+) -> tuple[float, int, bool]:
+    total = 0.0
+    for step in range(1, max_steps + 1):
+        action = option.choose_action(domain.feature_values(state), mode, rng)
+        outcome = domain.step(state, action, rng)
+        state, total = outcome.state, total + outcome.reward
+        if outcome.terminated or domain.is_over(state):
+            return total, step, True
+        if option.choose_end(domain.feature_values(state), mode, rng):
+            return total, step, True
+    return total, max_steps, False
