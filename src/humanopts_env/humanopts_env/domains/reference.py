@@ -16,8 +16,20 @@ from numpy.typing import NDArray
 class ReferenceOption(Protocol):
     """An option whose initiation set, policy and termination condition are known exactly."""
 
-    name: str
-    features: tuple[str, ...]  # what a person would say that it depends on
+    @property
+    def name(self) -> str:
+        """What a person calls it, lower case."""
+        ...
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """What a person would say that it depends on, in the domain's order."""
+        ...
+
+    @property
+    def definition(self) -> str:
+        """Where it can start, what it does and where it ends, in words."""
+        ...
 
     def can_start(self, state: Any) -> bool:
         """Tell whether the state is in the initiation set."""
@@ -32,7 +44,7 @@ class ReferenceOption(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TabularReferenceOption:
     """A reference option of an enumerable domain, as arrays over its S states and A actions."""
 
@@ -44,6 +56,7 @@ class TabularReferenceOption:
     optimal: NDArray[np.bool_]  # (S, A), False outside the initiation set
     distance: NDArray[np.int32]  # (S,) steps to the end; -1 outside the initiation set
     judged: NDArray[np.bool_]  # (S,) states over which learned I and beta are compared with these
+    definition: str = ''  # in words
 
     def can_start(self, state: Any) -> bool:
         """Tell whether the state is in the initiation set."""

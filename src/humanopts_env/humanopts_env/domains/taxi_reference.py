@@ -1,0 +1,124 @@
+"""
+The Taxi buttons that people named, as exact options.
+
+Subramanian, Isbell and Thomaz (2011), table 1. Each option runs by shortest ways from its
+initiation set to its goal, and ends wherever it has left that set. States in which the task is
+over are in no initiation set.
+"""
+
+from dataclasses import dataclass
+
+from humanopts_env.domains.base import EnumerableDomain, feature_columns
+from humanopts_env.domains.reference import TabularReferenceOption
+from humanopts_env.domains.tabular import distance_to, reachable, read_only
+from humanopts_env.domains.taxi import TaxiState
+import numpy as np
+from numpy.typing import NDArray
+
+Taxi = EnumerableDomain[TaxiState]
+
+
+@dataclass(frozen=True, slots=True)
+class _Button:
+    """One option before its shortest ways are known."""
+
+    name: str
+    definition: str
+    features: tuple[str, ...]
+    initiation: NDArray[np.bool_]  # (S,); states that are over or not reachable leave it later
+    goal: NDArray[np.bool_]  # (S, A), the transitions that it is meant to end with
+    ends_episode: bool = False  # whether one of them can
+
+
+def reference_options(domain: Taxi) -> dict[str, TabularReferenceOption]:
+    """Return every Taxi button of the paper's table 1 by name."""
+    return {button.name: _build(domain, button) for button in _buttons(domain)}
+
+
+def _buttons(domain: Taxi) -> list[_Button]:
+    transitions = domain.transitions()
+    successor = transitions.successor[:, :, 0]
+    reward, delivers = transitions.reward[:, :, 0], transitions.terminated[:, :, 0]
+    aboard, at_passenger, at_destination = (
+        _column(domain, name) == 1
+        for name in ('passenger_in_taxi', 'taxi_at_passenger', 'taxi_at_destination')
+    )
+    blocked = _column(domain, 'blocked_moves') != 0
+    taxi = ('taxi_row', 'taxi_col')
+    passenger = ('passenger_row', 'passenger_col')
+    destination = ('destination_row', 'destination_col')
+    return [
+        _Button(
+            'go to passenger and pickup',
+            'Starts where the passenger waits; drives there and picks up; ends with the '
+            'passenger aboard.',
+            (*taxi, *passenger, 'passenger_in_taxi'),
+            ~aboard,
+            aboard[successor],
+        ),
+        _Button(
+            'go to destination and dropoff',
+            'Starts with the passenger aboard; drives to the destination and drops off; ends '
+            'with the passenger delivered.',
+            (*taxi, *destination, 'passenger_in_taxi'),
+            aboard,
+            delivers,
+            ends_episode=True,
+        ),
+        _Button(
+            'go to passenger',
+            'Starts where the passenger waits in another cell; drives there; ends with the taxi '
+            'where the passenger is.',
+            (*taxi, *passenger, 'taxi_at_passenger'),
+            ~at_passenger,
+            at_passenger[successor],
+        ),
+        _Button(
+            'go to destination',
+            'Starts away from the destination, whether or not the passenger is aboard; drives '
+            'there; ends with the taxi at the destination.',
+            (*taxi, *destination, 'taxi_at_destination'),
+            ~at_destination,
+            at_destination[successor],
+        ),
+        _Button(
+            'pickup/dropoff',
+            'Starts with the taxi where the passenger waits, or at the destination with the '
+            'passenger aboard; picks up or drops off; ends after that one action.',
+            ('passenger_in_taxi', 'taxi_at_passenger', 'taxi_at_destination'),
+            np.where(aboard, at_destination, at_passenger),
+            reward > -1,  # a legal pickup or a delivery
+            ends_episode=True,
+        ),
+        _Button(
+            'move away from obstacles',
+            'Starts where a wall or the edge blocks a move; drives to the nearest cell that is '
+            'open on all four sides; ends there.',
+            (*taxi, 'blocked_moves'),
+            blocked,
+            ~blocked[successor],
+        ),
+    ]
+
+
+def _column(domain: Taxi, name: str) -> NDArray[np.int32]:
+    values: NDArray[np.int32] = domain.feature_table()[:, feature_columns(domain, [name])[0]]
+    return values
+
+
+def _build(domain: Taxi, button: _Button) -> TabularReferenceOption:
+    """Add the shortest ways to the goal within the initiation set."""
+    visited, over = reachable(domain), domain.over()
+    initiation = button.initiation & visited & ~over
+    distance, optimal = distance_to(domain.transitions(), button.goal, initiation)
+    return TabularReferenceOption(
+        domain=domain,
+        name=button.name,
+        features=button.features,
+        initiation=read_only(initiation),
+        termination=read_only(~initiation),
+        optimal=read_only(optimal),
+        distance=read_only(distance),
+        judged=read_only(visited & (~over | button.ends_episode)),
+        definition=button.definition,
+    )
