@@ -1,0 +1,1 @@
+"""Demonstrations as they are collected and kept: pure, without ROS."""

@@ -1,0 +1,1 @@
+"""The teaching dialogue as a state machine: pure, without ROS."""

@@ -1,0 +1,395 @@
+"""
+The teaching session as a state machine (paper, sections 5 and 6).
+
+Every method takes one request or one piece of news, and leaves the lesson in a phase from which it
+can go on. What the person said is in the store before a method answers OK.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import (
+    check_demonstration,
+    Demonstration,
+    DemonstrationError,
+)
+from humanopts_teach.demos.store import DemonstrationStore
+from humanopts_teach.demos.trace import GameStep, Trace
+from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Progress, Status, Verdict
+from humanopts_teach.dialogue.collecting import Attempt, build, Label, objection
+from humanopts_teach.dialogue.history import OptionHistory
+from humanopts_teach.dialogue.notebook import Notebook
+from humanopts_teach.dialogue.questions import question_text
+from humanopts_teach.dialogue.start_states import StartStates
+import numpy as np
+
+_HINTS = {
+    Phase.NO_SESSION: 'Open a session to begin.',
+    Phase.NO_OPTION: 'Name the option that you want to teach.',
+    Phase.ASKING: 'Answer the question.',
+    Phase.READY: 'Begin the next demonstration.',
+    Phase.DEMONSTRATING: 'Show the option, then say done; or say not here, or discard.',
+    Phase.LEARNING: 'The learner works on the demonstration.',
+    Phase.FINISHED: 'Name the next option to teach.',
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LessonRules:
+    """How start states are drawn, and when the lesson on an option ends."""
+
+    strategy: str = 'random'  # shown; ``StartStates`` carries it out
+    budget: int = 100  # the most that is asked for one option, "not here" answers included
+    seed: int = 0
+
+
+class Lesson:
+    """One participant at a time, one option at a time, one demonstration at a time."""
+
+    def __init__(
+        self,
+        domain: Domain[Any],
+        store: DemonstrationStore,
+        starts: StartStates,
+        rules: LessonRules,
+        *,
+        clock: Callable[[], float],
+        today: Callable[[], str],
+    ) -> None:
+        """
+        Begin without a session.
+
+        :param clock: seconds, never going back.
+        :param today: the date as YYYYMMDD, for session codes.
+        """
+        self._domain = domain
+        self._starts = starts
+        self._rules = rules
+        self._clock = clock
+        self._notebook = Notebook(domain, store, today)
+        self._option: OptionHistory | None = None
+        self._trace = Trace()
+        self._attempt: Attempt | None = None
+        self._again = ''  # start state of a demonstration that came to nothing
+        self._preparing = False  # game was asked for an episode and has not answered
+        self._awaited = ''  # uuid that the learner works on
+        self._progress: dict[tuple[str, str], Progress] = {}
+        self._done = False  # criteria met, and the strategy has nothing left to ask
+        self._notice = ''
+
+    # What can be read.
+
+    @property
+    def phase(self) -> Phase:
+        """Where the lesson stands."""
+        if not self._notebook.participant:
+            return Phase.NO_SESSION
+        if self._option is None:
+            return Phase.NO_OPTION
+        if self._attempt is not None:
+            return Phase.DEMONSTRATING
+        if self._option.questions.open is not None:
+            return Phase.ASKING
+        if self._awaited:
+            return Phase.LEARNING
+        return Phase.FINISHED if self._done or self._spent else Phase.READY
+
+    def demonstrations(self) -> list[Demonstration]:
+        """Return all that anybody has shown in this domain, in the order of the store."""
+        return self._notebook.demonstrations()
+
+    @property
+    def awaited(self) -> str:
+        """The uuid of the demonstration that the learner works on; empty: none."""
+        return self._awaited
+
+    @property
+    def criteria_met(self) -> bool:
+        """Whether the learner says so, on the features that are chosen now."""
+        if self._option is None:
+            return False
+        known = self._progress.get((self._notebook.participant, self._option.name))
+        chosen = set(self._option.questions.chosen)
+        return known is not None and known.criteria_met and set(known.features) == chosen
+
+    @property
+    def view(self) -> LessonView:
+        """Everything that a terminal shows."""
+        base = LessonView(
+            phase=self.phase,
+            participant=self._notebook.participant,
+            session=self._notebook.session,
+            budget=self._rules.budget,
+            strategy=self._rules.strategy,
+            text=f'{self._notice} {self._hint()}'.strip(),
+        )
+        option, attempt = self._option, self._attempt
+        if option is None:
+            return base
+        feature = option.questions.open
+        return replace(
+            base,
+            option_name=option.name,
+            question_id=self._notebook.question_id,
+            question=question_text(option.name, feature) if feature is not None else '',
+            question_feature=feature.name if feature is not None else '',
+            questions_total=len(self._domain.features),
+            chosen_features=option.questions.chosen,
+            n_demonstrations=option.n_trajectories,
+            n_not_here=option.n_not_here,
+            start_state=attempt.start_state if attempt is not None else '',
+            episode=attempt.episode if attempt is not None else 0,
+            criteria_met=self.criteria_met,
+        )
+
+    # What the person asks for.
+
+    def open_session(self, participant: str, session: str) -> Answer:
+        """Begin a sitting, or go on with it where it was left; an empty code makes a new one."""
+        if self._occupied:
+            return _wrong('end the demonstration under way first')
+        return self._turned(self._notebook.open_session(participant, session))
+
+    def define_option(self, name: str, ask_again: bool = False) -> Answer:
+        """Name an option to teach, or take it up again."""
+        if self._occupied:
+            return _wrong('end the demonstration under way first')
+        return self._turned(self._notebook.define_option(name, ask_again))
+
+    def answer_question(self, question_id: int, yes: bool) -> Answer:
+        """Answer the open question."""
+        if self._occupied:
+            return Answer(Status.NOT_ASKED, 'no question is open')
+        answer = self._notebook.answer_question(question_id, yes)
+        if answer.status in (Status.OK, Status.NO_FEATURE):
+            self._notice = '' if answer.ok else answer.detail
+            self._look_at_progress()
+        return answer
+
+    def prepare(self, start_state: str = '') -> Answer:
+        """
+        Choose the start state of the next demonstration.
+
+        After OK the lesson waits for ``began`` or ``not_begun``.
+
+        :param start_state: in the domain's notation; empty: drawn by the strategy.
+        """
+        if self._option is None or self.phase is not Phase.READY or self._preparing:
+            return self._not_ready()
+        try:
+            state = self._decode(start_state) if start_state else self._draw(self._option)
+        except DomainError as error:
+            return Answer(Status.BAD_STATE, str(error))
+        self._preparing, self._trace = True, Trace()
+        seed = int(self._generator('episode', self._option).integers(2**63))
+        return Answer(Status.OK, 'the start state is chosen', state=state, seed=seed)
+
+    def began(self, episode: int, state: str) -> Answer:
+        """Take note that game has begun the episode that ``prepare`` was for."""
+        self._preparing = False
+        self._notice = ''
+        self._attempt = Attempt(episode, state, self._clock())
+        for step in list(self._trace.steps):  # states that came before game's answer
+            self._watch(step)
+        return Answer(Status.OK, f'episode {episode} begins', state=state)
+
+    def not_begun(self, status: Status, cause: str) -> Answer:
+        """Take note that there is no episode, or that its first state did not come."""
+        self._preparing = False
+        self._give_up(cause)
+        return Answer(status, cause)
+
+    def end_demonstration(
+        self, verdict: Verdict | None, episode: int, step: int, can_start_at_end: bool
+    ) -> Answer:
+        """
+        Carry out the person's verdict on the demonstration under way.
+
+        :param verdict: None: the request named none that exists.
+        :param episode: of the last state that the person saw; ``step`` too.
+        """
+        attempt, option = self._attempt, self._option
+        if attempt is None or option is None:
+            return _wrong('no demonstration is under way; begin one first')
+        objected = objection(self._trace, verdict, (episode, step), attempt)
+        if objected is not None:
+            return objected
+        if verdict is Verdict.DISCARD:
+            self._give_up('')
+            return Answer(Status.OK, 'discarded; the same start state can be tried again')
+        label = Label(
+            self._notebook.participant,
+            self._notebook.session,
+            option.name,
+            option.number,
+            option.questions.chosen,
+        )
+        demonstration = build(
+            self._domain,
+            self._trace,
+            label,
+            seconds=round(self._clock() - attempt.began, 3),
+            can_start_at_end=can_start_at_end and verdict is Verdict.DONE,
+        )
+        return self._keep_demonstration(demonstration)
+
+    # What the game and the learner tell.
+
+    def saw(self, step: GameStep) -> bool:
+        """
+        Take in one state of the game's stream.
+
+        :return: whether the view has changed.
+        """
+        self._trace.add(step)
+        return self._watch(step)
+
+    def reached(self, episode: int, step: int) -> bool:
+        """Tell whether the stream has come so far, or can no longer."""
+        if self._attempt is None or self._trace.episode != episode:
+            return self._attempt is None
+        return self._trace.last >= step
+
+    def learner_said(self, progress: Sequence[Progress]) -> None:
+        """Take in what the learner knows of each option, or that start states know more now."""
+        self._progress.update({(p.participant, p.option_name): p for p in progress})
+        option = self._option
+        if option is None:
+            return
+        if self._awaited:
+            known = self._progress.get((self._notebook.participant, option.name))
+            counted = known is not None and known.last_uuid == self._awaited
+            if not counted or not self._starts_know(option):
+                return
+            self._awaited = ''
+        self._look_at_progress()
+
+    def learner_refused(self, uuid: str, detail: str) -> None:
+        """Take in that the learner did not take a demonstration; it stays in the store."""
+        if uuid == self._awaited:
+            self._awaited = ''
+            self._notice = f'The learner refused the demonstration: {detail}.'
+
+    def learner_silent(self) -> None:
+        """Go on without the learner, which has not answered in time."""
+        if self._awaited:
+            self._awaited = ''
+            self._notice = (
+                'The learner does not answer. The demonstration is on disk, and is sent again '
+                'when the lesson starts again.'
+            )
+
+    # How it is done.
+
+    @property
+    def _spent(self) -> bool:
+        return self._option is not None and (
+            len(self._option.demonstrations) >= self._rules.budget
+        )
+
+    @property
+    def _occupied(self) -> bool:
+        return self._attempt is not None or self._preparing
+
+    def _hint(self) -> str:
+        hint = _HINTS[self.phase]
+        if self.phase is not Phase.FINISHED:
+            return hint
+        budget = self._rules.budget
+        reached = 'All criteria hold.' if self.criteria_met else 'Not all criteria hold.'
+        return (
+            f'The budget of {budget} is spent. {reached} {hint}'
+            if self._spent
+            else (f'{reached} {hint}')
+        )
+
+    def _not_ready(self) -> Answer:
+        if self._preparing or self._attempt is not None:
+            return _wrong('a demonstration is under way; end it first')
+        if self._spent and self.phase is Phase.FINISHED:
+            return Answer(Status.BUDGET_SPENT, self._hint())
+        return _wrong(self._hint())
+
+    def _turned(self, answer: Answer) -> Answer:
+        """Turn to the option that the notebook is open at now."""
+        if answer.ok:
+            if self._option is not self._notebook.option:
+                self._awaited = self._again = ''
+            self._option = self._notebook.option
+            self._notice = ''
+            self._look_at_progress()
+        return answer
+
+    def _look_at_progress(self) -> None:
+        option = self._option
+        self._done = (
+            option is not None
+            and self.criteria_met
+            and self._starts.exhausted(self._notebook.participant, option.name)
+        )
+
+    def _starts_know(self, option: OptionHistory) -> bool:
+        """Tell whether start states will be drawn with the newest demonstration counted in."""
+        return not option.n_trajectories or self._starts.knows(
+            self._notebook.participant, option.name, self._awaited
+        )
+
+    def _decode(self, text: str) -> str:
+        state = self._domain.decode(text)
+        if self._domain.is_over(state):
+            raise DomainError(f'the task is over in {text}: nothing can be shown from there')
+        return self._domain.encode(state)
+
+    def _draw(self, option: OptionHistory) -> str:
+        if self._again:
+            return self._again
+        rng = self._generator('start_state', option)
+        demonstrations = option.demonstrations
+        return self._domain.encode(
+            self._starts.choose(self._notebook.participant, option.name, demonstrations, rng)
+        )
+
+    def _generator(self, purpose: str, option: OptionHistory) -> np.random.Generator:
+        key = (self._notebook.participant, option.name, option.number)
+        return generator(self._rules.seed, purpose, *key)
+
+    def _watch(self, step: GameStep) -> bool:
+        if self._attempt is None:
+            return False
+        cause = self._attempt.spoilt(step, self._trace)
+        if cause:
+            self._give_up(f'The demonstration is given up: {cause}.')
+            return True
+        if step.episode == self._attempt.episode and (step.terminated or step.truncated):
+            self._notice = (
+                'The task is over.' if step.terminated else 'The episode is at its step limit.'
+            )
+            return True
+        return False
+
+    def _give_up(self, notice: str) -> None:
+        if self._attempt is not None:
+            self._again = self._attempt.start_state
+        self._attempt = None
+        self._notice = notice
+
+    def _keep_demonstration(self, demonstration: Demonstration) -> Answer:
+        try:
+            check_demonstration(demonstration, self._domain)
+        except DemonstrationError as error:
+            self._give_up(f'The demonstration was refused and discarded: {error}.')
+            return Answer(Status.REFUSED, str(error))
+        if (failed := self._notebook.keep(demonstration)) is not None:
+            return failed
+        self._attempt = None
+        self._again = self._notice = ''
+        self._awaited = demonstration.uuid
+        text = f'demonstration {demonstration.number} of {demonstration.option_name} is kept'
+        return Answer(Status.OK, text, demonstration=demonstration)
+
+
+def _wrong(detail: str) -> Answer:
+    return Answer(Status.WRONG_PHASE, detail)

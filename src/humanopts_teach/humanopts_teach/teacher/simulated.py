@@ -1,0 +1,175 @@
+"""
+A stand-in for a person who teaches, for demos, tests and experiments.
+
+What it assumes of people, and where it is simpler than they are:
+
+- It means by an option what the domain's reference option says, and answers each feature question
+  so; with ``extra_feature_rate`` it also says yes to features that do not matter.
+- Among equally good actions it always prefers the same: by the domain's order of actions, or by an
+  order of its own (``own_habits``), drawn for the participant.
+- Before each step it errs with probability ``error_rate``: it takes one of the actions that are
+  not best, each alike. It does not take the error back; it goes on from where that led.
+- It says "not here" exactly where the reference option cannot start, and "done" in the first state
+  after at least one step in which the reference option ends. It makes no error in these.
+- A demonstration from which no best action leads on, or longer than ``step_limit``, is discarded
+  and tried again; after ``ATTEMPTS`` in a row it gives up, since it would do so for ever.
+
+Every draw is keyed by seed, participant, option, number of the demonstration, attempt and step, so
+the same seed shows the same, whatever else happens on the graph.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.seeding import generator
+from humanopts_teach.demos.trace import GameStep
+from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
+from humanopts_teach.teacher.acts import Act, Begin, Define, Drive, End, Finish, Open, Reply, Wait
+import numpy as np
+
+ATTEMPTS = 10  # discarded demonstrations in a row from one start state
+
+
+class TeacherError(RuntimeError):
+    """The teacher cannot teach this; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class TeacherSettings:
+    """Who the teacher is."""
+
+    options: tuple[str, ...]  # names of reference options, taught in this order
+    participant: str = 'simulated'
+    session: str = 'simulated'
+    error_rate: float = 0.0  # probability of an error before each step
+    extra_feature_rate: float = 0.0  # probability of a needless yes for each feature
+    own_habits: bool = False  # prefers actions in an order of its own
+    step_limit: int = 200  # steps after which a demonstration is discarded
+    seed: int = 0
+
+
+class SimulatedTeacher:
+    """Says what to do next, given where the lesson and the game stand."""
+
+    def __init__(
+        self,
+        domain: Domain[Any],
+        references: Mapping[str, ReferenceOption],
+        settings: TeacherSettings,
+    ) -> None:
+        """
+        Get ready to teach.
+
+        :raises TeacherError: no option to teach, one without a reference, or a bad setting.
+        """
+        _check(settings, references, domain.name)
+        self._domain = domain
+        self._references = references
+        self._settings = settings
+        self._finished: set[str] = set()
+        self._tried = ('', 0)  # option and number of the demonstration that is tried
+        self._attempt = 0  # how often it was discarded
+        self._order = self._preference()
+
+    def next_act(self, lesson: LessonView, game: GameStep | None) -> Act:
+        """
+        Return what to do next; to be called once for each thing that is done.
+
+        :param game: newest state of the game; None: none has come yet.
+        :raises TeacherError: it cannot show the option from the start state.
+        """
+        settings = self._settings
+        if (lesson.participant, lesson.session) != (settings.participant, settings.session):
+            return Open(settings.participant, settings.session)
+        if lesson.phase is Phase.FINISHED:
+            self._finished.add(lesson.option_name)
+        left = [name for name in settings.options if name not in self._finished]
+        if not left:
+            return Finish()
+        if lesson.option_name != left[0]:
+            return Define(left[0])
+        if lesson.phase is Phase.ASKING:
+            return Reply(lesson.question_id, self.depends_on(left[0], lesson.question_feature))
+        if lesson.phase is Phase.READY:
+            return Begin()
+        if lesson.phase is Phase.DEMONSTRATING:
+            return self._demonstrate(lesson, game)
+        return Wait('the learner')
+
+    def depends_on(self, option_name: str, feature: str) -> bool:
+        """Answer a feature question."""
+        if feature in self._references[option_name].features:
+            return True
+        rng = self._generator('extra_feature', option_name, feature)
+        return bool(rng.random() < self._settings.extra_feature_rate)
+
+    def _demonstrate(self, lesson: LessonView, game: GameStep | None) -> Act:
+        if game is None or game.episode != lesson.episode:
+            return Wait('the first state of the demonstration')
+        number = lesson.n_demonstrations + lesson.n_not_here + 1
+        if self._tried != (lesson.option_name, number):
+            self._tried, self._attempt = (lesson.option_name, number), 0
+        reference = self._references[lesson.option_name]
+        state = self._domain.decode(game.state)
+        here = (game.episode, game.step)
+        if game.step == 0 and not reference.can_start(state):
+            return End(Verdict.NOT_HERE, *here)
+        if game.step > 0 and reference.ends(state):
+            over = game.terminated or game.truncated
+            return End(Verdict.DONE, *here, not over and reference.can_start(state))
+        best = reference.optimal_actions(state)
+        stuck = not best or game.step >= self._settings.step_limit
+        if game.terminated or game.truncated or stuck:
+            return self._discard(lesson, here)
+        action = self._choose(best, lesson.option_name, number, game.step)
+        return Drive(self._domain.actions[action].name, *here)
+
+    def _discard(self, lesson: LessonView, here: tuple[int, int]) -> End:
+        self._attempt += 1
+        if self._attempt >= ATTEMPTS:
+            raise TeacherError(
+                f'cannot show {lesson.option_name!r} from {lesson.start_state}: '
+                f'{ATTEMPTS} demonstrations in a row did not come to the end'
+            )
+        return End(Verdict.DISCARD, *here)
+
+    def _choose(self, best: tuple[int, ...], option_name: str, number: int, step: int) -> int:
+        rng = self._generator('error', option_name, number, self._attempt, step)
+        wrong = sorted(set(range(len(self._domain.actions))) - set(best))
+        if wrong and rng.random() < self._settings.error_rate:
+            return int(rng.choice(wrong))
+        return min(best, key=self._order.index)
+
+    def _preference(self) -> list[int]:
+        count = len(self._domain.actions)
+        if not self._settings.own_habits:
+            return list(range(count))
+        return [int(action) for action in self._generator('habits').permutation(count)]
+
+    def _generator(self, purpose: str, *key: str | int) -> np.random.Generator:
+        settings = self._settings
+        return generator(settings.seed, 'teacher', purpose, settings.participant, *key)
+
+
+def _check(
+    settings: TeacherSettings, references: Mapping[str, ReferenceOption], domain: str
+) -> None:
+    if not settings.options:
+        raise TeacherError('the teacher was given no option to teach')
+    unknown = [name for name in settings.options if name not in references]
+    if unknown:
+        raise TeacherError(
+            f'{domain} has no reference option {unknown[0]!r}; it has '
+            f'{", ".join(references) or "none"}'
+        )
+    for name, rate in (
+        ('error_rate', settings.error_rate),
+        ('extra_feature_rate', settings.extra_feature_rate),
+    ):
+        if not 0.0 <= rate < 1.0:
+            raise TeacherError(f'{name} is {rate}, and must be at least 0 and below 1')
+    if settings.step_limit < 1:
+        raise TeacherError(f'step_limit is {settings.step_limit}, and must be 1 or more')
