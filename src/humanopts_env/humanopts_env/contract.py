@@ -1,0 +1,320 @@
+"""
+What every domain must satisfy, as a test class for pytest.
+
+In the tests of a package that adds a domain::
+
+    class TestMyDomain(DomainContract):
+        def make(self) -> Domain[Any]:
+            return MyDomain()
+
+Tests that need an enumerable domain do nothing for others.
+"""
+
+from collections.abc import Iterator
+import math
+import re
+from typing import Any
+
+from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain, is_enumerable
+from humanopts_env.seeding import generator
+import numpy as np
+from numpy.typing import NDArray
+
+STEPS = 300  # of the random walk that the tests look at
+CHECKED = 400  # states and transitions of an enumerable domain compared one by one
+NAME = re.compile(r'[a-z][a-z0-9_]*')
+NAMED_KEYS = {'up', 'down', 'left', 'right'}
+Step = tuple[Any, int, Any]  # state, action, its outcome
+
+
+class DomainContract:
+    """Tests that a domain keeps the promises of ``humanopts_env.domains.base``."""
+
+    def make(self) -> Domain[Any]:
+        """Return the domain to test; a new one at every call."""
+        raise NotImplementedError('make() must return the domain to test')
+
+    def test_names_keys_and_questions_are_distinct_and_well_formed(self) -> None:
+        """A person and a message can tell every feature and action from the others."""
+        domain = self.make()
+        features, actions = domain.features, domain.actions
+        assert features
+        assert actions
+        assert domain.name.strip() == domain.name != ''
+        for name in [f.name for f in features] + [a.name for a in actions]:
+            assert NAME.fullmatch(name), f'{name!r} is not snake_case'
+        for texts in (
+            [f.name for f in features],
+            [f.question for f in features],
+            [a.name for a in actions],
+            [a.key for a in actions],
+        ):
+            assert len(set(texts)) == len(texts), f'not distinct: {texts}'
+        for feature in features:
+            assert feature.question == feature.question.strip(' ?') != ''
+            assert len(set(feature.values)) == len(feature.values) > 0, feature.name
+        for action in actions:
+            assert len(action.key) == 1 or action.key in NAMED_KEYS, action.key
+            assert action.description.strip()
+
+    def test_discount_and_length_are_sensible(self) -> None:
+        """Returns are finite."""
+        domain = self.make()
+        assert 0 < domain.gamma <= 1
+        assert isinstance(domain.max_steps, int)
+        assert domain.max_steps >= 0
+
+    def test_parameters_make_an_equal_domain(self) -> None:
+        """A message or a file that carries the parameters says which game was played."""
+        domain = self.make()
+        again = type(domain)(**dict(domain.parameters))
+        for field in ('name', 'gamma', 'max_steps'):
+            assert getattr(again, field) == getattr(domain, field)
+        assert dict(again.parameters) == dict(domain.parameters)
+        assert list(again.features) == list(domain.features)
+        assert list(again.actions) == list(domain.actions)
+        assert _walk(again, 1) == _walk(domain, 1)
+
+    def test_the_same_seed_plays_the_same_game(self) -> None:
+        """All chance comes from the generator that is passed."""
+        domain = self.make()
+        assert _walk(domain, 2) == _walk(domain, 2)
+        count = 20
+        draws = [domain.sample_states(_rng('sample'), count) for _ in range(2)]
+        assert draws[0] == draws[1]
+
+    def test_features_are_in_range(self) -> None:
+        """Every feature value has a name."""
+        domain = self.make()
+        limits = [len(feature.values) for feature in domain.features]
+        for state in _states(domain):
+            values = domain.feature_values(state)
+            assert values.shape == (len(limits),)
+            assert values.dtype == np.int32
+            assert ((values >= 0) & (values < limits)).all(), domain.encode(state)
+
+    def test_states_are_read_back_from_their_text(self) -> None:
+        """One line of text holds a whole state."""
+        domain = self.make()
+        for state in _states(domain):
+            text = domain.encode(state)
+            assert len(text.splitlines()) == 1
+            assert domain.decode(text) == state
+            assert hash(domain.decode(text)) == hash(state)
+
+    def test_text_that_is_no_state_is_refused(self) -> None:
+        """Only what ``encode`` writes is a state."""
+        domain = self.make()
+        text = domain.encode(domain.reset(_rng('bad text')))
+        for bad in ('', 'nonsense', text + ' ', ' ' + text, text + '\n', text + text):
+            assert _refused(lambda bad=bad: domain.decode(bad)), f'{bad!r} was not refused'
+
+    def test_an_action_that_is_not_in_the_domain_is_refused(self) -> None:
+        """Indices are checked, the negative ones too."""
+        domain = self.make()
+        state = domain.reset(_rng('bad action'))
+        for bad in (-1, len(domain.actions)):
+            assert _refused(lambda bad=bad: domain.step(state, bad, _rng('step')))
+
+    def test_no_step_is_taken_after_the_end(self) -> None:
+        """A task that is over stays over."""
+        domain = self.make()
+        ends = [outcome.state for _, _, outcome in _walk(domain, 3) if outcome.terminated]
+        if is_enumerable(domain):
+            ends += [domain.state_at(int(i)) for i in np.flatnonzero(domain.over())[:CHECKED]]
+        for state in ends:
+            assert domain.is_over(state)
+            for action in range(len(domain.actions)):
+                assert _refused(lambda s=state, a=action: domain.step(s, a, _rng('end')))
+
+    def test_an_outcome_is_terminated_exactly_if_its_state_is_over(self) -> None:
+        """The flag and the state agree, and every reward is a number."""
+        domain = self.make()
+        for _, _, outcome in _walk(domain, 4):
+            assert outcome.terminated == domain.is_over(outcome.state)
+            assert math.isfinite(outcome.reward)
+
+    def test_what_a_step_did_can_follow(self) -> None:
+        """A recorded trajectory is always accepted, and one that jumps is not."""
+        domain = self.make()
+        steps = _walk(domain, 5)
+        for state, action, outcome in steps:
+            assert domain.can_follow(state, action, outcome.state)
+        allowed = [
+            domain.can_follow(state, action, other.state)
+            for (state, action, _), (_, _, other) in zip(steps, steps[len(steps) // 2 :])
+        ]
+        assert not all(allowed), 'any state can follow any other'
+
+    def test_states_to_start_from_are_not_over(self) -> None:
+        """A person is never asked to show something where nothing can be done."""
+        domain = self.make()
+        states = domain.sample_states(_rng('sample'), 50)
+        assert len(states) == 50
+        assert domain.sample_states(_rng('sample'), 0) == []
+        assert not any(domain.is_over(state) for state in states)
+        assert not any(domain.is_over(domain.reset(_rng('reset', i))) for i in range(20))
+
+    def test_the_drawing_shows_all_that_may_be_seen(self) -> None:
+        """States that differ in a feature that is shown are drawn differently."""
+        domain = self.make()
+        for shown in (*_single_features(domain), None):
+            seen: dict[tuple[int, ...], str] = {}
+            for state in _states(domain):
+                seen[_visible(domain, state, shown)] = domain.render(state, shown)
+            assert len(set(seen.values())) == len(seen), f'{shown} cannot be told from the drawing'
+
+    def test_the_drawing_shows_nothing_else(self) -> None:
+        """States that agree in the features that are shown are drawn alike."""
+        domain = self.make()
+        half = {feature.name for feature in domain.features[::2]}
+        for shown in (*_single_features(domain), half, set()):
+            seen: dict[tuple[int, ...], str] = {}
+            for state in _states(domain):
+                text = domain.render(state, shown)
+                first = seen.setdefault(_visible(domain, state, shown), text)
+                assert text == first, f'more than {sorted(shown)} can be seen'
+
+    def test_styles_are_of_single_characters(self) -> None:
+        """A display can colour the drawing."""
+        assert all(len(glyph) == 1 for glyph in self.make().glyph_styles)
+
+    def test_states_are_numbered_without_gaps(self) -> None:
+        """``index`` and ``state_at`` are each other's inverse."""
+        domain = self.make()
+        if is_enumerable(domain):
+            for index in _sample(domain):
+                assert domain.index(domain.state_at(index)) == index
+            for bad in (-1, domain.n_states):
+                assert _refused(lambda bad=bad: domain.state_at(bad))
+
+    def test_tables_have_their_shapes_and_cannot_be_changed(self) -> None:
+        """Shared arrays are safe to hand out."""
+        domain = self.make()
+        if not is_enumerable(domain):
+            return
+        table, count = domain.transitions(), domain.n_states
+        shape = (count, len(domain.actions), table.successor.shape[2])
+        arrays: dict[str, tuple[NDArray[Any], type, tuple[int, ...]]] = {
+            'successor': (table.successor, np.int32, shape),
+            'probability': (table.probability, np.float64, shape),
+            'reward': (table.reward, np.float64, shape),
+            'terminated': (table.terminated, np.bool_, shape),
+            'feature_table': (domain.feature_table(), np.int32, (count, len(domain.features))),
+            'over': (domain.over(), np.bool_, (count,)),
+            'start_states': (domain.start_states(), np.int32, domain.start_states().shape),
+        }
+        for name, (array, dtype, expected) in arrays.items():
+            assert array.shape == expected, name
+            assert array.dtype == dtype, name
+            assert not array.flags.writeable, f'{name} can be written to'
+        assert domain.transitions() is table, 'the transitions are built again at every call'
+
+    def test_transitions_are_probabilities_of_states(self) -> None:
+        """Each state and action leads somewhere, with certainty."""
+        domain = self.make()
+        if is_enumerable(domain):
+            table = domain.transitions()
+            assert np.allclose(table.probability.sum(axis=2), 1)
+            assert (table.probability >= 0).all()
+            assert ((table.successor >= 0) & (table.successor < domain.n_states)).all()
+            assert np.isfinite(table.reward).all()
+
+    def test_tables_agree_with_the_states(self) -> None:
+        """Planning from tables and playing state by state are the same game."""
+        domain = self.make()
+        if is_enumerable(domain):
+            for index in _sample(domain):
+                state = domain.state_at(index)
+                row = domain.feature_table()[index]
+                assert np.array_equal(domain.feature_values(state), row)
+                assert domain.is_over(state) == domain.over()[index]
+
+    def test_steps_agree_with_the_transitions(self) -> None:
+        """Every outcome that is drawn is in the table, and what is not there cannot follow."""
+        domain = self.make()
+        if not is_enumerable(domain):
+            return
+        table = domain.transitions()
+        for number, index in enumerate(_sample(domain)):
+            if domain.over()[index]:
+                continue
+            state, action = domain.state_at(index), number % len(domain.actions)
+            outcome = domain.step(state, action, _rng('table', number))
+            successors = table.successor[index, action]
+            possible = table.probability[index, action] > 0
+            match = possible & (successors == domain.index(outcome.state))
+            match &= table.reward[index, action] == outcome.reward
+            match &= table.terminated[index, action] == outcome.terminated
+            assert match.any(), f'{domain.actions[action].name} in {domain.encode(state)}'
+            far = (index + domain.n_states // 2) % domain.n_states
+            may = far in successors[possible]
+            assert domain.can_follow(state, action, domain.state_at(far)) == may
+
+    def test_reset_draws_every_start_state_and_no_other(self) -> None:
+        """``start_states`` is what ``reset`` draws from."""
+        domain = self.make()
+        if is_enumerable(domain):
+            starts = domain.start_states()
+            assert len(set(starts.tolist())) == len(starts) > 0
+            assert not domain.over()[starts].any()
+            drawn = {domain.index(domain.reset(_rng('starts', i))) for i in range(50)}
+            assert drawn <= set(starts.tolist())
+            assert len(drawn) > 1 or len(starts) == 1
+
+    def test_figures_are_laid_out_with_states(self) -> None:
+        """Board slices name states of the domain."""
+        domain = self.make()
+        if is_enumerable(domain):
+            for board in domain.board_slices():
+                assert board.title
+                assert board.states.ndim == 2
+                assert ((board.states >= -1) & (board.states < domain.n_states)).all()
+
+
+def _rng(*purpose: str | int) -> np.random.Generator:
+    return generator(0, 'contract', *purpose)
+
+
+def _walk(domain: Domain[Any], seed: int) -> list[Step]:
+    """Take random actions, beginning again at every end."""
+    rng = _rng('walk', seed)
+    steps: list[Step] = []
+    state = domain.reset(rng)
+    for _ in range(STEPS):
+        action = int(rng.integers(len(domain.actions)))
+        outcome = domain.step(state, action, rng)
+        steps.append((state, action, outcome))
+        state = domain.reset(rng) if outcome.terminated else outcome.state
+    return steps
+
+
+def _states(domain: Domain[Any]) -> list[Any]:
+    """Return the states of a random walk, its ends and some states to start from."""
+    walked = [
+        state for before, _, outcome in _walk(domain, 6) for state in (before, outcome.state)
+    ]
+    return list(dict.fromkeys([*walked, *domain.sample_states(_rng('states'), 50)]))
+
+
+def _sample(domain: EnumerableDomain[Any]) -> Iterator[int]:
+    """Return all indices of a small domain, and as many spread evenly over a large one."""
+    yield from range(0, domain.n_states, max(1, domain.n_states // CHECKED))
+
+
+def _single_features(domain: Domain[Any]) -> list[set[str]]:
+    return [{feature.name} for feature in domain.features]
+
+
+def _visible(domain: Domain[Any], state: Any, shown: set[str] | None) -> tuple[int, ...]:
+    values = zip(domain.features, domain.feature_values(state).tolist())
+    return tuple(value for feature, value in values if shown is None or feature.name in shown)
+
+
+def _refused(call: Any) -> bool:
+    """Tell whether a call raises DomainError."""
+    try:
+        call()
+    except DomainError:
+        return True
+    return False
