@@ -58,6 +58,11 @@ class Dataset:
         """Demonstrations that are not "not here" answers."""
         return [demo for demo in self.demonstrations if demo.kind is Kind.TRAJECTORY]
 
+    def of(self, chosen: NDArray[np.bool_]) -> 'Dataset':
+        """Return the data set with the examples of chosen demonstrations (D,) only."""
+        parts = [part.of(chosen) for part in (self.policy, self.initiation, self.termination)]
+        return Dataset(self.demonstrations, self.features, self.columns, *parts)
+
 
 @dataclass(frozen=True)
 class Trees:
@@ -103,13 +108,13 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: Domain[Any]) -
 def fit_trees(data: Dataset, domain: Domain[Any], seed: int) -> Trees:
     """Fit the three trees to a data set that has at least one trajectory."""
     return Trees(
-        fit_part(data, data.policy, range(len(domain.actions)), seed),
-        fit_part(data, data.initiation, MEMBERSHIP, seed),
-        fit_part(data, data.termination, MEMBERSHIP, seed),
+        _fit(data, data.policy, range(len(domain.actions)), seed),
+        _fit(data, data.initiation, MEMBERSHIP, seed),
+        _fit(data, data.termination, MEMBERSHIP, seed),
     )
 
 
-def fit_part(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -> Tree:
+def _fit(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -> Tree:
     """Fit one of the three trees to its examples; ties are broken alike for one option."""
     demo = data.demonstrations[0]
     rng = generator(seed, 'tree', demo.participant, demo.option_name)

@@ -20,6 +20,13 @@ class Rollouts:
     reached: NDArray[np.bool_]  # (N,) beta holds or the task is over; else cut off
 
 
+@dataclass(frozen=True)
+class Walks(Rollouts):
+    """Rollouts in an enumerable domain."""
+
+    final: NDArray[np.intp]  # (N,) state indices where they ended
+
+
 def rollouts(
     option: LearnedOption,
     domain: Domain[Any],
@@ -67,7 +74,7 @@ def follow(
     which: NDArray[np.intp],
     starts: NDArray[np.intp],
     max_steps: int,
-) -> Rollouts:
+) -> Walks:
     """
     Run several policies at once in a deterministic domain.
 
@@ -78,7 +85,7 @@ def follow(
     """
     table, over = domain.transitions(), domain.over()
     total, steps = np.zeros(len(starts)), np.zeros(len(starts), dtype=np.int64)
-    reached = np.zeros(len(starts), dtype=np.bool_)
+    reached, final = np.zeros(len(starts), dtype=np.bool_), starts.copy()
     going, at, policy = np.arange(len(starts)), starts, which
     for _ in range(max_steps):
         if not going.size:
@@ -87,11 +94,12 @@ def follow(
         at = table.successor[pair]
         total[going] += table.reward[pair]
         steps[going] += 1
+        final[going] = at
         ended = termination[policy, at] | table.terminated[pair] | over[at]
         if ended.any():
             reached[going[ended]] = True
             going, at, policy = going[~ended], at[~ended], policy[~ended]
-    return Rollouts(total, steps, reached)
+    return Walks(total, steps, reached, final)
 
 
 def _run(

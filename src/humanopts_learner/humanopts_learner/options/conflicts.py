@@ -1,0 +1,99 @@
+"""
+Situations that the chosen features cannot tell apart, and the feature that could.
+
+Rows that are alike in the chosen features but carry different labels put a bound on what any
+policy, initiation set or termination condition over these features can learn.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_learner.options.learn import Dataset, Examples
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_TEXTS = 10
+SLIP = 1  # so many different actions in a situation may be a slip of the hand
+
+
+@dataclass(frozen=True)
+class Conflicts:
+    """What could not be told apart."""
+
+    texts: tuple[str, ...]  # in words, the most frequent first
+    suggested_feature: str | None  # not chosen; tells most of the situations apart
+
+
+@dataclass(frozen=True)
+class _Clash:
+    """One situation with different labels."""
+
+    rows: NDArray[np.int32]  # (N, F) its examples, alike in the chosen features
+    labels: NDArray[np.int64]  # (N,)
+    text: str
+    structural: bool  # False: it may be a slip
+
+    def told_apart_by(self, column: int) -> bool:
+        """Tell whether no two examples alike in one more feature have different labels."""
+        pairs = set(zip(self.rows[:, column].tolist(), self.labels.tolist()))
+        return len(pairs) == len({value for value, _ in pairs})
+
+
+def find_conflicts(data: Dataset, domain: Domain[Any]) -> Conflicts:
+    """
+    Find the situations of one option that carry different labels.
+
+    A feature is suggested when it tells apart more than half of the situations, slips aside.
+    """
+    columns = sorted({column.index for column in data.columns})
+    actions = [action.name for action in domain.actions]
+    parts: list[tuple[Examples, Callable[[int], str], bool]] = [
+        (data.termination, lambda label: ('not the end', 'the end')[label], False),
+        (data.initiation, lambda label: ('cannot start here', 'can start here')[label], False),
+        (data.policy, lambda label: actions[label], True),
+    ]
+    clashes = [
+        clash
+        for examples, word, may_slip in parts
+        for clash in _clashes(examples, columns, domain, word, may_slip)
+    ]
+    clashes.sort(key=lambda clash: -len(clash.labels))
+    structural = [clash for clash in clashes if clash.structural]
+    others = [c for c in range(len(domain.features)) if c not in columns]
+    told = {c: sum(clash.told_apart_by(c) for clash in structural) for c in others}
+    best = max(told, key=lambda c: told[c], default=None)
+    suggested = None
+    if best is not None and 2 * told[best] > len(structural):
+        suggested = domain.features[best].name
+    return Conflicts(tuple(clash.text for clash in clashes[:MOST_TEXTS]), suggested)
+
+
+def _clashes(
+    examples: Examples,
+    columns: Sequence[int],
+    domain: Domain[Any],
+    word: Callable[[int], str],
+    may_slip: bool,
+) -> list[_Clash]:
+    _, group = np.unique(examples.rows[:, columns], axis=0, return_inverse=True)
+    pairs = np.unique(np.stack([group.ravel(), examples.labels]), axis=1)[0]
+    found = []
+    for number in np.flatnonzero(np.bincount(pairs) > 1):
+        alike = group.ravel() == number
+        rows, labels = examples.rows[alike], examples.labels[alike]
+        counts = Counter(labels.tolist()).most_common()
+        answers = ', '.join(f'{word(label)} ({count}x)' for label, count in counts)
+        text = f'{_situation(rows[0], columns, domain)}: {answers}'
+        found.append(_Clash(rows, labels, text, not may_slip or counts[1][1] > SLIP))
+    return found
+
+
+def _situation(row: NDArray[np.int32], columns: Sequence[int], domain: Domain[Any]) -> str:
+    features = [domain.features[column] for column in columns]
+    return ', '.join(
+        f'{feature.name.replace("_", " ")} {feature.values[row[column]]}'
+        for column, feature in zip(columns, features)
+    )

@@ -1,0 +1,227 @@
+"""
+When an option is taught well enough: three criteria, all on held-out demonstrations.
+
+The paper (section 6) compares the return of the learned policy with that of the demonstrations,
+and takes the ten-fold cross-validation error of I and beta. Here the folds are grouped by
+demonstration, because rows of one trajectory on both sides would make the errors look like
+nothing, and the return is held out as well.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.options.conflicts import find_conflicts
+from humanopts_learner.options.learn import assemble, Dataset, Examples, fit_trees, make_dataset
+from humanopts_learner.options.option import LearnedOption, MEMBER, option_tables
+from humanopts_learner.options.rollout import follow, rollouts
+import numpy as np
+from numpy.typing import NDArray
+
+FOLDS = 10
+FEWEST = 3  # trajectories without which nothing is measurable
+CUT_OFF = 2  # held-out runs may take so many times the steps of the longest demonstration
+RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
+
+
+@dataclass(frozen=True, slots=True)
+class Thresholds:
+    """What the criteria may be at most."""
+
+    return_delta: float = 1.0  # mean held-out shortfall, reward units
+    initiation_error: float = 0.05  # balanced error, 0..1
+    termination_error: float = 0.05  # balanced error, 0..1
+
+    def __post_init__(self) -> None:
+        """
+        Check the values.
+
+        :raises ValueError: one is not finite, or an error is not in 0..1.
+        """
+        errors = self.initiation_error, self.termination_error
+        if not math.isfinite(self.return_delta) or not all(0 <= e <= 1 for e in errors):
+            raise ValueError(
+                'thresholds are a number of reward units and two errors from 0 to 1, '
+                f'not {self.return_delta}, {errors[0]}, {errors[1]}'
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Criterion:
+    """One stopping criterion."""
+
+    name: str  # RETURN, INITIATION or TERMINATION
+    value: float | None  # None: not measurable yet
+    threshold: float
+
+    @property
+    def measurable(self) -> bool:
+        """Whether there are enough demonstrations, of both classes, to measure it."""
+        return self.value is not None
+
+    @property
+    def met(self) -> bool:
+        """Whether it is measurable and the value is at most the threshold."""
+        return self.value is not None and self.value <= self.threshold
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """How well an option is learned from its demonstrations."""
+
+    criteria: tuple[Criterion, ...]  # return, initiation, termination
+    mean_return_demonstrations: float  # undiscounted
+    mean_return_policy: float  # in-sample: from the same start states
+    more_needed: int  # estimate of further demonstrations; 0: none; -1: cannot be told yet
+    conflicts: tuple[str, ...]  # situations alike in the features but answered differently
+    suggested_feature: str | None  # would tell most of them apart
+
+    @property
+    def criteria_met(self) -> bool:
+        """Whether all three criteria are met."""
+        return all(criterion.met for criterion in self.criteria)
+
+
+def judge(
+    demonstrations: Sequence[Demonstration],
+    domain: Domain[Any],
+    thresholds: Thresholds,
+    seed: int,
+    option: LearnedOption | None = None,
+) -> Judgement:
+    """
+    Judge what was learned of one option.
+
+    :param demonstrations: of one participant and option, checked.
+    :param option: what ``learn_option`` made of the same arguments; None: learned here.
+    :raises NotLearnableError: as ``learn_option``.
+    """
+    data = make_dataset(demonstrations, domain)
+    option = option or assemble(data, fit_trees(data, domain, seed), domain)
+    shown = np.array([demo.total_reward for demo in data.trajectories])
+    starts = [domain.decode(demo.states[0]) for demo in data.trajectories]
+    uuids = [demo.uuid for demo in data.trajectories]
+    in_sample = rollouts(option, domain, starts, seed, [f'in-sample {uuid}' for uuid in uuids])
+    criteria = _criteria(data, domain, thresholds, seed)
+    conflicts = find_conflicts(data, domain)
+    return Judgement(
+        criteria=criteria,
+        mean_return_demonstrations=float(shown.mean()),
+        mean_return_policy=float(in_sample.total_reward.mean()),
+        more_needed=more_needed(criteria, len(shown)),
+        conflicts=conflicts.texts,
+        suggested_feature=conflicts.suggested_feature,
+    )
+
+
+def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
+    """
+    Estimate how many more demonstrations it takes to meet all criteria.
+
+    What is wrong in held-out demonstrations is what they hold that no other one showed, and its
+    share falls about as 1 / n: a value that is twice its threshold needs about n more.
+
+    :return: 0: none; -1: it cannot be told, because a criterion is not measurable or its
+        threshold is 0 or less.
+    """
+    missed = [criterion for criterion in criteria if not criterion.met]
+    ratios = [
+        criterion.value / criterion.threshold
+        for criterion in missed
+        if criterion.value is not None and criterion.threshold > 0
+    ]
+    if len(ratios) < len(missed):
+        return -1
+    return max([0, *(math.ceil(n_demonstrations * (ratio - 1)) for ratio in ratios)])
+
+
+def fold_of(data: Dataset, seed: int) -> NDArray[np.int64]:
+    """
+    Return (D,): the fold of each demonstration, ten folds or one for each demonstration.
+
+    The demonstrations are ranked by draws keyed by seed, option and uuid and dealt out in that
+    order, trajectories apart from "not here" answers, so folds differ by one at most.
+    """
+    demos = data.demonstrations
+    draws = np.array(
+        [generator(seed, 'fold', demo.option_name, demo.uuid).random() for demo in demos]
+    )
+    not_here = np.array([demo.kind is Kind.NOT_HERE for demo in demos])
+    folds = np.empty(len(demos), dtype=np.int64)
+    folds[np.lexsort((draws, not_here))] = np.arange(len(demos)) % FOLDS
+    return folds
+
+
+def _criteria(
+    data: Dataset, domain: Domain[Any], thresholds: Thresholds, seed: int
+) -> tuple[Criterion, ...]:
+    values: tuple[float | None, ...] = (None, None, None)
+    if len(data.trajectories) >= FEWEST:
+        folds = fold_of(data, seed)
+        options = [
+            assemble(data, fit_trees(data.of(folds != fold), domain, seed), domain)
+            for fold in range(folds.max() + 1)
+        ]
+        initiation = [option.can_start for option in options]
+        termination = [option.ends for option in options]
+        values = (
+            _shortfall(data, domain, options, folds, seed),
+            _balanced_error(data.initiation, initiation, folds),
+            _balanced_error(data.termination, termination, folds),
+        )
+    limits = thresholds.return_delta, thresholds.initiation_error, thresholds.termination_error
+    names = RETURN, INITIATION, TERMINATION
+    return tuple(Criterion(n, v, limit) for n, v, limit in zip(names, values, limits))
+
+
+def _shortfall(
+    data: Dataset,
+    domain: Domain[Any],
+    options: Sequence[LearnedOption],
+    folds: NDArray[np.int64],
+    seed: int,
+) -> float:
+    """Return the mean of demonstrated return - return of the policy that did not see it."""
+    pairs = [p for p in zip(data.demonstrations, folds.tolist()) if p[0].kind is Kind.TRAJECTORY]
+    longest = max(len(demo.actions) for demo, _ in pairs)
+    limit = min(options[0].max_steps, CUT_OFF * longest)
+    starts = [domain.decode(demo.states[0]) for demo, _ in pairs]
+    if is_enumerable(domain) and domain.transitions().deterministic:
+        tables = [option_tables(option, domain) for option in options]
+        returns = follow(
+            domain,
+            np.stack([table.action for table in tables]),
+            np.stack([table.termination for table in tables]),
+            np.array([fold for _, fold in pairs]),
+            np.array([domain.index(state) for state in starts]),
+            limit,
+        ).total_reward
+    else:
+        runs = [
+            rollouts(
+                options[fold], domain, [start], seed, [f'held-out {demo.uuid}'], max_steps=limit
+            )
+            for (demo, fold), start in zip(pairs, starts)
+        ]
+        returns = np.concatenate([run.total_reward for run in runs])
+    return float(np.mean([demo.total_reward for demo, _ in pairs] - returns))
+
+
+def _balanced_error(
+    examples: Examples,
+    predict: Sequence[Callable[..., NDArray[np.bool_]]],
+    folds: NDArray[np.int64],
+) -> float | None:
+    """Return the mean of the error among members and among others; None: one class only."""
+    said = np.empty(len(examples.labels), dtype=np.bool_)
+    of_fold = folds[examples.source]
+    for fold, answer in enumerate(predict):
+        said[of_fold == fold] = answer(examples.rows[of_fold == fold])
+    member = examples.labels == MEMBER
+    if member.all() or not member.any():
+        return None
+    return float(((~said[member]).mean() + said[~member].mean()) / 2)
