@@ -1,0 +1,153 @@
+"""What can be run in a domain: options that were taught, and its primitive actions."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from humanopts_env.domains.base import Domain
+from humanopts_learner.options.option import LearnedOption, Mode, OptionError
+import numpy as np
+from numpy.typing import NDArray
+
+PRIMITIVE_PREFIX = 'action:'
+
+
+class UnknownOptionError(ValueError):
+    """No option has this name, or none of this participant; the text lists what there is."""
+
+
+class AmbiguousOptionError(UnknownOptionError):
+    """Several participants taught an option of this name, and none of them was named."""
+
+
+class RunnableOption(Protocol):
+    """What running and querying need of an option; rows (N, F) are of all features."""
+
+    @property
+    def name(self) -> str:
+        """Name of the option."""
+        ...
+
+    @property
+    def max_steps(self) -> int:
+        """Primitive steps after which a run is cut off."""
+        ...
+
+    def action_probabilities(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return (N, A): pi of every action."""
+        ...
+
+    def initiation_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return (N,)."""
+        ...
+
+    def termination_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return (N,): beta."""
+        ...
+
+    def can_start(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return (N,): whether each state is in the initiation set."""
+        ...
+
+    def choose_action(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> int:
+        """Return what the option does in one state (F,)."""
+        ...
+
+    def choose_end(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> bool:
+        """Return whether the option ends in one state (F,) that it came to."""
+        ...
+
+
+@dataclass(frozen=True)
+class PrimitiveOption:
+    """A primitive action as an option of one step that can start everywhere."""
+
+    name: str  # action:NAME
+    action: int
+    n_actions: int
+    max_steps: int = 1
+
+    def action_probabilities(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return (N, A): 1 for the action."""
+        return np.tile(np.eye(self.n_actions)[self.action], (len(rows), 1))
+
+    def initiation_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return (N,): 1."""
+        return np.ones(len(rows))
+
+    def termination_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return (N,): 1."""
+        return np.ones(len(rows))
+
+    def can_start(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return (N,): True."""
+        return np.ones(len(rows), dtype=np.bool_)
+
+    def choose_action(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> int:
+        """Return the action."""
+        return self.action
+
+    def choose_end(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> bool:
+        """Return True: it ends after its step."""
+        return True
+
+
+class OptionLibrary:
+    """The learned options of one domain by participant and name, beside its primitive actions."""
+
+    def __init__(self, domain: Domain[Any]) -> None:
+        """Make a library without learned options."""
+        self._domain = domain
+        names = [PRIMITIVE_PREFIX + action.name for action in domain.actions]
+        self._primitives = {
+            name: PrimitiveOption(name, index, len(names)) for index, name in enumerate(names)
+        }
+        self._options: dict[tuple[str, str], LearnedOption] = {}
+
+    @property
+    def primitive_names(self) -> list[str]:
+        """``action:NAME`` of every primitive action, in the domain's order."""
+        return list(self._primitives)
+
+    def options(self, participant: str = '') -> list[LearnedOption]:
+        """Return the learned options by name; those of everybody where no participant is given."""
+        found = [o for o in self._options.values() if participant in ('', o.participant)]
+        return sorted(found, key=lambda option: (option.name, option.participant))
+
+    def replace(self, options: Iterable[LearnedOption]) -> None:
+        """
+        Hold exactly these options; none is changed where one is refused.
+
+        :raises OptionError: one was learned in another domain, or is named like an action.
+        """
+        kept = {}
+        for option in options:
+            option.check_domain(self._domain)
+            if option.name.startswith(PRIMITIVE_PREFIX):
+                raise OptionError(f'{option.name!r} is the name of a primitive action')
+            kept[option.participant, option.name] = option
+        self._options = kept
+
+    def resolve(self, name: str, participant: str = '') -> RunnableOption:
+        """
+        Return the option of a name.
+
+        :param name: of a learned option, or ``action:NAME`` of a primitive action.
+        :param participant: whose; empty: the only one who taught it.
+        :raises UnknownOptionError: there is none.
+        :raises AmbiguousOptionError: several participants taught it and none is given.
+        """
+        if name in self._primitives:
+            return self._primitives[name]
+        found = [option for option in self.options(participant) if option.name == name]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            who = ', '.join(option.participant for option in found)
+            raise AmbiguousOptionError(f'option {name!r} was taught by {who}: say whose')
+        whose = f' of participant {participant!r}' if participant else ''
+        raise UnknownOptionError(f'no option {name!r}{whose}; there is {self._inventory()}')
+
+    def _inventory(self) -> str:
+        learned = [f'{option.name!r} ({option.participant})' for option in self.options()]
+        return ', '.join([*learned, *self._primitives])

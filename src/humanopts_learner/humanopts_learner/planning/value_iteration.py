@@ -1,0 +1,80 @@
+"""Synchronous value iteration over options (Sutton, Precup and Singh 1999, section 4)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from humanopts_learner.planning.errors import ModelError
+from humanopts_learner.planning.model import SmdpModel
+import numpy as np
+from numpy.typing import NDArray
+
+OnSweep = Callable[[int, float], bool | None]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What value iteration came to."""
+
+    values: NDArray[np.float64]  # (S,), 0 where nothing is available
+    best: NDArray[np.int32]  # (S,) greedy column, the lowest among equals; -1: none available
+    sweeps: int
+    residual: float  # largest change of the last sweep, reward units
+    converged: bool  # residual is at most tol
+
+
+class _Backup:
+    """One sweep over a model, in place: no loop over states, nothing allocated."""
+
+    def __init__(self, model: SmdpModel) -> None:
+        self.dead = ~model.available.any(axis=1)
+        self._successor = np.ascontiguousarray(model.successor.T, dtype=np.intp)
+        self._reward = np.where(model.available.T, model.reward.T, -np.inf)
+        self._discount = model.discount.T.copy()
+        self._reward[0, self.dead] = self._discount[0, self.dead] = 0.0  # their value stays 0
+        self._choices = np.empty(self._reward.shape)
+
+    def choices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the value of every choice (O, S), in space that the next call uses again."""
+        np.take(values, self._successor, out=self._choices, mode='clip')
+        np.multiply(self._choices, self._discount, out=self._choices)
+        return np.add(self._choices, self._reward, out=self._choices)
+
+    def best(self, values: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Return the greedy column of every state, the lowest among equals; -1: none."""
+        choices = self.choices(values)
+        best = np.zeros(len(values), dtype=np.int32)
+        for column in range(1, len(choices)):  # argmax over the first axis is slower
+            best[choices[column] > choices[0]] = column
+            np.maximum(choices[0], choices[column], out=choices[0])
+        best[self.dead] = -1
+        return best
+
+
+def solve_smdp(
+    model: SmdpModel,
+    tol: float = 1e-8,
+    max_sweeps: int = 10_000,
+    on_sweep: OnSweep | None = None,
+) -> Solution:
+    """
+    Return the best value of every state, from values of 0.
+
+    :param tol: largest change allowed in the last sweep, in reward units.
+    :param max_sweeps: 1 or more.
+    :param on_sweep: called with the number of sweeps and the residual after each; returning True
+        ends the work early, and what it raises passes through.
+    :raises ModelError: tol is negative or no number, or max_sweeps is below 1.
+    """
+    if not tol >= 0.0 or max_sweeps < 1:
+        raise ModelError(f'tol is {tol} and max_sweeps {max_sweeps}: need tol >= 0 and a sweep')
+    backup = _Backup(model)
+    old, new = np.zeros(model.n_states), np.empty(model.n_states)
+    for sweeps in range(1, max_sweeps + 1):
+        np.max(backup.choices(old), axis=0, out=new)
+        np.subtract(new, old, out=old)
+        residual = max(float(old.max()), -float(old.min()))
+        old, new = new, old
+        stop = on_sweep is not None and on_sweep(sweeps, residual)
+        if stop or residual <= tol:
+            break
+    return Solution(old, backup.best(old), sweeps, residual, residual <= tol)
