@@ -1,0 +1,279 @@
+"""
+The game in lock-step: one accepted command, one step, whoever drives.
+
+The values mirror the messages of humanopts_interfaces: the enums have the numbers of
+``ActionCommand``, ``ActionRefusal``, ``ControlState``, ``GameState``, ``ResetGame`` and
+``SetControl``, and the dataclasses their fields.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from humanopts_env.domains.base import action_index, Domain, DomainError, StateError
+from humanopts_env.seeding import generator
+
+
+class Source(IntEnum):
+    """Who chose an action."""
+
+    NONE = 0
+    PERSON = 1
+    MACHINE = 2
+
+
+class Reason(IntEnum):
+    """Why a command was refused."""
+
+    STALE = 1
+    HELD_BY_PERSON = 2
+    NO_SUCH_ACTION = 3
+    EPISODE_OVER = 4
+    NO_SUCH_SOURCE = 5
+
+
+class Holder(IntEnum):
+    """Who holds control."""
+
+    NOBODY = 0
+    PERSON = 1
+
+
+class ResetStatus(IntEnum):
+    """What became of a reset."""
+
+    OK = 1
+    BAD_STATE = 2
+    HELD_BY_PERSON = 3
+    BAD_SOURCE = 4
+
+
+class ControlStatus(IntEnum):
+    """What became of a request for control."""
+
+    OK = 1
+    NOT_HOLDER = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One ``ActionCommand``."""
+
+    publisher_id: str
+    sequence: int
+    source: int  # a Source; any other number is refused
+    episode: int
+    step: int
+    action: str
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One ``GameState``: where the game is, and the transition that led there."""
+
+    episode: int = 0
+    step: int = 0
+    state: str = ''
+    features: tuple[int, ...] = ()
+    previous_action: str = ''
+    action_source: Source = Source.NONE
+    action_publisher_id: str = ''
+    action_sequence: int = 0
+    reward: float = 0.0
+    terminated: bool = False
+    truncated: bool = False
+
+    @property
+    def open(self) -> bool:
+        """Whether a step can be taken."""
+        return self.episode > 0 and not self.terminated and not self.truncated
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """One ``ControlState``."""
+
+    holder: Holder
+    holder_id: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """A command that was carried out."""
+
+    moment: Moment
+    control: Control | None  # where the command claimed control; None: nothing changed
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A command that changed nothing: one ``ActionRefusal``."""
+
+    reason: Reason
+    detail: str
+    command: Command
+    episode: int  # what is current
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
+class ResetReply:
+    """The answer to ``reset_game``."""
+
+    status: ResetStatus
+    detail: str = ''
+    moment: Moment | None = None  # the first of the new episode; None where refused
+
+
+@dataclass(frozen=True, slots=True)
+class ControlReply:
+    """The answer to ``set_control``."""
+
+    status: ControlStatus
+    detail: str = ''
+    control: Control | None = None  # the new state of control; None: nothing changed
+
+
+class Game:
+    """
+    One game of a domain. Whatever is refused changes nothing.
+
+    :ivar moment: where the game is; episode 0 before the first reset.
+    :ivar control: who drives.
+    """
+
+    def __init__(self, domain: Domain[Any]) -> None:
+        """Set up the game; no episode is begun."""
+        self.domain = domain
+        self.moment = Moment()
+        self.control = Control(Holder.NOBODY, '', 'the game started')
+        self._state: Any = None
+        self._rng = generator(0, 'episode', domain.name)
+
+    def reset(self, start_state: str, seed: int, source: int) -> ResetReply:
+        """
+        Begin a new episode.
+
+        :param start_state: in the domain's notation; empty: drawn from its start states by seed.
+        :param seed: of the draw and of the chance in the episode, 0 or greater.
+        :param source: a ``Source``; a machine's is refused while a person holds control.
+        :raises ValueError: the seed is negative.
+        """
+        if source not in (Source.PERSON, Source.MACHINE):
+            return ResetReply(ResetStatus.BAD_SOURCE, _no_such_source(source))
+        if source == Source.MACHINE and self.control.holder is Holder.PERSON:
+            return ResetReply(ResetStatus.HELD_BY_PERSON, self._held())
+        rng = generator(seed, 'episode', self.domain.name)
+        try:
+            state = self._start(start_state) if start_state else self.domain.reset(rng)
+        except StateError as error:
+            return ResetReply(ResetStatus.BAD_STATE, str(error))
+        self._rng, self._state = rng, state
+        self.moment = Moment(self.moment.episode + 1, 0, *self._observed())
+        return ResetReply(ResetStatus.OK, '', self.moment)
+
+    def command(self, command: Command) -> Accepted | Refused:
+        """Take one step, or say why not."""
+        refusal = self._objection(command)
+        if refusal is not None:
+            return Refused(*refusal, command, self.moment.episode, self.moment.step)
+        control = None
+        if command.source == Source.PERSON and self.control.holder is Holder.NOBODY:
+            control = self._give(command.publisher_id, 'a person pressed a key')
+        return Accepted(self._step(command), control)
+
+    def set_control(self, hold: bool, holder_id: str) -> ControlReply:
+        """
+        Take control for a person, or give it back.
+
+        :param hold: True: the person drives; False: control is nobody's again.
+        :param holder_id: publisher id of the person's terminal.
+        """
+        if not holder_id:
+            return ControlReply(ControlStatus.NOT_HOLDER, 'holder_id is empty: name the terminal')
+        if self._held_by_another(holder_id):
+            return ControlReply(ControlStatus.NOT_HOLDER, self._held())
+        if hold == (self.control.holder is Holder.PERSON):
+            return ControlReply(ControlStatus.OK, 'nothing changed')
+        if hold:
+            control = self._give(holder_id, 'a person took control')
+        else:
+            control = self.release('the person gave control back')
+        return ControlReply(ControlStatus.OK, control.reason, control)
+
+    def release(self, reason: str) -> Control:
+        """Make control nobody's, whoever held it, such as a terminal that is gone."""
+        self.control = Control(Holder.NOBODY, '', reason)
+        return self.control
+
+    def _objection(self, command: Command) -> tuple[Reason, str] | None:
+        """Return why the command must be refused; None where it can be carried out."""
+        moment, machine = self.moment, command.source == Source.MACHINE
+        if command.source not in (Source.PERSON, Source.MACHINE):
+            return Reason.NO_SUCH_SOURCE, _no_such_source(command.source)
+        if not machine and not command.publisher_id:
+            return Reason.NO_SUCH_SOURCE, 'a command of a person must carry its publisher_id'
+        if self._held_by_another('' if machine else command.publisher_id):
+            return Reason.HELD_BY_PERSON, self._held()
+        if not moment.open:
+            return Reason.EPISODE_OVER, self._ending()
+        if machine and (command.episode, command.step) != (moment.episode, moment.step):
+            return Reason.STALE, (
+                f'it answers episode {command.episode} step {command.step}, and the game is at '
+                f'episode {moment.episode} step {moment.step}'
+            )
+        try:
+            action_index(self.domain, command.action)
+        except DomainError as error:
+            return Reason.NO_SUCH_ACTION, str(error)
+        return None
+
+    def _step(self, command: Command) -> Moment:
+        action = action_index(self.domain, command.action)
+        outcome = self.domain.step(self._state, action, self._rng)
+        self._state = outcome.state
+        step = self.moment.step + 1
+        self.moment = Moment(
+            self.moment.episode,
+            step,
+            *self._observed(),
+            previous_action=command.action,
+            action_source=Source(command.source),
+            action_publisher_id=command.publisher_id,
+            action_sequence=command.sequence,
+            reward=outcome.reward,
+            terminated=outcome.terminated,
+            truncated=not outcome.terminated and 0 < self.domain.max_steps <= step,
+        )
+        return self.moment
+
+    def _start(self, text: str) -> Any:
+        state = self.domain.decode(text)
+        if self.domain.is_over(state):
+            raise StateError(f'the task is already over in {text!r}')
+        return state
+
+    def _observed(self) -> tuple[str, tuple[int, ...]]:
+        values = self.domain.feature_values(self._state)
+        return self.domain.encode(self._state), tuple(values.tolist())
+
+    def _give(self, holder_id: str, reason: str) -> Control:
+        self.control = Control(Holder.PERSON, holder_id, reason)
+        return self.control
+
+    def _held_by_another(self, publisher_id: str) -> bool:
+        return self.control.holder is Holder.PERSON and self.control.holder_id != publisher_id
+
+    def _held(self) -> str:
+        return f'control is held by the person at {self.control.holder_id}'
+
+    def _ending(self) -> str:
+        if self.moment.episode == 0:
+            return 'no episode was begun; call reset_game'
+        why = 'the task is over' if self.moment.terminated else 'it was cut off at max_steps'
+        return f'episode {self.moment.episode} has ended: {why}; call reset_game'
+
+
+def _no_such_source(source: int) -> str:
+    return f'source {source} is neither person (1) nor machine (2)'

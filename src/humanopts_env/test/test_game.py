@@ -1,0 +1,305 @@
+"""The lock-step game: who may act when, and what is said to those who may not."""
+
+from dataclasses import asdict, replace
+
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.game import (
+    Accepted,
+    Command,
+    ControlStatus,
+    Game,
+    Holder,
+    Moment,
+    Reason,
+    Refused,
+    ResetStatus,
+    Source,
+)
+import pytest
+
+START = 'taxi 2,3 passenger R destination B'
+ANNA, BEN, PLANNER = 'anna-1', 'ben-2', 'planner-3'
+MACHINE = Command(PLANNER, 7, Source.MACHINE, 1, 0, 'north')
+PERSON = Command(ANNA, 4, Source.PERSON, 0, 99, 'south')
+
+
+def begun(state: str = START, max_steps: int = 200) -> Game:
+    """Return a game in the first state of episode 1."""
+    domain = Taxi()
+    domain.max_steps = max_steps
+    game = Game(domain)
+    assert game.reset(state, 3, Source.MACHINE).status is ResetStatus.OK
+    return game
+
+
+def held_by_anna() -> Game:
+    """Return a game that Anna drives."""
+    game = begun()
+    assert game.set_control(True, ANNA).status is ControlStatus.OK
+    return game
+
+
+def ended() -> Game:
+    """Return a game whose first episode ended with the delivery."""
+    game = begun('taxi 4,3 passenger aboard destination B')
+    assert isinstance(game.command(replace(MACHINE, action='dropoff')), Accepted)
+    return game
+
+
+def cut_off() -> Game:
+    """Return a game whose first episode was cut off after one step."""
+    game = begun(max_steps=1)
+    assert isinstance(game.command(MACHINE), Accepted)
+    return game
+
+
+REFUSALS = {
+    'no source': (begun, replace(MACHINE, source=0), Reason.NO_SUCH_SOURCE, 'source 0'),
+    'unknown source': (begun, replace(MACHINE, source=9), Reason.NO_SUCH_SOURCE, 'source 9'),
+    'nameless person': (
+        begun,
+        replace(PERSON, publisher_id=''),
+        Reason.NO_SUCH_SOURCE,
+        'publisher_id',
+    ),
+    'machine, held': (held_by_anna, MACHINE, Reason.HELD_BY_PERSON, ANNA),
+    'second person, held': (
+        held_by_anna,
+        replace(PERSON, publisher_id=BEN),
+        Reason.HELD_BY_PERSON,
+        ANNA,
+    ),
+    'none begun': (lambda: Game(Taxi()), MACHINE, Reason.EPISODE_OVER, 'no episode'),
+    'none begun, person': (lambda: Game(Taxi()), PERSON, Reason.EPISODE_OVER, 'no episode'),
+    'delivered': (ended, replace(MACHINE, step=1), Reason.EPISODE_OVER, 'the task is over'),
+    'delivered, person': (ended, PERSON, Reason.EPISODE_OVER, 'the task is over'),
+    'cut off': (cut_off, replace(MACHINE, step=1), Reason.EPISODE_OVER, 'max_steps'),
+    'earlier episode': (begun, replace(MACHINE, episode=0), Reason.STALE, 'episode 0'),
+    'later step': (begun, replace(MACHINE, step=1), Reason.STALE, 'step 1'),
+    'bad action': (begun, replace(MACHINE, action='fly'), Reason.NO_SUCH_ACTION, 'fly'),
+    'bad key': (begun, replace(PERSON, action='fly'), Reason.NO_SUCH_ACTION, 'fly'),
+    'no action': (begun, replace(PERSON, action=''), Reason.NO_SUCH_ACTION, 'has no action'),
+}
+
+
+@pytest.mark.parametrize('case', REFUSALS)
+def test_a_refused_command_is_answered_and_changes_nothing(case: str) -> None:
+    """Every reason, in words, with the command and what is current; control is not claimed."""
+    make, command, reason, words = REFUSALS[case]
+    game = make()
+    moment, control = game.moment, game.control
+    answer = game.command(command)
+    assert isinstance(answer, Refused)
+    assert answer.reason is reason
+    assert words in answer.detail
+    assert answer.command == command
+    assert (answer.episode, answer.step) == (moment.episode, moment.step)
+    assert (game.moment, game.control) == (moment, control)
+
+
+def test_before_the_first_reset_nothing_is_there() -> None:
+    """Episode 0 says that no episode was begun."""
+    game = Game(Taxi())
+    assert game.moment == Moment(episode=0, state='', features=())
+    assert not game.moment.open
+    assert (game.control.holder, game.control.holder_id) == (Holder.NOBODY, '')
+
+
+def test_a_machine_step_is_the_transition_that_led_to_the_next_state() -> None:
+    """The moment carries s, a, r, s' and who chose a."""
+    game = begun()
+    answer = game.command(MACHINE)
+    assert isinstance(answer, Accepted)
+    assert answer.control is None
+    assert asdict(answer.moment) == {
+        'episode': 1,
+        'step': 1,
+        'state': 'taxi 1,3 passenger R destination B',
+        'features': (1, 3, 0, 0, 4, 3, 0, 0, 0, 0),
+        'previous_action': 'north',
+        'action_source': Source.MACHINE,
+        'action_publisher_id': PLANNER,
+        'action_sequence': 7,
+        'reward': -1.0,
+        'terminated': False,
+        'truncated': False,
+    }
+    assert game.moment == answer.moment
+
+
+def test_a_repeated_machine_command_is_applied_once() -> None:
+    """The second copy answers a step that is past."""
+    game = begun()
+    assert isinstance(game.command(MACHINE), Accepted)
+    again = game.command(MACHINE)
+    assert isinstance(again, Refused)
+    assert again.reason is Reason.STALE
+    assert game.moment.step == 1
+
+
+def test_a_persons_first_key_claims_control_whatever_step_it_names() -> None:
+    """The key is applied to the current step; the next machine command is refused."""
+    game = begun()
+    answer = game.command(PERSON)
+    assert isinstance(answer, Accepted)
+    assert answer.control == game.control
+    assert (game.control.holder, game.control.holder_id) == (Holder.PERSON, ANNA)
+    assert game.control.reason
+    assert (answer.moment.step, answer.moment.action_source) == (1, Source.PERSON)
+    refused = game.command(replace(MACHINE, step=1))
+    assert isinstance(refused, Refused)
+    assert refused.reason is Reason.HELD_BY_PERSON
+
+
+def test_a_persons_later_keys_do_not_change_control() -> None:
+    """Control is announced at changes only."""
+    game = held_by_anna()
+    answer = game.command(PERSON)
+    assert isinstance(answer, Accepted)
+    assert answer.control is None
+
+
+def test_an_episode_ends_with_the_delivery() -> None:
+    """The last moment says so, and is not cut off."""
+    game = ended()
+    assert (game.moment.terminated, game.moment.truncated) == (True, False)
+    assert game.moment.reward == 1
+    assert not game.moment.open
+
+
+def test_an_episode_is_cut_off_at_max_steps() -> None:
+    """The task is not over then."""
+    game = cut_off()
+    assert (game.moment.terminated, game.moment.truncated) == (False, True)
+
+
+def test_a_delivery_in_the_last_step_is_no_cut() -> None:
+    """The end of the task counts."""
+    game = begun('taxi 4,3 passenger aboard destination B', max_steps=1)
+    game.command(replace(MACHINE, action='dropoff'))
+    assert (game.moment.terminated, game.moment.truncated) == (True, False)
+
+
+def test_an_episode_without_max_steps_is_never_cut_off() -> None:
+    """0 means never."""
+    game = begun(max_steps=0)
+    for step in range(3):
+        game.command(replace(MACHINE, step=step))
+    assert game.moment.open
+
+
+def test_each_reset_begins_the_next_episode() -> None:
+    """Episodes count from 1, steps from 0, and nobody led to the first state."""
+    game = ended()
+    reply = game.reset(START, 0, Source.PERSON)
+    assert (reply.status, reply.moment) == (ResetStatus.OK, game.moment)
+    assert game.moment == Moment(2, 0, START, (2, 3, 0, 0, 4, 3, 0, 0, 0, 0))
+    assert isinstance(game.command(replace(MACHINE, episode=2)), Accepted)
+
+
+def test_an_empty_start_state_is_drawn_by_seed() -> None:
+    """The same seed draws the same state, others draw others; seeds may have 64 bits."""
+    seeds = (0, 0, 1, 2, 3, 2**64 - 1)
+    replies = [begun().reset('', seed, Source.MACHINE) for seed in seeds]
+    states = [reply.moment.state for reply in replies if reply.moment]
+    assert len(states) == len(seeds)
+    assert states[0] == states[1]
+    assert len(set(states)) > 3
+    starts = Taxi().start_states().tolist()
+    assert all(Taxi().index(Taxi().decode(state)) in starts for state in states)
+
+
+@pytest.mark.parametrize(
+    ('state', 'words'),
+    [
+        ('nonsense', 'nonsense'),
+        ('taxi 5,0 passenger R destination B', '5 x 5'),
+        ('taxi 2,3 passenger B destination B', 'already over'),
+    ],
+)
+def test_a_bad_start_state_is_refused_and_the_episode_goes_on(state: str, words: str) -> None:
+    """The reason is said, and nothing is lost."""
+    game = begun()
+    moment = game.moment
+    reply = game.reset(state, 0, Source.MACHINE)
+    assert (reply.status, reply.moment) == (ResetStatus.BAD_STATE, None)
+    assert words in reply.detail
+    assert game.moment == moment
+
+
+@pytest.mark.parametrize('source', [0, 3])
+def test_a_reset_by_nobody_is_refused(source: int) -> None:
+    """A reset says whose it is."""
+    reply = begun().reset(START, 0, source)
+    assert reply.status is ResetStatus.BAD_SOURCE
+    assert str(source) in reply.detail
+
+
+def test_a_machine_cannot_reset_what_a_person_drives() -> None:
+    """The refusal names the holder; a person's reset is accepted and claims nothing."""
+    game = held_by_anna()
+    refused = game.reset(START, 0, Source.MACHINE)
+    assert refused.status is ResetStatus.HELD_BY_PERSON
+    assert ANNA in refused.detail
+    assert game.moment.episode == 1
+    control = game.control
+    assert game.reset(START, 0, Source.PERSON).status is ResetStatus.OK
+    assert game.control == control
+
+
+def test_a_persons_reset_does_not_claim_control() -> None:
+    """Machines may go on."""
+    game = begun()
+    assert game.reset(START, 0, Source.PERSON).status is ResetStatus.OK
+    assert game.control.holder is Holder.NOBODY
+
+
+def test_a_negative_seed_is_an_error() -> None:
+    """Messages cannot carry one."""
+    with pytest.raises(ValueError, match='seed'):
+        begun().reset('', -1, Source.MACHINE)
+
+
+@pytest.mark.parametrize(
+    ('holder', 'hold', 'asker', 'status', 'holder_after', 'changed'),
+    [
+        ('', True, ANNA, ControlStatus.OK, ANNA, True),
+        ('', False, ANNA, ControlStatus.OK, '', False),
+        (ANNA, True, ANNA, ControlStatus.OK, ANNA, False),
+        (ANNA, False, ANNA, ControlStatus.OK, '', True),
+        (ANNA, True, BEN, ControlStatus.NOT_HOLDER, ANNA, False),
+        (ANNA, False, BEN, ControlStatus.NOT_HOLDER, ANNA, False),
+        ('', True, '', ControlStatus.NOT_HOLDER, '', False),
+        (ANNA, False, '', ControlStatus.NOT_HOLDER, ANNA, False),
+    ],
+)
+def test_control_is_taken_and_given_back_by_its_holder_only(
+    holder: str, hold: bool, asker: str, status: ControlStatus, holder_after: str, changed: bool
+) -> None:
+    """Every combination of holder and request; a change carries the new control."""
+    game = held_by_anna() if holder else begun()
+    reply = game.set_control(hold, asker)
+    assert reply.status is status
+    assert reply.detail
+    assert game.control.holder_id == holder_after
+    assert game.control.holder is (Holder.PERSON if holder_after else Holder.NOBODY)
+    assert reply.control == (game.control if changed else None)
+    if status is ControlStatus.NOT_HOLDER and asker:
+        assert ANNA in reply.detail
+
+
+def test_machines_drive_again_once_control_is_given_back() -> None:
+    """At the step where the person left it."""
+    game = begun()
+    game.command(PERSON)
+    game.set_control(False, ANNA)
+    assert isinstance(game.command(replace(MACHINE, step=1)), Accepted)
+
+
+def test_control_of_a_terminal_that_is_gone_can_be_released() -> None:
+    """Otherwise nobody could ever drive again."""
+    game = held_by_anna()
+    control = game.release('the terminal is gone')
+    assert control == game.control
+    assert (control.holder, control.holder_id) == (Holder.NOBODY, '')
+    assert control.reason == 'the terminal is gone'
