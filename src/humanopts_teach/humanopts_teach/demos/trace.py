@@ -1,57 +1,35 @@
 """The episode that is being played, collected step by step from the stream of game states."""
 
-from dataclasses import dataclass
-from enum import Enum
-
-
-class Source(Enum):
-    """Who chose an action."""
-
-    NONE = 'none'  # the first state of an episode
-    PERSON = 'person'
-    MACHINE = 'machine'
-
-
-@dataclass(frozen=True, slots=True)
-class GameStep:
-    """One state of the game with the transition that led to it, as in GameState."""
-
-    episode: int  # 0: no episode was begun yet
-    step: int
-    state: str  # in the domain's notation
-    features: tuple[int, ...]
-    action: str  # that led here; empty at step 0
-    source: Source
-    reward: float
-    terminated: bool
-    truncated: bool
+from humanopts_env.game import Moment
 
 
 class Trace:
-    """The steps of the newest episode, without gaps."""
+    """The newest episode, from its first moment on without gaps."""
 
     def __init__(self) -> None:
-        self.steps: list[GameStep] = []
+        self.moments: list[Moment] = []
         self.broken = ''  # what is missing, in words; empty: nothing
 
     @property
     def episode(self) -> int:
         """Number of the episode, 0 before the first."""
-        return self.steps[-1].episode if self.steps else 0
+        return self.moments[-1].episode if self.moments else 0
 
     @property
     def last(self) -> int:
         """Step of the newest state, -1 before the first."""
-        return self.steps[-1].step if self.steps else -1
+        return self.moments[-1].step if self.moments else -1
 
-    def add(self, step: GameStep) -> None:
-        """Take the next state; step 0 or another episode begins anew."""
-        if step.step == 0 or step.episode != self.episode:
-            self.steps, self.broken = [], ''
-            if step.step != 0:
-                self.broken = f'the first {step.step} steps of episode {step.episode} are missing'
-        elif step.step != self.last + 1:
+    def add(self, moment: Moment) -> None:
+        """Take the next moment; step 0 or another episode begins anew."""
+        if moment.step == 0 or moment.episode != self.episode:
+            self.moments, self.broken = [], ''
+            if moment.step != 0:
+                self.broken = (
+                    f'the first {moment.step} steps of episode {moment.episode} are missing'
+                )
+        elif moment.step != self.last + 1:
             self.broken = self.broken or (
-                f'step {step.step} of episode {step.episode} came after step {self.last}'
+                f'step {moment.step} of episode {moment.episode} came after step {self.last}'
             )
-        self.steps.append(step)
+        self.moments.append(moment)

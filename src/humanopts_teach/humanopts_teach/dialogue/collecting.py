@@ -6,8 +6,9 @@ import uuid
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import parameters_json
+from humanopts_env.game import Moment, Source
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_teach.demos.trace import GameStep, Source, Trace
+from humanopts_teach.demos.trace import Trace
 from humanopts_teach.dialogue.answers import Answer, Status, Verdict
 
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, 'humanopts:demonstration')
@@ -22,21 +23,21 @@ class Attempt:
     began: float  # clock at the start, s
     seen: bool = False  # a state of the episode has arrived
 
-    def spoilt(self, step: GameStep, trace: Trace) -> str:
+    def spoilt(self, moment: Moment, trace: Trace) -> str:
         """
         Say why the demonstration cannot go on after one more state; empty: it can.
 
         States of earlier episodes that come before the first of this one are late, not a reset.
         """
-        if step.episode != self.episode:
-            other = self.seen or step.episode > self.episode
+        if moment.episode != self.episode:
+            other = self.seen or moment.episode > self.episode
             return 'the game was reset by somebody else' if other else ''
         self.seen = True
         if trace.broken:
             return f'states of the game were lost ({trace.broken})'
-        if step.step == 0 and step.state != self.start_state:
-            return f'the game began in {step.state} and not in {self.start_state}'
-        if step.source is Source.MACHINE:
+        if moment.step == 0 and moment.state != self.start_state:
+            return f'the game began in {moment.state} and not in {self.start_state}'
+        if moment.action_source is Source.MACHINE:
             return 'an option or a policy moved in this episode; stop it first'
         return ''
 
@@ -93,9 +94,9 @@ def build(
     Its uuid is derived from all its content but ``seconds``, so that the same lesson with the same
     seed gives the same uuids, and with them the same folds in learning.
     """
-    steps = trace.steps
+    moments = trace.moments
     draft = Demonstration(
-        kind=Kind.TRAJECTORY if len(steps) > 1 else Kind.NOT_HERE,
+        kind=Kind.TRAJECTORY if len(moments) > 1 else Kind.NOT_HERE,
         uuid='',
         domain=domain.name,
         domain_parameters=parameters_json(domain),
@@ -105,11 +106,11 @@ def build(
         number=label.number,
         chosen_features=label.chosen_features,
         feature_names=tuple(feature.name for feature in domain.features),
-        features=tuple(step.features for step in steps),
-        states=tuple(step.state for step in steps),
-        actions=tuple(step.action for step in steps[1:]),
-        rewards=tuple(step.reward for step in steps[1:]),
-        terminated=steps[-1].terminated,
+        features=tuple(moment.features for moment in moments),
+        states=tuple(moment.state for moment in moments),
+        actions=tuple(moment.previous_action for moment in moments[1:]),
+        rewards=tuple(moment.reward for moment in moments[1:]),
+        terminated=moments[-1].terminated,
         can_start_at_end=can_start_at_end,
     )
     named = replace(draft, uuid=str(uuid.uuid5(_NAMESPACE, draft.to_json())))

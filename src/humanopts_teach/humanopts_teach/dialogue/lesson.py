@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.game import Moment
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import (
     check_demonstration,
@@ -17,7 +18,7 @@ from humanopts_learner.demonstrations import (
     DemonstrationError,
 )
 from humanopts_teach.demos.store import DemonstrationStore
-from humanopts_teach.demos.trace import GameStep, Trace
+from humanopts_teach.demos.trace import Trace
 from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Progress, Status, Verdict
 from humanopts_teach.dialogue.collecting import Attempt, build, Label, objection
 from humanopts_teach.dialogue.history import OptionHistory
@@ -192,8 +193,8 @@ class Lesson:
         self._preparing = False
         self._notice = ''
         self._attempt = Attempt(episode, state, self._clock())
-        for step in list(self._trace.steps):  # states that came before game's answer
-            self._watch(step)
+        for moment in list(self._trace.moments):  # states that came before game's answer
+            self._watch(moment)
         return Answer(Status.OK, f'episode {episode} begins', state=state)
 
     def not_begun(self, status: Status, cause: str) -> Answer:
@@ -238,14 +239,14 @@ class Lesson:
 
     # What the game and the learner tell.
 
-    def saw(self, step: GameStep) -> bool:
+    def saw(self, moment: Moment) -> bool:
         """
         Take in one state of the game's stream.
 
         :return: whether the view has changed.
         """
-        self._trace.add(step)
-        return self._watch(step)
+        self._trace.add(moment)
+        return self._watch(moment)
 
     def reached(self, episode: int, step: int) -> bool:
         """Tell whether the stream has come so far, or can no longer."""
@@ -356,16 +357,16 @@ class Lesson:
         key = (self._notebook.participant, option.name, option.number)
         return generator(self._rules.seed, purpose, *key)
 
-    def _watch(self, step: GameStep) -> bool:
+    def _watch(self, moment: Moment) -> bool:
         if self._attempt is None:
             return False
-        cause = self._attempt.spoilt(step, self._trace)
+        cause = self._attempt.spoilt(moment, self._trace)
         if cause:
             self._give_up(f'The demonstration is given up: {cause}.')
             return True
-        if step.episode == self._attempt.episode and (step.terminated or step.truncated):
+        if moment.episode == self._attempt.episode and (moment.terminated or moment.truncated):
             self._notice = (
-                'The task is over.' if step.terminated else 'The episode is at its step limit.'
+                'The task is over.' if moment.terminated else 'The episode is at its step limit.'
             )
             return True
         return False

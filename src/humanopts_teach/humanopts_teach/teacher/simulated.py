@@ -24,8 +24,8 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.game import Moment
 from humanopts_env.seeding import generator
-from humanopts_teach.demos.trace import GameStep
 from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
 from humanopts_teach.teacher.acts import Act, Begin, Define, Drive, End, Finish, Open, Reply, Wait
 import numpy as np
@@ -74,7 +74,7 @@ class SimulatedTeacher:
         self._attempt = 0  # how often it was discarded
         self._order = self._preference()
 
-    def next_act(self, lesson: LessonView, game: GameStep | None) -> Act:
+    def next_act(self, lesson: LessonView, game: Moment | None) -> Act:
         """
         Return what to do next; to be called once for each thing that is done.
 
@@ -106,7 +106,7 @@ class SimulatedTeacher:
         rng = self._generator('extra_feature', option_name, feature)
         return bool(rng.random() < self._settings.extra_feature_rate)
 
-    def _demonstrate(self, lesson: LessonView, game: GameStep | None) -> Act:
+    def _demonstrate(self, lesson: LessonView, game: Moment | None) -> Act:
         if game is None or game.episode != lesson.episode:
             return Wait('the first state of the demonstration')
         number = lesson.n_demonstrations + lesson.n_not_here + 1

@@ -1,0 +1,201 @@
+"""The lesson's memory survives crashes and full disks."""
+
+import errno
+import os
+from pathlib import Path
+
+from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_teach.demos.entries import (
+    Entry,
+    entry_from_line,
+    entry_to_line,
+    EntryError,
+    FeatureAnswered,
+    OptionDefined,
+    SessionOpened,
+)
+from humanopts_teach.demos.store import DemonstrationStore, StoreError
+import pytest
+
+KEY = ('taxi', '{}')
+SESSION = SessionOpened(*KEY, 'p1', 's1')
+DEMONSTRATION = Demonstration(
+    kind=Kind.TRAJECTORY,
+    uuid='3f0c1a52-3e0e-5d3a-9a43-8b6c3f6f0a11',
+    domain='taxi',
+    domain_parameters='{}',
+    participant='p1',
+    session='s1',
+    option_name='go \N{RIGHTWARDS ARROW} "there"',
+    number=1,
+    chosen_features=('row',),
+    feature_names=('row', 'col'),
+    features=((0, 1), (0, 2)),
+    states=('a', 'b'),
+    actions=('east',),
+    rewards=(-1.0,),
+    seconds=0.5,
+)
+ENTRIES: list[Entry] = [
+    SESSION,
+    OptionDefined(*KEY, 'p1', 's1', 'go', ask_again=False),
+    FeatureAnswered(*KEY, 'p1', 's1', 'go', 'row', yes=True),
+    DEMONSTRATION,
+]
+
+
+def filled(directory: Path) -> Path:
+    """Write all entries and return the participant's file."""
+    with DemonstrationStore(directory) as store:
+        for entry in ENTRIES:
+            store.append(entry)
+    return directory / 'p1.jsonl'
+
+
+@pytest.mark.parametrize('entry', ENTRIES, ids=lambda entry: type(entry).__name__)
+def test_an_entry_is_read_as_it_was_written(entry: Entry) -> None:
+    assert entry_from_line(entry_to_line(entry)) == entry
+
+
+@pytest.mark.parametrize(
+    ('line', 'says'),
+    [
+        ('{"version": 1, "entry": "session"', 'not JSON'),
+        ('[]', 'version'),
+        ('{"version": 2, "entry": "session"}', 'version'),
+        ('{"version": 1, "entry": "dream"}', 'dream'),
+        ('{"version": 1, "entry": ["session"]}', 'unknown kind'),
+        ('{"version": 1, "entry": "session", "domain": "taxi"}', 'domain_parameters'),
+        ('{"version": 1, "entry": "demonstration"}', 'has no'),
+        (entry_to_line(ENTRIES[2]).replace('true', '1'), 'yes'),
+    ],
+)
+def test_a_line_that_is_no_entry_is_refused_with_the_reason(line: str, says: str) -> None:
+    with pytest.raises(EntryError, match=says):
+        entry_from_line(line)
+
+
+def test_entries_come_back_in_order_after_a_restart(tmp_path: Path) -> None:
+    filled(tmp_path)
+    with DemonstrationStore(tmp_path) as store:
+        assert store.participants() == ['p1']
+        assert list(store.entries('p1')) == ENTRIES
+        assert store.damage == []
+        assert store.entries('stranger') == ()
+
+
+def test_a_line_cut_off_anywhere_is_moved_aside_and_nothing_else_is_lost(tmp_path: Path) -> None:
+    content = filled(tmp_path / 'whole').read_bytes()
+    last_line = content.rfind(b'\n', 0, -1) + 1
+    for cut in range(last_line + 1, len(content) - 1, 37):
+        folder = tmp_path / str(cut)
+        folder.mkdir()
+        (folder / 'p1.jsonl').write_bytes(content[:cut])
+        with DemonstrationStore(folder) as store:
+            assert list(store.entries('p1')) == ENTRIES[:-1]
+            assert len(store.damage) == 1
+            assert 'cut off' in store.damage[0]
+            store.append(DEMONSTRATION)
+        assert (folder / 'p1.jsonl').read_bytes() == content
+        assert (folder / 'p1.jsonl.torn-1').read_bytes() == content[last_line:cut]
+        with DemonstrationStore(folder) as store:
+            assert store.damage == []
+
+
+def test_a_line_that_lacks_only_its_end_is_kept(tmp_path: Path) -> None:
+    path = filled(tmp_path)
+    content = path.read_bytes()
+    path.write_bytes(content[:-1])
+    with DemonstrationStore(tmp_path) as store:
+        assert list(store.entries('p1')) == ENTRIES
+    assert path.read_bytes() == content
+
+
+def test_a_damaged_line_in_the_middle_is_named_and_left_in_the_file(tmp_path: Path) -> None:
+    path = filled(tmp_path)
+    lines = path.read_bytes().splitlines(keepends=True)
+    lines[1] = b'\xff\xfe rubbish\n'
+    path.write_bytes(b''.join(lines))
+    with DemonstrationStore(tmp_path) as store:
+        assert list(store.entries('p1')) == [ENTRIES[0], *ENTRIES[2:]]
+        assert 'line 2 of' in store.damage[0]
+    assert path.read_bytes() == b''.join(lines)
+
+
+def test_lines_of_another_participant_are_left_out(tmp_path: Path) -> None:
+    filled(tmp_path).rename(tmp_path / 'p2.jsonl')
+    with DemonstrationStore(tmp_path) as store:
+        assert store.entries('p2') == ()
+        assert len(store.damage) == len(ENTRIES)
+
+
+@pytest.mark.parametrize('fails', ['write', 'fsync'])
+def test_a_full_disk_leaves_nothing_half_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    path = filled(tmp_path)
+    content = path.read_bytes()
+    real_write = os.write
+
+    def full_write(handle: int, data: bytes) -> int:
+        if len(data) < 20:
+            raise OSError(errno.ENOSPC, 'No space left on device')
+        return real_write(handle, data[: len(data) // 2])
+
+    def full_fsync(handle: int) -> None:
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    with DemonstrationStore(tmp_path) as store:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, fails, full_write if fails == 'write' else full_fsync)
+            with pytest.raises(StoreError, match='the disk is full'):
+                store.append(SESSION)
+        assert path.read_bytes() == content
+        assert list(store.entries('p1')) == ENTRIES
+        store.append(SESSION)  # the same call works once there is space
+        assert store.entries('p1')[-1] == SESSION
+
+
+def test_a_line_is_synced_to_disk_before_append_returns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[bytes] = []
+    real = os.fsync
+
+    def fsync(handle: int) -> None:
+        synced.append(Path(f'/proc/self/fd/{handle}').resolve().name.encode())
+        real(handle)
+
+    with DemonstrationStore(tmp_path) as store:
+        monkeypatch.setattr(os, 'fsync', fsync)
+        store.append(SESSION)
+    assert synced == [b'p1.jsonl', tmp_path.name.encode()]  # the file, and its new name
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / 'file').write_text('in the way')
+    with pytest.raises(StoreError, match='cannot open the folder of demonstrations'):
+        DemonstrationStore(tmp_path / 'file' / 'below')
+
+
+def test_a_folder_that_has_gone_is_named(tmp_path: Path) -> None:
+    with DemonstrationStore(tmp_path / 'gone') as store:
+        (tmp_path / 'gone' / '.lock').unlink()
+        (tmp_path / 'gone').rmdir()
+        with pytest.raises(StoreError, match=r'cannot write to .*p1\.jsonl'):
+            store.append(SESSION)
+
+
+def test_two_lessons_cannot_use_one_folder(tmp_path: Path) -> None:
+    with DemonstrationStore(tmp_path), pytest.raises(StoreError, match='another lesson'):
+        DemonstrationStore(tmp_path)
+    DemonstrationStore(tmp_path).close()
+
+
+@pytest.mark.parametrize('code', ['', '..', 'a/b', 'x' * 61, 'Zo\u00eb'])
+def test_a_participant_that_is_no_code_never_becomes_a_file_name(
+    tmp_path: Path, code: str
+) -> None:
+    with DemonstrationStore(tmp_path) as store, pytest.raises(ValueError, match='not a code'):
+        store.append(SessionOpened(*KEY, code, 's1'))
+    assert [path.name for path in tmp_path.iterdir()] == ['.lock']

@@ -1,0 +1,222 @@
+"""The simulated teacher: what it shows, how it errs, and that a seed decides all of it."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.game import Moment
+from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
+from humanopts_teach.teacher.acts import Begin, Define, Drive, End, Finish, Open, Reply, Wait
+from humanopts_teach.teacher.simulated import (
+    ATTEMPTS,
+    SimulatedTeacher,
+    TeacherError,
+    TeacherSettings,
+)
+import numpy as np
+import pytest
+
+TAXI = make_domain('taxi')
+REFERENCES = reference_options(TAXI)
+PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
+TEACHER = TeacherSettings(options=(PICKUP, DROPOFF))
+LESSON = LessonView(Phase.READY, 'simulated', 'simulated', PICKUP)
+WAITING = 'taxi 4,4 passenger R destination G'
+ABOARD = 'taxi 4,4 passenger aboard destination G'
+NAMES = [action.name for action in TAXI.actions]
+
+
+def teacher(
+    settings: TeacherSettings = TEACHER, references: Mapping[str, ReferenceOption] = REFERENCES
+) -> SimulatedTeacher:
+    return SimulatedTeacher(TAXI, references, settings)
+
+
+def at(state: str, step: int = 0, *, terminated: bool = False, truncated: bool = False) -> Moment:
+    """Return a state of episode 1."""
+    features = tuple(TAXI.feature_values(TAXI.decode(state)).tolist())
+    return Moment(1, step, state, features, terminated=terminated, truncated=truncated)
+
+
+def showing(state: str, option: str = PICKUP, given: int = 0) -> LessonView:
+    """Return the view of a demonstration that started in ``state``."""
+    return replace(
+        LESSON,
+        phase=Phase.DEMONSTRATING,
+        option_name=option,
+        n_demonstrations=given,
+        start_state=state,
+        episode=1,
+    )
+
+
+def show(
+    by: SimulatedTeacher, start: str, option: str = PICKUP, given: int = 0
+) -> tuple[list[str], End]:
+    """Let the teacher demonstrate by the rules alone; return its actions and its verdict."""
+    view, game, actions = showing(start, option, given), at(start), list[str]()
+    while not isinstance(act := by.next_act(view, game), End):
+        assert isinstance(act, Drive)
+        assert (act.episode, act.step) == (1, game.step)
+        actions.append(act.action)
+        out = TAXI.step(TAXI.decode(game.state), NAMES.index(act.action), np.random.default_rng(0))
+        game = at(TAXI.encode(out.state), game.step + 1, terminated=out.terminated)
+    return actions, act
+
+
+@pytest.mark.parametrize(
+    ('lesson', 'act'),
+    [
+        (LessonView(Phase.NO_SESSION), Open('simulated', 'simulated')),
+        (replace(LESSON, participant='p9'), Open('simulated', 'simulated')),
+        (replace(LESSON, phase=Phase.NO_OPTION, option_name=''), Define(PICKUP)),
+        (replace(LESSON, option_name='something else'), Define(PICKUP)),
+        (
+            replace(LESSON, phase=Phase.ASKING, question_id=3, question_feature='taxi_row'),
+            Reply(3, True),
+        ),
+        (
+            replace(LESSON, phase=Phase.ASKING, question_id=4, question_feature='blocked_moves'),
+            Reply(4, False),
+        ),
+        (LESSON, Begin()),
+        (replace(LESSON, phase=Phase.LEARNING), Wait('the learner')),
+        (replace(LESSON, phase=Phase.FINISHED), Define(DROPOFF)),
+    ],
+)
+def test_each_phase_has_its_act(lesson: LessonView, act: object) -> None:
+    assert teacher().next_act(lesson, None) == act
+
+
+def test_it_finishes_when_every_option_is_taught() -> None:
+    by = teacher()
+    finished = replace(LESSON, phase=Phase.FINISHED)
+    by.next_act(finished, None)
+    assert by.next_act(replace(finished, option_name=DROPOFF), None) == Finish()
+
+
+def test_it_waits_for_the_first_state_of_the_demonstration() -> None:
+    view = replace(showing(WAITING), episode=2)
+    assert isinstance(teacher().next_act(view, None), Wait)
+    assert isinstance(teacher().next_act(view, at(WAITING, 7)), Wait)
+
+
+def test_it_says_not_here_exactly_where_the_option_cannot_start() -> None:
+    assert show(teacher(), ABOARD) == ([], End(Verdict.NOT_HERE, 1, 0))
+    assert show(teacher(TeacherSettings((DROPOFF,))), WAITING, DROPOFF) == (
+        [],
+        End(Verdict.NOT_HERE, 1, 0),
+    )
+
+
+def test_without_errors_it_shows_a_shortest_way_and_says_done_at_its_end() -> None:
+    actions, end = show(teacher(), WAITING)
+    assert sorted(actions) == ['north'] * 4 + ['pickup'] + ['west'] * 4
+    assert actions[-1] == 'pickup'
+    assert end == End(Verdict.DONE, 1, 9)
+
+
+def test_an_option_that_could_start_again_at_its_end_is_said_so() -> None:
+    end = show(teacher(TeacherSettings(options=('go to passenger',))), WAITING, 'go to passenger')[
+        1
+    ]
+    reference = REFERENCES['go to passenger']
+    assert end.can_start_at_end == reference.can_start(
+        TAXI.decode('taxi 0,0 passenger R destination G')
+    )
+
+
+def test_it_always_prefers_the_same_among_equally_good_actions() -> None:
+    reference = REFERENCES[PICKUP]
+    states = TAXI.sample_states(np.random.default_rng(0), 100)
+    for state in filter(reference.can_start, states):
+        act = teacher().next_act(showing(TAXI.encode(state)), at(TAXI.encode(state)))
+        assert isinstance(act, Drive)
+        assert act.action == NAMES[min(reference.optimal_actions(state))]
+
+
+def test_own_habits_are_drawn_for_the_participant_and_kept() -> None:
+    def first_act(participant: str) -> object:
+        settings = TeacherSettings((PICKUP,), participant, own_habits=True)
+        view = replace(showing(WAITING), participant=participant)
+        return teacher(settings).next_act(view, at(WAITING))
+
+    first = [first_act(f'p{number}') for number in range(12)]
+    assert first == [first_act(f'p{number}') for number in range(12)]
+    assert {act.action for act in first if isinstance(act, Drive)} == {'north', 'west'}
+
+
+def test_needless_features_are_named_at_their_rate() -> None:
+    plain = teacher()
+    liberal = teacher(replace(TEACHER, extra_feature_rate=0.5))
+    named = [f.name for f in TAXI.features if liberal.depends_on(PICKUP, f.name)]
+    needed = [f.name for f in TAXI.features if plain.depends_on(PICKUP, f.name)]
+    assert set(needed) == set(REFERENCES[PICKUP].features)
+    assert set(needed) < set(named)
+    assert named == [f.name for f in TAXI.features if liberal.depends_on(PICKUP, f.name)]
+
+
+def test_it_errs_at_its_rate_with_every_wrong_action_alike() -> None:
+    by = teacher(replace(TEACHER, error_rate=0.2))
+    shown = [by.next_act(showing(WAITING, given=n), at(WAITING)) for n in range(2000)]
+    actions = [act.action for act in shown if isinstance(act, Drive)]
+    best = {NAMES[a] for a in REFERENCES[PICKUP].optimal_actions(TAXI.decode(WAITING))}
+    wrong = [action for action in actions if action not in best]
+    # 2000 draws at 0.2: mean 400, standard deviation 18; each of four actions 100, deviation 10.
+    assert abs(len(wrong) - 400) < 75
+    assert all(abs(wrong.count(name) - 100) < 40 for name in set(NAMES) - best)
+
+
+def test_after_an_error_it_goes_on_from_where_that_led() -> None:
+    by = teacher(replace(TEACHER, error_rate=0.3))
+    lengths = [len(show(by, WAITING, given=n)[0]) for n in range(30)]
+    assert min(lengths) >= 9
+    assert max(lengths) > 9
+    assert {show(by, WAITING, given=n)[1].verdict for n in range(30)} == {Verdict.DONE}
+
+
+def test_the_same_seed_shows_the_same_and_another_seed_does_not() -> None:
+    def shown(seed: int) -> list[list[str]]:
+        by = teacher(replace(TEACHER, error_rate=0.3, seed=seed))
+        return [show(by, WAITING, given=n)[0] for n in range(5)]
+
+    assert shown(1) == shown(1)
+    assert shown(1) != shown(2)
+
+
+def test_a_demonstration_that_does_not_end_is_discarded_and_tried_another_way() -> None:
+    by = teacher(replace(TEACHER, error_rate=0.5, step_limit=3))
+    first, verdict = show(by, WAITING)
+    assert (len(first), verdict.verdict) == (3, Verdict.DISCARD)
+    assert show(by, WAITING)[0] != first
+
+
+def test_it_gives_up_when_nothing_it_tries_comes_to_the_end() -> None:
+    by = teacher(replace(TEACHER, step_limit=3))
+    for _ in range(ATTEMPTS - 1):
+        assert show(by, WAITING)[1].verdict is Verdict.DISCARD
+    with pytest.raises(TeacherError, match='cannot show'):
+        show(by, WAITING)
+
+
+@pytest.mark.parametrize('over', ['terminated', 'truncated'])
+def test_an_episode_that_is_over_too_early_is_discarded(over: str) -> None:
+    game = at(WAITING, 4, terminated=over == 'terminated', truncated=over == 'truncated')
+    assert teacher().next_act(showing(WAITING), game) == End(Verdict.DISCARD, 1, 4)
+
+
+@pytest.mark.parametrize(
+    ('settings', 'says'),
+    [
+        (TeacherSettings(()), 'no option'),
+        (TeacherSettings(('fly',)), "no reference option 'fly'"),
+        (replace(TEACHER, error_rate=1.0), 'error_rate'),
+        (replace(TEACHER, error_rate=-0.1), 'error_rate'),
+        (replace(TEACHER, extra_feature_rate=float('nan')), 'extra_feature_rate'),
+        (replace(TEACHER, step_limit=0), 'step_limit'),
+    ],
+)
+def test_a_teacher_that_cannot_teach_says_why(settings: TeacherSettings, says: str) -> None:
+    with pytest.raises(TeacherError, match=says):
+        teacher(settings)
