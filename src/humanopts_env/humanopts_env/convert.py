@@ -1,11 +1,21 @@
 """Messages to domain values and back: the only module of this package that knows both."""
 
 from collections.abc import Hashable
+from dataclasses import asdict, fields
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError, FeatureKind
 from humanopts_env.domains.registry import domain_from_json, parameters_json
-from humanopts_interfaces.msg import ActionInfo, DomainInfo, FeatureInfo
+from humanopts_env.game import Command, Control, Moment, Refused
+from humanopts_interfaces.msg import (
+    ActionCommand,
+    ActionInfo,
+    ActionRefusal,
+    ControlState,
+    DomainInfo,
+    FeatureInfo,
+    GameState,
+)
 
 _KINDS = {
     FeatureKind.ORDINAL: FeatureInfo.KIND_ORDINAL,
@@ -50,3 +60,40 @@ def domain_from_info(info: DomainInfo) -> Domain[Hashable]:
             'those installed here'
         )
     return domain
+
+
+def moment_to_message(moment: Moment) -> GameState:
+    """Encode where the game is; header, publisher_id and sequence are left to the publisher."""
+    values = asdict(moment)
+    values['features'] = list(moment.features)
+    values['action_source'] = int(moment.action_source)
+    return GameState(**values)
+
+
+def command_from_message(message: ActionCommand) -> Command:
+    """Decode a command."""
+    names = (field.name for field in fields(Command))
+    return Command(**{name: getattr(message, name) for name in names})
+
+
+def refusal_to_message(refused: Refused) -> ActionRefusal:
+    """Encode a refusal."""
+    command = refused.command
+    return ActionRefusal(
+        reason=int(refused.reason),
+        detail=refused.detail,
+        command_publisher_id=command.publisher_id,
+        command_sequence=command.sequence,
+        command_episode=command.episode,
+        command_step=command.step,
+        command_action=command.action,
+        episode=refused.episode,
+        step=refused.step,
+    )
+
+
+def control_to_message(control: Control) -> ControlState:
+    """Encode who drives."""
+    return ControlState(
+        holder=int(control.holder), holder_id=control.holder_id, reason=control.reason
+    )

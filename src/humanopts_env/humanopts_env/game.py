@@ -30,6 +30,7 @@ class Reason(IntEnum):
     NO_SUCH_ACTION = 3
     EPISODE_OVER = 4
     NO_SUCH_SOURCE = 5
+    PAUSED = 6
 
 
 class Holder(IntEnum):
@@ -141,6 +142,7 @@ class Game:
 
     :ivar moment: where the game is; episode 0 before the first reset.
     :ivar control: who drives.
+    :ivar paused: why no command is carried out now; empty: they are.
     """
 
     def __init__(self, domain: Domain[Any]) -> None:
@@ -148,6 +150,7 @@ class Game:
         self.domain = domain
         self.moment = Moment()
         self.control = Control(Holder.NOBODY, '', 'the game started')
+        self.paused = ''
         self._state: Any = None
         self._rng = generator(0, 'episode', domain.name)
 
@@ -210,6 +213,8 @@ class Game:
     def _objection(self, command: Command) -> tuple[Reason, str] | None:
         """Return why the command must be refused; None where it can be carried out."""
         moment, machine = self.moment, command.source == Source.MACHINE
+        if self.paused:
+            return Reason.PAUSED, self.paused
         if command.source not in (Source.PERSON, Source.MACHINE):
             return Reason.NO_SUCH_SOURCE, _no_such_source(command.source)
         if not machine and not command.publisher_id:

@@ -13,7 +13,7 @@ from humanopts_env.nodes.qos import LATCHED, STREAM
 from humanopts_interfaces.msg import NodeStatus
 from rcl_interfaces.msg import ParameterDescriptor
 import rclpy
-from rclpy.callback_groups import CallbackGroup
+from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -96,6 +96,7 @@ class NodeBase(Node):
         self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
         self.ready = False
         self.set_status(NodeStatus.STATE_STARTING)
+        self._timers = ReentrantCallbackGroup()
         self._start_timer = self.create_timer(_CHECK_PERIOD, self._check_start)
 
     def setting(self, name: str, default: Any, description: str, **limits: Any) -> Any:
@@ -140,6 +141,21 @@ class NodeBase(Node):
             self.get_clock(), STREAM, ServiceIntrospectionState.CONTENTS
         )
         return client
+
+    async def answer(self, client: Client, request: Any, seconds: float) -> Any:
+        """
+        Call a service from a coroutine.
+
+        :return: the response; None when there is none after ``seconds``.
+        """
+        future = client.call_async(request)
+        timer = self.create_timer(seconds, future.cancel, callback_group=self._timers)
+        try:
+            return await future
+        finally:
+            timer.cancel()
+            self.destroy_timer(timer)
+            client.remove_pending_request(future)
 
     def set_status(self, state: int, text: str = '') -> None:
         """Publish the node's state; a failure to do so is only logged."""

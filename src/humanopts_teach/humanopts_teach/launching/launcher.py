@@ -12,9 +12,8 @@ import time
 from typing import Any
 
 from humanopts_env.environment import LAUNCHER_PID
-import yaml
-
 from humanopts_teach.launching.processes import ProcessSpec
+import yaml
 
 TAIL_LINES = 12
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
@@ -160,8 +159,7 @@ class Launcher:
         status = running.process.returncode
         if status < 0:
             raise LaunchError(
-                f'the node {running.spec.name} ended ({_ending(status)})'
-                f'{_last_lines(running.log)}'
+                f'the node {running.spec.name} ended ({_ending(status)}){_last_lines(running.log)}'
             )
         if status:
             sys.stderr.write(running.log.read_text(encoding='utf-8', errors='replace'))

@@ -30,7 +30,7 @@ class Setup:
     directory: Path  # demonstrations, options and the bag go below it
     domain_parameters: Mapping[str, Parameter] = field(default_factory=dict)
     seed: int = 0
-    thresholds: Thresholds = Thresholds()
+    thresholds: Thresholds = field(default_factory=Thresholds)
     strategy: str = 'failures'
     budget: int = 150
     until_no_failures: bool = True
@@ -40,12 +40,13 @@ class Setup:
     teacher_error_rate: float = 0.0
     keyboard: bool = False
     record: bool = True
+    bag_name: str = 'bag'
     step_period: float = 0.0  # s between a machine's steps
 
     @property
     def bag(self) -> Path:
         """Where the recorder writes."""
-        return self.directory / 'bag'
+        return self.directory / self.bag_name
 
     @property
     def options(self) -> Path:

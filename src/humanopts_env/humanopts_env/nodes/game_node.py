@@ -1,0 +1,162 @@
+"""The node ``game``: owns the game, and takes one command a step."""
+
+import json
+import sys
+
+from humanopts_env.convert import (
+    command_from_message,
+    control_to_message,
+    domain_to_info,
+    moment_to_message,
+    refusal_to_message,
+)
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.registry import domain_from_json
+from humanopts_env.game import Accepted, Command, Control, Game, Holder, Moment, Source
+from humanopts_env.nodes.node_base import NodeBase, PublishError, run_node, StartError
+from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_interfaces.msg import (
+    ActionCommand,
+    ActionRefusal,
+    ControlState,
+    DomainInfo,
+    GameState,
+    NodeStatus,
+)
+from humanopts_interfaces.srv import ResetGame, SetControl
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange
+
+_RETRY_PERIOD = 0.5  # s between attempts to send what could not be sent
+_HOLDER_PERIOD = 1.0  # s between looks whether the person's terminal is still there
+
+
+class GameNode(NodeBase):
+    """Publishes what the game comes to, and refuses in words what it does not take."""
+
+    def __init__(self) -> None:
+        super().__init__('game')
+        self._game = Game(self._read_domain())
+        natural = IntegerRange(from_value=0, to_value=2**62, step=1)
+        self._seed = self.setting('seed', 0, 'of the first episode', integer_range=[natural])
+        self._period = self.setting(
+            'step_period',
+            0.0,
+            'least time between steps of the machine, s, for people who watch',
+            floating_point_range=[FloatingPointRange(from_value=0.0, to_value=60.0)],
+        )
+        self._info = self.stamped_publisher(DomainInfo, 'domain_info', LATCHED)
+        self._stream = self.stamped_publisher(GameState, 'game_state')
+        self._current = self.stamped_publisher(GameState, 'current_state', LATCHED)
+        self._control = self.stamped_publisher(ControlState, 'control', LATCHED)
+        self._refusals = self.stamped_publisher(ActionRefusal, 'action_refused')
+        self.create_subscription(ActionCommand, 'action', self._on_action, STREAM)
+        self.recorded_service(ResetGame, 'reset_game', self._on_reset)
+        self.recorded_service(SetControl, 'set_control', self._on_set_control)
+        self._unsent: list[Moment] = []
+        self._slow: Command | None = None  # a machine's command that waits for its time
+        self._pace = self.create_timer(self._period or 1.0, self._on_pace, autostart=False)
+        self._retry = self.create_timer(_RETRY_PERIOD, self._on_retry, autostart=False)
+        self.create_timer(_HOLDER_PERIOD, self._check_holder)
+
+    def on_ready(self) -> None:
+        """Announce the rules, and begin a first episode."""
+        self._info.publish(domain_to_info(self._game.domain))
+        self._send_control(self._game.control)
+        self._game.reset('', self._seed, Source.MACHINE)
+        self._send(self._game.moment)
+
+    def _read_domain(self) -> Domain:
+        name = self.setting('domain', 'taxi', 'registered name of the domain')
+        parameters = self.setting('domain_parameters', '{}', 'JSON object of its parameters')
+        try:
+            return domain_from_json(name, parameters)
+        except (DomainError, json.JSONDecodeError) as error:
+            raise StartError(str(error)) from error
+
+    def _on_action(self, message: ActionCommand) -> None:
+        command = command_from_message(message)
+        if self._period and command.source == Source.MACHINE and self._slow is None:
+            self._slow = command
+            self._pace.reset()
+        else:
+            self._carry_out(command)
+
+    def _on_pace(self) -> None:
+        self._pace.cancel()
+        command, self._slow = self._slow, None
+        if command is not None:
+            self._carry_out(command)
+
+    def _carry_out(self, command: Command) -> None:
+        result = self._game.command(command)
+        if not isinstance(result, Accepted):
+            self._refusals.publish(refusal_to_message(result))
+            return
+        if result.control is not None:
+            self._send_control(result.control)
+        self._send(result.moment)
+
+    def _on_reset(
+        self, request: ResetGame.Request, response: ResetGame.Response
+    ) -> ResetGame.Response:
+        reply = self._game.reset(request.start_state, request.seed, request.source)
+        response.status, response.detail = int(reply.status), reply.detail
+        if reply.moment is not None:
+            response.episode, response.state = reply.moment.episode, reply.moment.state
+            self._send(reply.moment)
+        return response
+
+    def _on_set_control(
+        self, request: SetControl.Request, response: SetControl.Response
+    ) -> SetControl.Response:
+        reply = self._game.set_control(request.hold, request.holder_id)
+        response.status, response.detail = int(reply.status), reply.detail
+        if reply.control is not None:
+            self._send_control(reply.control)
+        return response
+
+    def _check_holder(self) -> None:
+        """Free control that a terminal holds which is no longer there."""
+        control = self._game.control
+        if control.holder is not Holder.PERSON:
+            return
+        name = control.holder_id.split('#')[0]
+        there = {
+            f'{space.rstrip("/")}/{node}' for node, space in self.get_node_names_and_namespaces()
+        }
+        if name.startswith('/') and name not in there:
+            self._send_control(self._game.release(f'the terminal {name} is gone'))
+
+    def _send_control(self, control: Control) -> None:
+        self._control.publish(control_to_message(control))
+
+    def _send(self, moment: Moment) -> None:
+        """Publish a state; where that fails, pause until it can be sent."""
+        self._unsent.append(moment)
+        try:
+            while self._unsent:
+                self._stream.publish(moment_to_message(self._unsent[0]))
+                self._current.publish(moment_to_message(self._unsent[0]))
+                del self._unsent[0]
+        except PublishError as error:
+            self._game.paused = str(error)
+            self.set_status(NodeStatus.STATE_PAUSED, str(error))
+            self._retry.reset()
+
+    def _on_retry(self) -> None:
+        self._retry.cancel()
+        self._game.paused = ''
+        unsent, self._unsent = self._unsent, []
+        for moment in unsent:
+            self._send(moment)
+        if not self._unsent:
+            self.set_status(NodeStatus.STATE_READY)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(GameNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

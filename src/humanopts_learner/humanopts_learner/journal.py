@@ -1,0 +1,94 @@
+"""Files of JSON lines that are only appended to, and that a crash cannot spoil."""
+
+import json
+import os
+from pathlib import Path
+
+
+class Journal:
+    """
+    One file of JSON lines.
+
+    A line is on disk (fsync) before ``append`` returns. A last line that a crash cut off is moved
+    aside when the file is opened; a line that was written whole is never lost.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """
+        Open the file, which need not exist, and mend its end.
+
+        :raises OSError: it cannot be read, or its end cannot be mended.
+        """
+        self.path = path
+        self.damage = ''  # what was mended, in words
+        content = path.read_bytes() if path.exists() else b''
+        end = content.rfind(b'\n') + 1
+        whole = content[:end]
+        if content[end:]:
+            whole += self._mend(end, content[end:])
+        self.lines = whole.decode(errors='replace').split('\n')[:-1]
+
+    def append(self, line: str) -> None:
+        """
+        Add a line.
+
+        :raises OSError: it could not be written; nothing of it is kept.
+        """
+        append_bytes(self.path, line.encode() + b'\n')
+        self.lines.append(line)
+
+    def _mend(self, size: int, torn: bytes) -> bytes:
+        """Complete a last line that lacks only its end; move any other aside."""
+        try:
+            json.loads(torn)
+        except ValueError:
+            aside = _free_name(self.path)
+            append_bytes(aside, torn)
+            os.truncate(self.path, size)
+            sync(self.path)
+            self.damage = (
+                f'the last line of {self.path} was cut off; its {len(torn)} bytes are now in '
+                f'{aside.name}, and all lines before it are kept'
+            )
+            return b''
+        append_bytes(self.path, b'\n')
+        return torn + b'\n'
+
+
+def append_bytes(path: Path, content: bytes) -> None:
+    """
+    Append and fsync.
+
+    :raises OSError: it could not be written; the file is cut back to what it was.
+    """
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    try:
+        size = os.fstat(handle).st_size
+        try:
+            left = memoryview(content)
+            while left:
+                left = left[os.write(handle, left) :]
+            os.fsync(handle)
+        except OSError:
+            os.ftruncate(handle, size)
+            raise
+    finally:
+        os.close(handle)
+    if size == 0:
+        sync(path.parent)
+
+
+def sync(path: Path) -> None:
+    """Have a file's or a folder's changes on disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _free_name(path: Path) -> Path:
+    number = 1
+    while (aside := path.with_name(f'{path.name}.torn-{number}')).exists():
+        number += 1
+    return aside

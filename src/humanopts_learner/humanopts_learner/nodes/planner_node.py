@@ -1,0 +1,349 @@
+"""The node ``planner``: SMDP value iteration, and acting by the policy over options it gives."""
+
+import math
+import sys
+import threading
+import time
+from typing import Any
+import uuid
+
+from humanopts_env.convert import domain_from_info
+from humanopts_env.domains.base import DomainError
+from humanopts_env.nodes.node_base import NodeBase, run_node, StartError
+from humanopts_env.nodes.qos import LATCHED
+from humanopts_interfaces.action import Plan as PlanAction
+from humanopts_interfaces.action import RunPolicy
+from humanopts_interfaces.msg import (
+    DomainInfo,
+    LearnedOptions,
+    OptionResult,
+    PlanGoal,
+    PlanResult,
+    PolicyGoal,
+    PolicyResult,
+)
+from humanopts_interfaces.srv import ResetGame, RunOption
+from humanopts_learner.convert import plan_to_message
+from humanopts_learner.options.files import option_from_json
+from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
+from humanopts_learner.planning.evaluate import episode_starts, play
+from humanopts_learner.planning.plan import make_plan, Plan, PRIMITIVE
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+
+RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
+_TOLERANCE, _MAX_SWEEPS = 1e-8, 10_000
+_FEEDBACK_PERIOD = 0.1  # s
+_RESET_SECONDS, _OPTION_SECONDS = 5.0, 120.0
+_GO_ON = (
+    OptionResult.STATUS_REACHED,
+    OptionResult.STATUS_EPISODE_OVER,
+    OptionResult.STATUS_MAX_STEPS,
+)
+
+
+class PlannerNode(NodeBase):
+    """Plans on request in a thread of its own, and plays episodes through the option server."""
+
+    def __init__(self) -> None:
+        super().__init__('planner')
+        self._domain: Any = None
+        self._options: list[LearnedOption] = []
+        self._version = 0  # of the options
+        self._plans: dict[tuple[str, str], tuple[Plan, int]] = {}
+        self._planning = self._playing = False
+        self._plan_goals = self.stamped_publisher(PlanGoal, 'plan_goals')
+        self._plan_results = self.stamped_publisher(PlanResult, 'plan_results')
+        self._policy_goals = self.stamped_publisher(PolicyGoal, 'policy_goals')
+        self._policy_results = self.stamped_publisher(PolicyResult, 'policy_results')
+        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, LATCHED)
+        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, LATCHED)
+        group = ReentrantCallbackGroup()
+        self._reset = self.recorded_client(ResetGame, 'reset_game', group)
+        self._run = self.recorded_client(RunOption, 'run_option', group)
+        for kind, name, execute in (
+            (PlanAction, 'plan', self._execute_plan),
+            (RunPolicy, 'run_policy', self._execute_policy),
+        ):
+            ActionServer(
+                self,
+                kind,
+                name,
+                execute,
+                callback_group=group,
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
+                result_timeout=RESULT_TIMEOUT,
+            )
+
+    def waits_for(self) -> str | None:
+        """Wait for the rules of the game."""
+        return None if self._domain is not None else 'domain_info'
+
+    def _on_domain(self, info: DomainInfo) -> None:
+        try:
+            self._domain = domain_from_info(info)
+        except DomainError as error:
+            raise StartError(str(error)) from error
+
+    def _on_options(self, message: LearnedOptions) -> None:
+        try:
+            self._options = [option_from_json(entry.model)[0] for entry in message.options]
+            self._version += 1
+        except OptionError as error:
+            self.get_logger().error(f'learned_options cannot be read: {error}')
+
+    async def _execute_plan(self, handle: ServerGoalHandle) -> PlanAction.Result:
+        result = await self._plan(handle)
+        self._plan_results.publish(result)
+        usable = (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED)
+        _end(handle, result.status in usable, result.status == PlanResult.STATUS_CANCELED)
+        return PlanAction.Result(result=result)
+
+    async def _plan(self, handle: ServerGoalHandle) -> PlanResult:
+        request = handle.request
+        refused = PlanResult(action_set=request.action_set)
+        if self._planning:
+            refused.status = PlanResult.STATUS_BUSY
+            refused.detail = 'the planner is at work on another plan'
+            return refused
+        self._planning = True
+        try:
+            return await self._plan_in_thread(handle, str(uuid.uuid4()))
+        except NoOptionsError as error:
+            refused.status, refused.detail = PlanResult.STATUS_NO_OPTIONS, str(error)
+        except (PlanError, OptionError) as error:
+            refused.status, refused.detail = PlanResult.STATUS_BAD_REQUEST, str(error)
+        except PlanCanceled:
+            refused.status, refused.detail = PlanResult.STATUS_CANCELED, 'canceled by the client'
+        finally:
+            self._planning = False
+        return refused
+
+    async def _plan_in_thread(self, handle: ServerGoalHandle, plan_id: str) -> PlanResult:
+        request = handle.request
+        gamma = request.gamma or self._domain.gamma
+        self._plan_goals.publish(
+            PlanGoal(
+                plan_id=plan_id,
+                action_set=request.action_set,
+                participant=request.participant,
+                gamma=gamma,
+                tolerance=request.tolerance or _TOLERANCE,
+                max_sweeps=request.max_sweeps or _MAX_SWEEPS,
+            )
+        )
+        options, version = self._options_of(request), self._version
+        progress = _Feedback(handle)
+        done: Future = Future(executor=self.executor)
+
+        def work() -> None:
+            try:
+                plan = make_plan(
+                    self._domain,
+                    request.action_set,
+                    options,
+                    gamma,
+                    request.tolerance or _TOLERANCE,
+                    request.max_sweeps or _MAX_SWEEPS,
+                    progress,
+                )
+                done.set_result((plan, self._judge(plan, request)))
+            except Exception as error:
+                done.set_exception(error)
+            self.executor.wake()
+
+        thread = threading.Thread(target=work, name='plan')
+        thread.start()
+        try:
+            plan, returns = await done
+        finally:
+            thread.join()
+        self._plans[request.action_set, request.participant] = plan, version
+        return plan_to_message(plan, plan_id, returns)
+
+    def _options_of(self, request: Any) -> list[LearnedOption]:
+        people = {option.participant for option in self._options}
+        if request.action_set != PRIMITIVE and not request.participant and len(people) > 1:
+            raise PlanError(
+                f'several people taught options: name one of {", ".join(sorted(people))}'
+            )
+        wanted = request.participant
+        return [o for o in self._options if not wanted or o.participant == wanted]
+
+    def _judge(self, plan: Plan, request: Any) -> Any:
+        if not request.evaluation_episodes:
+            return None
+        starts = episode_starts(plan.domain, request.seed, request.evaluation_episodes)
+        return play(plan, starts)
+
+    async def _execute_policy(self, handle: ServerGoalHandle) -> RunPolicy.Result:
+        result = await self._act(handle)
+        self._policy_results.publish(result)
+        canceled = result.status == PolicyResult.STATUS_CANCELED
+        _end(handle, result.status == PolicyResult.STATUS_DONE, canceled)
+        return RunPolicy.Result(result=result)
+
+    async def _act(self, handle: ServerGoalHandle) -> PolicyResult:
+        request = handle.request
+        result = PolicyResult(
+            action_set=request.action_set, mean_return=math.nan, mean_discounted_return=math.nan
+        )
+        plan, version = self._plans.get((request.action_set, request.participant), (None, 0))
+        if self._playing:
+            result.status, result.detail = result.STATUS_BUSY, 'a policy is running already'
+        elif plan is None:
+            result.status = result.STATUS_NO_PLAN
+            result.detail = f'there is no {request.action_set!r} plan yet: plan it first'
+        elif version != self._version and request.action_set != PRIMITIVE:
+            result.status = result.STATUS_NO_PLAN
+            result.detail = 'the options changed since they were planned with: plan again'
+        elif request.episodes == 0:
+            result.status, result.detail = result.STATUS_BAD_REQUEST, 'episodes is 0'
+        else:
+            self._playing = True
+            try:
+                await self._play(handle, plan, result)
+            finally:
+                self._playing = False
+        return result
+
+    async def _play(self, handle: ServerGoalHandle, plan: Plan, result: PolicyResult) -> None:
+        request, domain = handle.request, plan.domain
+        result.run_id = str(uuid.uuid4())
+        limit = request.max_decisions or domain.max_steps
+        self._policy_goals.publish(
+            PolicyGoal(
+                run_id=result.run_id,
+                action_set=request.action_set,
+                participant=request.participant,
+                episodes=request.episodes,
+                seed=request.seed,
+                max_decisions=limit,
+            )
+        )
+        starts = episode_starts(domain, request.seed, request.episodes)
+        totals, discounted = [], []
+        for number, start in enumerate(starts):
+            episode = _Episode(self, plan, result, handle)
+            if not await episode.play(int(start), request.seed + number, limit):
+                return
+            totals.append(episode.total)
+            discounted.append(episode.discounted)
+            result.episodes += 1
+            result.mean_return = math.fsum(totals) / len(totals)
+            result.mean_discounted_return = math.fsum(discounted) / len(discounted)
+            handle.publish_feedback(
+                RunPolicy.Feedback(
+                    episodes=result.episodes,
+                    successes=result.successes,
+                    fallbacks=result.fallbacks,
+                    mean_return=result.mean_return,
+                )
+            )
+        result.status = PolicyResult.STATUS_DONE
+
+    async def reset(self, state: str, seed: int) -> Any:
+        """Begin an episode; None when game does not answer."""
+        request = ResetGame.Request(
+            source=ResetGame.Request.SOURCE_MACHINE, start_state=state, seed=seed
+        )
+        return await self.answer(self._reset, request, _RESET_SECONDS)
+
+    async def run_option(self, name: str, participant: str, episode: int, step: int) -> Any:
+        """Run an option to its end; None when option_server does not answer."""
+        request = RunOption.Request(
+            option_name=name, participant=participant, episode=episode, step=step
+        )
+        response = await self.answer(self._run, request, _OPTION_SECONDS)
+        return None if response is None else response.result
+
+
+class _Episode:
+    """One episode by a plan; its counts go into the result of the whole run."""
+
+    def __init__(
+        self, node: PlannerNode, plan: Plan, result: PolicyResult, handle: ServerGoalHandle
+    ) -> None:
+        self._node, self._plan, self._result, self._handle = node, plan, result, handle
+        self.total = self.discounted = 0.0
+
+    async def play(self, start: int, seed: int, limit: int) -> bool:
+        """Play to the end; False: the run is over, and the result says why."""
+        domain, state, step = self._plan.domain, start, 0
+        reset = await self._node.reset(domain.encode(domain.state_at(start)), seed)
+        if reset is None:
+            return self._fail('game did not answer reset_game')
+        if reset.status == ResetGame.Response.STATUS_HELD_BY_PERSON:
+            return self._stop(PolicyResult.STATUS_INTERRUPTED, reset.detail)
+        if reset.status != ResetGame.Response.STATUS_OK:
+            return self._fail(f'game refused to begin an episode: {reset.detail}')
+        for _ in range(limit):
+            if self._handle.is_cancel_requested:
+                return self._stop(PolicyResult.STATUS_CANCELED, 'canceled by the client')
+            decision = self._plan.choose(state)
+            self._result.decisions += 1
+            self._result.fallbacks += decision.fallback
+            participant = self._handle.request.participant
+            run = await self._node.run_option(decision.name, participant, reset.episode, step)
+            if run is None:
+                return self._fail('option_server did not answer run_option')
+            self.total += run.total_reward
+            self.discounted += self._plan.gamma**step * run.discounted_return
+            step += run.step_count
+            if run.status == OptionResult.STATUS_INTERRUPTED:
+                return self._stop(PolicyResult.STATUS_INTERRUPTED, run.detail)
+            if run.status not in _GO_ON:
+                return self._fail(f'{decision.name!r} in {run.final_state!r}: {run.detail}')
+            if run.terminated or run.truncated:
+                self._result.successes += run.terminated
+                return True
+            state = domain.index(domain.decode(run.final_state))
+        return True
+
+    def _fail(self, detail: str) -> bool:
+        return self._stop(PolicyResult.STATUS_FAILED, detail)
+
+    def _stop(self, status: int, detail: str) -> bool:
+        self._result.status, self._result.detail = status, detail
+        return False
+
+
+class _Feedback:
+    """Publishes how far planning is, and raises ``PlanCanceled`` when the client wants no more."""
+
+    def __init__(self, handle: ServerGoalHandle) -> None:
+        self._handle = handle
+        self._stage, self._next = '', 0.0
+
+    def __call__(self, stage: str, fraction: float, sweeps: int, residual: float) -> None:
+        if self._handle.is_cancel_requested:
+            raise PlanCanceled
+        now = time.monotonic()
+        if stage != self._stage or now >= self._next:
+            self._stage, self._next = stage, now + _FEEDBACK_PERIOD
+            self._handle.publish_feedback(
+                PlanAction.Feedback(
+                    stage=stage, progress=fraction, sweeps=sweeps, residual=residual
+                )
+            )
+
+
+def _end(handle: ServerGoalHandle, good: bool, canceled: bool) -> None:
+    if good:
+        handle.succeed()
+    elif canceled:
+        handle.canceled()
+    else:
+        handle.abort()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(PlannerNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,121 @@
+"""What a person watches while a demo runs: the board, the lesson, the criteria."""
+
+from collections.abc import Hashable
+from typing import Any
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from humanopts_env.convert import domain_from_info
+from humanopts_env.domains.base import Domain
+from humanopts_teach.nodes.conductor import Conductor
+from humanopts_teach.terminal.board import board_text
+
+_LINE_EVERY = 10  # demonstrations, where lines are printed instead of a live picture
+
+
+class DemoProgress:
+    """
+    Shows how far a demo is, live on a terminal and as lines anywhere else.
+
+    Call it with the conductor as often as wanted; it draws only what changed.
+    """
+
+    def __init__(self, console: Console | None = None) -> None:
+        self._console = console or Console()
+        self._live = Live(console=self._console, refresh_per_second=8)
+        self._domain: Domain[Hashable] | None = None
+        self._stage = 'starting the nodes'
+        self._said: set[str] = set()
+
+    def __enter__(self) -> 'DemoProgress':
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+
+    def stage(self, text: str) -> None:
+        """Begin the next part of the work."""
+        self._stage = text
+        if self._console.is_terminal:
+            self._live.update(Text(f'\n{text} ...'))
+        else:
+            self._say(f'{text} ...')
+
+    def __call__(self, conductor: Conductor) -> None:
+        """Draw the graph's current values."""
+        node = conductor.node
+        if self._domain is None and node.domain.message is not None:
+            self._domain = domain_from_info(node.domain.message)
+        if self._console.is_terminal:
+            self._live.update(self._picture(conductor))
+        else:
+            self._lines(conductor)
+
+    def _picture(self, conductor: Conductor) -> Group:
+        node = conductor.node
+        parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
+        if self._domain is not None and node.state.message is not None:
+            state = self._domain.decode(node.state.message.state)
+            parts.append(board_text(self._domain, state))
+        if node.learning.message is not None and node.learning.message.options:
+            parts.append(_criteria_table(node.learning.message))
+        if hasattr(node.feedback, 'fallbacks'):
+            parts.append(Text(_episodes(node.feedback)))
+        return Group(*parts)
+
+    def _lines(self, conductor: Conductor) -> None:
+        node = conductor.node
+        if self._domain is not None and node.state.message is not None:
+            state = self._domain.decode(node.state.message.state)
+            self._say('the first state:\n' + self._domain.render(state), key='first state')
+        for option in node.learning.message.options if node.learning.message else ():
+            given = option.n_demonstrations + option.n_not_here
+            if option.criteria_met or given % _LINE_EVERY == 0:
+                self._say(f'{option.option_name}: {_criteria_words(option)}')
+
+    def _say(self, text: str, key: str = '') -> None:
+        if (key or text) not in self._said:
+            self._said.add(key or text)
+            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def _criteria_table(learning: Any) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column('option')
+    for name in ('shown', 'not here', 'return', 'initiation', 'termination'):
+        table.add_column(name, justify='right')
+    for option in learning.options:
+        cells = [_criterion(criterion) for criterion in option.criteria]
+        table.add_row(
+            option.option_name, str(option.n_demonstrations), str(option.n_not_here), *cells
+        )
+    return table
+
+
+def _criterion(criterion: Any) -> Text:
+    if not criterion.measurable:
+        return Text('not yet', style='dim')
+    mark, style = ('met', 'green') if criterion.met else ('>', 'yellow')
+    sign = '' if criterion.met else f' {mark} {criterion.threshold:g}'
+    return Text(f'{criterion.value:.3g}{sign}', style=style)
+
+
+def _criteria_words(option: Any) -> str:
+    measured = [
+        f'{c.name} {c.value:.3g} (target {c.threshold:g})' for c in option.criteria if c.measurable
+    ]
+    met = 'criteria met' if option.criteria_met else 'criteria not met yet'
+    shown = f'{option.n_demonstrations} demonstrations, {option.n_not_here} not here'
+    return '; '.join([shown, ', '.join(measured) or 'nothing measurable yet', met])
+
+
+def _episodes(feedback: Any) -> str:
+    return (
+        f'{feedback.episodes} episodes played, {feedback.successes} delivered, '
+        f'{feedback.fallbacks} fallbacks, mean return {feedback.mean_return:.2f}'
+    )

@@ -1,0 +1,102 @@
+"""A launched graph for the length of one command."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+import signal
+from types import FrameType
+
+from humanopts_env.domains.base import DomainError
+from humanopts_env.domains.registry import make_domain
+from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.launching.launcher import Launcher
+from humanopts_teach.launching.lock import only_launch
+from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
+from humanopts_teach.nodes.conductor import Conductor
+
+
+@dataclass(frozen=True)
+class Session:
+    """The processes of a launch and the node that conducts them."""
+
+    launcher: Launcher
+    conductor: Conductor
+
+
+def check_setup(setup: Setup) -> None:
+    """
+    Refuse a launch that cannot work, before anything is started.
+
+    :raises CommandError: no such domain, or the output folder cannot be used.
+    """
+    try:
+        make_domain(setup.domain, setup.domain_parameters)
+    except DomainError as error:
+        raise CommandError(str(error)) from error
+    if setup.record and setup.bag.exists():
+        raise CommandError(f'{setup.bag} exists already; choose another folder')
+    try:
+        setup.directory.mkdir(parents=True, exist_ok=True)
+        probe = setup.directory / '.probe'
+        probe.write_bytes(b'\0' * 4096)
+        probe.unlink()
+    except OSError as error:
+        raise CommandError(f'cannot write in {setup.directory}: {error.strerror}') from error
+
+
+@contextmanager
+def session(
+    setup: Setup, namespace: str, progress: Callable[[Conductor], None] = lambda _: None
+) -> Iterator[Session]:
+    """
+    Launch a graph, wait until it is ready, and stop it whatever happens, the recorder last.
+
+    :param progress: called about twenty times a second while something is waited for.
+    :raises LaunchError: a node died or does not become ready, or another launch is in the way.
+    :raises KeyboardInterrupt: SIGINT or SIGTERM; a second one is ignored while stopping.
+    """
+    specs = processes(setup)
+    launcher = Launcher(specs, setup.directory / 'log', namespace)
+    with only_launch(namespace), _interruptible():
+        conductor = _conduct(setup, namespace, launcher, progress)
+        try:
+            launcher.start()
+            names = [_node(namespace, spec) for spec in specs if not spec.terminal]
+            conductor.wait_ready(names)
+            yield Session(launcher, conductor)
+        finally:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            conductor.close()
+            launcher.stop()
+
+
+def _conduct(
+    setup: Setup, namespace: str, launcher: Launcher, progress: Callable[[Conductor], None]
+) -> Conductor:
+    def watch() -> None:
+        launcher.check()
+        progress(conductor)
+
+    conductor = Conductor(namespace, record=setup.record, watch=watch)
+    return conductor
+
+
+def _node(namespace: str, spec: ProcessSpec) -> str:
+    return f'{namespace.rstrip("/")}/{spec.name}'
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Turn SIGTERM and SIGHUP into what Ctrl-C is."""
+
+    def interrupt(signum: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, interrupt) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,27 @@
+"""``humanopts teach DOMAIN``: launch, and teach from this terminal's keyboard."""
+
+import argparse
+from pathlib import Path
+import sys
+
+from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.commands.session import check_setup, session
+from humanopts_teach.commands.setup import new_name, setup_from
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Launch the graph and give the terminal to the person until they quit."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise CommandError('teaching needs a terminal for input and output')
+    setup = setup_from(
+        arguments,
+        Path('runs') / arguments.domain,
+        bag_name=new_name('bags/teach'),
+        participant=arguments.participant, keyboard=True,
+    )
+    check_setup(setup)
+    print('starting ...', flush=True)
+    with session(setup, arguments.namespace) as running:
+        status = running.launcher.run_terminal()
+    print(f'demonstrations, options and the bag are in {setup.directory}')
+    return status

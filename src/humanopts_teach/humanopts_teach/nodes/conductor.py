@@ -1,0 +1,219 @@
+"""The command line's own node: sees that the graph is ready, and asks it for work."""
+
+from collections.abc import Callable
+import time
+from typing import Any, Generic, TypeVar
+
+from humanopts_env.nodes.node_base import NodeBase
+from humanopts_env.nodes.qos import LATCHED, LATCHED_ALL
+from humanopts_interfaces.action import Plan, RunPolicy
+from humanopts_interfaces.msg import (
+    DomainInfo,
+    GameState,
+    LearnedOptions,
+    LearningStatus,
+    LessonState,
+    NodeStatus,
+    OptionStatus,
+    PlanResult,
+    PolicyResult,
+    RecorderStatus,
+)
+from humanopts_teach.launching.launcher import LaunchError
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+M = TypeVar('M')
+FINISHED = 'finished'  # how simulated_teacher says that it has taught everything
+
+
+class Latest(Generic[M]):
+    """The newest message of a latched topic."""
+
+    def __init__(self, node: NodeBase, kind: type[M], topic: str) -> None:
+        self.message: M | None = None
+        node.create_subscription(kind, topic, self._keep, LATCHED)
+
+    def _keep(self, message: M) -> None:
+        self.message = message
+
+
+class ConductorNode(NodeBase):
+    """Knows every node's status and the current values of the graph."""
+
+    def __init__(self) -> None:
+        super().__init__('conductor')
+        self.statuses: dict[str, NodeStatus] = {}  # by fully qualified node name
+        self.duplicates: set[str] = set()  # node names that two processes use
+        self.create_subscription(NodeStatus, 'node_status', self._keep_status, LATCHED_ALL)
+        self.state = Latest(self, GameState, 'current_state')
+        self.domain = Latest(self, DomainInfo, 'domain_info')
+        self.lesson = Latest(self, LessonState, 'lesson_state')
+        self.learning = Latest(self, LearningStatus, 'learning_status')
+        self.options = Latest(self, LearnedOptions, 'learned_options')
+        self.recorder = Latest(self, RecorderStatus, 'recorder_status')
+        self.plan_client = ActionClient(self, Plan, 'plan')
+        self.policy_client = ActionClient(self, RunPolicy, 'run_policy')
+        self.feedback: Any = None  # of the action under way
+
+    def on_feedback(self, message: Any) -> None:
+        """Keep how far an action is."""
+        self.feedback = message.feedback
+
+    def _keep_status(self, status: NodeStatus) -> None:
+        known = self.statuses.get(status.node)
+        other = known is not None and known.publisher_id != status.publisher_id
+        if other and known is not None and known.state != NodeStatus.STATE_STOPPING:
+            self.duplicates.add(status.node)
+        self.statuses[status.node] = status
+
+
+class Conductor:
+    """
+    Drives a launched graph from the command line's thread.
+
+    Every wait looks after the processes and has a deadline; ``watch`` is called about twenty
+    times a second meanwhile: it checks the processes, and shows progress.
+    """
+
+    def __init__(self, namespace: str, *, record: bool, watch: Callable[[], None]) -> None:
+        arguments = ['--ros-args', '-r', f'__ns:={namespace}', '--disable-stdout-logs']
+        arguments += ['-p', f'expect_recorder:={str(record).lower()}']
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = ConductorNode()
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._record = record
+        self._watch = watch
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.node.set_status(NodeStatus.STATE_STOPPING)
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def wait(self, done: Callable[[], bool], seconds: float, what: str) -> None:
+        """
+        Serve the graph until ``done``.
+
+        :param what: what is waited for, to complete "gave up waiting for ...".
+        :raises LaunchError: a process died, a node cannot go on, or the time is over.
+        """
+        deadline = time.monotonic() + seconds
+        looked = 0.0
+        while not done():
+            now = time.monotonic()
+            if now - looked > 0.05:
+                looked = now
+                self._watch()
+                self._check_statuses()
+            if now > deadline:
+                raise LaunchError(f'gave up waiting for {what} after {seconds:.0f} s')
+            self._executor.spin_once(0.05)
+
+    def wait_ready(self, names: list[str], seconds: float = 60.0) -> None:
+        """
+        Wait until nodes are ready and, if one runs, the recorder has every topic.
+
+        :raises LaunchError: as ``wait``; the text says which nodes are missing.
+        """
+        try:
+            self.wait(lambda: not self._missing(names), seconds, 'the nodes')
+        except LaunchError as error:
+            if not (missing := self._missing(names)):
+                raise
+            raise LaunchError(f'{error}; not ready: {", ".join(missing)}') from error
+
+    def plan(self, action_set: str, episodes: int, seed: int) -> dict[str, Any]:
+        """
+        Have the planner plan and judge the plan.
+
+        :param episodes: to judge it by, from start states drawn by ``seed``.
+        :return: the fields of PlanResult, and ``names`` of its columns.
+        :raises LaunchError: it refused, failed or did not answer.
+        """
+        goal = Plan.Goal(action_set=action_set, evaluation_episodes=episodes, seed=seed)
+        result: PlanResult = self._act(self.node.plan_client, goal, f'the {action_set} plan')
+        if result.status not in (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED):
+            raise LaunchError(f'planning with {action_set} failed: {result.detail}')
+        return fields_of(result)
+
+    def play(self, action_set: str, episodes: int, seed: int) -> dict[str, Any]:
+        """
+        Have the planner play episodes through the option server.
+
+        :return: the fields of PolicyResult.
+        :raises LaunchError: it refused, failed or did not answer.
+        """
+        goal = RunPolicy.Goal(action_set=action_set, episodes=episodes, seed=seed)
+        result: PolicyResult = self._act(self.node.policy_client, goal, 'the episodes')
+        if result.status != PolicyResult.STATUS_DONE:
+            raise LaunchError(f'playing by the {action_set} plan failed: {result.detail}')
+        return fields_of(result)
+
+    def learned(self) -> list[tuple[str, OptionStatus]]:
+        """Return the option file's JSON and the status of every learned option."""
+        options, learning = self.node.options.message, self.node.learning.message
+        if options is None or learning is None:
+            return []
+        status = {(entry.participant, entry.option_name): entry for entry in learning.options}
+        return [
+            (entry.model, status[entry.participant, entry.name])
+            for entry in options.options
+            if (entry.participant, entry.name) in status
+        ]
+
+    def teacher_finished(self) -> bool:
+        """Tell whether the simulated teacher has taught everything."""
+        status = self._status('simulated_teacher')
+        return status is not None and status.text == FINISHED
+
+    def _act(self, client: ActionClient, goal: Any, what: str, seconds: float = 600.0) -> Any:
+        """Send a goal, wait, and return the ``result`` field of the action's result."""
+        self.wait(client.server_is_ready, 10.0, 'the planner')
+        sent = client.send_goal_async(goal, feedback_callback=self.node.on_feedback)
+        self.wait(sent.done, 10.0, f'the planner to accept {what}')
+        handle = sent.result()
+        if not handle.accepted:
+            raise LaunchError(f'the planner refused {what}')
+        reply = handle.get_result_async()
+        self.wait(reply.done, seconds, what)
+        return reply.result().result.result
+
+    def _status(self, name: str) -> NodeStatus | None:
+        prefix = self.node.get_namespace().rstrip('/')
+        return self.node.statuses.get(f'{prefix}/{name}')
+
+    def _missing(self, names: list[str]) -> list[str]:
+        ready = {
+            name
+            for name, status in self.node.statuses.items()
+            if status.state == NodeStatus.STATE_READY
+        }
+        missing = [name for name in names if name not in ready]
+        recorder = self.node.recorder.message
+        if self._record and not missing and not (recorder and recorder.complete):
+            missing.append('the recorder has not got every topic')
+        return missing
+
+    def _check_statuses(self) -> None:
+        if self.node.duplicates:
+            raise LaunchError(
+                f'{", ".join(sorted(self.node.duplicates))} runs already in this ROS_DOMAIN_ID '
+                'and namespace; stop the other launch, or choose another --namespace or '
+                'ROS_DOMAIN_ID'
+            )
+        for name, status in self.node.statuses.items():
+            if status.state == NodeStatus.STATE_PAUSED:
+                raise LaunchError(f'{name} cannot go on: {status.text}')
+        recorder = self.node.recorder.message
+        if recorder is not None and recorder.stopped and recorder.text:
+            raise LaunchError(f'the recording stopped: {recorder.text}')
+
+
+def fields_of(message: Any) -> dict[str, Any]:
+    """Return a message's fields by name."""
+    return {name: getattr(message, name) for name in message.get_fields_and_field_types()}
