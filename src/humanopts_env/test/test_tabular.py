@@ -1,0 +1,98 @@
+"""Reachability and shortest ways in chains small enough to check by hand."""
+
+from typing import Any, cast
+
+from humanopts_env.domains.base import EnumerableDomain, Transitions
+from humanopts_env.domains.tabular import distance_to, reachable
+import numpy as np
+import pytest
+
+
+def table(*successors: tuple[int, ...]) -> Transitions:
+    """Return deterministic transitions from the successors of each state."""
+    successor = np.array(successors, dtype=np.int32)[:, :, None]
+    shape = successor.shape
+    return Transitions(successor, np.ones(shape), np.zeros(shape), np.zeros(shape, np.bool_))
+
+
+class Chain:
+    """States 0 to 4; 3 is over, and 4 comes after it."""
+
+    n_states = 5
+
+    def __init__(self, transitions: Transitions) -> None:
+        """Keep the transitions."""
+        self._transitions = transitions
+
+    def transitions(self) -> Transitions:
+        """Return what was given."""
+        return self._transitions
+
+    def start_states(self) -> np.ndarray[Any, Any]:
+        """Start in 1."""
+        return np.array([1], dtype=np.int32)
+
+    def over(self) -> np.ndarray[Any, Any]:
+        """End in 3."""
+        return np.array([False, False, False, True, False])
+
+
+def visited(transitions: Transitions) -> list[int]:
+    """Return the reachable states of the chain."""
+    domain = cast(EnumerableDomain[Any], Chain(transitions))
+    return np.flatnonzero(reachable(domain)).tolist()
+
+
+def test_nothing_is_reached_through_the_end() -> None:
+    """From 1 to 2 and 3; 4 lies behind the end, and nothing leads to 0."""
+    assert visited(table((1,), (2,), (3,), (4,), (0,))) == [1, 2, 3]
+
+
+def test_what_never_happens_is_not_reached() -> None:
+    """The second outcome has probability 0."""
+    successor = np.array([[[1, 1]], [[2, 0]], [[2, 2]], [[3, 3]], [[4, 4]]], dtype=np.int32)
+    probability = np.tile([1.0, 0.0], (5, 1, 1))
+    shape = successor.shape
+    transitions = Transitions(
+        successor, probability, np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+    )
+    assert visited(transitions) == [1, 2]
+
+
+# actions: right, stay, jump (from 0 to 3 only); 4 is a sink
+LINE = table((1, 0, 3), (2, 1, 1), (3, 2, 2), (4, 3, 3), (4, 4, 4))
+LAST = np.zeros((5, 3), dtype=np.bool_)
+LAST[3, 0] = True  # right, from 3 to 4
+
+
+def test_the_last_action_counts_and_all_shortest_ways_are_found() -> None:
+    """0 jumps to 3; 1 and 2 walk; 4 has no way."""
+    distance, optimal = distance_to(LINE, LAST, np.ones(5, dtype=np.bool_))
+    assert distance.tolist() == [2, 3, 2, 1, -1]
+    assert optimal.astype(int).tolist() == [[0, 0, 1], [1, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 0]]
+
+
+def test_ways_stay_in_allowed_states() -> None:
+    """Without 2 there is no way from 1; without 3 there is none at all."""
+    allowed = np.array([True, True, False, True, True])
+    assert distance_to(LINE, LAST, allowed)[0].tolist() == [2, -1, -1, 1, -1]
+    distance, optimal = distance_to(LINE, LAST, np.arange(5) != 3)
+    assert (distance == -1).all()
+    assert not optimal.any()
+
+
+def test_two_equal_ways_are_both_optimal() -> None:
+    """Either action leads to the goal in one step."""
+    goal = np.array([[True, True], [False, False]])
+    _, optimal = distance_to(table((1, 1), (1, 1)), goal, np.array([True, False]))
+    assert optimal.tolist() == [[True, True], [False, False]]
+
+
+def test_chance_is_refused() -> None:
+    """A shortest way is not defined there."""
+    shape = (1, 1, 2)
+    chance = Transitions(
+        np.zeros(shape, np.int32), np.full(shape, 0.5), np.zeros(shape), np.zeros(shape, np.bool_)
+    )
+    with pytest.raises(ValueError, match='one outcome'):
+        distance_to(chance, np.ones((1, 1), np.bool_), np.ones(1, np.bool_))

@@ -1,0 +1,250 @@
+"""Taxi's rules, features, notation and drawing, by hand."""
+
+from typing import Any
+
+from humanopts_env.domains.base import DomainError, StateError
+from humanopts_env.domains.tabular import reachable
+from humanopts_env.domains.taxi import Taxi, TaxiState
+from humanopts_env.seeding import generator
+import numpy as np
+import pytest
+
+RNG = generator(0, 'test')
+
+
+def features_of(text: str, domain: Taxi | None = None) -> dict[str, str]:
+    """Return how each feature of a state reads to a person."""
+    domain = domain or Taxi()
+    values = domain.feature_values(domain.decode(text))
+    return {f.name: f.values[value] for f, value in zip(domain.features, values)}
+
+
+def after(text: str, *actions: str) -> tuple[str, list[float]]:
+    """Return the state after some actions, and their rewards."""
+    domain = Taxi()
+    state, rewards = domain.decode(text), []
+    for name in actions:
+        index = [action.name for action in domain.actions].index(name)
+        outcome = domain.step(state, index, RNG)
+        state = outcome.state
+        rewards.append(outcome.reward)
+    return domain.encode(state), rewards
+
+
+def test_a_state_has_the_number_of_dietterichs_encoding() -> None:
+    """((row * 5 + column) * 5 + passenger) * 4 + destination."""
+    assert Taxi().index(TaxiState(3, 1, 2, 0)) == 328
+    assert Taxi().state_at(328) == TaxiState(3, 1, 2, 0)
+
+
+def test_there_are_500_states_300_starts_and_404_reachable() -> None:
+    """Delivered states are reached at the four landmarks only."""
+    domain = Taxi()
+    assert domain.n_states == 500
+    assert len(domain.start_states()) == 300
+    visited = reachable(domain)
+    assert visited.sum() == 404
+    assert (visited & domain.over()).sum() == 4
+
+
+def test_a_delivery_costs_one_for_each_move_nothing_for_the_pickup_and_earns_one() -> None:
+    """From R to G over the gap below the wall."""
+    moves = ('south', 'south', 'east', 'east', 'north', 'north', 'east', 'east')
+    state, rewards = after('taxi 0,0 passenger R destination G', 'pickup', *moves, 'dropoff')
+    assert state == 'taxi 0,4 passenger G destination G'
+    assert rewards == [0, *[-1] * 8, 1]
+
+
+@pytest.mark.parametrize(
+    ('before', 'action', 'end'),
+    [
+        ('taxi 0,1 passenger R destination B', 'east', None),
+        ('taxi 2,1 passenger R destination B', 'east', 'taxi 2,2 passenger R destination B'),
+        ('taxi 4,0 passenger R destination B', 'east', None),
+        ('taxi 4,3 passenger R destination B', 'west', None),
+        ('taxi 0,0 passenger R destination B', 'north', None),
+        ('taxi 1,1 passenger R destination B', 'pickup', None),
+        ('taxi 1,1 passenger aboard destination B', 'pickup', None),
+        ('taxi 0,0 passenger R destination B', 'dropoff', None),
+        ('taxi 1,1 passenger aboard destination B', 'dropoff', None),
+        (
+            'taxi 0,0 passenger aboard destination B',
+            'dropoff',
+            'taxi 0,0 passenger R destination B',
+        ),
+    ],
+)
+def test_walls_and_illegal_actions_leave_the_taxi_where_it_is(
+    before: str, action: str, end: str | None
+) -> None:
+    """Everything but a legal pickup and the delivery costs one."""
+    assert after(before, action) == (end or before, [-1])
+
+
+def test_features_of_a_waiting_passenger() -> None:
+    """The taxi in the north-west corner, where the passenger waits."""
+    assert features_of('taxi 0,0 passenger R destination B') == {
+        'taxi_row': '0',
+        'taxi_col': '0',
+        'passenger_row': '0',
+        'passenger_col': '0',
+        'destination_row': '4',
+        'destination_col': '3',
+        'passenger_in_taxi': 'no',
+        'taxi_at_passenger': 'yes',
+        'taxi_at_destination': 'no',
+        'blocked_moves': 'north, west',
+    }
+
+
+def test_aboard_the_passenger_is_where_the_taxi_is() -> None:
+    """And the taxi is at the passenger."""
+    values = features_of('taxi 2,3 passenger aboard destination G')
+    assert (values['passenger_row'], values['passenger_col']) == ('2', '3')
+    assert values['passenger_in_taxi'] == values['taxi_at_passenger'] == 'yes'
+    assert values['taxi_at_destination'] == 'no'
+    assert values['blocked_moves'] == 'none'
+
+
+def test_walls_block_moves_from_both_sides() -> None:
+    """Bit 0 is south, 1 north, 2 east, 3 west."""
+    assert features_of('taxi 1,1 passenger R destination B')['blocked_moves'] == 'east'
+    assert features_of('taxi 1,2 passenger R destination B')['blocked_moves'] == 'west'
+    at_y = features_of('taxi 4,0 passenger R destination B')
+    assert at_y['blocked_moves'] == 'south, east, west'
+    domain = Taxi()
+    mask = domain.feature_values(domain.decode('taxi 4,0 passenger R destination B'))[9]
+    assert mask == 0b1101
+
+
+def test_questions_complete_the_sentence() -> None:
+    """'Does OPTION depend on ...?'."""
+    questions = [feature.question for feature in Taxi().features]
+    assert questions[0] == 'which row the taxi is in'
+    assert all(question.startswith(('which ', 'whether ')) for question in questions)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'taxi 5,0 passenger R destination B',
+        'taxi 0,5 passenger R destination B',
+        'taxi 02,3 passenger R destination B',
+        'taxi -1,3 passenger R destination B',
+        'taxi ٢,3 passenger R destination B',
+        'taxi 2, 3 passenger R destination B',
+        'taxi 2,3 passenger r destination B',
+        'taxi 2,3 passenger R destination aboard',
+        'taxi 2,3 passenger R',
+    ],
+)
+def test_text_in_another_notation_is_refused(text: str) -> None:
+    """The refusal repeats what was read."""
+    with pytest.raises(StateError):
+        Taxi().decode(text)
+
+
+@pytest.mark.parametrize('bad', [3, 0, -5, 1001, 5.0, '5', True, None])
+def test_a_size_that_is_no_grid_is_refused(bad: Any) -> None:
+    """In words that name the parameter."""
+    with pytest.raises(DomainError, match='rows'):
+        Taxi(rows=bad)
+    with pytest.raises(DomainError, match='cols'):
+        Taxi(cols=bad)
+
+
+@pytest.mark.parametrize('bad', [TaxiState(5, 0, 0, 1), TaxiState(0, -1, 0, 1)])
+def test_a_state_of_another_grid_is_refused(bad: TaxiState) -> None:
+    """It has no number."""
+    with pytest.raises(StateError, match='5 x 5'):
+        Taxi().index(bad)
+
+
+@pytest.mark.parametrize(('rows', 'cols'), [(4, 4), (4, 9), (9, 4), (10, 10), (23, 17)])
+def test_every_open_state_of_any_grid_is_reachable(rows: int, cols: int) -> None:
+    """No wall shuts anything off: all cells, passengers and destinations."""
+    domain = Taxi(rows, cols)
+    visited = reachable(domain)
+    assert visited[~domain.over()].all()
+    assert (visited & domain.over()).sum() == 4
+
+
+def test_ten_by_ten_follows_the_rule() -> None:
+    """Landmarks in the corners, B one west; walls four high east of columns 3, 1 and 5."""
+    board = Taxi(10, 10).render(TaxiState(0, 0, 0, 3), ()).splitlines()[1:-2:2]
+    north = '┃ ·   ·   ·   · ┃ ·   ·   ·   ·   ·   · ┃'
+    middle = '┃ ·   ·   ·   ·   ·   ·   ·   ·   ·   · ┃'
+    south = '┃ ·   · ┃ ·   ·   ·   · ┃ ·   ·   ·   · ┃'
+    assert board == [
+        '┃ R   ·   ·   · ┃ ·   ·   ·   ·   ·   G ┃',
+        *[north] * 3,
+        *[middle] * 2,
+        *[south] * 3,
+        '┃ Y   · ┃ ·   ·   ·   · ┃ ·   ·   B   · ┃',
+    ]
+
+
+def test_the_drawing_shows_taxi_passenger_and_destination() -> None:
+    """The original board with everything on it."""
+    assert Taxi().render(TaxiState(2, 3, 0, 3)).splitlines() == [
+        '┏━━━━━━━┳━━━━━━━━━━━┓',
+        '┃☻R   · ┃ ·   ·   G ┃',
+        '┃       ┃           ┃',
+        '┃ ·   · ┃ ·   ·   · ┃',
+        '┃       ╹           ┃',
+        '┃ ·   ·   ·   □   · ┃',
+        '┃   ╻       ╻       ┃',
+        '┃ · ┃ ·   · ┃ ·   · ┃',
+        '┃   ┃       ┃       ┃',
+        '┃ Y ┃ ·   · ┃ B⚑  · ┃',
+        '┗━━━┻━━━━━━━┻━━━━━━━┛',
+        '□ taxi, empty   ☻ passenger   ⚑ destination   R G Y B landmarks',
+    ]
+
+
+TAXI = {'taxi_row', 'taxi_col'}
+
+
+@pytest.mark.parametrize(
+    ('shown', 'there', 'not_there'),
+    [
+        (set(), '', '□■▒☻⚑:'),
+        (TAXI, '▒', '□■☻⚑:'),
+        (TAXI | {'passenger_in_taxi'}, '■', '□▒☻⚑:'),
+        (TAXI | {'taxi_at_destination'}, '▒:', '□■☻⚑'),
+        ({'destination_row', 'destination_col'}, '⚑', '□■▒☻:'),
+        ({'passenger_row', 'passenger_col'}, '☻', '□■▒⚑:'),
+        ({'passenger_in_taxi'}, ':', '□■▒☻⚑'),
+        ({'taxi_row'}, ':', '□■▒☻⚑'),
+    ],
+)
+def test_only_what_is_shown_is_drawn(shown: set[str], there: str, not_there: str) -> None:
+    """What cannot be drawn on the board is said in a line of words, with a colon."""
+    text = Taxi().render(TaxiState(2, 3, 4, 1), shown)
+    assert all(glyph in text for glyph in there)
+    assert not any(glyph in text for glyph in not_there)
+
+
+def test_words_are_not_coloured() -> None:
+    """A styled character is a thing on the board or its mark in the legend, not a letter."""
+    domain = Taxi()
+    legend = domain.render(TaxiState(0, 0, 0, 1)).splitlines()[-1]
+    assert legend.count('R') == legend.count('G') == legend.count('Y') == legend.count('B') == 1
+    for feature in domain.features:
+        words = feature.name + ''.join(feature.values)
+        assert not set(words) & domain.glyph_styles.keys()
+
+
+def test_slices_lay_the_taxis_cells_out_as_on_the_board() -> None:
+    """Only the taxi's place differs within a slice."""
+    domain = Taxi(4, 6)
+    waiting, aboard = domain.board_slices()
+    assert domain.state_at(int(waiting.states[3, 5])) == TaxiState(3, 5, 0, 3)
+    assert domain.state_at(int(aboard.states[1, 2])) == TaxiState(1, 2, 4, 3)
+
+
+def test_states_to_show_are_drawn_from_all_that_are_open() -> None:
+    """With the passenger aboard too; all 400 turn up."""
+    domain = Taxi()
+    drawn = {domain.index(s) for s in domain.sample_states(generator(1, 'sample'), 8000)}
+    assert drawn == set(np.flatnonzero(~domain.over()).tolist())
