@@ -96,7 +96,7 @@ class NodeBase(Node):
         self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
         self.ready = False
         self.set_status(NodeStatus.STATE_STARTING)
-        self._timers = ReentrantCallbackGroup()
+        self._deadline_group = ReentrantCallbackGroup()
         self._start_timer = self.create_timer(_CHECK_PERIOD, self._check_start)
 
     def setting(self, name: str, default: Any, description: str, **limits: Any) -> Any:
@@ -149,7 +149,7 @@ class NodeBase(Node):
         :return: the response; None when there is none after ``seconds``.
         """
         future = client.call_async(request)
-        timer = self.create_timer(seconds, future.cancel, callback_group=self._timers)
+        timer = self.create_timer(seconds, future.cancel, callback_group=self._deadline_group)
         try:
             return await future
         finally:
