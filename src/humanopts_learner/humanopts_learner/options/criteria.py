@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 FOLDS = 10
 FEWEST = 3  # trajectories without which nothing is measurable
-CUT_OFF = 2  # held-out runs may take so many times the steps of the longest demonstration
+CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstration
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 
 
@@ -187,8 +187,7 @@ def _shortfall(
 ) -> float:
     """Return the mean of demonstrated return - return of the policy that did not see it."""
     pairs = [p for p in zip(data.demonstrations, folds.tolist()) if p[0].kind is Kind.TRAJECTORY]
-    longest = max(len(demo.actions) for demo, _ in pairs)
-    limit = min(options[0].max_steps, CUT_OFF * longest)
+    limits = [min(options[0].max_steps, CUT_OFF * len(demo.actions)) for demo, _ in pairs]
     starts = [domain.decode(demo.states[0]) for demo, _ in pairs]
     if is_enumerable(domain) and domain.transitions().deterministic:
         tables = [option_tables(option, domain) for option in options]
@@ -198,14 +197,14 @@ def _shortfall(
             np.stack([table.termination for table in tables]),
             np.array([fold for _, fold in pairs]),
             np.array([domain.index(state) for state in starts]),
-            limit,
+            np.array(limits),
         ).total_reward
     else:
         runs = [
             rollouts(
                 options[fold], domain, [start], seed, [f'held-out {demo.uuid}'], max_steps=limit
             )
-            for (demo, fold), start in zip(pairs, starts)
+            for (demo, fold), start, limit in zip(pairs, starts, limits)
         ]
         returns = np.concatenate([run.total_reward for run in runs])
     return float(np.mean([demo.total_reward for demo, _ in pairs] - returns))

@@ -52,7 +52,8 @@ def rollouts(
         tables = option_tables(option, domain)
         at = np.array([domain.index(state) for state in starts], dtype=np.intp)
         which = np.zeros(len(at), dtype=np.intp)
-        return follow(domain, tables.action[None], tables.termination[None], which, at, limit)
+        limits = np.full(len(at), limit)
+        return follow(domain, tables.action[None], tables.termination[None], which, at, limits)
     option.check_domain(domain)
     names = keys or [str(number) for number in range(len(starts))]
     runs = [
@@ -73,7 +74,7 @@ def follow(
     termination: NDArray[np.bool_],
     which: NDArray[np.intp],
     starts: NDArray[np.intp],
-    max_steps: int,
+    max_steps: NDArray[np.integer],
 ) -> Walks:
     """
     Run several policies at once in a deterministic domain.
@@ -82,23 +83,23 @@ def follow(
     :param termination: (M, S) where it ends.
     :param which: (N,) the policy of each run.
     :param starts: (N,) its start, a state index.
+    :param max_steps: (N,) where it is cut off, 1 or more.
     """
     table, over = domain.transitions(), domain.over()
     total, steps = np.zeros(len(starts)), np.zeros(len(starts), dtype=np.int64)
     reached, final = np.zeros(len(starts), dtype=np.bool_), starts.copy()
     going, at, policy = np.arange(len(starts)), starts, which
-    for _ in range(max_steps):
-        if not going.size:
-            break
+    while going.size:
         pair = at, action[policy, at], 0
         at = table.successor[pair]
         total[going] += table.reward[pair]
         steps[going] += 1
         final[going] = at
         ended = termination[policy, at] | table.terminated[pair] | over[at]
-        if ended.any():
-            reached[going[ended]] = True
-            going, at, policy = going[~ended], at[~ended], policy[~ended]
+        reached[going[ended]] = True
+        on = ~ended & (steps[going] < max_steps[going])
+        if not on.all():
+            going, at, policy = going[on], at[on], policy[on]
     return Walks(total, steps, reached, final)
 
 
