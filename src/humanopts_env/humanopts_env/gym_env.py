@@ -50,6 +50,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         self.observation_space = gymnasium.spaces.Discrete(rules.n_states)
         self.action_space = gymnasium.spaces.Discrete(len(rules.actions))
         self._state: Any = None
+        self._steps = 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -61,6 +62,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         :raises StateError: that text is not a state.
         """
         super().reset(seed=seed)
+        self._steps = 0
         text = (options or {}).get('state')
         self._state = (
             self.domain.reset(self.np_random) if text is None else self.domain.decode(text)
@@ -69,13 +71,14 @@ class DomainEnv(gymnasium.Env[Any, Any]):
 
     def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
         """
-        Take one primitive action.
+        Take one primitive action; the episode is truncated at the domain's ``max_steps``.
 
         :raises DomainError: no such action, or the episode has ended.
         """
         outcome = self.domain.step(self._state, int(action), self.np_random)
-        self._state = outcome.state
-        return self.domain.index(outcome.state), outcome.reward, outcome.terminated, False, {}
+        self._state, self._steps = outcome.state, self._steps + 1
+        truncated = not outcome.terminated and 0 < self.domain.max_steps <= self._steps
+        return self.domain.index(outcome.state), outcome.reward, outcome.terminated, truncated, {}
 
     def render(self) -> str | None:
         """Return the drawing of the state in render mode 'ansi', else None."""
@@ -111,7 +114,6 @@ def register_all() -> None:
             gymnasium.register(
                 id=name,
                 entry_point='humanopts_env.gym_env:DomainEnv',
-                max_episode_steps=make_domain(domain).max_steps or None,
                 kwargs={'domain': domain},
             )
 

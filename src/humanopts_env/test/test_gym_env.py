@@ -64,7 +64,7 @@ def test_it_takes_the_domains_parameters() -> None:
 
 
 def test_an_episode_is_played_to_its_end() -> None:
-    """From a state given as text, and cut off by Gymnasium at the domain's max_steps."""
+    """From a state given as text, and cut off at the domain's max_steps."""
     env = make(render_mode='ansi')
     env.reset(seed=0, options={'state': 'taxi 4,3 passenger aboard destination B'})
     assert '■' in str(env.render())

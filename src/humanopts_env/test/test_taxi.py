@@ -133,6 +133,7 @@ def test_questions_complete_the_sentence() -> None:
         'taxi -1,3 passenger R destination B',
         'taxi ٢,3 passenger R destination B',
         'taxi 2, 3 passenger R destination B',
+        f'taxi {"9" * 5000},3 passenger R destination B',
         'taxi 2,3 passenger r destination B',
         'taxi 2,3 passenger R destination aboard',
         'taxi 2,3 passenger R',
@@ -200,6 +201,11 @@ def test_the_drawing_shows_taxi_passenger_and_destination() -> None:
         '┗━━━┻━━━━━━━┻━━━━━━━┛',
         '□ taxi, empty   ☻ passenger   ⚑ destination   R G Y B landmarks',
     ]
+
+
+def test_larger_grids_have_longer_episodes() -> None:
+    """200 steps on the original; on any grid enough to cross it many times."""
+    assert (Taxi().max_steps, Taxi(10, 10).max_steps) == (200, 400)
 
 
 TAXI = {'taxi_row', 'taxi_col'}

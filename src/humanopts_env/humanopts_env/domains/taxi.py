@@ -7,7 +7,7 @@ of Gymnasium's Taxi; the rewards are those of Subramanian, Isbell and Thomaz (20
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 import re
 
@@ -38,7 +38,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 SMALLEST, LARGEST = 4, 1000  # rows and columns
-STATE_TEXT = re.compile(r'taxi (\d+),(\d+) passenger (R|G|Y|B|aboard) destination (R|G|Y|B)')
+STATE_TEXT = re.compile(
+    r'taxi (\d{1,3}),(\d{1,3}) passenger (R|G|Y|B|aboard) destination (R|G|Y|B)'
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ class Taxi:
         self.features: Sequence[Feature] = taxi_features(rows, cols)
         self.actions: Sequence[Action] = ACTIONS
         self.gamma = 0.99
-        self.max_steps = 200
+        self.max_steps = 20 * (rows + cols)  # 200 on the 5 x 5 grid
         self.glyph_styles: Mapping[str, str] = GLYPH_STYLES
 
     @property
@@ -171,13 +173,11 @@ class Taxi:
 
         :raises StateError: it is not a state of this grid.
         """
-        limits = (self.rows, self.cols, 5, 4)
-        index = 0
-        for value, limit in zip(astuple(state), limits):
-            if not 0 <= value < limit:
-                raise StateError(f'{state} is not on a grid of {self.rows} x {self.cols} cells')
-            index = index * limit + value
-        return index
+        on_grid = 0 <= state.row < self.rows and 0 <= state.col < self.cols
+        if not (on_grid and 0 <= state.passenger <= ABOARD and 0 <= state.destination < 4):
+            raise StateError(f'{state} is not on a grid of {self.rows} x {self.cols} cells')
+        cell = state.row * self.cols + state.col
+        return (cell * 5 + state.passenger) * 4 + state.destination
 
     def state_at(self, index: int) -> TaxiState:
         """
