@@ -123,8 +123,10 @@ class _Tables:
         n_options = len(plan.options)
         primitives = len(plan.names) - n_options
         self._n_options = n_options
-        self._action = np.array([option.tables.action for option in plan.options])
-        self._termination = np.array([option.tables.termination for option in plan.options])
+        shape = (n_options, plan.domain.n_states)
+        tables = [option.tables for option in plan.options]
+        self._action = np.array([t.action for t in tables], dtype=np.intp).reshape(shape)
+        self._ends = np.array([t.termination for t in tables], dtype=np.bool_).reshape(shape)
         self.limit = np.array([o.max_steps for o in plan.options] + [1] * primitives)
 
     def action(self, column: Ints, state: Ints) -> Ints:
@@ -138,5 +140,5 @@ class _Tables:
         """Tell where the termination condition holds, (E,)."""
         ends = column >= self._n_options
         learned = ~ends
-        ends[learned] = self._termination[column[learned], state[learned]]
+        ends[learned] = self._ends[column[learned], state[learned]]
         return ends

@@ -1,0 +1,257 @@
+"""One option run, step by step, to each of its ends."""
+
+from pathlib import Path
+import re
+from typing import Any
+
+from humanopts_env.domains.registry import parameters_json
+from humanopts_env.domains.taxi import Taxi, TaxiState
+from humanopts_learner.execution import End, OptionRun, refusal, RunError, Status, TEXT
+from humanopts_learner.library import (
+    AmbiguousOptionError,
+    OptionLibrary,
+    PrimitiveOption,
+    UnknownOptionError,
+)
+from humanopts_learner.options.option import LearnedOption, Mode, OptionError
+from humanopts_learner.trees.encoding import encode_rows, encoding
+from humanopts_learner.trees.fitting import fit_tree
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+
+TAXI = Taxi()
+SOUTH, NORTH, EAST, WEST, PICKUP, DROPOFF = range(6)
+FAR = TaxiState(row=4, col=0, passenger=0, destination=1)  # the passenger waits at 0,0
+MESSAGE = Path(__file__).parents[2] / 'humanopts_interfaces' / 'msg' / 'OptionResult.msg'
+
+
+def option(
+    action: NDArray[np.integer] | int,
+    ends: NDArray[np.bool_] | bool,
+    name: str = 'drive',
+    participant: str = 'ann',
+    domain: Taxi = TAXI,
+    max_steps: int = 50,
+) -> LearnedOption:
+    """Return an option that starts where nobody is aboard; its trees say what is given, (S,)."""
+    columns = encoding(domain, [feature.name for feature in domain.features])
+    X = encode_rows(columns, domain.feature_table())
+    column = [feature.name for feature in domain.features].index('passenger_in_taxi')
+    waits = domain.feature_table()[:, column] == 0
+
+    def tree(labels: NDArray[Any] | int, classes: tuple[int, ...]) -> Any:
+        return fit_tree(X, np.broadcast_to(labels, len(X)).astype(int), classes, 0)
+
+    return LearnedOption(
+        name=name,
+        participant=participant,
+        domain=domain.name,
+        domain_parameters=parameters_json(domain),
+        actions=tuple(a.name for a in domain.actions),
+        features=('taxi_row',),
+        columns=columns,
+        policy=tree(action, tuple(range(6))),
+        initiation=tree(waits, (0, 1)),
+        termination=tree(ends, (0, 1)),
+        n_demonstrations=1,
+        n_not_here=0,
+        max_steps=max_steps,
+        uuids=(),
+    )
+
+
+def feature(name: str) -> NDArray[np.int32]:
+    """Return one feature of every state, (S,)."""
+    column: NDArray[np.int32] = TAXI.feature_table()[
+        :, [f.name for f in TAXI.features].index(name)
+    ]
+    return column
+
+
+def drive(run: OptionRun, start: TaxiState, cut_off: int = 1000) -> End:
+    """Run in the rules of the game until it ends; episodes are cut off after so many steps."""
+    state, rng = start, np.random.default_rng(0)
+    ended = run.begin(state, episode=3, step=7)
+    for step in range(1, 1000):
+        if ended is not None:
+            return ended
+        outcome = TAXI.step(state, run.next_action(), rng)
+        state = outcome.state
+        ended = run.observe(state, outcome.reward, outcome.terminated, step >= cut_off)
+    raise AssertionError('the run never ended')
+
+
+def test_statuses_are_those_of_the_message() -> None:
+    constants = re.findall(r'^uint8 STATUS_(\w+)=(\d+)', MESSAGE.read_text(), re.MULTILINE)
+    wanted = {name: int(value) for name, value in constants if name != 'UNKNOWN'}
+    assert {status.name: status.value for status in Status} == wanted
+    assert set(TEXT) == set(Status)
+    assert len(set(TEXT.values())) == len(Status)
+
+
+def test_a_run_that_reaches_its_end_adds_up_what_it_earned() -> None:
+    run = OptionRun(option(NORTH, feature('taxi_row') == 0), TAXI, gamma=0.9)
+    end = drive(run, FAR)
+    assert end == End(
+        status=Status.REACHED,
+        detail=TEXT[Status.REACHED],
+        option_name='drive',
+        episode=3,
+        first_step=7,
+        step_count=4,
+        total_reward=-4.0,
+        discounted_return=pytest.approx(-(1 + 0.9 + 0.81 + 0.729)),
+        final_state='taxi 0,0 passenger R destination G',
+    )
+
+
+def test_termination_is_looked_at_only_after_a_step() -> None:
+    end = drive(OptionRun(option(NORTH, True), TAXI, 0.9), FAR)
+    assert (end.status, end.step_count) == (Status.REACHED, 1)
+
+
+def test_reached_goes_before_the_end_of_the_episode() -> None:
+    at_goal = TaxiState(0, 4, passenger=4, destination=1)
+    end = drive(OptionRun(primitive(DROPOFF), TAXI, 0.9), at_goal)
+    assert (end.status, end.terminated, end.total_reward) == (Status.REACHED, True, 1.0)
+
+
+def test_the_end_of_the_task_ends_the_run() -> None:
+    run = OptionRun(option(NORTH, False), TAXI, 0.9)
+    assert run.begin(FAR, 1, 0) is None
+    end = run.observe(TaxiState(0, 0, 1, 1), 1.0, terminated=True, truncated=False)
+    assert end is not None
+    assert (end.status, end.terminated) == (Status.EPISODE_OVER, True)
+    assert 'the task is over' in end.detail
+
+
+def test_the_step_limit_of_the_episode_ends_the_run_and_says_so() -> None:
+    end = drive(OptionRun(option(NORTH, False), TAXI, 0.9, max_steps=2), FAR, cut_off=2)
+    assert (end.status, end.truncated, end.step_count) == (Status.EPISODE_OVER, True, 2)
+    assert 'step limit' in end.detail
+
+
+def test_max_steps_cuts_a_run_off_and_names_the_circle_it_walked_in() -> None:
+    east_west = np.where(feature('taxi_col') == 0, EAST, WEST)
+    end = drive(OptionRun(option(east_west, False, max_steps=9), TAXI, 0.9), TaxiState(2, 0, 0, 1))
+    assert (end.status, end.step_count) == (Status.MAX_STEPS, 9)
+    assert '9 steps' in end.detail
+    assert 'circle of 2 through taxi 2,0' in end.detail
+
+
+def test_max_steps_without_a_circle_does_not_speak_of_one() -> None:
+    end = drive(OptionRun(option(NORTH, False), TAXI, 0.9, max_steps=3), FAR)
+    assert (end.status, end.step_count) == (Status.MAX_STEPS, 3)
+    assert 'circle' not in end.detail
+
+
+def test_a_sampled_run_that_comes_back_is_not_said_to_walk_in_a_circle() -> None:
+    rng = np.random.default_rng(0)
+    run = OptionRun(option(SOUTH, False), TAXI, 0.9, 3, Mode.SAMPLED, rng)
+    end = drive(run, FAR)
+    assert end.status is Status.MAX_STEPS
+    assert 'circle' not in end.detail
+
+
+def test_a_primitive_action_is_an_option_of_one_step() -> None:
+    end = drive(OptionRun(primitive(NORTH), TAXI, 0.9), FAR)
+    assert (end.status, end.option_name, end.step_count) == (Status.REACHED, 'action:north', 1)
+
+
+def test_a_run_is_refused_outside_the_initiation_set() -> None:
+    aboard = TaxiState(2, 2, passenger=4, destination=0)
+    end = OptionRun(option(NORTH, False), TAXI, 0.9).begin(aboard, 1, 5)
+    assert end is not None
+    assert (end.status, end.step_count) == (Status.NOT_AVAILABLE, 0)
+    assert 'taxi 2,2 passenger aboard' in end.detail
+
+
+@pytest.mark.parametrize(('state', 'episode'), [(FAR, 0), (TaxiState(0, 0, 1, 1), 4)])
+def test_a_run_is_refused_where_no_episode_is_under_way(state: TaxiState, episode: int) -> None:
+    end = OptionRun(option(NORTH, False), TAXI, 0.9).begin(state, episode, 0)
+    assert end is not None
+    assert end.status is Status.NO_EPISODE
+
+
+@pytest.mark.parametrize(
+    'status', [Status.NO_PROGRESS, Status.INTERRUPTED, Status.CANCELED, Status.FAILED]
+)
+def test_a_run_ended_from_outside_keeps_what_it_did(status: Status) -> None:
+    run = OptionRun(option(NORTH, False), TAXI, 0.9)
+    assert run.begin(FAR, 2, 1) is None
+    run.observe(TaxiState(3, 0, 0, 1), -1.0, False, False)
+    end = run.end(status, 'because')
+    assert (end.status, end.step_count, end.total_reward) == (status, 1, -1.0)
+    assert end.detail == f'{TEXT[status]}: because'
+    assert end.final_state.startswith('taxi 3,0')
+    with pytest.raises(RunError, match='ended'):
+        run.next_action()
+
+
+@pytest.mark.parametrize('status', [Status.BUSY, Status.UNKNOWN_OPTION, Status.NO_EPISODE])
+def test_a_refused_request_names_the_option_and_the_reason(status: Status) -> None:
+    end = refusal(status, 'fly', 'more about it')
+    assert (end.status, end.option_name, end.step_count) == (status, 'fly', 0)
+    assert end.detail == f'{TEXT[status]}: more about it'
+
+
+def test_a_run_driven_out_of_order_is_refused() -> None:
+    run = OptionRun(option(NORTH, False), TAXI, 0.9)
+    with pytest.raises(RunError, match='not begun'):
+        run.next_action()
+    run.begin(FAR, 1, 0)
+    with pytest.raises(RunError, match='begun already'):
+        run.begin(FAR, 1, 0)
+    with pytest.raises(RunError, match='random generator'):
+        OptionRun(option(NORTH, False), TAXI, 0.9, mode=Mode.SAMPLED)
+    with pytest.raises(RunError, match='max_steps is -1'):
+        OptionRun(option(NORTH, False), TAXI, 0.9, max_steps=-1)
+
+
+def primitive(action: int) -> PrimitiveOption:
+    """Return a primitive action as an option."""
+    return PrimitiveOption(f'action:{TAXI.actions[action].name}', action, 6)
+
+
+def library(*options: LearnedOption) -> OptionLibrary:
+    """Return a library of Taxi options."""
+    made = OptionLibrary(TAXI)
+    made.replace(options)
+    return made
+
+
+def test_options_are_found_by_name_and_participant() -> None:
+    ann, bob = option(NORTH, False), option(SOUTH, False, participant='bob')
+    other = option(EAST, False, name='other')
+    held = library(other, bob, ann)
+    assert held.options() == [ann, bob, other]
+    assert held.options('bob') == [bob]
+    assert held.resolve('drive', 'bob') is bob
+    assert held.resolve('other') is other
+    assert held.resolve('action:dropoff', 'bob') == primitive(DROPOFF)
+    with pytest.raises(AmbiguousOptionError, match='ann, bob'):
+        held.resolve('drive')
+
+
+def test_an_unknown_option_is_answered_with_what_there_is() -> None:
+    held = library(option(NORTH, False))
+    for name, participant in (('fly', ''), ('drive', 'bob'), ('action:fly', '')):
+        with pytest.raises(UnknownOptionError, match=r"'drive' \(ann\).*action:south"):
+            held.resolve(name, participant)
+
+
+def test_a_library_refuses_options_it_could_not_run_and_keeps_what_it_has() -> None:
+    held = library(option(NORTH, False))
+    for strange in (option(0, False, domain=Taxi(6, 6)), option(0, False, name='action:south')):
+        with pytest.raises(OptionError):
+            held.replace([option(SOUTH, False, name='new'), strange])
+    assert [o.name for o in held.options()] == ['drive']
+
+
+def test_a_primitive_action_can_be_queried_like_an_option() -> None:
+    rows = TAXI.feature_table()[:3]
+    action = primitive(WEST)
+    assert action.action_probabilities(rows).tolist() == [[0, 0, 0, 1, 0, 0]] * 3
+    assert action.initiation_probability(rows).tolist() == [1, 1, 1]
+    assert action.termination_probability(rows).tolist() == [1, 1, 1]

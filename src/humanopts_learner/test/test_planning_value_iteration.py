@@ -1,0 +1,185 @@
+"""Value iteration against solutions found in other ways."""
+
+from collections.abc import Callable
+from dataclasses import replace
+import itertools
+import tracemalloc
+
+from humanopts_learner.planning.errors import ModelError, PlanCanceled
+from humanopts_learner.planning.model import concatenate, SmdpModel
+from humanopts_learner.planning.value_iteration import solve_smdp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import spsolve
+
+
+def random_model(seed: int, n_states: int, n_options: int, closed: float = 0.3) -> SmdpModel:
+    """Return a random SMDP; each pair is out of use with probability ``closed``."""
+    rng = np.random.default_rng(seed)
+    shape = (n_states, n_options)
+    steps = rng.integers(1, 6, shape)
+    return SmdpModel(
+        names=tuple(f'o{o}' for o in range(n_options)),
+        reward=rng.normal(size=shape),
+        available=rng.random(shape) >= closed,
+        successor=rng.integers(0, n_states, shape).astype(np.int32),
+        discount=np.where(rng.random(shape) < 0.1, 0.0, 0.9**steps),
+    )
+
+
+def policy_values(model: SmdpModel, policy: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Solve the linear equations of one policy; -1 and its state's value is 0."""
+    states = np.arange(model.n_states)
+    going = policy >= 0
+    follow = csr_array(
+        (
+            np.where(going, model.discount[states, policy], 0.0),
+            (states, model.successor[states, policy]),
+        ),
+        shape=(model.n_states, model.n_states),
+    )
+    reward = np.where(going, model.reward[states, policy], 0.0)
+    values: NDArray[np.float64] = spsolve((eye_array(model.n_states) - follow).tocsc(), reward)
+    return values
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 4), n_options=st.integers(1, 3))
+def test_no_policy_is_better_than_the_solution(seed: int, n_states: int, n_options: int) -> None:
+    model = random_model(seed, n_states, n_options)
+    choices = [np.flatnonzero(row).tolist() or [-1] for row in model.available]
+    every = [policy_values(model, np.array(policy)) for policy in itertools.product(*choices)]
+    assert solve_smdp(model, 1e-12).values == pytest.approx(np.max(every, axis=0), abs=1e-9)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 60), n_options=st.integers(1, 5))
+def test_values_solve_the_linear_equations_of_the_greedy_policy(
+    seed: int, n_states: int, n_options: int
+) -> None:
+    model = random_model(seed, n_states, n_options)
+    solution = solve_smdp(model, 1e-12)
+    assert solution.converged
+    assert solution.values == pytest.approx(policy_values(model, solution.best), abs=1e-9)
+    chosen = model.available[np.arange(n_states), solution.best]
+    assert (chosen | (solution.best < 0)).all()
+    assert ((solution.best < 0) == ~model.available.any(axis=1)).all()
+
+
+def delivery_chain(steps: int, gamma: float) -> SmdpModel:
+    """Return two states and one option that takes ``steps`` steps and earns 1 with the last."""
+    return SmdpModel(
+        ('deliver',),
+        np.array([[gamma ** (steps - 1)], [0.0]]),
+        np.array([[True], [False]]),
+        np.array([[1], [1]], dtype=np.int32),
+        np.array([[gamma**steps], [0.0]]),
+    )
+
+
+@pytest.mark.parametrize(('steps', 'value'), [(1, 1.0), (3, 0.81)])
+def test_longer_option_is_worth_less(steps: int, value: float) -> None:
+    solution = solve_smdp(delivery_chain(steps, gamma=0.9))
+    assert solution.values == pytest.approx([value, 0.0])
+    assert solution.best.tolist() == [0, -1]
+
+
+def test_the_walk_down_a_corridor_has_its_known_optimum() -> None:
+    length, gamma = 30, 0.9
+    here = np.arange(length)
+    move = np.stack([np.maximum(here - 1, 0), np.minimum(here + 1, length - 1)], axis=1)
+    goal = (here[:, None] == length - 2) & np.array([False, True])
+    model = SmdpModel(
+        ('left', 'right'),
+        np.where(goal, 1.0, 0.0),
+        np.broadcast_to(here[:, None] < length - 1, (length, 2)),
+        move.astype(np.int32),
+        np.where(goal, 0.0, gamma),
+    )
+    solution = solve_smdp(model)
+    assert solution.values[:-1] == pytest.approx(gamma ** (length - 2.0 - here[:-1]))
+    assert (solution.best[:-1] == 1).all()
+    assert solution.sweeps == length  # one for each step back from the goal, one to see the end
+
+
+def test_of_equal_choices_the_lowest_column_is_best() -> None:
+    model = random_model(1, 10, 2, closed=0.0)
+    twice = concatenate([model, replace(model, names=('again0', 'again1'))])
+    assert (solve_smdp(twice).best < 2).all()
+
+
+def test_spent_sweeps_are_reported_as_not_converged() -> None:
+    model = random_model(2, 20, 3, closed=0.0)
+    whole, part = solve_smdp(model, 1e-10), solve_smdp(model, 1e-10, max_sweeps=2)
+    assert whole.converged
+    assert whole.residual <= 1e-10
+    assert (part.sweeps, part.converged) == (2, False)
+    assert part.residual > 1e-10
+
+
+def test_a_callback_sees_every_sweep_and_can_stop_the_work() -> None:
+    model = random_model(3, 20, 3, closed=0.0)
+    seen: list[tuple[int, float]] = []
+
+    def stop_at_third(sweeps: int, residual: float) -> bool:
+        seen.append((sweeps, residual))
+        return sweeps == 3
+
+    solution = solve_smdp(model, on_sweep=stop_at_third)
+    assert [sweeps for sweeps, _ in seen] == [1, 2, 3]
+    assert (solution.sweeps, solution.residual) == seen[-1]
+    assert not solution.converged
+
+    def cancel(sweeps: int, residual: float) -> None:
+        raise PlanCanceled
+
+    with pytest.raises(PlanCanceled):
+        solve_smdp(model, on_sweep=cancel)
+
+
+def test_sweeps_allocate_nothing() -> None:
+    model = random_model(6, 20_000, 3)
+    grown: list[int] = []
+
+    def measure(sweeps: int, residual: float) -> None:
+        now, peak = tracemalloc.get_traced_memory()
+        grown.append(peak - now)
+        tracemalloc.reset_peak()
+
+    tracemalloc.start()
+    try:
+        solve_smdp(model, max_sweeps=10, on_sweep=measure)
+    finally:
+        tracemalloc.stop()
+    assert max(grown[1:]) < 20_000  # one array of the states would be 160,000
+
+
+@pytest.mark.parametrize(
+    ('change', 'text'),
+    [
+        (lambda m: {'reward': np.where(m.reward > 0, np.nan, m.reward)}, 'reward'),
+        (lambda m: {'reward': m.reward + np.inf}, 'reward'),
+        (lambda m: {'successor': m.successor + 5}, 'successor'),
+        (lambda m: {'successor': m.successor - 5}, 'successor'),
+        (lambda m: {'discount': m.discount + 1.0}, 'discount'),
+        (lambda m: {'discount': -m.discount - 0.1}, 'discount'),
+        (lambda m: {'available': m.available[:, :1]}, 'available'),
+        (lambda m: {'names': ('one',)}, 'names'),
+    ],
+)
+def test_a_model_that_contradicts_itself_is_refused(
+    change: Callable[[SmdpModel], dict[str, object]], text: str
+) -> None:
+    model = random_model(4, 5, 2)
+    with pytest.raises(ModelError, match=text):
+        replace(model, **change(model))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(('tol', 'max_sweeps'), [(-1.0, 10), (float('nan'), 10), (1e-8, 0)])
+def test_limits_that_make_no_sense_are_refused(tol: float, max_sweeps: int) -> None:
+    with pytest.raises(ModelError, match='tol'):
+        solve_smdp(random_model(5, 3, 2), tol, max_sweeps)
