@@ -93,6 +93,7 @@ def test_statuses_are_those_of_the_message() -> None:
 def test_a_run_that_reaches_its_end_adds_up_what_it_earned() -> None:
     run = OptionRun(option(NORTH, feature('taxi_row') == 0), TAXI, gamma=0.9)
     end = drive(run, FAR)
+    assert end.discounted_return == pytest.approx(-(1 + 0.9 + 0.81 + 0.729))
     assert end == End(
         status=Status.REACHED,
         detail=TEXT[Status.REACHED],
@@ -101,7 +102,7 @@ def test_a_run_that_reaches_its_end_adds_up_what_it_earned() -> None:
         first_step=7,
         step_count=4,
         total_reward=-4.0,
-        discounted_return=pytest.approx(-(1 + 0.9 + 0.81 + 0.729)),
+        discounted_return=end.discounted_return,
         final_state='taxi 0,0 passenger R destination G',
     )
 

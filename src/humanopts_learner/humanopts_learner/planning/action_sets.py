@@ -24,7 +24,7 @@ ACTION_SETS = (HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE)
 class Progress(Protocol):
     """Told how far planning is; raise ``PlanCanceled`` to stop it."""
 
-    def __call__(self, stage: str, fraction: float, sweeps: int, residual: float) -> object:
+    def __call__(self, stage: str, fraction: float, sweeps: int, residual: float, /) -> object:
         """
         Take note.
 
