@@ -1,0 +1,1 @@
+"""Planning over options: exact models, value iteration, and playing by the result."""

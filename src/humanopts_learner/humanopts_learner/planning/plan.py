@@ -9,9 +9,11 @@ from typing import Any
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_learner.options.option import LearnedOption, option_tables, OptionError
 from humanopts_learner.planning.action_sets import (
+    ACTION_SETS,
     build_model,
     check_action_set,
     HUMAN,
+    HUMAN_AND_PRIMITIVE,
     PRIMITIVE,
     Progress,
     say_nothing,
@@ -24,6 +26,20 @@ from humanopts_learner.planning.errors import (
     PlanError,
 )
 from humanopts_learner.planning.value_iteration import Solution, solve_smdp
+
+__all__ = [
+    'ACTION_SETS',
+    'HUMAN',
+    'HUMAN_AND_PRIMITIVE',
+    'PRIMITIVE',
+    'Clock',
+    'Decision',
+    'Plan',
+    'Progress',
+    'TabledOption',
+    'make_plan',
+    'plan_with_tables',
+]
 
 Clock = Callable[[], float]  # seconds
 
