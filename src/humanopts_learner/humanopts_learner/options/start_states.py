@@ -17,7 +17,6 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.trees.encoding import encode_rows, encoding
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 SAMPLE = 500  # states among which coverage looks for the most distant
 ALREADY_SHOWN = 0.1  # weight of a failing situation that was shown, against 1
@@ -78,8 +77,10 @@ def _coverage(
         1 / max(len(f.values) - 1, 1) if f.kind is FeatureKind.ORDINAL else 0.5 for f in features
     ]
     here, there = (encode_rows(columns, part) * np.array(scale) for part in (rows, shown))
-    nearest = cdist(here, there, metric='cityblock').min(axis=1)
-    return states[_best(nearest, rng)]
+    distance = np.zeros((len(here), len(there)))
+    for ours, theirs in zip(here.T, there.T):
+        distance += np.abs(np.subtract.outer(ours, theirs))
+    return states[_best(distance.min(axis=1), rng)]
 
 
 def _failures(

@@ -1,12 +1,10 @@
-"""Fitting decision trees with scikit-learn; the only module that imports it."""
+"""Fitting decision trees with scikit-learn, which is imported when the first one is fitted."""
 
 from collections.abc import Sequence
 
 from humanopts_learner.trees.tree import LEAF, Tree
 import numpy as np
 from numpy.typing import NDArray
-from sklearn import config_context
-from sklearn.tree import DecisionTreeClassifier
 
 
 def fit_tree(
@@ -23,6 +21,9 @@ def fit_tree(
     """
     if len(X) == 0 or not np.isin(y, classes).all():
         raise ValueError('a tree is fitted to one row or more, labelled with its classes')
+    from sklearn import config_context
+    from sklearn.tree import DecisionTreeClassifier
+
     classifier = DecisionTreeClassifier(random_state=seed)
     with config_context(assume_finite=True, skip_parameter_validation=True):
         fitted = classifier.fit(X, y).tree_

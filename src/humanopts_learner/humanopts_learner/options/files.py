@@ -1,0 +1,217 @@
+"""Options as files: versioned, readable JSON with the demonstrations that they came from."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+import hashlib
+import json
+import os
+from pathlib import Path
+import re
+from typing import Any
+
+from humanopts_learner.demonstrations import Demonstration, DemonstrationError
+from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.trees.encoding import Column
+from humanopts_learner.trees.tree import Tree, TreeError
+
+FORMAT = 'humanopts-option'
+VERSION = 1
+SLUG_LENGTH = 48
+NAMES = ('actions', 'features', 'uuids')
+TEXTS = ('name', 'participant', 'domain')
+COUNTS = ('n_demonstrations', 'n_not_here', 'max_steps')
+TREES = ('policy', 'initiation', 'termination')
+
+
+class OptionFileError(OptionError):
+    """An option file cannot be used; the text names the file and what is wrong with it."""
+
+
+def option_to_json(
+    option: LearnedOption,
+    demonstrations: Sequence[Demonstration] = (),
+    thresholds: Mapping[str, float] | None = None,
+) -> str:
+    """
+    Return the option as JSON, one node of a tree and one demonstration on each line.
+
+    :param demonstrations: those that it was learned from, or none.
+    :param thresholds: the targets of its criteria, for a reader's information.
+    """
+    columns = [column.to_dict() for column in option.columns]
+    trees = {part: getattr(option, part).to_dict() for part in TREES}
+    data = {
+        'format': FORMAT,
+        'version': VERSION,
+        **{key: getattr(option, key) for key in TEXTS},
+        'domain_parameters': json.loads(option.domain_parameters),
+        **{key: getattr(option, key) for key in COUNTS},
+        **({'thresholds': dict(thresholds)} if thresholds else {}),
+        **{key: list(getattr(option, key)) for key in NAMES},
+        'columns': columns,
+        **trees,
+        'demonstrations': [{**asdict(demo), 'kind': demo.kind.value} for demo in demonstrations],
+    }
+    return _pretty(data) + '\n'
+
+
+def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
+    """
+    Read what ``option_to_json`` wrote.
+
+    :raises OptionFileError: it is not an option, of a version that is not known, or damaged.
+    """
+    try:
+        data = json.loads(text, parse_constant=_refuse_constant)
+        _check_form(data)
+        option = LearnedOption(
+            **{key: data[key] for key in (*TEXTS, *COUNTS)},
+            **{key: tuple(data[key]) for key in NAMES},
+            **{part: Tree.from_dict(data[part]) for part in TREES},
+            domain_parameters=json.dumps(data['domain_parameters'], sort_keys=True),
+            columns=tuple(Column.from_dict(column) for column in data['columns']),
+        )
+        demonstrations = [Demonstration.from_fields(demo) for demo in data['demonstrations']]
+    except json.JSONDecodeError as error:
+        raise OptionFileError(f'it is not JSON: {error}') from error
+    except KeyError as error:
+        raise OptionFileError(f'it has no {error}') from None
+    except OptionFileError:
+        raise
+    except (TreeError, DemonstrationError, OptionError, TypeError, ValueError) as error:
+        raise OptionFileError(str(error)) from error
+    except RecursionError:
+        raise OptionFileError('its values are nested too deeply') from None
+    if demonstrations and {demo.uuid for demo in demonstrations} != set(option.uuids):
+        raise OptionFileError('its demonstrations are not those that it was learned from')
+    return option, demonstrations
+
+
+def option_path(directory: Path, option: LearnedOption) -> Path:
+    """Return where the file of an option is kept."""
+    return directory / _slug(option.participant) / f'{_slug(option.name)}.json'
+
+
+def save_option(
+    directory: Path,
+    option: LearnedOption,
+    demonstrations: Sequence[Demonstration],
+    thresholds: Mapping[str, float] | None = None,
+) -> Path:
+    """
+    Write the file of an option, whole or not at all.
+
+    A file in its place that is damaged, or of another option, is moved aside and kept.
+
+    :return: the path of the file.
+    :raises OSError: it cannot be written; what was there before is unchanged.
+    """
+    path = option_path(directory, option)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
+    try:
+        with temporary.open('w', encoding='utf-8') as file:
+            file.write(option_to_json(option, demonstrations, thresholds))
+            file.flush()
+            os.fsync(file.fileno())
+        if path.exists() and not _is_of(path, option):
+            path.rename(_free_name(path))
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    _sync_folder(path.parent)
+    return path
+
+
+def load_option(path: Path) -> tuple[LearnedOption, list[Demonstration]]:
+    """
+    Read one option file.
+
+    :raises OptionFileError: it cannot be read, or is damaged.
+    """
+    try:
+        return option_from_json(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise OptionFileError(f'cannot read {path}: {error.strerror}') from error
+    except (OptionFileError, UnicodeDecodeError) as error:
+        raise OptionFileError(f'{path} cannot be used: {error}') from error
+
+
+def load_options(directory: Path) -> tuple[list[LearnedOption], list[OptionFileError]]:
+    """
+    Read every option file of a folder, sorted by path.
+
+    :return: the options, and what is wrong with files that cannot be used; these are left alone.
+    """
+    options, problems = [], []
+    for path in sorted(directory.glob('*/*.json')):
+        try:
+            options.append(load_option(path)[0])
+        except OptionFileError as error:
+            problems.append(error)
+    return options, problems
+
+
+def _check_form(data: Any) -> None:
+    if not isinstance(data, dict) or data.get('format') != FORMAT:
+        raise OptionFileError(f'it is not a file of format {FORMAT}')
+    if data.get('version') != VERSION:
+        raise OptionFileError(f'it is of version {data.get("version")}, and {VERSION} is known')
+    wrong = [key for key in TEXTS if not isinstance(data[key], str)]
+    wrong += [key for key in COUNTS if type(data[key]) is not int or data[key] < 0]
+    wrong += [key for key in ('domain_parameters', *TREES) if not isinstance(data[key], dict)]
+    wrong += [key for key in ('columns', 'demonstrations') if not isinstance(data[key], list)]
+    for key in NAMES:
+        if not isinstance(data[key], list) or any(not isinstance(n, str) for n in data[key]):
+            wrong.append(key)
+    if wrong:
+        raise OptionFileError(f'{", ".join(wrong)} of it has the wrong form')
+
+
+def _refuse_constant(name: str) -> Any:
+    raise OptionFileError(f'it holds the number {name}, which is not finite')
+
+
+def _pretty(data: Mapping[str, Any]) -> str:
+    """Return an object with its entries, and the entries of long lists, on lines of their own."""
+    lines = []
+    for key, value in data.items():
+        text = json.dumps(value, allow_nan=False)
+        if isinstance(value, dict) and 'nodes' in value:
+            text = _pretty(value).replace('\n', '\n  ')
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            items = ',\n'.join(f'    {json.dumps(item, allow_nan=False)}' for item in value)
+            text = f'[\n{items}\n  ]'
+        lines.append(f'  {json.dumps(key)}: {text}')
+    return '{\n' + ',\n'.join(lines) + '\n}'
+
+
+def _slug(name: str) -> str:
+    """Return a file name that no other name has, readable as far as it goes."""
+    readable = re.sub(r'[^a-z0-9]+', '-', name.lower()).strip('-')[:SLUG_LENGTH]
+    if readable == name and not re.search(r'-[0-9a-f]{8}$', name):
+        return name
+    return f'{readable}-{hashlib.sha256(name.encode()).hexdigest()[:8]}'.lstrip('-')
+
+
+def _is_of(path: Path, option: LearnedOption) -> bool:
+    try:
+        found, _ = load_option(path)
+    except OptionFileError:
+        return False
+    return (found.name, found.participant) == (option.name, option.participant)
+
+
+def _free_name(path: Path) -> Path:
+    number = 1
+    while (free := path.with_name(f'{path.name}.damaged-{number}')).exists():
+        number += 1
+    return free
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
