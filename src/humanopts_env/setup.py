@@ -17,6 +17,5 @@ setup(
         'humanopts.reference_options': [
             'taxi = humanopts_env.domains.taxi_reference:reference_options',
         ],
-        'gymnasium.envs': ['humanopts = humanopts_env.gym_env:register_all'],
     },
 )

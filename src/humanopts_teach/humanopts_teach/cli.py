@@ -29,13 +29,11 @@ def build_parser() -> argparse.ArgumentParser:
         '--error-rate',
         type=_share,
         default=0.02,
-        help='share of the simulated teacher\'s steps that are wrong; default: %(default)s',
+        help="share of the simulated teacher's steps that are wrong; default: %(default)s",
     )
     up = commands.add_parser('up', help='launch the nodes and stay until Ctrl-C')
     up.add_argument('domain', metavar='DOMAIN')
-    up.add_argument(
-        '--no-record', dest='record', action='store_false', help='do not write a bag'
-    )
+    up.add_argument('--no-record', dest='record', action='store_false', help='do not write a bag')
     up.add_argument(
         '--step-period',
         type=float,
@@ -66,10 +64,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f'humanopts {arguments.command}: {error}', file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print(f'humanopts {arguments.command}: interrupted; everything is stopped', file=sys.stderr)
+        print(
+            f'humanopts {arguments.command}: interrupted; everything is stopped', file=sys.stderr
+        )
         return 130
     except BrokenPipeError:
         return 0
+    return status
+
+
+def _complain(command: str, text: str, status: int) -> int:
+    print(f'humanopts {command}: {text}', file=sys.stderr)
     return status
 
 
@@ -108,7 +113,9 @@ def _add_bag_commands(bag: argparse.ArgumentParser) -> None:
     evaluate = commands.add_parser('eval', help='learn every option again from the bag alone')
     evaluate.add_argument('--html', type=Path, help='write a report to this file')
     for command in (info, evaluate):
-        command.add_argument('bag', type=Path, metavar='BAG', help='a rosbag2 folder or .mcap file')
+        command.add_argument(
+            'bag', type=Path, metavar='BAG', help='a rosbag2 folder or .mcap file'
+        )
         command.add_argument('--json', action='store_true', help='print JSON')
 
 

@@ -37,7 +37,7 @@ from rclpy.task import Future
 RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
 _TOLERANCE, _MAX_SWEEPS = 1e-8, 10_000
 _FEEDBACK_PERIOD = 0.1  # s
-_RESET_SECONDS, _OPTION_SECONDS = 5.0, 120.0
+_RESET_SECONDS, _OPTION_SECONDS, _OPTIONS_SECONDS = 5.0, 120.0, 5.0
 _GO_ON = (
     OptionResult.STATUS_REACHED,
     OptionResult.STATUS_EPISODE_OVER,
@@ -52,8 +52,9 @@ class PlannerNode(NodeBase):
         super().__init__('planner')
         self._domain: Any = None
         self._options: list[LearnedOption] = []
-        self._version = 0  # of the options
+        self._version = 0  # sequence of the LearnedOptions that they came with
         self._plans: dict[tuple[str, str], tuple[Plan, int]] = {}
+        self._waiting: list[tuple[int, Future]] = []
         self._planning = self._playing = False
         self._plan_goals = self.stamped_publisher(PlanGoal, 'plan_goals')
         self._plan_results = self.stamped_publisher(PlanResult, 'plan_results')
@@ -91,9 +92,14 @@ class PlannerNode(NodeBase):
     def _on_options(self, message: LearnedOptions) -> None:
         try:
             self._options = [option_from_json(entry.model)[0] for entry in message.options]
-            self._version += 1
+            self._version = message.sequence
         except OptionError as error:
             self.get_logger().error(f'learned_options cannot be read: {error}')
+            return
+        for sequence, arrival in self._waiting:
+            if sequence <= self._version and not arrival.done():
+                arrival.set_result(None)
+        self._waiting = [entry for entry in self._waiting if not entry[1].done()]
 
     async def _execute_plan(self, handle: ServerGoalHandle) -> PlanAction.Result:
         result = await self._plan(handle)
@@ -111,6 +117,7 @@ class PlannerNode(NodeBase):
             return refused
         self._planning = True
         try:
+            await self._options_arrive(request.options_sequence)
             return await self._plan_in_thread(handle, str(uuid.uuid4()))
         except NoOptionsError as error:
             refused.status, refused.detail = PlanResult.STATUS_NO_OPTIONS, str(error)
@@ -163,6 +170,21 @@ class PlannerNode(NodeBase):
             thread.join()
         self._plans[request.action_set, request.participant] = plan, version
         return plan_to_message(plan, plan_id, returns)
+
+    async def _options_arrive(self, sequence: int) -> None:
+        """Wait until the options are at least as new as the request wants."""
+        if self._version >= sequence:
+            return
+        arrival: Future = Future()
+        self._waiting.append((sequence, arrival))
+        timer = self.create_timer(_OPTIONS_SECONDS, arrival.cancel)
+        try:
+            await arrival
+        finally:
+            timer.cancel()
+            self.destroy_timer(timer)
+        if self._version < sequence:
+            raise PlanError(f'learned_options {sequence} did not come, only {self._version}')
 
     def _options_of(self, request: Any) -> list[LearnedOption]:
         people = {option.participant for option in self._options}

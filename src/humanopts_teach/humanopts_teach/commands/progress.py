@@ -3,15 +3,14 @@
 from collections.abc import Hashable
 from typing import Any
 
-from rich.console import Console, Group
-from rich.live import Live
-from rich.table import Table
-from rich.text import Text
-
 from humanopts_env.convert import domain_from_info
 from humanopts_env.domains.base import Domain
 from humanopts_teach.nodes.conductor import Conductor
 from humanopts_teach.terminal.board import board_text
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
 
 _LINE_EVERY = 10  # demonstrations, where lines are printed instead of a live picture
 
@@ -56,12 +55,17 @@ class DemoProgress:
         else:
             self._lines(conductor)
 
+    def offline(self, done: int, total: int, text: str) -> None:
+        """Show how far the evaluation of the bag is."""
+        if self._console.is_terminal:
+            self._live.update(Text(f'\n{self._stage}: {text} ({done} of {total})'))
+
     def _picture(self, conductor: Conductor) -> Group:
         node = conductor.node
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
         if self._domain is not None and node.state.message is not None:
             state = self._domain.decode(node.state.message.state)
-            parts.append(board_text(self._domain, state))
+            parts += board_text(self._domain, state)
         if node.learning.message is not None and node.learning.message.options:
             parts.append(_criteria_table(node.learning.message))
         if hasattr(node.feedback, 'fallbacks'):

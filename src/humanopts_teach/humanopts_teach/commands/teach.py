@@ -17,7 +17,8 @@ def run(arguments: argparse.Namespace) -> int:
         arguments,
         Path('runs') / arguments.domain,
         bag_name=new_name('bags/teach'),
-        participant=arguments.participant, keyboard=True,
+        participant=arguments.participant,
+        keyboard=True,
     )
     check_setup(setup)
     print('starting ...', flush=True)

@@ -15,7 +15,8 @@ def run(arguments: argparse.Namespace) -> int:
         arguments,
         Path('runs') / arguments.domain,
         bag_name=new_name('bags/up'),
-        record=arguments.record, step_period=arguments.step_period,
+        record=arguments.record,
+        step_period=arguments.step_period,
     )
     check_setup(setup)
     try:

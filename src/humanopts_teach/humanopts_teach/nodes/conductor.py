@@ -127,32 +127,36 @@ class Conductor:
                 raise
             raise LaunchError(f'{error}; not ready: {", ".join(missing)}') from error
 
-    def plan(self, action_set: str, episodes: int, seed: int) -> dict[str, Any]:
+    def plan(self, action_set: str, episodes: int, seed: int) -> PlanResult:
         """
-        Have the planner plan and judge the plan.
+        Have the planner plan with the newest options, and judge the plan.
 
         :param episodes: to judge it by, from start states drawn by ``seed``.
-        :return: the fields of PlanResult, and ``names`` of its columns.
         :raises LaunchError: it refused, failed or did not answer.
         """
-        goal = Plan.Goal(action_set=action_set, evaluation_episodes=episodes, seed=seed)
+        options = self.node.options.message
+        goal = Plan.Goal(
+            action_set=action_set,
+            evaluation_episodes=episodes,
+            seed=seed,
+            options_sequence=options.sequence if options else 0,
+        )
         result: PlanResult = self._act(self.node.plan_client, goal, f'the {action_set} plan')
         if result.status not in (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED):
             raise LaunchError(f'planning with {action_set} failed: {result.detail}')
-        return fields_of(result)
+        return result
 
-    def play(self, action_set: str, episodes: int, seed: int) -> dict[str, Any]:
+    def play(self, action_set: str, episodes: int, seed: int) -> PolicyResult:
         """
         Have the planner play episodes through the option server.
 
-        :return: the fields of PolicyResult.
         :raises LaunchError: it refused, failed or did not answer.
         """
         goal = RunPolicy.Goal(action_set=action_set, episodes=episodes, seed=seed)
         result: PolicyResult = self._act(self.node.policy_client, goal, 'the episodes')
         if result.status != PolicyResult.STATUS_DONE:
             raise LaunchError(f'playing by the {action_set} plan failed: {result.detail}')
-        return fields_of(result)
+        return result
 
     def learned(self) -> list[tuple[str, OptionStatus]]:
         """Return the option file's JSON and the status of every learned option."""
@@ -212,8 +216,3 @@ class Conductor:
         recorder = self.node.recorder.message
         if recorder is not None and recorder.stopped and recorder.text:
             raise LaunchError(f'the recording stopped: {recorder.text}')
-
-
-def fields_of(message: Any) -> dict[str, Any]:
-    """Return a message's fields by name."""
-    return {name: getattr(message, name) for name in message.get_fields_and_field_types()}
