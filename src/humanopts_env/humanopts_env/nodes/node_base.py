@@ -16,7 +16,7 @@ import rclpy
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -172,6 +172,11 @@ class NodeBase(Node):
     def on_ready(self) -> None:
         """Do what comes first, such as publishing a first state. To be overridden."""
 
+    def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
+        """Carry out callbacks until ``stop``. To be overridden by a node that reads more."""
+        while not stop():
+            executor.spin_once(0.1)
+
     def close(self) -> None:
         """Finish work before the node ends. To be overridden."""
 
@@ -187,24 +192,25 @@ class NodeBase(Node):
 
 
 class _Stop:
-    """Set by SIGINT or SIGTERM, or when the launcher that started the process is gone."""
+    """Set by SIGINT, SIGTERM or SIGHUP, or when the launcher that started the process is gone."""
 
     def __init__(self) -> None:
         self.requested = False
         self._launcher = int(os.environ.get(LAUNCHER_PID, '0'))
-        signal.signal(signal.SIGINT, self._request)
-        signal.signal(signal.SIGTERM, self._request)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, self._request)
 
     def _request(self, signum: int, frame: FrameType | None) -> None:
         self.requested = True
 
-    def __bool__(self) -> bool:
+    def __call__(self) -> bool:
+        """Tell whether the process is to end."""
         return self.requested or (self._launcher != 0 and os.getppid() != self._launcher)
 
 
 def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> int:
     """
-    Run a node until SIGINT or SIGTERM.
+    Run a node until SIGINT, SIGTERM or SIGHUP.
 
     :return: the process's exit status: 0 after a clean end, 2 when it cannot start.
     """
@@ -215,8 +221,7 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     try:
         node = factory()
         executor.add_node(node)
-        while not stop:
-            executor.spin_once(0.1)
+        node.serve(executor, stop)
         node.close()
         node.set_status(NodeStatus.STATE_STOPPING)
     except StartError as error:

@@ -1,0 +1,224 @@
+"""
+The terminal's state machine: keys and news in, requests out.
+
+One request is under way at a time, and keys that are typed meanwhile wait for it, so that a key
+never means something else than what the person saw when it was carried out.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from humanopts_env.domains.base import Domain
+from humanopts_teach.dialogue.answers import Phase, Verdict
+from humanopts_teach.terminal.keys import END_OF_FILE, INTERRUPT
+from humanopts_teach.terminal.requests import (
+    CancelRun,
+    Drive,
+    End,
+    GiveBack,
+    PlanOptions,
+    PlayEpisodes,
+    Reply,
+    Request,
+    Run,
+    RunOption,
+    server,
+    settled,
+)
+from humanopts_teach.terminal.world import World
+
+REPLY_SECONDS = 5.0  # for a node to answer
+SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed
+MOST_KEYS = 64  # typed ahead; what comes then is dropped
+
+
+class Screen(Protocol):
+    """What is shown now, and what a key means in it."""
+
+    def press(self, key: str, app: 'App') -> None:
+        """Carry out one key."""
+
+    def replied(self, reply: Reply, app: 'App') -> None:
+        """Take in the answer to a request that this screen made."""
+
+    def run_ended(self, reply: Reply, app: 'App') -> None:
+        """Take in how a run ended."""
+
+    def tick(self, app: 'App') -> None:
+        """Do what needs no key, when nothing is under way."""
+
+    def keys(self, app: 'App') -> list[tuple[str, str]]:
+        """Return the labels of the keys that do something now, and what they do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """The last thing that was said to the person."""
+
+    text: str = ''
+    bad: bool = False
+
+
+@dataclass
+class _Waiting:
+    request: Request
+    until: float  # s, deadline
+    reply: Reply | None = None
+
+
+class App:
+    """Everything behind the screen."""
+
+    def __init__(self, first: Screen, *, seed: int = 0) -> None:
+        self.world = World()
+        self.seed = seed
+        self.participant = ''
+        self.known_options: tuple[str, ...] = ()  # in the order in which they were begun
+        self.message = Message()
+        self.screen = first
+        self.run: Run | None = None  # under way
+        self.run_text = ''  # how far it is
+        self.ended = False
+        self._outbox: deque[Request] = deque()
+        self._keys: deque[str] = deque()
+        self._waiting: _Waiting | None = None
+
+    @property
+    def domain(self) -> Domain[Any]:
+        """The domain; screens that need it are shown only once it is known."""
+        assert self.world.domain is not None
+        return self.world.domain
+
+    @property
+    def waits_for(self) -> Request | None:
+        """The request that is under way."""
+        return self._waiting.request if self._waiting is not None else None
+
+    @property
+    def shown(self) -> tuple[object, ...]:
+        """What differs when a new frame is due, besides the world and keys that were pressed."""
+        missing = tuple(self.world.missing)
+        return self.screen, self.message, self.run, self.run_text, self.waits_for, missing
+
+    def show(self, screen: Screen) -> None:
+        """Go to another screen."""
+        self.screen = screen
+
+    def say(self, text: str, *, bad: bool = False) -> None:
+        """Show a line to the person."""
+        self.message = Message(text, bad)
+
+    def ask(self, *requests: Request) -> None:
+        """Have requests made one after the other; one that fails ends the row."""
+        self._outbox.extend(requests)
+
+    def drive(self, action: str) -> None:
+        """Have a primitive action taken as a person."""
+        game = self.world.game
+        if game is None or not game.under_way:
+            self.say('No step can be taken: the episode is over.', bad=True)
+        else:
+            self.ask(Drive(action, game.at))
+
+    def end(self) -> None:
+        """Leave the terminal."""
+        self.ended = True
+
+    def type(self, keys: Iterable[str]) -> None:
+        """Take in key presses; Ctrl-C does not wait for anything."""
+        for key in keys:
+            if key in (INTERRUPT, END_OF_FILE):
+                self.end()
+            elif key and len(self._keys) < MOST_KEYS:
+                self._keys.append(key)
+
+    def advance(self, now: float) -> Request | None:
+        """
+        Carry out what can be carried out now.
+
+        :param now: seconds, never going back.
+        :return: the next request to make; its answer goes to ``replied``.
+        """
+        self._look_at_waiting(now)
+        while self._waiting is None and not self.ended:
+            if self._outbox:
+                request = self._outbox.popleft()
+                self._waiting = _Waiting(request, now + REPLY_SECONDS)
+                return request
+            if self._keys:
+                self.screen.press(self._keys.popleft(), self)
+                continue
+            self.screen.tick(self)
+            if not self._outbox:
+                break
+        return None
+
+    def replied(self, reply: Reply, now: float) -> None:
+        """Take in the answer to the request under way; any other one is too late and ignored."""
+        waiting = self._waiting
+        if waiting is None or waiting.request is not reply.request:
+            return
+        waiting.reply, waiting.until = reply, now + SETTLE_SECONDS
+        if reply.ok and isinstance(reply.request, RunOption | PlanOptions | PlayEpisodes):
+            self.run, self.run_text = reply.request, ''
+        self._look_at_waiting(now)
+
+    def moved(self, now: float) -> None:
+        """Take in that the game has gone on since the person's action was sent."""
+        request, game = self.waits_for, self.world.game
+        if isinstance(request, Drive) and game is not None and game.at != request.at:
+            self.message = Message()
+            self.replied(Reply(request, ok=True), now)
+
+    def run_said(self, text: str) -> None:
+        """Take in how far the run is."""
+        self.run_text = text
+
+    def run_ended(self, reply: Reply) -> None:
+        """Take in how the run ended."""
+        if self.run is reply.request:
+            self.run = None
+            self.say(reply.text, bad=not reply.ok)
+            self.screen.run_ended(reply, self)
+
+    def lost_server(self) -> None:
+        """Take in that nobody is left to finish the run."""
+        if self.run is not None:
+            self.run_ended(Reply(self.run, ok=False, text=f'{server(self.run)} is gone.'))
+
+    def parting(self) -> list[Request]:
+        """Return what is left to ask when the terminal ends, so that nothing is left hanging."""
+        lesson, game = self.world.lesson, self.world.game
+        mine = lesson is not None and lesson.participant == self.participant
+        demonstrating = lesson is not None and lesson.phase is Phase.DEMONSTRATING
+        requests: list[Request] = []
+        if self.run is not None:
+            requests.append(CancelRun())
+        if mine and demonstrating and game is not None:
+            requests.append(End(Verdict.DISCARD, game.at))
+        if self.world.i_drive:
+            requests.append(GiveBack())
+        return requests
+
+    def _look_at_waiting(self, now: float) -> None:
+        waiting = self._waiting
+        if waiting is None:
+            return
+        late = now >= waiting.until
+        if waiting.reply is None:
+            if late:
+                text = f'{server(waiting.request)} does not answer.'
+                self._finish(Reply(waiting.request, ok=False, text=text))
+        elif late or settled(waiting.reply, self.world):
+            self._finish(waiting.reply)
+
+    def _finish(self, reply: Reply) -> None:
+        self._waiting = None
+        if not reply.ok:
+            self._outbox.clear()
+            self._keys.clear()
+        if reply.text or not reply.ok:
+            self.say(reply.text, bad=not reply.ok)
+        self.screen.replied(reply, self)

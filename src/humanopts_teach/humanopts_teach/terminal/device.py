@@ -1,0 +1,108 @@
+"""The terminal itself: raw keys in, lines out, and everything put back at the end."""
+
+from collections.abc import Callable, Sequence
+import os
+import select
+import sys
+import time
+from types import TracebackType
+from typing import cast
+
+from humanopts_teach.terminal.drawing import Colours
+from humanopts_teach.terminal.keys import key_of
+from prompt_toolkit.input.vt100 import Vt100Input
+from rich.console import Console
+
+ESCAPE_SECONDS = 0.1  # after which an escape character was the key, not the head of a sequence
+_ENTER = '\x1b[?1049h\x1b[?25l\x1b[2J'  # alternate screen, hidden cursor, cleared
+_LEAVE = '\x1b[0m\x1b[?25h\x1b[?1049l'
+_HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
+
+
+def why_not() -> str:
+    """Say why standard input and output cannot be drawn on; empty: they can."""
+    if not sys.stdin.isatty() or not sys.stdout.isatty():
+        return 'the teaching terminal needs a terminal as standard input and output'
+    if os.environ.get('TERM', '') in ('', 'dumb'):
+        return 'the teaching terminal needs a terminal that can move its cursor; TERM is not set'
+    return ''
+
+
+class Device:
+    """Standard input in raw mode and the alternate screen, for the length of a ``with``."""
+
+    def __init__(self) -> None:
+        self._input = Vt100Input(sys.stdin)
+        self._raw = self._input.raw_mode()
+        self._poll = select.poll()
+        self._poll.register(self._input.fileno(), select.POLLIN)
+        self._drawn: list[str] = []
+        self._size = (0, 0)
+        self._read_at = 0.0
+        self.closed = False  # the terminal is gone
+        console = Console()
+        system = None if console.no_color else console.color_system
+        self._colours = cast(Colours | None, system)
+
+    def __enter__(self) -> 'Device':
+        """Take over the terminal."""
+        self._raw.__enter__()
+        self._write(_ENTER)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Put the terminal back."""
+        self._write(_LEAVE)
+        self._raw.__exit__(kind, error, trace)
+
+    def read(self) -> list[str]:
+        """Return the keys that were pressed; waits for nothing."""
+        events = [event for _, event in self._poll.poll(0)]
+        presses = self._input.read_keys() if any(e & select.POLLIN for e in events) else []
+        self.closed |= self._input.closed
+        self.closed |= not presses and any(e & _HUNG_UP for e in events)
+        now = time.monotonic()
+        if events:
+            self._read_at = now
+        elif now - self._read_at > ESCAPE_SECONDS:
+            presses += self._input.flush_keys()
+        return [key for key in map(key_of, presses) if key]
+
+    def resized(self) -> bool:
+        """Tell whether the window has another size than what was drawn."""
+        return self._window() != self._size
+
+    def draw(self, frame: Callable[[int, int, Colours | None], Sequence[str]]) -> None:
+        """Show the lines of a frame, writing only those that have changed."""
+        size = self._window()
+        lines = list(frame(*size, self._colours))
+        old = self._drawn if size == self._size else []
+        output = '' if old else '\x1b[2J'
+        for row, line in enumerate(lines):
+            if row >= len(old) or line != old[row]:
+                output += f'\x1b[{row + 1};1H\x1b[0m{line}\x1b[0m\x1b[K'
+        self._drawn, self._size = lines, size
+        self._write(output)
+
+    def _window(self) -> tuple[int, int]:
+        try:
+            size = os.get_terminal_size(sys.stdout.fileno())
+        except OSError:
+            return (80, 24)
+        return (size.columns or 80, size.lines or 24)  # some terminals say 0 x 0
+
+    def _write(self, text: str) -> None:
+        data = text.encode('utf-8', 'replace')
+        try:
+            while data:
+                data = data[os.write(sys.stdout.fileno(), data) :]
+        except BlockingIOError:
+            select.select([], [sys.stdout.fileno()], [], 1.0)
+            self._drawn = []
+        except OSError:
+            self.closed = True

@@ -1,0 +1,142 @@
+"""The whole screen as lines of a given size."""
+
+from collections.abc import Collection, Mapping, Sequence
+from io import StringIO
+from typing import Literal
+
+from humanopts_teach.dialogue.answers import Phase
+from humanopts_teach.terminal.app import App
+from humanopts_teach.terminal.panels import panel
+from humanopts_teach.terminal.teaching import LessonScreen
+from rich.cells import cell_len, set_cell_size
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+SMALLEST = (70, 20)  # columns, rows
+Colours = Literal['auto', 'standard', '256', 'truecolor', 'windows']
+_BARE = {Phase.READY, Phase.DEMONSTRATING, Phase.LEARNING}  # only chosen features are shown
+
+
+def frame(app: App, width: int, height: int, colours: Colours | None = None) -> list[str]:
+    """
+    Return the screen as ``height`` lines, each ``width`` cells wide at most.
+
+    :param colours: as rich names what the terminal can do; None: plain text.
+    """
+    if width < SMALLEST[0] or height < SMALLEST[1]:
+        return _fit(_lines(_too_small(width, height), width, colours), height)
+    bottom = _lines(_foot(app), width, colours)
+    top = _lines(Group(_head(app, width), Text(), _middle(app)), width, colours)
+    return _fit(top, height - len(bottom)) + bottom
+
+
+def _lines(renderable: RenderableType, width: int, colours: Colours | None) -> list[str]:
+    file = StringIO()
+    console = Console(
+        file=file,
+        width=width,
+        force_terminal=colours is not None,
+        color_system=colours,
+        legacy_windows=False,
+        highlight=False,
+        markup=False,
+        emoji=False,
+    )
+    console.print(renderable)
+    return [line.rstrip() for line in file.getvalue().rstrip('\n').split('\n')]
+
+
+def _fit(lines: list[str], height: int) -> list[str]:
+    """Cut or fill to the height, and say so when something is cut."""
+    if len(lines) > height:
+        lines = [*lines[: max(height - 1, 0)], '... (a higher window shows more)']
+    return (lines + [''] * height)[:height]
+
+
+def _too_small(width: int, height: int) -> Text:
+    need = f'{SMALLEST[0]} x {SMALLEST[1]}'
+    return Text(
+        f'This window has {width} x {height} characters, and {need} are needed: please make it '
+        'larger. (Ctrl-C quits; everything taught is saved.)'
+    )
+
+
+def _head(app: App, width: int) -> Text:
+    world = app.world
+    parts = ['humanopts']
+    if world.domain is not None:
+        parts.append(world.domain.name)
+    if app.participant:
+        parts.append(app.participant)
+        if world.lesson is not None and world.lesson.session:
+            parts.append(f'session {world.lesson.session}')
+    if world.holder:
+        parts.append('you drive' if world.i_drive else 'another person drives')
+    return Text(set_cell_size(f' {" · ".join(parts)}', width), 'reverse')
+
+
+def _middle(app: App) -> RenderableType:
+    if app.world.domain is None:
+        return Text('Waiting for the game ...')
+    board, notes = _board(app)
+    table = Table.grid(padding=(0, 3, 0, 0), expand=True)
+    table.add_column(width=max(cell_len(line) for line in board.plain.split('\n')), no_wrap=True)
+    table.add_column(ratio=1)
+    table.add_row(board, panel(app.screen, app))
+    return Group(table, notes)
+
+
+def _board(app: App) -> tuple[Text, Text]:
+    """Return the board, and the lines below it, which may be wider."""
+    game, domain = app.world.game, app.domain
+    if game is None or not game.state:
+        return Text(), Text()
+    lines = domain.render(domain.decode(game.state), _shown(app)).split('\n')
+    width = cell_len(lines[0])
+    end = next((n for n, line in enumerate(lines) if cell_len(line) != width), len(lines))
+    styles = domain.glyph_styles
+    return _coloured(lines[:end], styles), _coloured(lines[end:], styles, alone=True)
+
+
+def _shown(app: App) -> Collection[str] | None:
+    """Return the features that the board may reveal; None: all."""
+    lesson = app.world.lesson
+    if isinstance(app.screen, LessonScreen) and lesson is not None and lesson.phase in _BARE:
+        return lesson.chosen_features
+    return None
+
+
+def _coloured(lines: Sequence[str], styles: Mapping[str, str], *, alone: bool = False) -> Text:
+    """
+    Return the lines with the domain's colours.
+
+    :param alone: colour only characters that are no part of a word.
+    """
+    plain = '\n'.join(lines)
+    text = Text(plain)
+    around = f' {plain} '
+    for at, character in enumerate(plain):
+        in_word = alone and (around[at].isalpha() or around[at + 2].isalpha())
+        if character in styles and not in_word:
+            text.stylize(styles[character], at, at + 1)
+    return text
+
+
+def _foot(app: App) -> Group:
+    keys = Text()
+    for number, (key, words) in enumerate(app.screen.keys(app)):
+        keys.append('  ' if number else '')
+        keys.append(key.replace(' ', '\u00a0'), 'bold bright_cyan')
+        keys.append('\u00a0' + words.replace(' ', '\u00a0'))
+    return Group(_said(app), keys)
+
+
+def _said(app: App) -> Text:
+    if app.world.missing:
+        names = ', '.join(app.world.missing)
+        return Text(f'{names}: not there. Everything taught is saved; Ctrl-C quits.', 'bold red')
+    if app.message.text:
+        return Text(app.message.text, 'bold red' if app.message.bad else 'green')
+    lesson = app.world.lesson
+    return Text(lesson.text if isinstance(app.screen, LessonScreen) and lesson else '', 'green')

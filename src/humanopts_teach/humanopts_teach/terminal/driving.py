@@ -1,0 +1,136 @@
+"""Screens in which the game is played: by the person, by a taught option, by a plan."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from humanopts_env.seeding import generator
+from humanopts_teach.terminal.app import App
+from humanopts_teach.terminal.entry import HelpScreen, Keys, PlainScreen
+from humanopts_teach.terminal.keys import Command, key_table, KeyTable, label
+from humanopts_teach.terminal.requests import (
+    CancelRun,
+    GiveBack,
+    NewEpisode,
+    PlanOptions,
+    PlayEpisodes,
+    Reply,
+    Request,
+    RunOption,
+)
+
+EPISODES = 5  # that are watched
+
+
+@dataclass
+class PlayScreen(PlainScreen):
+    """The person drives as they like; nothing of it is a demonstration."""
+
+    menu: Callable[[App], None]
+    title: str = 'Drive freely'
+    text: str = 'Nothing here is a demonstration.'
+    commands: tuple[Command, ...] = field(
+        default=(Command.NEW_START, Command.MENU, Command.HELP, Command.QUIT), init=False
+    )
+    words: dict[Command, str] = field(default_factory=dict, init=False)
+
+    def press(self, key: str, app: App) -> None:
+        """Drive, which takes control, or carry out a command."""
+        table = self.table(app)
+        action, command = table.action(key), table.command(key)
+        if action is not None:
+            app.drive(action)
+        elif command is Command.RUN_HERE and app.run is None:
+            self.start(app)
+        elif command is Command.NEW_START and app.run is None:
+            app.ask(self.new_start(app))
+        elif command is Command.MENU:
+            self._out(app)
+        elif command is Command.HELP:
+            app.show(HelpScreen(self._help(app), self._back))
+        elif command is Command.QUIT:
+            app.end()
+
+    def start(self, app: App) -> None:
+        """Have the machine begin. To be overridden where a machine plays."""
+
+    def new_start(self, app: App) -> Request:
+        """Return the request for an episode from a start state of the task."""
+        episode = app.world.game.episode if app.world.game is not None else 0
+        rng = generator(app.seed, 'terminal episode', app.participant, episode)
+        return NewEpisode(int(rng.integers(2**63)))
+
+    def table(self, app: App) -> KeyTable:
+        """Return the keys."""
+        return key_table(app.domain.actions, self.commands)
+
+    def keys(self, app: App) -> Keys:
+        """Return the keys and what they do."""
+        words = {
+            Command.NEW_START: 'new start',
+            Command.MENU: 'stop it' if app.run is not None else 'menu',
+            Command.HELP: 'help',
+            Command.QUIT: 'quit',
+            **self.words,
+        }
+        idle = {Command.NEW_START, Command.RUN_HERE} if app.run is not None else set()
+        actions = [(label(action.key), action.name) for action in app.domain.actions]
+        commands = self.table(app).commands.items()
+        return actions + [(label(key), words[c]) for key, c in commands if c not in idle]
+
+    def _out(self, app: App) -> None:
+        if app.run is not None:
+            app.ask(CancelRun())
+        else:
+            app.ask(GiveBack())
+            self.menu(app)
+
+    def _back(self, app: App) -> None:
+        app.show(self)
+
+    def _help(self, app: App) -> Keys:
+        actions = [(label(action.key), action.description) for action in app.domain.actions]
+        return [*actions, *self.keys(app)[len(actions) :], ('Ctrl-C', 'leave at once')]
+
+
+@dataclass
+class RunScreen(PlayScreen):
+    """The machine runs one taught option; a person's action key takes over."""
+
+    option_name: str = ''
+
+    def __post_init__(self) -> None:
+        """Name the option, and add the key that starts it."""
+        self.title = f'Run: {self.option_name}'
+        self.text = 'The machine runs it from the state shown. An action key takes over.'
+        self.commands = (Command.RUN_HERE, *self.commands)
+        self.words = {Command.RUN_HERE: 'run it from here'}
+
+    def start(self, app: App) -> None:
+        """Give control back, and run the option from the current state."""
+        game = app.world.game
+        under_way = game is not None and game.under_way
+        first = [] if under_way else [self.new_start(app)]
+        app.ask(*first, GiveBack(), RunOption(self.option_name, app.participant))
+
+
+@dataclass
+class WatchScreen(PlayScreen):
+    """The machine plans and plays episodes; a person's action key takes over."""
+
+    action_set: str = 'human'
+
+    def __post_init__(self) -> None:
+        """Add the key that starts it."""
+        self.title = f'Watch the machine play {EPISODES} episodes'
+        self.text = 'It plans first, then plays. An action key takes over.'
+        self.commands = (Command.RUN_HERE, *self.commands)
+        self.words = {Command.RUN_HERE: 'plan and play'}
+
+    def start(self, app: App) -> None:
+        """Plan."""
+        app.ask(GiveBack(), PlanOptions(self.action_set, app.participant, app.seed))
+
+    def run_ended(self, reply: Reply, app: App) -> None:
+        """Play once it is planned."""
+        if reply.ok and isinstance(reply.request, PlanOptions):
+            app.ask(PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed))

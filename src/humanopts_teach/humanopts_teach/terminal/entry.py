@@ -1,0 +1,142 @@
+"""Screens in which the person types or picks something."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from humanopts_teach.terminal.app import App
+from humanopts_teach.terminal.keys import BACKSPACE, CLEAR, DOWN, ENTER, ESCAPE, label, UP
+from humanopts_teach.terminal.requests import Reply
+
+MOST_CHARACTERS = 60
+Keys = list[tuple[str, str]]
+
+
+class PlainScreen:
+    """A screen that only listens to keys."""
+
+    def press(self, key: str, app: App) -> None:
+        """Carry out one key. To be overridden."""
+
+    def replied(self, reply: Reply, app: App) -> None:
+        """Take in the answer to a request."""
+
+    def run_ended(self, reply: Reply, app: App) -> None:
+        """Take in how a run ended."""
+
+    def tick(self, app: App) -> None:
+        """Do what needs no key."""
+
+    def keys(self, app: App) -> Keys:
+        """Return the keys and what they do. To be overridden."""
+        return []
+
+
+@dataclass
+class TextScreen(PlainScreen):
+    """One line that the person types."""
+
+    title: str
+    explanation: str
+    typed: str = ''
+    submit: Callable[[str, App], None] = lambda text, app: None
+    answered: Callable[[Reply, App], None] = lambda reply, app: None
+    back: Callable[[App], None] | None = None
+
+    def press(self, key: str, app: App) -> None:
+        """Edit the line, or submit it."""
+        if key == ENTER and self.typed.strip():
+            self.submit(self.typed.strip(), app)
+        elif key == ESCAPE and self.back is not None:
+            self.back(app)
+        elif key == BACKSPACE:
+            self.typed = self.typed[:-1]
+        elif key == CLEAR:
+            self.typed = ''
+        elif len(key) == 1 and len(self.typed) < MOST_CHARACTERS:
+            self.typed += key
+
+    def replied(self, reply: Reply, app: App) -> None:
+        """Go on, or stay with what was refused."""
+        self.answered(reply, app)
+
+    def keys(self, app: App) -> Keys:
+        """Return the keys of a line editor."""
+        back = [(label(ESCAPE), 'back')] if self.back is not None else []
+        return [('Enter', 'accept'), ('Backspace', 'erase'), *back, ('Ctrl-C', 'quit')]
+
+
+@dataclass(frozen=True)
+class Item:
+    """One thing to pick."""
+
+    text: str
+    note: str
+    pick: Callable[[App], None]
+
+
+@dataclass
+class ListScreen(PlainScreen):
+    """A list from which the person picks by arrow keys or by number."""
+
+    title: str
+    items: Sequence[Item]
+    back: Callable[[App], None] | None = None
+    answered: Callable[[Reply, App], None] = lambda reply, app: None
+    at: int = 0
+
+    def press(self, key: str, app: App) -> None:
+        """Move, or pick."""
+        number = int(key) - 1 if key in set('123456789') else -1
+        if key in (UP, DOWN):
+            self.at = (self.at + (1 if key == DOWN else -1)) % len(self.items)
+        elif 0 <= number < len(self.items):
+            self.at = number
+            self.items[number].pick(app)
+        elif key == ENTER:
+            self.items[self.at].pick(app)
+        elif key == ESCAPE and self.back is not None:
+            self.back(app)
+        elif key in ('q', 'Q'):
+            app.end()
+
+    def replied(self, reply: Reply, app: App) -> None:
+        """Go on with what was picked."""
+        self.answered(reply, app)
+
+    def keys(self, app: App) -> Keys:
+        """Return the keys of a list."""
+        back = [(label(ESCAPE), 'back')] if self.back is not None else []
+        return [('↑ ↓', 'move'), ('Enter', 'choose'), ('1-9', 'choose'), *back, ('q', 'quit')]
+
+
+@dataclass
+class ConfirmScreen(PlainScreen):
+    """A question that Enter affirms; any other key goes back."""
+
+    question: str
+    affirm: Callable[[App], None]
+    back: Callable[[App], None]
+
+    def press(self, key: str, app: App) -> None:
+        """Affirm or go back."""
+        (self.affirm if key == ENTER else self.back)(app)
+
+    def keys(self, app: App) -> Keys:
+        """Return the two answers."""
+        return [('Enter', 'yes'), ('any other key', 'go on as before')]
+
+
+@dataclass
+class HelpScreen(PlainScreen):
+    """All keys in words; any key goes back."""
+
+    table: Sequence[tuple[str, str]]
+    back: Callable[[App], None]
+
+    def press(self, key: str, app: App) -> None:
+        """Go back."""
+        self.back(app)
+
+    def keys(self, app: App) -> Keys:
+        """Return the one thing to do."""
+        return [('any key', 'go back')]

@@ -1,0 +1,111 @@
+"""Which key means what: actions keep the domain's keys, commands give way to them."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+import string
+
+from humanopts_env.domains.base import Action
+from prompt_toolkit.key_binding.key_processor import KeyPress
+from prompt_toolkit.keys import Keys
+
+ENTER, ESCAPE, BACKSPACE, SPACE = 'enter', 'escape', 'backspace', ' '
+INTERRUPT, END_OF_FILE, CLEAR = 'ctrl-c', 'ctrl-d', 'ctrl-u'
+UP, DOWN = 'up', 'down'
+_NAMED: Mapping[str, str] = {
+    Keys.Up: UP,
+    Keys.Down: DOWN,
+    Keys.Left: 'left',
+    Keys.Right: 'right',
+    Keys.ControlM: ENTER,
+    Keys.ControlJ: ENTER,
+    Keys.Escape: ESCAPE,
+    Keys.ControlH: BACKSPACE,
+    Keys.ControlC: INTERRUPT,
+    Keys.ControlD: END_OF_FILE,
+    Keys.ControlU: CLEAR,
+}
+_LABELS = {UP: '↑', DOWN: '↓', 'left': '←', 'right': '→', ENTER: 'Enter', ESCAPE: 'Esc'}
+_LABELS |= {BACKSPACE: 'Backspace', SPACE: 'Space', INTERRUPT: 'Ctrl-C'}
+
+
+class Command(Enum):
+    """What a person can ask for besides the domain's actions."""
+
+    DONE = 'done'
+    START_AGAIN = 'start again'
+    NOT_HERE = 'not here'
+    DISCARD = 'discard'
+    QUESTIONS = 'questions'
+    BEGIN = 'begin'
+    RUN = 'run'
+    RUN_HERE = 'run here'
+    NEW_START = 'new start'
+    MENU = 'menu'
+    HELP = 'help'
+    QUIT = 'quit'
+
+
+_WANTED: Mapping[Command, Sequence[str]] = {  # keys by preference
+    Command.DONE: [ENTER],
+    Command.START_AGAIN: 'sa',
+    Command.NOT_HERE: 'nh',
+    Command.DISCARD: [BACKSPACE],
+    Command.QUESTIONS: 'ek',
+    Command.BEGIN: [ENTER],
+    Command.RUN: 'rg',
+    Command.RUN_HERE: [ENTER],
+    Command.NEW_START: 'no',
+    Command.MENU: [ESCAPE],
+    Command.HELP: '?h',
+    Command.QUIT: 'qQ',
+}
+_SPARE = string.ascii_lowercase + string.digits + string.ascii_uppercase
+
+
+@dataclass(frozen=True)
+class KeyTable:
+    """The keys of one screen."""
+
+    actions: Mapping[str, str]  # key -> name of the action
+    commands: Mapping[str, Command]  # key -> command
+
+    def action(self, key: str) -> str | None:
+        """Return the action of a key, in either case; None: it has none."""
+        return self.actions.get(key) or self.actions.get(_other_case(key, self.commands))
+
+    def command(self, key: str) -> Command | None:
+        """Return the command of a key, in either case; None: it has none."""
+        return self.commands.get(key) or self.commands.get(_other_case(key, self.actions))
+
+    def key(self, command: Command) -> str:
+        """Return the label of the key of a command that the table has."""
+        return label(next(key for key, found in self.commands.items() if found is command))
+
+
+def key_table(actions: Sequence[Action], commands: Iterable[Command]) -> KeyTable:
+    """Give each command the first of its keys, or of all characters, that is still free."""
+    taken = {action.key for action in actions}
+    table: dict[str, Command] = {}
+    for command in commands:
+        wanted = (*_WANTED[command], *_SPARE)
+        table[next(key for key in wanted if key not in taken and key not in table)] = command
+    return KeyTable({action.key: action.name for action in actions}, table)
+
+
+def key_of(press: KeyPress) -> str:
+    """Return our name of a key press; empty: a key that we do not use."""
+    if press.key in _NAMED:
+        return _NAMED[press.key]
+    key = str(press.key)
+    return key if len(key) == 1 and key.isprintable() else ''
+
+
+def label(key: str) -> str:
+    """Return how a key reads on the screen."""
+    return _LABELS.get(key, key)
+
+
+def _other_case(key: str, exact: Mapping[str, object]) -> str:
+    """Return the key in the other case, unless ``exact`` means it as it is."""
+    return '' if key in exact or len(key) != 1 else key.swapcase()

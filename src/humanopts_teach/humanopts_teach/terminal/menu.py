@@ -1,0 +1,151 @@
+"""The way from screen to screen: who teaches, what to do, which option."""
+
+from collections.abc import Callable
+
+from humanopts_teach.dialogue.answers import Phase
+from humanopts_teach.terminal.app import App
+from humanopts_teach.terminal.driving import PlayScreen, RunScreen, WatchScreen
+from humanopts_teach.terminal.entry import Item, ListScreen, TextScreen
+from humanopts_teach.terminal.requests import (
+    DefineOption,
+    ListOptions,
+    OpenSession,
+    Reply,
+)
+from humanopts_teach.terminal.teaching import LessonScreen
+
+
+def opening(participant: str) -> TextScreen:
+    """
+    Return the first screen.
+
+    :param participant: code that is proposed.
+    """
+    return TextScreen(
+        'Who teaches?',
+        'Your code keeps your options apart from those of others. Enter accepts it.',
+        typed=participant,
+        submit=_enter,
+        answered=_entered,
+    )
+
+
+def _enter(code: str, app: App) -> None:
+    lesson = app.world.lesson
+    app.participant = code
+    if lesson is not None and lesson.phase is Phase.DEMONSTRATING and lesson.participant == code:
+        app.known_options = (lesson.option_name,)
+        to_lesson(app)  # a terminal that was cut off left a demonstration under way
+    else:
+        app.ask(OpenSession(code))
+
+
+def _entered(reply: Reply, app: App) -> None:
+    if reply.ok:
+        app.known_options = reply.names
+        to_menu(app)
+
+
+def to_menu(app: App) -> None:
+    """Show what can be done."""
+    known = len(app.known_options)
+    items = [Item('Teach a new option', 'name it, answer questions, show it', _name_option)]
+    if known:
+        text = f'{known} begun so far'
+        items.append(Item('Go on teaching an option', text, _choose_known))
+    items += [
+        Item('Run a taught option', 'the machine runs it, you watch', _list_taught),
+        Item('Watch the machine play', 'it plans, then plays', _choose_plan),
+        Item('Drive freely', 'get to know the game and the keys', _play),
+        Item('Quit', 'everything taught is saved', App.end),
+    ]
+    app.show(ListScreen('What next?', items, answered=_listed))
+
+
+def to_lesson(app: App) -> None:
+    """Show the lesson as it stands."""
+    app.show(LessonScreen(menu=to_menu, run=to_run))
+
+
+def to_run(option_name: str, app: App) -> None:
+    """Show the screen from which one option is run."""
+    app.show(RunScreen(menu=to_menu, option_name=option_name))
+
+
+def _name_option(app: App) -> None:
+    app.show(
+        TextScreen(
+            'What is the option called?',
+            'In your own words, such as: go to passenger and pickup',
+            submit=_define,
+            answered=_defined,
+            back=to_menu,
+        )
+    )
+
+
+def _define(name: str, app: App) -> None:
+    app.ask(DefineOption(name))
+
+
+def _defined(reply: Reply, app: App) -> None:
+    if reply.ok and isinstance(reply.request, DefineOption):
+        if reply.request.name not in app.known_options:
+            app.known_options = (*app.known_options, reply.request.name)
+        to_lesson(app)
+
+
+def _choose_known(app: App) -> None:
+    items = [Item(name, _standing(name, app), _defining(name)) for name in app.known_options]
+    app.show(ListScreen('Go on with which option?', items, back=to_menu, answered=_defined))
+
+
+def _defining(name: str) -> Callable[[App], None]:
+    return lambda app: app.ask(DefineOption(name))
+
+
+def _standing(name: str, app: App) -> str:
+    progress = app.world.progress_of(app.participant, name)
+    if progress is None:
+        return 'nothing learned yet'
+    held = ', all criteria hold' if progress.criteria_met else ''
+    return f'{progress.n_demonstrations} demonstrations{held}'
+
+
+def _list_taught(app: App) -> None:
+    app.ask(ListOptions(app.participant))
+
+
+def _listed(reply: Reply, app: App) -> None:
+    if not reply.ok or not isinstance(reply.request, ListOptions):
+        return
+    if not reply.names:
+        app.say('Nothing is taught yet: an option can be run after its first demonstration.')
+        return
+    items = [Item(name, _standing(name, app), _running(name)) for name in reply.names]
+    app.show(ListScreen('Run which option?', items, back=to_menu))
+
+
+def _running(name: str) -> Callable[[App], None]:
+    return lambda app: to_run(name, app)
+
+
+def _choose_plan(app: App) -> None:
+    sets = {
+        'human': ('With your options', 'decides only where an option ends'),
+        'primitive': ('With single steps', 'decides at every step'),
+        'human+primitive': ('With both', 'options where they help'),
+    }
+    items = [Item(*words, _watching(action_set)) for action_set, words in sets.items()]
+    app.show(ListScreen('Plan with what?', items, back=to_menu))
+
+
+def _watching(action_set: str) -> Callable[[App], None]:
+    return lambda app: app.show(WatchScreen(menu=to_menu, action_set=action_set))
+
+
+def _play(app: App) -> None:
+    screen = PlayScreen(menu=to_menu)
+    app.show(screen)
+    if app.world.game is None or not app.world.game.under_way:
+        app.ask(screen.new_start(app))

@@ -1,0 +1,183 @@
+"""What stands beside the board, as rich renderables."""
+
+from collections.abc import Sequence
+from functools import singledispatch
+
+from humanopts_teach.dialogue.answers import LessonView, Phase
+from humanopts_teach.terminal.app import App, Screen
+from humanopts_teach.terminal.driving import PlayScreen
+from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen, ListScreen, TextScreen
+from humanopts_teach.terminal.teaching import LessonScreen
+from humanopts_teach.terminal.world import CriterionView, ProgressView
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+_CRITERIA = {
+    'return': 'does as well as you',
+    'initiation': 'knows where it starts',
+    'termination': 'knows where it ends',
+}
+_CONFLICTS = 1  # that are spelt out
+
+
+@singledispatch
+def panel(screen: Screen, app: App) -> RenderableType:
+    """Return what a screen shows beside the board."""
+    return Text()
+
+
+@panel.register
+def _text(screen: TextScreen, app: App) -> RenderableType:
+    return Group(
+        Text(screen.title, 'bold'),
+        Text(),
+        Text.assemble('> ', (screen.typed, 'bold bright_white'), ('█', 'bright_cyan')),
+        Text(),
+        Text(screen.explanation, 'dim'),
+    )
+
+
+@panel.register
+def _list(screen: ListScreen, app: App) -> RenderableType:
+    lines = [Text(screen.title, 'bold'), Text()]
+    for number, item in enumerate(screen.items):
+        chosen = number == screen.at
+        lines.append(
+            Text.assemble(
+                ('> ' if chosen else '  ', 'bold bright_cyan'),
+                (f'{number + 1} {item.text}', 'bold' if chosen else ''),
+                (f'  {item.note}', 'dim'),
+                overflow='ellipsis',
+                no_wrap=True,
+            )
+        )
+    return Group(*lines)
+
+
+@panel.register
+def _confirm(screen: ConfirmScreen, app: App) -> RenderableType:
+    return Text(screen.question, 'bold')
+
+
+@panel.register
+def _help(screen: HelpScreen, app: App) -> RenderableType:
+    table = Table.grid(padding=(0, 2))
+    for key, words in screen.table:
+        table.add_row(Text(key, 'bold bright_cyan', justify='right'), Text(words))
+    return Group(Text('Keys', 'bold'), table)
+
+
+@panel.register
+def _play(screen: PlayScreen, app: App) -> RenderableType:
+    game, running = app.world.game, app.run is not None
+    lines = [Text(screen.title, 'bold'), Text(screen.text, 'dim'), Text()]
+    if running:
+        lines.append(Text(f'The machine drives. {app.run_text}', 'bright_cyan'))
+    if game is not None and game.episode:
+        lines.append(Text(f'episode {game.episode}, step {game.step}'))
+        if game.step:
+            lines.append(Text(f'last: {game.action}, reward {game.reward:g}'))
+        if game.terminated:
+            lines.append(Text('The task is done.', 'bold green'))
+        elif game.truncated:
+            lines.append(Text('The episode is over: it is at its step limit.', 'yellow'))
+    return Group(*lines)
+
+
+@panel.register
+def _lesson(screen: LessonScreen, app: App) -> RenderableType:
+    lesson = app.world.lesson
+    if lesson is None:
+        return Text()
+    title = Text.assemble('Teaching: ', (lesson.option_name, 'bold bright_white'))
+    if lesson.phase is Phase.ASKING:
+        return Group(title, *_question(lesson))
+    progress = app.world.progress_of(lesson.participant, lesson.option_name)
+    parts = [title, _features(lesson, app), Text(), *_criteria(lesson, progress)]
+    if progress is not None:
+        parts += _conflicts(progress)
+    return Group(*parts)
+
+
+def _question(lesson: LessonView) -> list[RenderableType]:
+    yes = ', '.join(map(_plain, lesson.chosen_features)) or 'nothing yet'
+    return [
+        Text(),
+        Text(lesson.question, 'bold'),
+        Text(),
+        Text(f'one of {lesson.questions_total} questions', 'dim'),
+        Text(f'It depends on: {yes}'),
+    ]
+
+
+def _features(lesson: LessonView, app: App) -> Text:
+    game, text = app.world.game, Text('depends on: ', 'dim')
+    values: Sequence[int] = []
+    if game is not None and game.state and lesson.phase is Phase.DEMONSTRATING:
+        values = app.domain.feature_values(app.domain.decode(game.state)).tolist()
+    shown = [f for f in enumerate(app.domain.features) if f[1].name in lesson.chosen_features]
+    for number, (index, feature) in enumerate(shown):
+        text.append(', ' if number else '', 'dim')
+        text.append(_plain(feature.name), 'not dim')
+        if len(values):
+            text.append(f' {feature.values[values[index]]}', 'not dim bold bright_cyan')
+    return text
+
+
+def _criteria(lesson: LessonView, progress: ProgressView | None) -> list[RenderableType]:
+    shown = f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here'
+    counts = Text(f'{shown}; at most {lesson.budget} are asked for', 'dim')
+    if progress is None or not progress.criteria:
+        return [Text('Nothing is learned yet.'), counts]
+    table = Table.grid(padding=(0, 2))
+    table.add_row('', Text('criterion', 'dim'), Text('now', 'dim'), Text('needs', 'dim'))
+    for criterion in progress.criteria:
+        table.add_row(*_criterion(criterion))
+    parts: list[RenderableType] = [table, _estimate(progress), counts]
+    if set(progress.features) != set(lesson.chosen_features):
+        parts.append(Text('These are for the earlier answers.', 'yellow'))
+    return parts
+
+
+def _criterion(criterion: CriterionView) -> list[Text]:
+    error = criterion.name != 'return'
+
+    def number(value: float) -> str:
+        return f'{100 * value:.1f} % wrong' if error else f'{value:.2f} worse'
+
+    style = 'green' if criterion.met else 'yellow'
+    now = number(criterion.value) if criterion.measurable else 'not yet measurable'
+    return [
+        Text('✓' if criterion.met else '·', style),
+        Text(_CRITERIA.get(criterion.name, criterion.name)),
+        Text(now, style),
+        Text(f'≤ {number(criterion.threshold)}', 'dim'),
+    ]
+
+
+def _estimate(progress: ProgressView) -> Text:
+    more = progress.more_needed
+    if progress.criteria_met:
+        return Text('All criteria hold.', 'bold green')
+    if more < 0:
+        return Text('How many more it takes cannot be told yet.')
+    return Text(f'About {more} more {"is" if more == 1 else "are"} needed (an estimate).')
+
+
+def _conflicts(progress: ProgressView) -> list[RenderableType]:
+    if not progress.conflicts:
+        return []
+    more = len(progress.conflicts) - _CONFLICTS
+    lines: list[RenderableType] = [
+        Text(f'Alike, but shown differently{f" ({more} more)" if more > 0 else ""}:', 'yellow'),
+        *[Text(text) for text in progress.conflicts[:_CONFLICTS]],
+    ]
+    if progress.suggested_feature:
+        name = _plain(progress.suggested_feature)
+        lines.append(Text(f'"{name}" would tell most apart: add it (questions).', 'yellow'))
+    return lines
+
+
+def _plain(name: str) -> str:
+    return name.replace('_', ' ')

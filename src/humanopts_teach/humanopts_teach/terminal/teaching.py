@@ -1,0 +1,166 @@
+"""The screen of one option's lesson: questions, demonstrations, criteria."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
+from humanopts_teach.terminal.app import App
+from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen, Keys, PlainScreen
+from humanopts_teach.terminal.keys import Command, key_table, KeyTable, label, SPACE
+from humanopts_teach.terminal.requests import AnswerQuestion, Begin, DefineOption, End, Reply
+
+_ALWAYS = (Command.QUESTIONS, Command.MENU, Command.HELP, Command.QUIT)
+_IN_PHASE: dict[Phase, tuple[Command, ...]] = {
+    Phase.DEMONSTRATING: (
+        Command.DONE,
+        Command.START_AGAIN,
+        Command.NOT_HERE,
+        Command.DISCARD,
+        *_ALWAYS,
+    ),
+    Phase.READY: (Command.BEGIN, *_ALWAYS),
+    Phase.FINISHED: (Command.RUN, *_ALWAYS),
+}
+_ELSE = (Command.MENU, Command.HELP, Command.QUIT)
+_SHORT = {
+    Command.DONE: 'done',
+    Command.NOT_HERE: 'not here',
+    Command.DISCARD: 'discard',
+    Command.QUESTIONS: 'questions',
+    Command.BEGIN: 'begin',
+    Command.RUN: 'run it',
+    Command.MENU: 'menu',
+    Command.HELP: 'help',
+    Command.QUIT: 'quit',
+}
+_LONG = {
+    Command.DONE: 'the option ends here: keep this demonstration',
+    Command.START_AGAIN: 'with done: the option could start again where it ended, or could not',
+    Command.NOT_HERE: 'the option makes no sense from this start; only before the first step',
+    Command.DISCARD: 'forget this demonstration and try the same start again',
+    Command.QUESTIONS: 'answer again what the option depends on; demonstrations are kept',
+    Command.MENU: 'to the menu; a demonstration under way is discarded',
+    Command.QUIT: 'leave; everything taught is saved, and is taken up again next time',
+}
+
+
+@dataclass
+class LessonScreen(PlainScreen):
+    """Teaching one option; what it shows follows the lesson's phase."""
+
+    menu: Callable[[App], None]
+    run: Callable[[str, App], None]
+    again: bool = False  # the next done says that the option could start again there
+    automatic: bool = False  # the next demonstration begins by itself
+
+    def press(self, key: str, app: App) -> None:
+        """Carry out one key as the phase has it."""
+        lesson = app.world.lesson
+        if lesson is None:
+            return
+        table = self.table(app)
+        action, command = table.action(key), table.command(key)
+        if lesson.phase is Phase.ASKING and key in tuple('yYnN'):
+            app.ask(AnswerQuestion(lesson.question_id, key in 'yY'))
+        elif lesson.phase is Phase.READY and key == SPACE:
+            self.automatic = True
+        elif action is not None:
+            app.drive(action)
+        elif command is not None:
+            self._carry_out(command, lesson, app)
+
+    def tick(self, app: App) -> None:
+        """Begin the next demonstration."""
+        lesson = app.world.lesson
+        if self.automatic and lesson is not None and lesson.phase is Phase.READY:
+            app.ask(Begin())
+
+    def replied(self, reply: Reply, app: App) -> None:
+        """Go on to the next start state, or stop where something was refused."""
+        if isinstance(reply.request, Begin):
+            self.automatic = False
+        elif isinstance(reply.request, End) and reply.ok:
+            self.again = False
+            self.automatic = True
+
+    def table(self, app: App) -> KeyTable:
+        """Return the keys of the phase."""
+        phase = _phase(app)
+        actions = app.domain.actions if phase is Phase.DEMONSTRATING else ()
+        return key_table(actions, _IN_PHASE.get(phase, _ELSE))
+
+    def keys(self, app: App) -> Keys:
+        """Return the keys of the phase and what they do."""
+        phase, table = _phase(app), self.table(app)
+        first: Keys = [('y', 'yes'), ('n', 'no')] if phase is Phase.ASKING else []
+        if phase is Phase.DEMONSTRATING:
+            first = [(label(action.key), action.name) for action in app.domain.actions]
+        again = f'could start again there: {"YES" if self.again else "no"}'
+        words = _SHORT | {Command.START_AGAIN: again}
+        return first + [(label(key), words[command]) for key, command in table.commands.items()]
+
+    def _carry_out(self, command: Command, lesson: LessonView, app: App) -> None:
+        def leave(words: str, go: Callable[[App], None]) -> None:
+            self._leave(words, go, app)
+
+        does: dict[Command, Callable[[], None]] = {
+            Command.BEGIN: self._begin,
+            Command.DONE: lambda: self._verdict(Verdict.DONE, app),
+            Command.NOT_HERE: lambda: self._verdict(Verdict.NOT_HERE, app),
+            Command.DISCARD: lambda: self._verdict(Verdict.DISCARD, app),
+            Command.START_AGAIN: self._toggle,
+            Command.QUESTIONS: lambda: leave(
+                'Answer the questions again', lambda app: self._ask_again(lesson, app)
+            ),
+            Command.RUN: lambda: self.run(lesson.option_name, app),
+            Command.MENU: lambda: leave('Go to the menu', self.menu),
+            Command.HELP: lambda: app.show(HelpScreen(_help(app), self._back)),
+            Command.QUIT: lambda: leave('Quit', App.end),
+        }
+        does[command]()
+
+    def _begin(self) -> None:
+        self.automatic = True
+
+    def _toggle(self) -> None:
+        self.again = not self.again
+
+    def _back(self, app: App) -> None:
+        app.show(self)
+
+    def _verdict(self, verdict: Verdict, app: App) -> None:
+        if (game := app.world.game) is not None:
+            app.ask(End(verdict, game.at, self.again and verdict is Verdict.DONE))
+
+    def _leave(self, words: str, go: Callable[[App], None], app: App) -> None:
+        """Discard the demonstration under way and go; ask first if steps were taken."""
+        game = app.world.game
+        if _phase(app) is not Phase.DEMONSTRATING or game is None:
+            go(app)
+            return
+
+        def discard(app: App) -> None:
+            app.show(self)
+            app.ask(End(Verdict.DISCARD, game.at))
+            go(app)
+
+        if game.step:
+            question = f'{words}? The demonstration under way is discarded; all else is saved.'
+            app.show(ConfirmScreen(question, discard, self._back))
+        else:
+            discard(app)
+
+    def _ask_again(self, lesson: LessonView, app: App) -> None:
+        app.show(self)
+        app.ask(DefineOption(lesson.option_name, ask_again=True))
+
+
+def _phase(app: App) -> Phase:
+    return app.world.lesson.phase if app.world.lesson is not None else Phase.NO_SESSION
+
+
+def _help(app: App) -> Sequence[tuple[str, str]]:
+    table = key_table(app.domain.actions, _IN_PHASE[Phase.DEMONSTRATING])
+    actions = [(label(action.key), action.description) for action in app.domain.actions]
+    commands = [(label(key), _LONG[c]) for key, c in table.commands.items() if c in _LONG]
+    return [*actions, *commands, (label('ctrl-c'), 'leave at once')]
