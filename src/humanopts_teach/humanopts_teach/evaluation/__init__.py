@@ -1,0 +1,1 @@
+"""Offline evaluation: the numbers of a lesson, from its demonstrations alone."""

@@ -1,0 +1,220 @@
+"""Evaluating a bag: every option learned again from the recorded demonstrations alone."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.domains.registry import reference_options
+from humanopts_learner.demonstrations import (
+    check_demonstration,
+    Demonstration,
+    DemonstrationError,
+    group_by_option,
+    Kind,
+)
+from humanopts_learner.options.criteria import Judgement
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.evaluate import episode_starts
+from humanopts_learner.planning.plan import HUMAN, make_plan, Plan, PRIMITIVE
+from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
+from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.evaluation.learning_curve import CurvePoint, learn_again
+from humanopts_teach.evaluation.options_block import option_block, OptionBlock
+from humanopts_teach.evaluation.planning import PlanningRow, row_of_plan
+from humanopts_teach.evaluation.settings import Settings, settings_from_facts
+from humanopts_teach.evaluation.text import evaluation_text
+
+EPISODES = 100  # start states that plans are judged from
+FACTS = 'humanopts'  # the bag's metadata record of the lesson's settings
+
+OnProgress = Callable[[int, int, str], object]  # done, total, what is under way
+
+
+class EvaluationError(ValueError):
+    """A bag cannot be evaluated; the text says why."""
+
+
+@dataclass(frozen=True)
+class OptionEvaluation:
+    """One option of one participant, learned again."""
+
+    participant: str
+    block: OptionBlock
+    option: LearnedOption
+    judgement: Judgement
+    curve: tuple[CurvePoint, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the evaluation as JSON data."""
+        return {
+            'participant': self.participant,
+            **self.block.to_dict(),
+            'n_not_here': self.option.n_not_here,
+            'learning_curve': [point.to_dict() for point in self.curve],
+        }
+
+
+@dataclass(frozen=True)
+class PlanEvaluation:
+    """A plan with the options of one participant; with primitive actions, of none."""
+
+    participant: str
+    plan: Plan
+    row: PlanningRow
+
+
+@dataclass(frozen=True)
+class BagEvaluation:
+    """What a bag alone says about what was taught."""
+
+    domain: Domain[Any]
+    settings: Settings
+    options: tuple[OptionEvaluation, ...]  # in order of first demonstration
+    plans: tuple[PlanEvaluation, ...]
+    warnings: tuple[str, ...]  # what was assumed or left out, in words
+
+    @property
+    def blocks(self) -> tuple[OptionBlock, ...]:
+        """The options block of summary.json."""
+        return tuple(option.block for option in self.options)
+
+    @property
+    def planning(self) -> tuple[PlanningRow, ...]:
+        """The planning block of summary.json."""
+        return tuple(plan.row for plan in self.plans)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the evaluation as JSON data, without NaN."""
+        return {
+            'domain': self.domain.name,
+            'domain_parameters': dict(self.domain.parameters),
+            **self.settings.to_dict(),
+            'options': [option.to_dict() for option in self.options],
+            'planning': [
+                {'participant': plan.participant, **plan.row.to_dict()} for plan in self.plans
+            ],
+            'warnings': list(self.warnings),
+        }
+
+    def to_text(self) -> str:
+        """Return tables for a terminal; warnings are not in them."""
+        return evaluation_text(self)
+
+
+def evaluate_bag(bag: str | Path | Bag, progress: OnProgress | None = None) -> BagEvaluation:
+    """
+    Evaluate a bag with the settings that it carries.
+
+    :param progress: called as the work goes on.
+    :raises BagError: it is not a readable bag.
+    :raises EvaluationError: it holds no demonstration to learn from.
+    """
+    opened = open_bag(bag) if isinstance(bag, str | Path) else bag
+    domain = read_domain(opened)
+    settings, assumed = settings_from_facts(opened.metadata.get(FACTS, {}))
+    demonstrations = read_demonstrations(opened)
+    damage = opened.damage.splitlines()
+    return evaluate(demonstrations, domain, settings, [*damage, *assumed], progress)
+
+
+def evaluate(
+    demonstrations: Sequence[Demonstration],
+    domain: Domain[Any],
+    settings: Settings,
+    warnings: Sequence[str] = (),
+    progress: OnProgress | None = None,
+) -> BagEvaluation:
+    """
+    Learn every option of every participant, and plan with them.
+
+    :raises EvaluationError: there is no demonstration to learn from.
+    """
+    groups, notes = _usable(demonstrations, domain)
+    if not groups:
+        raise EvaluationError('; '.join(['the bag holds no demonstration to learn from', *notes]))
+    work = _Progress(progress, sum(map(len, groups.values())) + len(groups))
+    references = reference_options(domain)
+    options = []
+    for (_, name), demos in groups.items():
+        options.append(_learn(demos, domain, settings, references.get(name), work))
+    plans, refused = _plans(options, domain, settings, work)
+    return BagEvaluation(
+        domain, settings, tuple(options), tuple(plans), (*warnings, *notes, *refused)
+    )
+
+
+class _Progress:
+    def __init__(self, tell: OnProgress | None, total: int) -> None:
+        self._tell, self._total, self._done = tell, total, 0
+
+    def step(self, text: str) -> None:
+        """Report that one more part is done."""
+        self._done = min(self._done + 1, self._total)
+        if self._tell is not None:
+            self._tell(self._done, self._total, text)
+
+
+def _usable(
+    demonstrations: Sequence[Demonstration], domain: Domain[Any]
+) -> tuple[dict[tuple[str, str], list[Demonstration]], list[str]]:
+    """Group what can be learned from; say what is left out."""
+    good, notes = [], []
+    for demo in demonstrations:
+        try:
+            check_demonstration(demo, domain)
+            good.append(demo)
+        except DemonstrationError as error:
+            notes.append(f'demonstration {demo.uuid} of {demo.option_name!r} is left out: {error}')
+    groups = group_by_option(good)
+    for (participant, name), demos in list(groups.items()):
+        if all(demo.kind is Kind.NOT_HERE for demo in demos):
+            notes.append(f'{name!r} by {participant} has only "not here" answers: not learned')
+            del groups[participant, name]
+    return groups, notes
+
+
+def _learn(
+    demos: Sequence[Demonstration],
+    domain: Domain[Any],
+    settings: Settings,
+    reference: ReferenceOption | None,
+    work: _Progress,
+) -> OptionEvaluation:
+    first = demos[0]
+
+    def on_point(count: int) -> None:
+        work.step(f'{first.option_name}: demonstration {count} of {len(demos)}')
+
+    learned = learn_again(demos, domain, settings.thresholds, settings.seed, reference, on_point)
+    block = option_block(learned.option, learned.judgement, domain, reference)
+    return OptionEvaluation(
+        first.participant, block, learned.option, learned.judgement, learned.curve
+    )
+
+
+def _plans(
+    options: Sequence[OptionEvaluation],
+    domain: Domain[Any],
+    settings: Settings,
+    work: _Progress,
+) -> tuple[list[PlanEvaluation], list[str]]:
+    """Plan with each participant's options, then with primitive actions."""
+    if not is_enumerable(domain):
+        return [], [f'no plans: the states of {domain.name} cannot all be listed']
+    starts = episode_starts(domain, settings.seed, EPISODES)
+    requests = [(person, HUMAN) for person in dict.fromkeys(o.participant for o in options)]
+    plans, refused = [], []
+    for person, action_set in [*requests, ('', PRIMITIVE)]:
+        chosen = [o.option for o in options if o.participant == person]
+        try:
+            plan = make_plan(domain, action_set, chosen)
+        except PlanError as error:
+            refused.append(f'no plan with {action_set} actions: {error}')
+            continue
+        plans.append(PlanEvaluation(person, plan, row_of_plan(plan, starts)))
+        work.step(f'planned with {action_set} actions')
+    return plans, refused

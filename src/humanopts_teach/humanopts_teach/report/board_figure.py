@@ -1,0 +1,128 @@
+"""Value and policy of plans, drawn on the board."""
+
+from collections.abc import Sequence
+import string
+
+from humanopts_learner.planning.plan import Plan
+from humanopts_teach.report.board import Board, read_board
+from humanopts_teach.report.figures import CaptionedFigure, Drawing, drawing, INK
+from matplotlib.colors import Normalize
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_MARKED = 24  # rows or columns up to which every cell shows what is chosen there
+MOST_VECTOR_CELLS = 900  # boards of more cells are drawn as a bitmap
+COLORS = 'cividis'
+LETTERS = string.ascii_uppercase + string.ascii_lowercase
+
+
+def board_figures(plans: Sequence[Plan], name: str) -> list[CaptionedFigure]:
+    """
+    Return one figure for each board slice and plan, slice by slice; all on one scale of values.
+
+    :param plans: of one domain, with its tables of values and choices.
+    :param name: prefix of the identifiers.
+    """
+    if not plans:
+        return []
+    domain = plans[0].domain
+    boards = [read_board(domain, layout) for layout in domain.board_slices()]
+    states = [board.states[board.states >= 0] for board in boards]
+    if not states:
+        return []
+    values = np.concatenate([plan.solution.values[shown] for plan in plans for shown in states])
+    scale = Normalize(float(values.min()), float(values.max()))
+    return [
+        _figure(board, plan, scale, f'{name}-{b}-{p}')
+        for b, board in enumerate(boards)
+        for p, plan in enumerate(plans)
+    ]
+
+
+def _figure(board: Board, plan: Plan, scale: Normalize, name: str) -> CaptionedFigure:
+    rows, cols = board.states.shape
+    title = f'Action set {plan.action_set}\n{board.title}'
+    marked = max(rows, cols) <= MOST_MARKED
+    label = f'Value and policy with the action set {plan.action_set}, {board.title}'
+    with drawing(name, label, 5.0, 1.1 + 3.3 * min(2.0, rows / cols)) as work:
+        axes = work.axes
+        values = np.where(board.states >= 0, plan.solution.values[board.states], np.nan)
+        edges = np.arange(cols + 1) - 0.5, np.arange(rows + 1) - 0.5
+        bitmap = values.size > MOST_VECTOR_CELLS
+        heat = axes.pcolormesh(*edges, values, cmap=COLORS, norm=scale, rasterized=bitmap)
+        _draw_walls(work, board)
+        used = _draw_choices(work, board, plan, scale) if marked else []
+        axes.set(aspect='equal', xlabel='column', ylabel='row', title=title)
+        axes.set_xticks(range(0, cols, -(-cols // 6)))
+        axes.set_yticks(range(0, rows, -(-rows // 6)))
+        axes.invert_yaxis()
+        axes.tick_params(length=0)
+        axes.spines[:].set_visible(False)
+        bar = work.figure.colorbar(heat, ax=axes, shrink=0.85, pad=0.03)
+        bar.set_label('value (discounted reward units)')
+        bar.outline.set_visible(False)
+        bar.ax.tick_params(length=0)
+    return CaptionedFigure(work.svg, _caption(plan, used) if marked else '')
+
+
+def _caption(plan: Plan, used: Sequence[int]) -> str:
+    legend = [f'{LETTERS[o]}: {plan.options[o].name}' for o in used if o < len(plan.options)]
+    if any(column >= plan.first_fallback for column in used):
+        legend.append('no letter: no option can start there, so one primitive action is taken')
+    return '; '.join(legend)
+
+
+def _draw_walls(work: Drawing, board: Board) -> None:
+    east, south = board.walls
+    shown = board.states >= 0
+    lines = [((c + 0.5, c + 0.5), (r - 0.5, r + 0.5)) for r, c in np.argwhere(east)]
+    lines += [((c - 0.5, c + 0.5), (r + 0.5, r + 0.5)) for r, c in np.argwhere(south)]
+    lines += [((-0.5, -0.5), (r - 0.5, r + 0.5)) for r in np.flatnonzero(shown[:, 0])]
+    lines += [((c - 0.5, c + 0.5), (-0.5, -0.5)) for c in np.flatnonzero(shown[0])]
+    for x, y in lines:
+        work.axes.plot(x, y, color=INK, lw=2.2, solid_capstyle='round', clip_on=False)
+
+
+def _draw_choices(work: Drawing, board: Board, plan: Plan, scale: Normalize) -> list[int]:
+    """Mark every cell with its option's letter and the primitive action; return what is used."""
+    cells = np.argwhere(board.states >= 0)
+    states = board.states[tuple(cells.T)]
+    columns = plan.solution.best[states]
+    actions = _actions(plan, states)
+    size = min(8.0, 55.0 / max(board.states.shape))
+    for (row, col), state, column, action in zip(cells, states, columns, actions):
+        if column < 0:
+            continue
+        ink = '#ffffff' if scale(plan.solution.values[state]) < 0.55 else '#101418'
+        if column < len(plan.options):
+            at = (col - 0.44, row - 0.44)
+            style = {'color': ink, 'ha': 'left', 'va': 'top', 'size': size}
+            work.axes.text(*at, LETTERS[column % len(LETTERS)], **style)
+        if int(action) in board.moves:
+            down, right = board.moves[int(action)]
+            _draw_arrow(work, (row, col), (down, right), ink)
+        else:
+            name = plan.domain.actions[int(action)].name
+            style = {'color': ink, 'ha': 'center', 'va': 'center', 'weight': 'bold'}
+            work.axes.text(col, row + 0.08, name, size=size, **style)
+    return sorted({int(column) for column in columns if column >= 0})
+
+
+def _draw_arrow(work: Drawing, cell: tuple[int, int], move: tuple[int, int], ink: str) -> None:
+    (row, col), (down, right) = cell, move
+    size = 0.28 / max(abs(down), abs(right))
+    work.axes.annotate(
+        '',
+        xy=(col + size * right, row + size * down),
+        xytext=(col - size * right, row - size * down),
+        arrowprops={'arrowstyle': '->', 'color': ink, 'lw': 1.5, 'shrinkA': 0, 'shrinkB': 0},
+    )
+
+
+def _actions(plan: Plan, states: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return the primitive action that follows the plan's choice in each state."""
+    columns = plan.solution.best[states].astype(np.int64)
+    actions = columns - len(plan.options)
+    for o, option in enumerate(plan.options):
+        actions = np.where(columns == o, option.tables.action[states], actions)
+    return actions

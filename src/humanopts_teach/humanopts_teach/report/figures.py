@@ -1,0 +1,100 @@
+"""Figures as SVG that takes its colours from the page, light or dark."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+import io
+import re
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# Colours that stand for the page's own; the SVG refers to them by CSS variable.
+INK, MUTED, GRID, PAPER = '#010101', '#020202', '#030303', '#040404'
+SERIES = ('#0101a1', '#0101a2', '#0101a3', '#0101a4', '#0101a5', '#0101a6')
+VARIABLES = {
+    INK: '--ink',
+    MUTED: '--muted',
+    GRID: '--line',
+    PAPER: '--paper',
+    **{color: f'--c{number}' for number, color in enumerate(SERIES, start=1)},
+}
+SETTINGS: dict[Any, Any] = {
+    'svg.fonttype': 'none',
+    'font.family': 'sans-serif',
+    'font.size': 10,
+    'text.color': INK,
+    'axes.edgecolor': MUTED,
+    'axes.labelcolor': INK,
+    'axes.facecolor': 'none',
+    'axes.titlecolor': INK,
+    'axes.titlesize': 10.5,
+    'axes.titleweight': 'bold',
+    'axes.titlelocation': 'left',
+    'axes.spines.top': False,
+    'axes.spines.right': False,
+    'axes.axisbelow': True,
+    'figure.facecolor': 'none',
+    'grid.color': GRID,
+    'grid.linewidth': 0.8,
+    'legend.frameon': False,
+    'legend.fontsize': 9,
+    'xtick.color': MUTED,
+    'ytick.color': MUTED,
+    'xtick.labelcolor': INK,
+    'ytick.labelcolor': INK,
+}
+
+
+@dataclass(frozen=True)
+class CaptionedFigure:
+    """A finished figure."""
+
+    svg: str
+    caption: str = ''
+
+
+class Drawing:
+    """One figure under way; ``svg`` holds it when the ``with`` block of ``drawing`` ends."""
+
+    def __init__(self, width: float, height: float) -> None:
+        self.figure = Figure(figsize=(width, height), layout='constrained')
+        self.svg = ''
+
+    @property
+    def axes(self) -> Axes:
+        """The one plot of the figure."""
+        return self.figure.axes[0] if self.figure.axes else self.figure.add_subplot()
+
+
+@contextmanager
+def drawing(name: str, label: str, width: float, height: float) -> Iterator[Drawing]:
+    """
+    Draw a figure.
+
+    :param name: makes the identifiers inside the SVG differ from those of other figures.
+    :param label: what it shows, for people who do not see it.
+    :param width: inches, as is ``height``; the page scales it.
+    """
+    with matplotlib.rc_context({**SETTINGS, 'svg.hashsalt': name}):
+        work = Drawing(width, height)
+        yield work
+        work.svg = _svg(work.figure, name, label)
+
+
+def _svg(figure: Any, name: str, label: str) -> str:
+    """Return an ``<svg>`` element that is scaled and coloured by the page."""
+    file = io.StringIO()
+    figure.savefig(file, format='svg', metadata={'Date': None, 'Creator': None})
+    text = file.getvalue()
+    text = text[text.index('<svg') :]
+    text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
+    text = re.sub(r'(\bid="|url\(#|href="#)', rf'\g<1>{name}-', text)
+    for color, variable in VARIABLES.items():
+        text = text.replace(color, f'var({variable})')
+    quoted = label.replace('&', '&amp;').replace('"', '&quot;').replace('<', '&lt;')
+    head, rest = text.split('>', 1)
+    head = re.sub(r' (width|height|version|xmlns(:\w+)?)="[^"]*"', '', head)
+    return f'{head} role="img" aria-label="{quoted}">{rest}'

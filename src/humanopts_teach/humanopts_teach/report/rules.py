@@ -1,0 +1,96 @@
+"""Decision trees as rules that a person can read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.trees.encoding import Column
+from humanopts_learner.trees.tree import LEAF, Tree
+
+MEMBERS = {'initiation': ('may not start', 'may start'), 'termination': ('goes on', 'ends')}
+LINES_SHOWN_OPEN = 60
+
+
+@dataclass(frozen=True)
+class TreeRules:
+    """One tree, ready for the page."""
+
+    part: str  # initiation, termination or policy
+    depth: int
+    leaves: int
+    examples: int
+    text: str
+    open: bool
+
+
+def option_rules(option: LearnedOption, domain: Domain[Any]) -> list[TreeRules]:
+    """Return the three trees of an option, the policy last."""
+    trees = {
+        'initiation': (option.initiation, MEMBERS['initiation']),
+        'termination': (option.termination, MEMBERS['termination']),
+        'policy': (option.policy, option.actions),
+    }
+    return [_rules(part, *tree, option.columns, domain) for part, tree in trees.items()]
+
+
+def _rules(
+    part: str, tree: Tree, classes: Sequence[str], columns: Sequence[Column], domain: Domain[Any]
+) -> TreeRules:
+    lines = tree_lines(tree, classes, columns, domain)
+    return TreeRules(
+        part,
+        tree.depth,
+        int((tree.left == LEAF).sum()),
+        int(tree.counts[0].sum()),
+        '\n'.join(lines),
+        part != 'policy' and len(lines) <= LINES_SHOWN_OPEN,
+    )
+
+
+def tree_lines(
+    tree: Tree, classes: Sequence[str], columns: Sequence[Column], domain: Domain[Any]
+) -> list[str]:
+    """
+    Return the tree as indented lines, one for each branch.
+
+    :param classes: how each class reads; (K,).
+    :param columns: what the columns of the tree are.
+    """
+
+    def below(node: int, indent: str) -> list[str]:
+        if tree.left[node] == LEAF:
+            return [indent + _leaf(tree, node, classes)]
+        column, threshold = columns[tree.column[node]], float(tree.threshold[node])
+        lines = []
+        children = tree.right[node], tree.left[node]
+        for child, words in zip(children, _test(column, threshold, domain)):
+            inner = below(int(child), indent + '    ')
+            if len(inner) == 1:
+                lines.append(f'{indent}{words}: {inner[0].strip()}')
+            else:
+                lines += [f'{indent}{words}:', *inner]
+        return lines
+
+    return below(0, '')
+
+
+def _test(column: Column, threshold: float, domain: Domain[Any]) -> tuple[str, str]:
+    """Return the test in words where it fails the threshold (right) and where not (left)."""
+    name = column.feature.replace('_', ' ')
+    values = domain.features[column.index].values
+    if column.value is not None:
+        value = values[column.value]
+        opposite = values[1 - column.value] if len(values) == 2 else f'not {value}'
+        return f'{name} is {value}', f'{name} is {opposite}'
+    highest = math.floor(threshold)
+    return f'{name} ≥ {values[highest + 1]}', f'{name} ≤ {values[highest]}'
+
+
+def _leaf(tree: Tree, node: int, classes: Sequence[str]) -> str:
+    counts = tree.counts[node]
+    best, total = int(counts.argmax()), int(counts.sum())
+    share = f'{total}' if counts[best] == total else f'{counts[best]} of {total}'
+    return f'{classes[best]} ({share})'

@@ -1,0 +1,144 @@
+"""A report in a few sentences, worked out from its numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
+from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
+from humanopts_teach.evaluation.options_block import differences
+from humanopts_teach.evaluation.planning import PlanningRow
+from humanopts_teach.report.data import ReportData, TopicRow
+
+DASH = '\N{EN DASH}'  # no number
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence, and whether it is as one would wish; None: neither."""
+
+    good: bool | None
+    text: str
+
+    @property
+    def mark(self) -> str:
+        """A character that says the same."""
+        return {True: '✓', False: '✗', None: '·'}[self.good]
+
+
+def findings(data: ReportData) -> list[Finding]:
+    """Return what the report comes to, the most important first."""
+    found = [_criteria(data.evaluation.options)]
+    if data.summary is not None:
+        execution = data.summary.execution
+        good = execution.successes == execution.episodes > 0 and execution.fallbacks == 0
+        found.append(
+            Finding(
+                good,
+                f'{execution.successes} of {execution.episodes} episodes reached the end of the '
+                f'task, with {counted(execution.fallbacks, "fallback")} to a primitive action; '
+                f'their mean return is {number(execution.mean_return)}.',
+            )
+        )
+    rows = data.summary.planning if data.summary else data.evaluation.planning
+    found += _planning(rows)
+    if data.topics:
+        found.append(_loss(data.topics))
+    if data.summary is not None:
+        found.append(_offline(data))
+    return [*found, *(Finding(False, text + '.') for text in data.evaluation.warnings)]
+
+
+def _criteria(options: Sequence[OptionEvaluation]) -> Finding:
+    if not options:
+        return Finding(None, 'No option was learned.')
+    short = [option for option in options if not option.block.criteria_met]
+    taught = ', '.join(
+        f'“{o.block.name}” after {counted(o.block.n_demonstrations, "demonstration")}'
+        for o in options
+    )
+    if not short:
+        return Finding(True, f'Every option meets all three criteria: {taught}.')
+    missing = '; '.join(f'“{o.block.name}” ({_unmet(o)})' for o in short)
+    return Finding(
+        False,
+        f'{len(options) - len(short)} of {counted(len(options), "option")} meet all three '
+        f'criteria. Not yet: {missing}.',
+    )
+
+
+def _unmet(option: OptionEvaluation) -> str:
+    return ', '.join(
+        f'{c.name} {number(c.value)}, needs {c.threshold:g}'
+        if c.measurable
+        else f'{c.name} not yet measurable'
+        for c in option.judgement.criteria
+        if not c.met
+    )
+
+
+def _planning(rows: Sequence[PlanningRow]) -> list[Finding]:
+    by_set = {row.action_set: row for row in rows}
+    if HUMAN not in by_set or PRIMITIVE not in by_set:
+        return []
+    human, primitive = by_set[HUMAN], by_set[PRIMITIVE]
+    times = ' against '.join(
+        f'{1e3 * (r.table_seconds + r.model_seconds + r.sweep_seconds):.3g} ms in '
+        f'{counted(r.sweeps, "sweep")}'
+        for r in (human, primitive)
+    )
+    found = [Finding(None, f'Planning with the learned options took {times} with primitives.')]
+    if human.mean_return is None or primitive.mean_return is None:
+        return found
+    gap = primitive.mean_return - human.mean_return
+    share = gap / abs(primitive.mean_return) if primitive.mean_return else float(gap != 0)
+    compared = 'the same as' if gap == 0 else f'{abs(share):.1%} {"below" if gap > 0 else "above"}'
+    text = (
+        f'The plan with the learned options has a mean return of {number(human.mean_return)}, '
+        f'{compared} that with primitive actions ({number(primitive.mean_return)}) from the same '
+        'start states.'
+    )
+    return [Finding(share <= 0.02, text), *found]
+
+
+def _loss(topics: Sequence[TopicRow]) -> Finding:
+    known = [topic for topic in topics if topic.lost is not None]
+    lost = sum(topic.lost or 0 for topic in known)
+    messages = sum(topic.messages for topic in known)
+    others = len(topics) - len(known)
+    rest = f' Another {counted(others, "topic")} carry no numbers.' if others else ''
+    if lost:
+        where = ', '.join(topic.name for topic in known if topic.lost)
+        return Finding(False, f'{counted(lost, "message")} lost, on {where}.{rest}')
+    return Finding(
+        True,
+        f'No message was lost: {messages:,} numbered messages on '
+        f'{counted(len(known), "topic")}.{rest}',
+    )
+
+
+def _offline(data: ReportData) -> Finding:
+    assert data.summary is not None
+    different = differences(data.summary.options, data.summary.offline)
+    if different:
+        return Finding(False, 'Offline and live numbers differ: ' + '; '.join(different) + '.')
+    return Finding(
+        True,
+        'Learned again from the bag alone, every number equals the live one to the last digit.',
+    )
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Return a number for people; a dash where there is none."""
+    if value is None or value != value:
+        return DASH
+    return f'{value:.{digits}g}'.replace('-', '\N{MINUS SIGN}')
+
+
+def counted(count: int, thing: str) -> str:
+    """Return such as ``1 fallback`` or ``no fallbacks``."""
+    return f'{count or "no"} {thing}{"" if count == 1 else "s"}'
+
+
+def percent(value: float | None) -> str:
+    """Return a share for people; a dash where there is none."""
+    return DASH if value is None else f'{value:.1%}'.replace('.0%', '%')

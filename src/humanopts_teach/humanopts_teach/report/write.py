@@ -1,0 +1,179 @@
+"""Writing a report: one HTML file with everything in it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
+from humanopts_teach.evaluation.options_block import OptionBlock
+from humanopts_teach.evaluation.summary import write_text
+from humanopts_teach.report.board_figure import board_figures
+from humanopts_teach.report.curves import learning_curves
+from humanopts_teach.report.data import Frame, ReportData, TopicRow
+from humanopts_teach.report.film import filmstrip
+from humanopts_teach.report.plan_figure import planning_figures
+from humanopts_teach.report.rules import option_rules, TreeRules
+from humanopts_teach.report.words import findings, number, percent
+import jinja2
+from markupsafe import Markup
+
+MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
+    ('n_demonstrations', 'demonstrations', False),
+    ('mean_return_demonstrations', 'mean return of the demonstrations', False),
+    ('mean_return_policy', 'mean return of the learned policy, same starts', False),
+    ('cv_error_initiation', 'held-out balanced error of I', False),
+    ('cv_error_termination', 'held-out balanced error of β', False),
+    ('policy_accuracy', 'policy accuracy', True),
+    ('classification_accuracy_initiation', 'classification accuracy of I', True),
+    ('classification_accuracy_termination', 'classification accuracy of β', True),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measure of one option, live and offline."""
+
+    name: str
+    live: str
+    offline: str
+    equal: bool | None  # None: there is no live value
+
+
+@dataclass(frozen=True)
+class OptionSection:
+    """One option on the page."""
+
+    name: str
+    participant: str
+    features: str
+    met: bool
+    n_not_here: int
+    seconds: float
+    criteria: list[tuple[str, str, str, bool]]  # name, value, threshold, met
+    curves: list[str]
+    rows: list[Row]
+    rules: list[TreeRules]
+
+
+def write_report(path: Path, data: ReportData) -> None:
+    """
+    Write a report that needs no other file and no network.
+
+    :raises SummaryError: the file cannot be written.
+    :raises StateError: a frame is not of the domain.
+    """
+    write_text(path, render_report(data))
+
+
+def write_evaluation_report(
+    path: Path,
+    evaluation: BagEvaluation,
+    frames: Sequence[Frame] = (),
+    topics: Sequence[TopicRow] = (),
+    provenance: Mapping[str, str] | None = None,
+) -> None:
+    """
+    Write what a bag alone gives; errors as ``write_report``.
+
+    :param provenance: what is to be known of the bag and the programs, by name.
+    """
+    title = f'{evaluation.domain.name}: evaluated from a bag'
+    write_report(path, ReportData(title, evaluation, None, frames, topics, provenance or {}))
+
+
+def render_report(data: ReportData) -> str:
+    """Return the page."""
+    evaluation = data.evaluation
+    planning = data.summary.planning if data.summary else evaluation.planning
+    live = {block.name: block for block in data.summary.options} if data.summary else {}
+    values: dict[str, Any] = {
+        'title': data.title,
+        'findings': findings(data),
+        'options': [
+            _option_section(option, place, evaluation, live.get(option.block.name))
+            for place, option in enumerate(evaluation.options)
+        ],
+        'has_live': data.summary is not None,
+        'boards': board_figures([plan.plan for plan in evaluation.plans], 'board'),
+        'planning': planning,
+        'planning_figures': planning_figures(planning, 'planning'),
+        'film': filmstrip(evaluation.domain, data.frames),
+        'topics': sorted(data.topics, key=lambda topic: topic.name),
+        'provenance': _provenance(data),
+        'svg': Markup,
+        'number': number,
+    }
+    return _template().render(values)
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    text = files('humanopts_teach.report').joinpath('report.html').read_text('utf-8')
+    return environment.from_string(text)
+
+
+def _option_section(
+    option: OptionEvaluation, place: int, evaluation: BagEvaluation, live: OptionBlock | None
+) -> OptionSection:
+    block = option.block
+    return OptionSection(
+        name=block.name,
+        participant=option.participant,
+        features=', '.join(name.replace('_', ' ') for name in block.features),
+        met=block.criteria_met,
+        n_not_here=option.option.n_not_here,
+        seconds=option.curve[-1].seconds if option.curve else 0.0,
+        criteria=[
+            (
+                c.name,
+                'not yet measurable' if c.value is None else number(c.value),
+                number(c.threshold),
+                c.met,
+            )
+            for c in option.judgement.criteria
+        ],
+        curves=learning_curves(option.curve, f'option-{place}', block.name),
+        rows=[_row(measure, block, live) for measure in MEASURES],
+        rules=option_rules(option.option, evaluation.domain),
+    )
+
+
+def _row(measure: tuple[str, str, bool], offline: OptionBlock, live: OptionBlock | None) -> Row:
+    field, name, share = measure
+    written = percent if share else number
+    here = getattr(offline, field)
+    if live is None:
+        return Row(name, '', written(here), None)
+    there = getattr(live, field)
+    return Row(name, written(there), written(here), there == here)
+
+
+def _provenance(data: ReportData) -> dict[str, str]:
+    """Return what a reader needs to get the same numbers again."""
+    settings = data.evaluation.settings
+    rate = settings.teacher_error_rate
+    parameters = ', '.join(f'{k} {v}' for k, v in data.evaluation.domain.parameters.items())
+    facts = {
+        'domain': f'{data.evaluation.domain.name} ({parameters})',
+        'seed': str(settings.seed),
+        'start states chosen by': f'{settings.strategy}, at most {settings.budget} for an option',
+        'criteria': (
+            f'return shortfall at most {settings.thresholds.return_delta:g} reward units, '
+            f'error of I at most {settings.thresholds.initiation_error:g}, '
+            f'of β at most {settings.thresholds.termination_error:g}'
+        ),
+        'teacher': 'a person' if rate is None else f'simulated, {percent(rate)} of steps wrong',
+    }
+    if data.summary is not None:
+        bag = data.summary.bag
+        facts['bag'] = f'{bag.path}: {bag.messages:,} messages on {bag.topics} topics'
+    return {**facts, **data.provenance}
