@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
-MEANT = 2  # a longer way than needed that was shown once may be a slip; shown twice it is meant
+# A longer way than needed that was shown once or twice may be a slip; two of three outvote one.
+MEANT = 3
 SAMPLE = 50  # states that stand for all, where they cannot be enumerated
 
 
@@ -23,7 +24,7 @@ class Survey:
 
     candidate: Mask  # (S,) open, reachable, and in the learned I or unlike anything shown
     stuck: Mask  # (S,) candidates from which it comes to no end that was shown
-    detour: Mask  # (S,) it does, but in more steps than needed; shown less than twice
+    detour: Mask  # (S,) it does, but in more steps than needed; shown less than MEANT times
     times_shown: NDArray[np.int64]  # (S,) demonstrations with a state alike in the features
     distance: NDArray[np.int32]  # (S,) fewest steps to an end that was shown; -1: no way known
     nearer: Mask  # (S, A) the actions of shortest ways

@@ -64,13 +64,12 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     try:
         data = json.loads(text, parse_constant=_refuse_constant)
         _check_form(data)
-        option = LearnedOption(
-            **{key: data[key] for key in (*TEXTS, *COUNTS)},
-            **{key: tuple(data[key]) for key in NAMES},
-            **{part: Tree.from_dict(data[part]) for part in TREES},
-            domain_parameters=json.dumps(data['domain_parameters'], sort_keys=True),
-            columns=tuple(Column.from_dict(column) for column in data['columns']),
-        )
+        values: dict[str, Any] = {key: data[key] for key in (*TEXTS, *COUNTS)}
+        values |= {key: tuple(data[key]) for key in NAMES}
+        values |= {part: Tree.from_dict(data[part]) for part in TREES}
+        values['columns'] = tuple(Column.from_dict(column) for column in data['columns'])
+        values['domain_parameters'] = json.dumps(data['domain_parameters'], sort_keys=True)
+        option = LearnedOption(**values)
         demonstrations = [Demonstration.from_fields(demo) for demo in data['demonstrations']]
     except json.JSONDecodeError as error:
         raise OptionFileError(f'it is not JSON: {error}') from error

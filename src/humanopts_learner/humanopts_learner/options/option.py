@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from humanopts_env.domains.base import Domain, EnumerableDomain
+from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain
 from humanopts_env.domains.registry import parameters_json
-from humanopts_learner.trees.encoding import Column, encode_rows
+from humanopts_learner.trees.encoding import Column, encode_rows, encoding
 from humanopts_learner.trees.tree import Tree
 import numpy as np
 from numpy.typing import NDArray
@@ -74,9 +74,12 @@ class LearnedOption:
                 f'{self.name!r} was learned in {self.domain} {self.domain_parameters}, and the '
                 f'game is {domain.name} {parameters_json(domain)}'
             )
-        names = [feature.name for feature in domain.features]
-        strange = [c.feature for c in self.columns if names[c.index : c.index + 1] != [c.feature]]
-        if strange or self.actions != tuple(action.name for action in domain.actions):
+        try:
+            columns = encoding(domain, self.features)
+        except DomainError as error:
+            raise OptionError(f'{self.name!r} cannot be used: {error}') from error
+        names = tuple(action.name for action in domain.actions)
+        if self.columns != columns or self.actions != names:
             raise OptionError(
                 f'the features or actions of {self.name!r} are not those of the game'
             )

@@ -134,6 +134,8 @@ def _node(entry: Mapping[str, Any]) -> tuple[int, float, int, int]:
     whole = entry['column'], entry['left'], entry['right']
     if any(type(number) is not int or number < 0 for number in whole):
         raise TreeError(f'a node of a tree does not name its column and children: {entry}')
+    if type(entry['at_most']) not in (int, float):
+        raise TreeError(f'a node of a tree compares with something that is not a number: {entry}')
     return entry['column'], float(entry['at_most']), entry['left'], entry['right']
 
 
