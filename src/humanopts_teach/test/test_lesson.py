@@ -42,7 +42,13 @@ class Starts:
     def knows(self, participant: str, option_name: str, uuid: str) -> bool:
         return self.known is None or uuid in self.known
 
-    def exhausted(self, participant: str, option_name: str) -> bool:
+    def exhausted(
+        self,
+        participant: str,
+        option_name: str,
+        demonstrations: Sequence[Demonstration],
+        rng: np.random.Generator,
+    ) -> bool:
         return not self.more
 
 

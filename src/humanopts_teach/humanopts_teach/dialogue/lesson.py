@@ -249,10 +249,10 @@ class Lesson:
         return self._watch(moment)
 
     def reached(self, episode: int, step: int) -> bool:
-        """Tell whether the stream has come so far, or can no longer."""
-        if self._attempt is None or self._trace.episode != episode:
-            return self._attempt is None
-        return self._trace.last >= step
+        """Tell whether the stream has come so far, or waiting for it is of no use."""
+        if self._attempt is None or self._attempt.episode != episode:
+            return True
+        return self._trace.episode == episode and self._trace.last >= step
 
     def learner_said(self, progress: Sequence[Progress]) -> None:
         """Take in what the learner knows of each option, or that start states know more now."""
@@ -326,11 +326,12 @@ class Lesson:
 
     def _look_at_progress(self) -> None:
         option = self._option
-        self._done = (
-            option is not None
-            and self.criteria_met
-            and self._starts.exhausted(self._notebook.participant, option.name)
-        )
+        self._done = option is not None and self.criteria_met and self._exhausted(option)
+
+    def _exhausted(self, option: OptionHistory) -> bool:
+        rng = self._generator('exhausted', option)
+        demonstrations = option.demonstrations
+        return self._starts.exhausted(self._notebook.participant, option.name, demonstrations, rng)
 
     def _starts_know(self, option: OptionHistory) -> bool:
         """Tell whether start states will be drawn with the newest demonstration counted in."""

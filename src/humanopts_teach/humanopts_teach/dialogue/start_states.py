@@ -24,6 +24,12 @@ class StartStates(Protocol):
         """Tell whether what it has learned counts this demonstration in."""
         ...
 
-    def exhausted(self, participant: str, option_name: str) -> bool:
+    def exhausted(
+        self,
+        participant: str,
+        option_name: str,
+        demonstrations: Sequence[Demonstration],
+        rng: np.random.Generator,
+    ) -> bool:
         """Tell whether it has nothing left to ask, once the criteria hold."""
         ...

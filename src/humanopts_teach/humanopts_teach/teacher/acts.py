@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from humanopts_teach.dialogue.answers import Verdict
+from humanopts_env.game import Moment
+from humanopts_teach.dialogue.answers import LessonView, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,3 +66,26 @@ class Finish:
 
 
 Act = Open | Define | Reply | Begin | Drive | End | Wait | Finish
+
+
+def is_seen(act: Act, lesson: LessonView, game: Moment | None, episode: int = 0) -> bool:
+    """
+    Tell whether lesson and game show what came of an act.
+
+    :param episode: which episode the lesson answered to ``Begin``.
+    """
+    match act:
+        case Open():
+            return (lesson.participant, lesson.session) == (act.participant, act.session)
+        case Define():
+            return lesson.option_name == act.option_name
+        case Reply():
+            return lesson.question_id != act.question_id
+        case Begin():
+            return lesson.episode == episode
+        case Drive():
+            return game is not None and (game.episode, game.step) > (act.episode, act.step)
+        case End():
+            return lesson.episode != act.episode
+        case Wait() | Finish():
+            return True

@@ -1,0 +1,351 @@
+"""The node ``lesson``: the teaching session behind services, its state and demonstrations out."""
+
+from collections import deque
+from collections.abc import Callable
+from datetime import datetime, UTC
+from pathlib import Path
+import sys
+import time
+from typing import Any
+
+from humanopts_env.convert import domain_from_info
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.nodes.node_base import NodeBase, PublishError, run_node, StartError
+from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_interfaces.msg import (
+    Demonstration as DemonstrationMessage,
+)
+from humanopts_interfaces.msg import (
+    DemonstrationReceipt,
+    DomainInfo,
+    GameState,
+    LearnedOptions,
+    LearningStatus,
+    LessonState,
+    NodeStatus,
+)
+from humanopts_interfaces.srv import (
+    AnswerQuestion,
+    BeginDemonstration,
+    DefineOption,
+    EndDemonstration,
+    OpenSession,
+    ResetGame,
+)
+from humanopts_learner.convert import demonstration_to_message
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.option import OptionError
+from humanopts_learner.options.start_states import STRATEGIES
+from humanopts_teach.convert import (
+    answered,
+    moment_from_message,
+    progress_from_message,
+    verdict_from_number,
+    view_to_message,
+)
+from humanopts_teach.demos.store import DemonstrationStore, StoreError
+from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Status, Verdict
+from humanopts_teach.dialogue.learned_starts import LearnedStarts
+from humanopts_teach.dialogue.lesson import Lesson, LessonRules
+from humanopts_teach.nodes.waiting import Waiting
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange
+from rclpy.callback_groups import ReentrantCallbackGroup
+
+_TICK = 0.1  # s between looks at deadlines
+_GAME_DEADLINE = 5.0  # s for game to answer, and for a state that was announced to arrive
+_RESEND_DELAY = 0.5  # s from a learner's first word until it is sure to be listening
+
+
+class LessonNode(NodeBase):
+    """Serves one lesson; what it is told is on disk before it is published."""
+
+    def __init__(self) -> None:
+        super().__init__('lesson')
+        self._rules = self._read_rules()
+        self._until_no_failures = bool(
+            self.setting(
+                'until_no_failures',
+                False,
+                'with strategy failures: once the criteria hold, go on while it finds a state '
+                'from which the learned option fails',
+            )
+        )
+        self._learner_deadline = float(
+            self.setting(
+                'learner_deadline',
+                30.0,
+                'longest wait for the learner after a demonstration, s',
+                floating_point_range=[FloatingPointRange(from_value=0.1, to_value=3600.0)],
+            )
+        )
+        self._participant = self.setting(
+            'participant', '', 'code of the person whose session is opened at the start; or empty'
+        )
+        self._session = self.setting('session', '', 'its session; empty: a new one')
+        directory = self.setting('directory', 'demonstrations', 'folder of all demonstrations')
+        self._store = self._open_store(Path(directory))
+        self._lesson: Lesson | None = None
+        self._state_out = self.stamped_publisher(LessonState, 'lesson_state', LATCHED)
+        self._demonstrations_out = self.stamped_publisher(DemonstrationMessage, 'demonstrations')
+        self._unsent: deque[Demonstration] = deque()
+        self._shown: LessonView | None = None  # what was published last
+        self._paused = False
+        self._learner = ''  # publisher_id of the learner that is known
+        self._asked_learner = 0.0  # time of the newest demonstration, s
+        self._waiting = Waiting(self)
+        self._reentrant = ReentrantCallbackGroup()
+        self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
+        self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
+        self.create_timer(_TICK, self._tick)
+        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, LATCHED)
+        self._game_states = self.create_subscription(
+            GameState, 'game_state', self._on_game_state, STREAM
+        )
+
+    # The start and the end of the node.
+
+    def waits_for(self) -> str | None:
+        """Wait for the rules of the game and for its stream of states."""
+        if self._lesson is None:
+            return 'domain_info'
+        return None if self._game_states.get_publisher_count() else 'game_state'
+
+    def on_ready(self) -> None:
+        """Publish all demonstrations again, and where the lesson stands."""
+        assert self._lesson is not None
+        self._unsent.extend(self._lesson.demonstrations())
+        self._show()
+
+    def close(self) -> None:
+        """Let another lesson use the folder."""
+        self._store.close()
+
+    def _read_rules(self) -> LessonRules:
+        default = LessonRules()
+        numbers = IntegerRange(from_value=1, to_value=1_000_000, step=1)
+        seeds = IntegerRange(from_value=0, to_value=2**62, step=1)
+        strategy = self.setting(
+            'strategy', default.strategy, 'of start states: random, coverage or failures'
+        )
+        if strategy not in STRATEGIES:
+            raise StartError(
+                f'parameter strategy: {strategy!r} is none of {", ".join(STRATEGIES)}'
+            )
+        return LessonRules(
+            strategy,
+            self.setting(
+                'budget',
+                default.budget,
+                'demonstrations that are asked for at most for one option',
+                integer_range=[numbers],
+            ),
+            self.setting('seed', 0, 'of every random draw', integer_range=[seeds]),
+        )
+
+    def _open_store(self, directory: Path) -> DemonstrationStore:
+        try:
+            store = DemonstrationStore(directory)
+        except StoreError as error:
+            raise StartError(str(error)) from error
+        for damage in store.damage:
+            self.get_logger().warning(damage)
+        return store
+
+    def _on_domain(self, info: DomainInfo) -> None:
+        if self._lesson is not None:
+            return
+        try:
+            domain = domain_from_info(info)
+        except DomainError as error:
+            raise StartError(str(error)) from error
+        self._lesson = self._make_lesson(domain)
+        self._serve()
+
+    def _make_lesson(self, domain: Domain[Any]) -> Lesson:
+        self._starts = LearnedStarts(
+            domain, self._rules.strategy, until_no_failures=self._until_no_failures
+        )
+        lesson = Lesson(
+            domain,
+            self._store,
+            self._starts,
+            self._rules,
+            clock=time.monotonic,
+            today=lambda: datetime.now(UTC).strftime('%Y%m%d'),
+        )
+        if self._participant:
+            answer = lesson.open_session(self._participant, self._session)
+            if not answer.ok:
+                raise StartError(answer.detail)
+        return lesson
+
+    def _serve(self) -> None:
+        def serve(kind: Any, name: str, callback: Callable[..., Any]) -> None:
+            self.recorded_service(kind, f'lesson/{name}', callback, self._reentrant)
+
+        serve(OpenSession, 'open_session', self._on_open)
+        serve(DefineOption, 'define_option', self._on_define)
+        serve(AnswerQuestion, 'answer_question', self._on_answer)
+        serve(BeginDemonstration, 'begin_demonstration', self._on_begin)
+        serve(EndDemonstration, 'end_demonstration', self._on_end)
+        self.create_subscription(
+            DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM
+        )
+        self.create_subscription(LearningStatus, 'learning_status', self._on_status, LATCHED)
+        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, LATCHED)
+
+    # What the person asks for.
+
+    def _on_open(
+        self, request: OpenSession.Request, response: OpenSession.Response
+    ) -> OpenSession.Response:
+        answer = self._lesson.open_session(request.participant, request.session)
+        self._show()
+        response.session = answer.session
+        response.known_options = list(answer.known_options)
+        return answered(response, answer)
+
+    def _on_define(
+        self, request: DefineOption.Request, response: DefineOption.Response
+    ) -> DefineOption.Response:
+        answer = self._lesson.define_option(request.name, request.ask_again)
+        self._show()
+        response.resumed = answer.resumed
+        return answered(response, answer)
+
+    def _on_answer(
+        self, request: AnswerQuestion.Request, response: AnswerQuestion.Response
+    ) -> AnswerQuestion.Response:
+        answer = self._lesson.answer_question(request.question_id, request.yes)
+        self._show()
+        return answered(response, answer)
+
+    async def _on_begin(
+        self, request: BeginDemonstration.Request, response: BeginDemonstration.Response
+    ) -> BeginDemonstration.Response:
+        answer = self._lesson.prepare(request.start_state)
+        if answer.ok:
+            answer = await self._begin(answer)
+        self._show()
+        if answer.ok:
+            response.episode, response.state = self._lesson.view.episode, answer.state
+        return answered(response, answer)
+
+    async def _begin(self, prepared: Answer) -> Answer:
+        """Have game begin the episode, and wait for its first state on the stream."""
+        lesson, wait = self._lesson, self._waiting
+        if not await wait.until(self._reset.service_is_ready, _GAME_DEADLINE):
+            return lesson.not_begun(Status.NO_GAME, 'Game does not serve reset_game.')
+        reply = await wait.answer(
+            self._reset,
+            ResetGame.Request(
+                source=ResetGame.Request.SOURCE_PERSON,
+                start_state=prepared.state,
+                seed=prepared.seed,
+            ),
+            _GAME_DEADLINE,
+        )
+        if reply is None:
+            return lesson.not_begun(Status.NO_GAME, 'Game does not answer.')
+        if reply.status != ResetGame.Response.STATUS_OK:
+            bad = reply.status == ResetGame.Response.STATUS_BAD_STATE
+            return lesson.not_begun(Status.BAD_STATE if bad else Status.NO_GAME, reply.detail)
+        answer = lesson.began(reply.episode, reply.state)
+        if not await wait.until(lambda: lesson.reached(reply.episode, 0), _GAME_DEADLINE):
+            return lesson.not_begun(Status.NO_GAME, 'The first state of the episode did not come.')
+        if lesson.phase is not Phase.DEMONSTRATING:
+            return Answer(Status.NO_GAME, lesson.view.text)
+        return answer
+
+    async def _on_end(
+        self, request: EndDemonstration.Request, response: EndDemonstration.Response
+    ) -> EndDemonstration.Response:
+        lesson = self._lesson
+        verdict, here = verdict_from_number(request.verdict), (request.episode, request.step)
+        if verdict in (Verdict.DONE, Verdict.NOT_HERE):
+            await self._waiting.until(lambda: lesson.reached(*here), _GAME_DEADLINE)
+        answer = lesson.end_demonstration(verdict, *here, request.can_start_at_end)
+        if answer.demonstration is not None:
+            response.uuid = answer.demonstration.uuid
+            self._asked_learner = time.monotonic()
+            self._unsent.append(answer.demonstration)
+        self._show()
+        return answered(response, answer)
+
+    # What game and the learner tell.
+
+    def _on_game_state(self, message: GameState) -> None:
+        if self._lesson is None:
+            return
+        if self._lesson.saw(moment_from_message(message)):
+            self._show()
+        self._waiting.look()
+
+    def _on_receipt(self, receipt: DemonstrationReceipt) -> None:
+        if receipt.status == DemonstrationReceipt.STATUS_REFUSED:
+            self._lesson.learner_refused(receipt.uuid, receipt.detail)
+            self._show()
+
+    def _on_status(self, status: LearningStatus) -> None:
+        self._lesson.learner_said([progress_from_message(option) for option in status.options])
+        self._show()
+        if status.publisher_id != self._learner:  # a learner that may lack demonstrations
+            self._learner = status.publisher_id
+            self._resend.reset()
+
+    def _on_options(self, message: LearnedOptions) -> None:
+        for option in message.options:
+            try:
+                self._starts.learned(option.participant, option.name, option.model)
+            except OptionError as error:
+                self.get_logger().error(f'learned_options: {error}')
+        self._lesson.learner_said([])
+        self._show()
+
+    def _send_again(self) -> None:
+        """Send everything to a learner that is new; it drops what it has."""
+        self._resend.cancel()
+        self._unsent.extend(self._lesson.demonstrations())
+        self._show()
+
+    def _tick(self) -> None:
+        self._waiting.look()
+        if self._lesson is None:
+            return
+        late = time.monotonic() - self._asked_learner > self._learner_deadline
+        if self._lesson.awaited and late:
+            self._lesson.learner_silent()
+        self._show()
+
+    def _show(self) -> None:
+        """Publish what is new; where that fails, pause until it can be sent."""
+        if not self.ready:
+            return
+        try:
+            self._send()
+        except PublishError as error:
+            if not self._paused:
+                self._paused = True
+                self.set_status(NodeStatus.STATE_PAUSED, str(error))
+            return
+        if self._paused:
+            self._paused = False
+            self.set_status(NodeStatus.STATE_READY)
+
+    def _send(self) -> None:
+        while self._unsent:
+            self._demonstrations_out.publish(demonstration_to_message(self._unsent[0]))
+            self._unsent.popleft()
+        view = self._lesson.view
+        if view != self._shown:
+            self._state_out.publish(view_to_message(view))
+            self._shown = view
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(LessonNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
