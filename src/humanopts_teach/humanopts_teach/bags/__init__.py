@@ -1,0 +1,1 @@
+"""Bags, written and read with no ROS installed."""

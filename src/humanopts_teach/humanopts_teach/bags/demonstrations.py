@@ -1,0 +1,129 @@
+"""The study's data in a bag: its domain, the demonstrations, and the episodes that were played."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.registry import domain_from_json
+from humanopts_env.game import Moment, Source
+from humanopts_learner.demonstrations import Demonstration, DemonstrationError
+from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.reader import Bag
+
+DEMONSTRATION = 'humanopts_interfaces/msg/Demonstration'
+DOMAIN_INFO = 'humanopts_interfaces/msg/DomainInfo'
+GAME_STATE = 'humanopts_interfaces/msg/GameState'
+_KINDS = {1: 'trajectory', 2: 'not_here'}
+STATE_COPY = 'current_state'  # the latched topic that repeats the last state
+
+
+@dataclass(frozen=True)
+class Episode:
+    """The recorded states of one episode, in order."""
+
+    topic: str
+    publisher_id: str  # of the game that played it
+    number: int
+    moments: tuple[Moment, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether it was recorded from its first state to its end without a gap."""
+        numbers = [moment.step for moment in self.moments]
+        last = self.moments[-1]
+        return numbers == list(range(len(numbers))) and (last.terminated or last.truncated)
+
+    @property
+    def total_reward(self) -> float:
+        """Undiscounted return of what was recorded."""
+        return math.fsum(moment.reward for moment in self.moments)
+
+
+def read_demonstrations(bag: Bag) -> list[Demonstration]:
+    """
+    Return the demonstrations in a bag as they were published, repetitions included.
+
+    One that is none (its kind is unknown) is left out and noted in ``bag.damage``. Whether the
+    others can be used is for ``check_demonstration`` to say, as it is live.
+
+    :raises BagError: the bag has no topic of demonstrations.
+    """
+    topics = bag.of_type(DEMONSTRATION)
+    if not topics:
+        raise BagError(f'{bag.path} has no topic of demonstrations')
+    found = []
+    for recorded in bag.messages(topics):
+        if recorded.message is not None:
+            try:
+                found.append(demonstration_from_message(recorded.message))
+            except DemonstrationError as error:
+                bag.note(f'a message on {recorded.topic} is left out: {error}')
+    return found
+
+
+def demonstration_from_message(message: Any) -> Demonstration:
+    """
+    Return the demonstration in a decoded message.
+
+    :raises DemonstrationError: its kind is unknown.
+    """
+    values = {name: getattr(message, name) for name in Demonstration.__dataclass_fields__}
+    values['kind'] = _KINDS.get(message.kind, f'kind {message.kind}')
+    values['features'] = _rows(message.features, len(message.feature_names))
+    return Demonstration.from_fields(values)
+
+
+def read_domain(bag: Bag) -> Domain[Any]:
+    """
+    Return the domain that was played.
+
+    :raises BagError: the bag does not say, or says several, or it is not installed here.
+    """
+    topics = bag.of_type(DOMAIN_INFO)
+    infos = [r.message for r in bag.messages(topics) if r.message is not None] if topics else []
+    played = sorted({(info.domain, info.parameters) for info in infos})
+    if not played:
+        raise BagError(f'{bag.path} does not say which domain was played (no domain_info)')
+    if len(played) > 1:
+        names = ', '.join(f'{name} {parameters}' for name, parameters in played)
+        raise BagError(f'{bag.path} holds games of several domains: {names}')
+    try:
+        return domain_from_json(*played[0])
+    except DomainError as error:
+        raise BagError(f'{bag.path}: {error}') from error
+
+
+def read_episodes(bag: Bag) -> list[Episode]:
+    """Return the episodes in a bag, in order of their first state."""
+    topics = [t for t in bag.of_type(GAME_STATE) if t.rpartition('/')[2] != STATE_COPY]
+    found: dict[tuple[str, str, int], dict[int, Moment]] = {}
+    for recorded in bag.messages(topics) if topics else ():
+        state = recorded.message
+        if state is not None and state.episode > 0:
+            key = (recorded.topic, state.publisher_id, state.episode)
+            try:
+                found.setdefault(key, {})[state.step] = moment_from_message(state)
+            except ValueError as error:
+                bag.note(f'a message on {recorded.topic} is left out: {error}')
+    return [
+        Episode(*key, tuple(by[step] for step in sorted(by))) for key, by in found.items() if by
+    ]
+
+
+def moment_from_message(message: Any) -> Moment:
+    """
+    Return the moment in a decoded GameState.
+
+    :raises ValueError: its source is unknown.
+    """
+    values = {name: getattr(message, name) for name in Moment.__dataclass_fields__}
+    values['features'] = tuple(message.features)
+    values['action_source'] = Source(message.action_source)
+    return Moment(**values)
+
+
+def _rows(values: Sequence[int], width: int) -> list[Sequence[int]]:
+    """Cut a flat array into rows; a last row that is too short stays so."""
+    return [values[i : i + width] for i in range(0, len(values), width)] if width else []

@@ -1,0 +1,13 @@
+"""What can go wrong with a bag; every text says what is wrong and, where possible, what to do."""
+
+
+class BagError(ValueError):
+    """A bag cannot be read, or does not hold what was asked for."""
+
+
+class BagWriteError(OSError):
+    """A bag cannot be begun or go on; what was written before stays readable."""
+
+
+class SchemaError(LookupError):
+    """No definition of a type is installed."""

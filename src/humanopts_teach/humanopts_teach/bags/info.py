@@ -1,0 +1,163 @@
+"""What a bag holds, in one pass: people, options, runs, plans, episodes, and what is missing."""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from humanopts_learner.demonstrations import (
+    Demonstration,
+    DemonstrationError,
+    group_by_option,
+    Kind,
+)
+from humanopts_teach.bags.demonstrations import (
+    DEMONSTRATION,
+    demonstration_from_message,
+    DOMAIN_INFO,
+    GAME_STATE,
+    STATE_COPY,
+)
+from humanopts_teach.bags.loss import Ledger
+from humanopts_teach.bags.reader import Bag, Recorded
+from humanopts_teach.bags.schemas import constants
+from humanopts_teach.bags.stamps import is_stamped, read_stamp
+from humanopts_teach.bags.summary import BagInfo, OptionRow, StreamRow, TopicRow
+
+_STATUS = 'humanopts_interfaces/msg/LearningStatus'
+_OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
+_PLAN_RESULT = 'humanopts_interfaces/msg/PlanResult'
+_POLICY_RESULT = 'humanopts_interfaces/msg/PolicyResult'
+
+
+def summarise(bag: Bag) -> BagInfo:
+    """Read a bag once and say what it holds."""
+    survey = _Survey(bag)
+    for recorded in bag.messages(decoded=False):
+        survey.add(recorded)
+    return survey.result()
+
+
+def count_loss(bag: Bag) -> Ledger:
+    """Count what is missing in a bag, by the numbers in every humanopts message."""
+    ledger = Ledger()
+    stamped = [topic.name for topic in bag.topics.values() if is_stamped(topic.schema)]
+    for recorded in bag.messages(stamped, decoded=False):
+        stamp = read_stamp(recorded.data)
+        if stamp is not None:
+            ledger.add(recorded.topic, stamp)
+    return ledger
+
+
+class _Survey:
+    """Collects while the messages pass by."""
+
+    def __init__(self, bag: Bag) -> None:
+        self._bag = bag
+        self._first = self._last = 0
+        self._counts: Counter[str] = Counter()
+        self._ledger = Ledger()
+        self._stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
+        self._demonstrations: list[Demonstration] = []
+        self._criteria: dict[tuple[str, str], bool] = {}
+        self._episodes: dict[tuple[str, str, int], bool] = {}  # whether its end was recorded
+        self._domains: dict[str, None] = {}
+        self._results: dict[str, Counter[str]] = {
+            kind: Counter() for kind in (_OPTION_RESULT, _PLAN_RESULT, _POLICY_RESULT)
+        }
+        self._handlers: dict[str, Callable[[Recorded, Any], None]] = {
+            DEMONSTRATION: self._demonstration,
+            DOMAIN_INFO: self._domain,
+            GAME_STATE: self._state,
+            _STATUS: self._status,
+            **dict.fromkeys(self._results, self._result),
+        }
+
+    def add(self, recorded: Recorded) -> None:
+        """Take in one message."""
+        self._first = self._first or recorded.log_time
+        self._last = recorded.log_time
+        self._counts[recorded.topic] += 1
+        if recorded.topic in self._stamped:
+            stamp = read_stamp(recorded.data)
+            if stamp is None:
+                self._bag.note(f'a message on {recorded.topic} does not decode')
+                return
+            self._ledger.add(recorded.topic, stamp)
+        handler = self._handlers.get(recorded.type)
+        if handler is not None:
+            message = self._bag.decode(recorded.topic, recorded.data)
+            if message is not None:
+                handler(recorded, message)
+
+    def result(self) -> BagInfo:
+        """Return what was collected."""
+        bag = self._bag
+        return BagInfo(
+            path=str(bag.path),
+            damage=bag.damage,
+            start=self._first,
+            duration=self._last - self._first,
+            bytes=sum(file.stat().st_size for file in bag.files),
+            facts=bag.metadata.get('humanopts', {}),
+            domains=tuple(self._domains),
+            topics=tuple(self._topic_rows()),
+            options=tuple(self._option_rows()),
+            option_runs=dict(self._results[_OPTION_RESULT]),
+            plans=dict(self._results[_PLAN_RESULT]),
+            policy_runs=dict(self._results[_POLICY_RESULT]),
+            episodes=len(self._episodes),
+            episodes_ended=sum(self._episodes.values()),
+            streams=tuple(
+                StreamRow(topic, who, s.first, s.last, s.received, s.missing, s.duplicates)
+                for topic, who, s in self._ledger
+            ),
+        )
+
+    def _topic_rows(self) -> list[TopicRow]:
+        return [
+            TopicRow(topic.name, topic.type, self._counts[topic.name], topic.name in self._stamped)
+            for topic in self._bag.topics.values()
+        ]
+
+    def _option_rows(self) -> list[OptionRow]:
+        rows = []
+        for (participant, name), demos in group_by_option(self._demonstrations).items():
+            shown = [demo for demo in demos if demo.kind is Kind.TRAJECTORY]
+            rows.append(
+                OptionRow(
+                    participant=participant,
+                    option=name,
+                    sessions=tuple(dict.fromkeys(demo.session for demo in demos)),
+                    features=demos[-1].chosen_features,
+                    demonstrations=len(shown),
+                    not_here=len(demos) - len(shown),
+                    steps=sum(len(demo.actions) for demo in shown),
+                    seconds=sum(demo.seconds for demo in demos),
+                    criteria_met=self._criteria.get((participant, name), False),
+                )
+            )
+        return rows
+
+    def _demonstration(self, recorded: Recorded, message: Any) -> None:
+        try:
+            self._demonstrations.append(demonstration_from_message(message))
+        except DemonstrationError as error:
+            self._bag.note(f'a message on {recorded.topic} is left out: {error}')
+
+    def _domain(self, recorded: Recorded, message: Any) -> None:
+        self._domains[f'{message.domain} {message.parameters}'] = None
+
+    def _state(self, recorded: Recorded, message: Any) -> None:
+        if message.episode and recorded.topic.rpartition('/')[2] != STATE_COPY:
+            key = (recorded.topic, message.publisher_id, message.episode)
+            ended = message.terminated or message.truncated
+            self._episodes[key] = self._episodes.get(key, False) or ended
+
+    def _status(self, recorded: Recorded, message: Any) -> None:
+        for option in message.options:
+            self._criteria[option.participant, option.option_name] = option.criteria_met
+
+    def _result(self, recorded: Recorded, message: Any) -> None:
+        names = constants(self._bag.topics[recorded.topic].schema, 'STATUS_')
+        name = names.get(message.status, f'status {message.status}')
+        self._results[recorded.type][name.lower()] += 1

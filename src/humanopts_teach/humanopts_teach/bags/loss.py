@@ -1,0 +1,74 @@
+"""What is missing from a recording, counted by the sequence numbers in the messages."""
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from humanopts_teach.bags.stamps import Stamp
+
+
+@dataclass
+class Stream:
+    """
+    The messages of one publisher on one topic.
+
+    Numbers begin at 1, so what was sent before the first that was received is missing too. What
+    was sent after the last cannot be known.
+    """
+
+    first: int = 0  # smallest number received; 0: none yet
+    last: int = 0  # largest number received
+    received: int = 0  # repetitions left out
+    duplicates: int = 0
+    _gaps: list[tuple[int, int]] = field(default_factory=list)  # first and last missing, ascending
+
+    def add(self, sequence: int) -> None:
+        """Count one message."""
+        if sequence > self.last:
+            if sequence > self.last + 1:
+                self._gaps.append((self.last + 1, sequence - 1))
+            self.last = sequence
+        elif not self._fill(sequence):
+            self.duplicates += 1
+            return
+        self.received += 1
+        self.first = min(self.first or sequence, sequence)
+
+    @property
+    def missing(self) -> int:
+        """Number of messages that were sent and not received."""
+        return self.last - self.received
+
+    @property
+    def gaps(self) -> list[tuple[int, int]]:
+        """First and last number of every run of missing messages."""
+        return list(self._gaps)
+
+    def _fill(self, sequence: int) -> bool:
+        """Take a late message out of its gap; False: it was received before."""
+        at = bisect_right(self._gaps, (sequence, self.last)) - 1
+        if at < 0 or self._gaps[at][1] < sequence:
+            return False
+        low, high = self._gaps[at]
+        parts = [(low, sequence - 1), (sequence + 1, high)]
+        self._gaps[at : at + 1] = [part for part in parts if part[0] <= part[1]]
+        return True
+
+
+class Ledger:
+    """Streams by topic and publisher."""
+
+    def __init__(self) -> None:
+        self._streams: dict[tuple[str, str], Stream] = {}
+        self.missing = 0  # over all streams
+
+    def add(self, topic: str, stamp: Stamp) -> None:
+        """Count one message."""
+        stream = self._streams.setdefault((topic, stamp.publisher_id), Stream())
+        before = stream.missing
+        stream.add(stamp.sequence)
+        self.missing += stream.missing - before
+
+    def __iter__(self) -> Iterator[tuple[str, str, Stream]]:
+        """Yield (topic, publisher, stream), sorted."""
+        return iter((*key, self._streams[key]) for key in sorted(self._streams))

@@ -1,0 +1,106 @@
+"""The metadata.yaml of a rosbag2 directory, version 9 (Jazzy)."""
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+FILE = 'metadata.yaml'
+ROOT = 'rosbag2_bagfile_information'
+VERSION = 9
+ROS_DISTRO = 'jazzy'
+_NEVER = 2**63 - 1  # starting time of a bag with no messages, as rosbag2 writes it
+_DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
+Qos = Mapping[str, Any]  # one offered QoS profile, keys as in rosbag2's metadata
+
+
+@dataclass
+class TopicEntry:
+    """One topic of a bag."""
+
+    name: str
+    type: str
+    qos: tuple[Qos, ...]
+    type_hash: str  # RIHS01_...; empty: not known
+    messages: int = 0
+
+
+@dataclass
+class Extent:
+    """How much one bag file holds."""
+
+    messages: int = 0
+    first: int = _NEVER  # earliest log time, ns
+    last: int = 0  # latest log time, ns
+
+    def add(self, log_time: int) -> None:
+        """Count one message."""
+        self.messages += 1
+        self.first = min(self.first, log_time)
+        self.last = max(self.last, log_time)
+
+    @property
+    def duration(self) -> int:
+        """Time from the first to the last message, ns."""
+        return max(0, self.last - self.first)
+
+
+def qos_text(profiles: Sequence[Qos]) -> str:
+    """Return QoS profiles as the YAML text that an MCAP channel carries."""
+    return dump(deepcopy(list(map(dict, profiles)))) if profiles else ''
+
+
+def dump(values: Any) -> str:
+    """Return plain values as YAML."""
+    return str(yaml.dump(values, Dumper=_DUMPER, sort_keys=False, default_flow_style=False))
+
+
+def bag_information(
+    file: str, topics: Sequence[TopicEntry], extent: Extent, custom: Mapping[str, str]
+) -> dict[str, Any]:
+    """
+    Return what metadata.yaml says of a bag of one file.
+
+    :param file: its name within the directory.
+    :param custom: facts of our own.
+    """
+    starting_time = {'nanoseconds_since_epoch': extent.first}
+    duration = {'nanoseconds': extent.duration}
+    return deepcopy(  # equal parts are written out, not as references
+        {
+            'version': VERSION,
+            'storage_identifier': 'mcap',
+            'duration': duration,
+            'starting_time': starting_time,
+            'message_count': extent.messages,
+            'topics_with_message_count': [_topic_information(topic) for topic in topics],
+            'compression_format': '',  # of whole files or messages; the chunks have their own
+            'compression_mode': '',
+            'relative_file_paths': [file],
+            'files': [
+                {
+                    'path': file,
+                    'starting_time': dict(starting_time),
+                    'duration': dict(duration),
+                    'message_count': extent.messages,
+                }
+            ],
+            'custom_data': dict(custom),
+            'ros_distro': ROS_DISTRO,
+        }
+    )
+
+
+def _topic_information(topic: TopicEntry) -> dict[str, Any]:
+    return {
+        'topic_metadata': {
+            'name': topic.name,
+            'type': topic.type,
+            'serialization_format': 'cdr',
+            'offered_qos_profiles': [deepcopy(dict(profile)) for profile in topic.qos],
+            'type_description_hash': topic.type_hash,
+        },
+        'message_count': topic.messages,
+    }

@@ -1,0 +1,205 @@
+"""Reads rosbag2 directories and MCAP files, whole or damaged, in bounded memory."""
+
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+import heapq
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from humanopts_teach.bags.blocks import Block, DAMAGE, FileIndex, read_block
+from humanopts_teach.bags.decoding import decode, Decoder, make_decoder
+from humanopts_teach.bags.directory import bag_files
+from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.index import read_attachment, read_index
+from mcap.records import Message
+
+INTERFACES = 'humanopts_interfaces/'
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic of a bag."""
+
+    name: str
+    type: str  # such as humanopts_interfaces/msg/GameState
+    schema: str  # its ros2msg definition, complete
+    messages: int
+    qos: str  # offered profiles, YAML; empty: not known
+    type_hash: str  # RIHS01_...; empty: not known
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """One message of a bag."""
+
+    topic: str
+    type: str
+    log_time: int  # when it was received, ns since the epoch
+    publish_time: int  # when it was sent, ns since the epoch
+    data: bytes  # CDR, as received
+    message: Any  # decoded; None: it was not asked for, or it does not decode
+
+
+class Bag:
+    """A bag that was opened; it can be read any number of times."""
+
+    def __init__(self, path: Path, files: list[FileIndex], damage: list[str]) -> None:
+        self.path = path
+        self._files = files
+        self._damage = [*damage, *(text for file in files for text in file.damage)]
+        self._decoders: dict[str, Decoder] = {}
+        self.topics = _topics(files)
+
+    @property
+    def damage(self) -> str:
+        """What is wrong with the bag, a line each; empty: nothing that was met so far."""
+        return '\n'.join(self._damage)
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """The MCAP metadata records by name; ``humanopts`` is what the recorder was told."""
+        return {name: record for file in self._files for name, record in file.metadata.items()}
+
+    @property
+    def files(self) -> list[Path]:
+        """The MCAP files."""
+        return [file.path for file in self._files]
+
+    @property
+    def n_messages(self) -> int:
+        """Number of messages that can be read."""
+        return sum(topic.messages for topic in self.topics.values())
+
+    def attachments(self) -> dict[str, bytes]:
+        """
+        Return the attached files by name.
+
+        :raises BagError: one of them is damaged.
+        """
+        return {name: read_attachment(f, name) for f in self._files for name in f.attachments}
+
+    def of_type(self, type_name: str) -> list[str]:
+        """Return the names of the topics of a type, sorted."""
+        return sorted(topic.name for topic in self.topics.values() if topic.type == type_name)
+
+    def messages(
+        self, topics: Collection[str] | None = None, *, decoded: bool = True
+    ) -> Iterator[Recorded]:
+        """
+        Yield messages in order of log time.
+
+        :param topics: names; None: all.
+        :param decoded: fill in ``Recorded.message``.
+        """
+        with ExitStack() as stack:
+            streams = [stack.enter_context(file.path.open('rb')) for file in self._files]
+            for log_time, number, _, message in self._merged(streams, topics):
+                channel = self._files[number].channels[message.channel_id]
+                topic = self.topics[channel.topic]
+                yield Recorded(
+                    topic.name,
+                    topic.type,
+                    log_time,
+                    message.publish_time,
+                    message.data,
+                    self.decode(topic.name, message.data) if decoded else None,
+                )
+
+    def decode(self, topic: str, data: bytes) -> Any:
+        """Decode a message of a topic; None: its bytes are damaged, which ``damage`` then says."""
+        try:
+            if topic not in self._decoders:
+                entry = self.topics[topic]
+                self._decoders[topic] = make_decoder(entry.type, entry.schema)
+            return decode(self._decoders[topic], data)
+        except BagError as error:
+            self.note(f'a message on {topic} is left out: {error}')
+            return None
+
+    def note(self, damage: str) -> None:
+        """Keep what was found to be wrong, once."""
+        if damage not in self._damage:
+            self._damage.append(damage)
+
+    def _merged(
+        self, streams: Sequence[BinaryIO], topics: Collection[str] | None
+    ) -> Iterator[tuple[int, int, int, Message]]:
+        """Yield (log time, file, place, message), reading a block when its first is due."""
+        wanted = [self._wanted(file, topics) for file in self._files]
+        blocks = sorted(
+            (
+                (block.start, number, block.offset, block)
+                for number, file in enumerate(self._files)
+                for block in file.blocks
+                if block.channels & wanted[number]
+            ),
+            reverse=True,
+        )
+        waiting: list[tuple[int, int, int, Message]] = []
+        while blocks or waiting:
+            if blocks and (not waiting or blocks[-1][0] <= waiting[0][0]):
+                _, number, offset, block = blocks.pop()
+                for place, message in enumerate(self._read(streams[number], number, block)):
+                    if message.channel_id in wanted[number]:
+                        item = (message.log_time, number, (offset << 32) + place, message)
+                        heapq.heappush(waiting, item)
+            else:
+                yield heapq.heappop(waiting)
+
+    def _wanted(self, file: FileIndex, topics: Collection[str] | None) -> frozenset[int]:
+        return frozenset(
+            channel.id
+            for channel in file.channels.values()
+            if channel.topic in self.topics and (topics is None or channel.topic in topics)
+        )
+
+    def _read(self, stream: BinaryIO, number: int, block: Block) -> list[Message]:
+        try:
+            records = read_block(stream, block)
+        except DAMAGE as error:
+            name = self._files[number].path.name
+            self.note(f'{name}: the chunk at byte {block.offset} is damaged and left out: {error}')
+            return []
+        return [record for record in records if isinstance(record, Message)]
+
+
+def open_bag(path: Path | str) -> Bag:
+    """
+    Open a rosbag2 directory or an MCAP file.
+
+    A file that was cut short or not closed is opened with all that is whole in it; ``Bag.damage``
+    then says what is wrong.
+
+    :raises BagError: there is nothing, it is empty, was written by another program, or holds no
+        humanopts topics.
+    """
+    path = Path(path)
+    files, damage = bag_files(path)
+    bag = Bag(path, [read_index(file) for file in files], damage)
+    if not bag.topics:
+        reason = f' ({bag.damage})' if bag.damage else ''
+        raise BagError(f'{path} holds no messages{reason}')
+    if not any(topic.type.startswith(INTERFACES) for topic in bag.topics.values()):
+        raise BagError(f'{path} holds no humanopts topics: it is a recording of something else')
+    return bag
+
+
+def _topics(files: list[FileIndex]) -> dict[str, Topic]:
+    """Return the topics of the files, sorted by name."""
+    found: dict[str, Topic] = {}
+    for file in files:
+        for channel in file.channels.values():
+            schema = file.schemas.get(channel.schema_id)
+            if schema is None or channel.message_encoding != 'cdr':
+                continue
+            before = found[channel.topic].messages if channel.topic in found else 0
+            found[channel.topic] = Topic(
+                channel.topic,
+                schema.name,
+                schema.data.decode(errors='replace'),
+                before + file.counts.get(channel.id, 0),
+                channel.metadata.get('offered_qos_profiles', ''),
+                channel.metadata.get('topic_type_hash', ''),
+            )
+    return dict(sorted(found.items()))

@@ -1,0 +1,182 @@
+"""What ``humanopts bag info`` prints: the facts about a bag as text and as JSON."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime, UTC
+import json
+from typing import Any
+
+
+@dataclass(frozen=True)
+class TopicRow:
+    """One topic."""
+
+    name: str
+    type: str
+    messages: int
+    counted: bool  # its messages carry sequence numbers, so that loss shows
+
+
+@dataclass(frozen=True)
+class OptionRow:
+    """One option of one participant, from its demonstrations."""
+
+    participant: str
+    option: str
+    sessions: tuple[str, ...]
+    features: tuple[str, ...]
+    demonstrations: int
+    not_here: int
+    steps: int  # in all demonstrations
+    seconds: float  # that the person took for them
+    criteria_met: bool  # as the learner last said
+
+
+@dataclass(frozen=True)
+class StreamRow:
+    """The messages of one publisher on one topic; see ``loss.Stream``."""
+
+    topic: str
+    publisher: str
+    first: int
+    last: int
+    received: int
+    missing: int
+    duplicates: int
+
+
+@dataclass(frozen=True)
+class BagInfo:
+    """What a bag holds."""
+
+    path: str
+    damage: str  # what is wrong with it, a line each; empty: nothing
+    start: int  # of the first message, ns since the epoch
+    duration: int  # to the last message, ns
+    bytes: int  # of its MCAP files
+    facts: Mapping[str, str]  # what the recorder was told
+    domains: tuple[str, ...]  # name and parameters
+    topics: tuple[TopicRow, ...]
+    options: tuple[OptionRow, ...]
+    option_runs: Mapping[str, int]  # by status
+    plans: Mapping[str, int]
+    policy_runs: Mapping[str, int]
+    episodes: int
+    episodes_ended: int  # whose last state was recorded
+    streams: tuple[StreamRow, ...]
+
+    @property
+    def messages(self) -> int:
+        """Number of messages."""
+        return sum(topic.messages for topic in self.topics)
+
+    @property
+    def missing(self) -> int:
+        """Number of messages that were sent and are not in the bag."""
+        return sum(stream.missing for stream in self.streams)
+
+    @property
+    def participants(self) -> tuple[str, ...]:
+        """Codes of the people who taught, sorted."""
+        return tuple(sorted({option.participant for option in self.options}))
+
+    @property
+    def sessions(self) -> tuple[str, ...]:
+        """Codes of their sittings, sorted."""
+        return tuple(sorted({code for option in self.options for code in option.sessions}))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the facts as JSON data."""
+        return {
+            **asdict(self),
+            'messages': self.messages,
+            'missing': self.missing,
+            'participants': list(self.participants),
+            'sessions': list(self.sessions),
+        }
+
+    def to_json(self) -> str:
+        """Return the facts as JSON."""
+        return json.dumps(self.to_dict(), indent=2)
+
+    def to_text(self) -> str:
+        """Return the facts for reading."""
+        parts = [self._head(), self._options(), self._events(), self._topics(), self._loss()]
+        return '\n\n'.join(part for part in parts if part)
+
+    def _head(self) -> str:
+        begun = datetime.fromtimestamp(self.start / 1e9, UTC).strftime('%Y-%m-%d %H:%M:%S UTC')
+        pairs = [
+            ('bag', self.path),
+            *(('DAMAGED', line) for line in self.damage.splitlines()),
+            ('begun', begun),
+            ('duration', f'{self.duration / 1e9:.1f} s'),
+            ('messages', f'{self.messages} on {len(self.topics)} topics, {self.bytes:,} bytes'),
+            ('domain', '; '.join(self.domains) or 'not recorded'),
+            ('participants', ', '.join(self.participants) or 'none'),
+            ('sessions', ', '.join(self.sessions) or 'none'),
+            *sorted(self.facts.items()),
+        ]
+        width = max(len(name) for name, _ in pairs)
+        return '\n'.join(f'{name:{width}}  {value}' for name, value in pairs)
+
+    def _options(self) -> str:
+        rows = [
+            (
+                row.participant,
+                row.option,
+                row.demonstrations,
+                row.not_here,
+                row.steps,
+                f'{row.seconds:.0f}',
+                'yes' if row.criteria_met else 'no',
+            )
+            for row in self.options
+        ]
+        head = ('participant', 'option', 'shown', 'not here', 'steps', 'seconds', 'criteria met')
+        return table(head, rows)
+
+    def _events(self) -> str:
+        kinds = [
+            ('option runs', self.option_runs),
+            ('plans', self.plans),
+            ('policy runs', self.policy_runs),
+        ]
+        lines = [f'episodes: {self.episodes}, {self.episodes_ended} recorded to their end']
+        for name, counts in kinds:
+            if counts:
+                each = ', '.join(f'{status} {count}' for status, count in sorted(counts.items()))
+                lines.append(f'{name}: {each}')
+        return '\n'.join(lines)
+
+    def _topics(self) -> str:
+        return table(
+            ('topic', 'messages', 'type'),
+            [(topic.name, topic.messages, topic.type) for topic in self.topics],
+        )
+
+    def _loss(self) -> str:
+        odd = [row for row in self.streams if row.missing or row.duplicates]
+        if not odd:
+            return f'missing: 0 messages (by the numbers in {len(self.streams)} streams)'
+        return f'missing: {self.missing} messages\n' + table(
+            ('topic', 'publisher', 'sent', 'missing', 'repeated'),
+            [(row.topic, row.publisher, row.last, row.missing, row.duplicates) for row in odd],
+        )
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Lay out rows in columns, numbers to the right; '' where there are no rows."""
+    if not rows:
+        return ''
+    cells = [list(head), *([str(value) for value in row] for row in rows)]
+    widths = [max(len(row[column]) for row in cells) for column in range(len(head))]
+    right = [isinstance(value, int | float) for value in rows[0]]
+    lines = [
+        '  '.join(
+            text.rjust(width) if to_right else text.ljust(width)
+            for text, width, to_right in zip(row, widths, right, strict=True)
+        ).rstrip()
+        for row in cells
+    ]
+    return '\n'.join(lines)
