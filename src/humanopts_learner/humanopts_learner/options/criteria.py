@@ -32,7 +32,7 @@ RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 class Thresholds:
     """What the criteria may be at most."""
 
-    return_delta: float = 1.0  # mean held-out shortfall, reward units
+    return_delta: float = 2.0  # mean held-out shortfall, reward units
     initiation_error: float = 0.05  # balanced error, 0..1
     termination_error: float = 0.05  # balanced error, 0..1
 

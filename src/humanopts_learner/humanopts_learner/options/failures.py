@@ -48,8 +48,9 @@ def survey(
     """
     Run the option from every state of a deterministic domain.
 
-    An end counts as shown when a demonstration ended in a state alike in the features: a taxi
-    that lets its passenger out at the wrong place has come to an end, but to none that was shown.
+    An end counts as shown when a demonstration ended in a state alike in the features, with the
+    task over or not as after most demonstrations: a taxi that lets its passenger out at the wrong
+    place has come to an end, but to none that was shown.
 
     :param demonstrations: those that the option was learned from.
     :raises OptionError: the option was not learned in this domain.
@@ -134,6 +135,10 @@ def _shown(
     last = np.cumsum([len(demo.states) for demo in demonstrations]) - 1
     is_end = np.array([demo.kind is Kind.TRAJECTORY for demo in demonstrations])
     known_end = np.isin(of_state, of_row[last[is_end]])
+    mostly_over = (
+        np.mean([d.terminated for d in demonstrations if d.kind is Kind.TRAJECTORY]) > 0.5
+    )
+    known_end &= domain.over() == mostly_over
     new_value = np.zeros(len(table), dtype=np.bool_)
     for values, seen in zip(table.T, rows.T):
         new_value |= ~np.isin(values, seen)
