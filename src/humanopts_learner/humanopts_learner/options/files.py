@@ -81,6 +81,8 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
         raise OptionFileError(str(error)) from error
     except RecursionError:
         raise OptionFileError('its values are nested too deeply') from None
+    if tuple(dict.fromkeys(column.feature for column in option.columns)) != option.features:
+        raise OptionFileError('its tree columns are not of its features')
     if demonstrations and {demo.uuid for demo in demonstrations} != set(option.uuids):
         raise OptionFileError('its demonstrations are not those that it was learned from')
     return option, demonstrations

@@ -75,7 +75,7 @@ class LearnedOption:
                 f'game is {domain.name} {parameters_json(domain)}'
             )
         try:
-            columns = encoding(domain, self.features)
+            columns = encoding(domain, [column.feature for column in self.columns])
         except DomainError as error:
             raise OptionError(f'{self.name!r} cannot be used: {error}') from error
         names = tuple(action.name for action in domain.actions)
