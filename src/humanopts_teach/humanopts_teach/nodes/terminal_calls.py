@@ -1,13 +1,12 @@
 """How the terminal's requests reach the graph, and how its answers read."""
 
-from collections.abc import Callable
 import time
 from typing import Any
 
 from humanopts_env.nodes.node_base import NodeBase, PublishError
 from humanopts_interfaces import action as actions
 from humanopts_interfaces import srv
-from humanopts_interfaces.msg import ActionCommand, OptionResult, PlanResult, PolicyResult
+from humanopts_interfaces.msg import ActionCommand, OptionResult, PlanResult
 from humanopts_teach.dialogue.answers import Verdict
 from humanopts_teach.terminal import requests as ask
 from humanopts_teach.terminal.app import App
@@ -26,7 +25,7 @@ _SERVICES = {
     ask.AnswerQuestion: (srv.AnswerQuestion, 'lesson/answer_question'),
     ask.Begin: (srv.BeginDemonstration, 'lesson/begin_demonstration'),
     ask.End: (srv.EndDemonstration, 'lesson/end_demonstration'),
-    ask.GiveBack: (srv.SetControl, 'set_control'),
+    ask.SetControl: (srv.SetControl, 'set_control'),
     ask.NewEpisode: (srv.ResetGame, 'reset_game'),
     ask.ListOptions: (srv.ListOptions, 'list_options'),
 }
@@ -35,6 +34,7 @@ _ACTIONS = {
     ask.PlanOptions: (actions.Plan, 'plan'),
     ask.PlayEpisodes: (actions.RunPolicy, 'run_policy'),
 }
+_WELL = ('REACHED', 'EPISODE_OVER', 'CONVERGED', 'NOT_CONVERGED', 'DONE')
 _PLAN_EPISODES = 20  # start states that a plan is judged from
 
 
@@ -123,8 +123,8 @@ class Calls:
                     step=step,
                     can_start_at_end=can_start_at_end,
                 )
-            case ask.GiveBack():
-                return srv.SetControl.Request(hold=False, holder_id=self._node.publisher_id)
+            case ask.SetControl(hold):
+                return srv.SetControl.Request(hold=hold, holder_id=self._node.publisher_id)
             case ask.NewEpisode(seed):
                 return srv.ResetGame.Request(source=srv.ResetGame.Request.SOURCE_PERSON, seed=seed)
             case ask.ListOptions(participant):
@@ -191,39 +191,40 @@ class Calls:
 
     def _ended(self, run: ask.Run, done: Future) -> None:
         self._handle = None
-        ok, text = result_text(done.result().result.result)
+        ok, text = result_text(done.result().result.result, self._app.world.i_drive)
         self._app.run_ended(ask.Reply(run, ok=ok, text=text))
 
 
-def result_text(result: Any) -> tuple[bool, str]:
-    """Return whether a run went well, and how it ended in words."""
-    texts: dict[type, Callable[[Any], tuple[bool, str]]] = {
-        OptionResult: _option_text,
-        PlanResult: _plan_text,
-        PolicyResult: _policy_text,
-    }
-    return texts[type(result)](result)
+def result_text(result: Any, i_drive: bool) -> tuple[bool, str]:
+    """
+    Return whether a run went well, and how it ended in words.
+
+    :param i_drive: whether this terminal holds control now.
+    """
+    kind, status = type(result), result.status
+    well = [getattr(kind, f'STATUS_{name}', None) for name in _WELL]
+    what = f' ({_counts(result)})' if not isinstance(result, PlanResult) else ''
+    if status == getattr(kind, 'STATUS_INTERRUPTED', None) and i_drive:
+        return True, f'You took over{what}.'
+    if status == kind.STATUS_CANCELED:
+        return True, f'Stopped{what}.'
+    if status not in well:
+        return False, f'{result.detail}.'
+    if isinstance(result, OptionResult):
+        return True, f'{result.option_name}: {result.detail}{what}.'
+    return True, f'{_counts(result)}.'
 
 
-def _option_text(result: OptionResult) -> tuple[bool, str]:
-    ok = result.status in (OptionResult.STATUS_REACHED, OptionResult.STATUS_EPISODE_OVER)
-    steps = f'{result.step_count} step{"" if result.step_count == 1 else "s"}'
-    counts = f' ({steps}, reward {result.total_reward:g})' if result.run_id else ''
-    return ok, f'{result.option_name}: {result.detail}{counts}'
-
-
-def _plan_text(result: PlanResult) -> tuple[bool, str]:
-    ok = result.status in (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED)
-    seconds = result.table_seconds + result.model_seconds + result.sweep_seconds
-    made = f'Planned for {result.n_states} states in {seconds:.2f} s.'
-    return ok, made if ok else result.detail
-
-
-def _policy_text(result: PolicyResult) -> tuple[bool, str]:
-    done = result.status == PolicyResult.STATUS_DONE
-    counts = f'{result.successes} of {result.episodes} episodes done, {result.fallbacks} fallbacks'
-    counts += f', mean return {result.mean_return:.2f}' if result.episodes else ''
-    return done, counts if done else f'{result.detail}: {counts}'
+def _counts(result: Any) -> str:
+    if isinstance(result, OptionResult):
+        steps = f'{result.step_count} step{"" if result.step_count == 1 else "s"}'
+        return f'{steps}, reward {result.total_reward:g}'
+    if isinstance(result, PlanResult):
+        seconds = result.table_seconds + result.model_seconds + result.sweep_seconds
+        return f'Planned for {result.n_states} states in {seconds:.2f} s'
+    played = f'{result.successes} of {result.episodes} episodes done'
+    mean = f', mean return {result.mean_return:.2f}' if result.episodes else ''
+    return f'{played}, {result.fallbacks} fallbacks{mean}'
 
 
 def _progress_text(feedback: Any) -> str:

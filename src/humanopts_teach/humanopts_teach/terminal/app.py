@@ -17,7 +17,6 @@ from humanopts_teach.terminal.requests import (
     CancelRun,
     Drive,
     End,
-    GiveBack,
     PlanOptions,
     PlayEpisodes,
     Reply,
@@ -25,6 +24,7 @@ from humanopts_teach.terminal.requests import (
     Run,
     RunOption,
     server,
+    SetControl,
     settled,
 )
 from humanopts_teach.terminal.world import World
@@ -115,9 +115,12 @@ class App:
         self._outbox.extend(requests)
 
     def drive(self, action: str) -> None:
-        """Have a primitive action taken as a person."""
+        """Have a primitive action taken as a person; between two episodes, only take control."""
         game = self.world.game
         if game is None or not game.under_way:
+            if self.run is not None:
+                self.ask(SetControl(hold=True))
+                return
             self.say('No step can be taken: the episode is over.', bad=True)
         else:
             self.ask(Drive(action, game.at))
@@ -148,6 +151,7 @@ class App:
                 self._waiting = _Waiting(request, now + REPLY_SECONDS)
                 return request
             if self._keys:
+                self.message = Message()
                 self.screen.press(self._keys.popleft(), self)
                 continue
             self.screen.tick(self)
@@ -169,7 +173,6 @@ class App:
         """Take in that the game has gone on since the person's action was sent."""
         request, game = self.waits_for, self.world.game
         if isinstance(request, Drive) and game is not None and game.at != request.at:
-            self.message = Message()
             self.replied(Reply(request, ok=True), now)
 
     def run_said(self, text: str) -> None:
@@ -199,7 +202,7 @@ class App:
         if mine and demonstrating and game is not None:
             requests.append(End(Verdict.DISCARD, game.at))
         if self.world.i_drive:
-            requests.append(GiveBack())
+            requests.append(SetControl(hold=False))
         return requests
 
     def _look_at_waiting(self, now: float) -> None:

@@ -6,6 +6,7 @@ from typing import Literal
 
 from humanopts_teach.dialogue.answers import Phase
 from humanopts_teach.terminal.app import App
+from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen
 from humanopts_teach.terminal.panels import panel
 from humanopts_teach.terminal.teaching import LessonScreen
 from rich.cells import cell_len, set_cell_size
@@ -26,7 +27,7 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
     """
     if width < SMALLEST[0] or height < SMALLEST[1]:
         return _fit(_lines(_too_small(width, height), width, colours), height)
-    bottom = _lines(_foot(app), width, colours)
+    bottom = _lines(_foot(app, width), width, colours)
     top = _lines(Group(_head(app, width), Text(), _middle(app)), width, colours)
     return _fit(top, height - len(bottom)) + bottom
 
@@ -79,6 +80,8 @@ def _head(app: App, width: int) -> Text:
 def _middle(app: App) -> RenderableType:
     if app.world.domain is None:
         return Text('Waiting for the game ...')
+    if isinstance(app.screen, HelpScreen):
+        return panel(app.screen, app)
     board, notes = _board(app)
     table = Table.grid(padding=(0, 3, 0, 0), expand=True)
     table.add_column(width=max(cell_len(line) for line in board.plain.split('\n')), no_wrap=True)
@@ -102,7 +105,11 @@ def _board(app: App) -> tuple[Text, Text]:
 def _shown(app: App) -> Collection[str] | None:
     """Return the features that the board may reveal; None: all."""
     lesson = app.world.lesson
-    if isinstance(app.screen, LessonScreen) and lesson is not None and lesson.phase in _BARE:
+    if (
+        isinstance(app.screen, LessonScreen | ConfirmScreen)
+        and lesson is not None
+        and lesson.phase in _BARE
+    ):
         return lesson.chosen_features
     return None
 
@@ -123,13 +130,13 @@ def _coloured(lines: Sequence[str], styles: Mapping[str, str], *, alone: bool = 
     return text
 
 
-def _foot(app: App) -> Group:
+def _foot(app: App, width: int) -> Group:
     keys = Text()
     for number, (key, words) in enumerate(app.screen.keys(app)):
         keys.append('  ' if number else '')
         keys.append(key.replace(' ', '\u00a0'), 'bold bright_cyan')
         keys.append('\u00a0' + words.replace(' ', '\u00a0'))
-    return Group(_said(app), keys)
+    return Group(Text('─' * width, 'dim'), _said(app), keys)
 
 
 def _said(app: App) -> Text:

@@ -9,13 +9,14 @@ from humanopts_teach.terminal.entry import HelpScreen, Keys, PlainScreen
 from humanopts_teach.terminal.keys import Command, key_table, KeyTable, label
 from humanopts_teach.terminal.requests import (
     CancelRun,
-    GiveBack,
+    Drive,
     NewEpisode,
     PlanOptions,
     PlayEpisodes,
     Reply,
     Request,
     RunOption,
+    SetControl,
 )
 
 EPISODES = 5  # that are watched
@@ -50,6 +51,11 @@ class PlayScreen(PlainScreen):
         elif command is Command.QUIT:
             app.end()
 
+    def replied(self, reply: Reply, app: App) -> None:
+        """Take over all the same when the machine's episode ended under the person's key."""
+        if isinstance(reply.request, Drive) and not reply.ok and app.run is not None:
+            app.ask(SetControl(hold=True))
+
     def start(self, app: App) -> None:
         """Have the machine begin. To be overridden where a machine plays."""
 
@@ -81,7 +87,7 @@ class PlayScreen(PlainScreen):
         if app.run is not None:
             app.ask(CancelRun())
         else:
-            app.ask(GiveBack())
+            app.ask(SetControl(hold=False))
             self.menu(app)
 
     def _back(self, app: App) -> None:
@@ -110,7 +116,7 @@ class RunScreen(PlayScreen):
         game = app.world.game
         under_way = game is not None and game.under_way
         first = [] if under_way else [self.new_start(app)]
-        app.ask(*first, GiveBack(), RunOption(self.option_name, app.participant))
+        app.ask(*first, SetControl(hold=False), RunOption(self.option_name, app.participant))
 
 
 @dataclass
@@ -128,7 +134,7 @@ class WatchScreen(PlayScreen):
 
     def start(self, app: App) -> None:
         """Plan."""
-        app.ask(GiveBack(), PlanOptions(self.action_set, app.participant, app.seed))
+        app.ask(SetControl(hold=False), PlanOptions(self.action_set, app.participant, app.seed))
 
     def run_ended(self, reply: Reply, app: App) -> None:
         """Play once it is planned."""

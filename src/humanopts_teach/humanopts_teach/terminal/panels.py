@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import singledispatch
+import math
 
 from humanopts_teach.dialogue.answers import LessonView, Phase
 from humanopts_teach.terminal.app import App, Screen
@@ -14,9 +15,9 @@ from rich.table import Table
 from rich.text import Text
 
 _CRITERIA = {
-    'return': 'does as well as you',
-    'initiation': 'knows where it starts',
-    'termination': 'knows where it ends',
+    'return': 'as good as you',
+    'initiation': 'where it starts',
+    'termination': 'where it ends',
 }
 _CONFLICTS = 1  # that are spelt out
 
@@ -94,7 +95,8 @@ def _lesson(screen: LessonScreen, app: App) -> RenderableType:
     if lesson.phase is Phase.ASKING:
         return Group(title, *_question(lesson))
     progress = app.world.progress_of(lesson.participant, lesson.option_name)
-    parts = [title, _features(lesson, app), Text(), *_criteria(lesson, progress)]
+    parts = [title, _where(lesson, app), _features(lesson, app), Text()]
+    parts += _criteria(lesson, progress)
     if progress is not None:
         parts += _conflicts(progress)
     return Group(*parts)
@@ -109,6 +111,18 @@ def _question(lesson: LessonView) -> list[RenderableType]:
         Text(f'one of {lesson.questions_total} questions', 'dim'),
         Text(f'It depends on: {yes}'),
     ]
+
+
+def _where(lesson: LessonView, app: App) -> Text:
+    shown = lesson.n_demonstrations + lesson.n_not_here
+    if lesson.phase is Phase.DEMONSTRATING and app.world.game is not None:
+        step = app.world.game.step
+        return Text(f'start {shown + 1}' + (f', step {step}' if step else ': next'), 'bright_cyan')
+    if lesson.phase is Phase.LEARNING:
+        return Text('learning ...', 'bright_cyan')
+    if lesson.phase is Phase.FINISHED:
+        return Text('This lesson is finished.', 'bright_cyan')
+    return Text(f'Enter shows start {shown + 1}.', 'bright_cyan')
 
 
 def _features(lesson: LessonView, app: App) -> Text:
@@ -130,11 +144,15 @@ def _criteria(lesson: LessonView, progress: ProgressView | None) -> list[Rendera
     counts = Text(f'{shown}; at most {lesson.budget} are asked for', 'dim')
     if progress is None or not progress.criteria:
         return [Text('Nothing is learned yet.'), counts]
-    table = Table.grid(padding=(0, 2))
-    table.add_row('', Text('criterion', 'dim'), Text('now', 'dim'), Text('needs', 'dim'))
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_row('', *(Text(head, 'dim', no_wrap=True) for head in ('learned', 'now', 'needs')))
     for criterion in progress.criteria:
         table.add_row(*_criterion(criterion))
     parts: list[RenderableType] = [table, _estimate(progress), counts]
+    if not math.isnan(progress.mean_return_policy):
+        yours, learned = progress.mean_return_demonstrations, progress.mean_return_policy
+        text = f'mean return from your starts: yours {yours:.2f}, learned {learned:.2f}'
+        parts.append(Text(text, 'dim'))
     if set(progress.features) != set(lesson.chosen_features):
         parts.append(Text('These are for the earlier answers.', 'yellow'))
     return parts
@@ -144,7 +162,9 @@ def _criterion(criterion: CriterionView) -> list[Text]:
     error = criterion.name != 'return'
 
     def number(value: float) -> str:
-        return f'{100 * value:.1f} % wrong' if error else f'{value:.2f} worse'
+        if error:
+            return f'{100 * value:.1f} % wrong'
+        return f'{abs(value):.2f} {"worse" if value >= 0 else "better"}'
 
     style = 'green' if criterion.met else 'yellow'
     now = number(criterion.value) if criterion.measurable else 'not yet measurable'

@@ -52,8 +52,10 @@ class Drive:
 
 
 @dataclass(frozen=True, slots=True)
-class GiveBack:
-    """Give control back to the machine."""
+class SetControl:
+    """Take control, or give it back to the machine."""
+
+    hold: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,7 @@ Request = (
     | Begin
     | End
     | Drive
-    | GiveBack
+    | SetControl
     | NewEpisode
     | ListOptions
     | CancelRun
@@ -132,7 +134,7 @@ class Reply:
 def server(request: Request) -> str:
     """Return the node that answers a request."""
     match request:
-        case Drive() | GiveBack() | NewEpisode():
+        case Drive() | SetControl() | NewEpisode():
             return 'game'
         case ListOptions() | RunOption():
             return 'option_server'
@@ -163,7 +165,7 @@ def settled(reply: Reply, world: World) -> bool:
             return lesson is not None and lesson.phase is not Phase.DEMONSTRATING
         case NewEpisode():
             return game is not None and game.episode >= reply.episode
-        case GiveBack():
-            return not world.i_drive
+        case SetControl(hold):
+            return world.i_drive == hold
         case _:
             return True

@@ -95,7 +95,7 @@ class LessonScreen(PlainScreen):
         first: Keys = [('y', 'yes'), ('n', 'no')] if phase is Phase.ASKING else []
         if phase is Phase.DEMONSTRATING:
             first = [(label(action.key), action.name) for action in app.domain.actions]
-        again = f'could start again there: {"YES" if self.again else "no"}'
+        again = f'can restart at its end: {"YES" if self.again else "no"}'
         words = _SHORT | {Command.START_AGAIN: again}
         return first + [(label(key), words[command]) for key, command in table.commands.items()]
 
