@@ -11,7 +11,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.lock import only_launch
-from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
+from humanopts_teach.launching.processes import processes, Setup
 from humanopts_teach.nodes.conductor import Conductor
 
 
@@ -55,14 +55,13 @@ def session(
     :raises LaunchError: a node died or does not become ready, or another launch is in the way.
     :raises KeyboardInterrupt: SIGINT or SIGTERM; a second one is ignored while stopping.
     """
-    specs = processes(setup)
-    launcher = Launcher(specs, setup.directory / 'log', namespace)
+    launcher = Launcher(processes(setup), setup.directory / 'log', namespace)
     with only_launch(namespace), _interruptible():
         conductor = _conduct(setup, namespace, launcher, progress)
         try:
-            launcher.start()
-            names = [_node(namespace, spec) for spec in specs if not spec.terminal]
-            conductor.wait_ready(names)
+            for late in (False, True):
+                launcher.start(late=late)
+                conductor.wait_ready(launcher.node_names)
             yield Session(launcher, conductor)
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -80,10 +79,6 @@ def _conduct(
 
     conductor = Conductor(namespace, record=setup.record, watch=watch)
     return conductor
-
-
-def _node(namespace: str, spec: ProcessSpec) -> str:
-    return f'{namespace.rstrip("/")}/{spec.name}'
 
 
 @contextmanager

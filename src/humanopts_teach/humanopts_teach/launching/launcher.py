@@ -50,19 +50,21 @@ class Launcher:
 
     @property
     def node_names(self) -> list[str]:
-        """Fully qualified names of the nodes."""
-        return [f'{self._namespace.rstrip("/")}/{spec.name}' for spec in self._specs]
+        """Fully qualified names of the nodes that run."""
+        prefix = self._namespace.rstrip('/')
+        return [f'{prefix}/{running.spec.name}' for running in self._running]
 
-    def start(self) -> None:
+    def start(self, *, late: bool = False) -> None:
         """
-        Start every process.
+        Start every process but the terminal's.
 
+        :param late: those that come when the others are ready, in place of the others.
         :raises LaunchError: the log directory cannot be written.
         """
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
             for spec in self._specs:
-                if not spec.terminal:
+                if not spec.terminal and spec.late == late:
                     self._start(spec)
         except OSError as error:
             self.stop()

@@ -19,6 +19,7 @@ class ProcessSpec:
     package: str
     module: str  # run with python -m
     parameters: Mapping[str, Value] = field(default_factory=dict)
+    late: bool = False  # started when the others are ready
     terminal: bool = False  # it takes over the terminal
 
 
@@ -84,12 +85,19 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
 
 
 def _spec(
-    name: str, package: str, module: str, setup: Setup, *, terminal: bool = False, **own: Value
+    name: str,
+    package: str,
+    module: str,
+    setup: Setup,
+    *,
+    late: bool = False,
+    terminal: bool = False,
+    **own: Value,
 ) -> ProcessSpec:
     parameters: dict[str, Value] = {**own}
     if name != 'recorder':
         parameters['expect_recorder'] = setup.record
-    return ProcessSpec(name, package, f'{package}.nodes.{module}', parameters, terminal)
+    return ProcessSpec(name, package, f'{package}.nodes.{module}', parameters, late, terminal)
 
 
 def _recorder(setup: Setup) -> ProcessSpec:
@@ -160,6 +168,7 @@ def _simulated_teacher(setup: Setup) -> ProcessSpec:
         'humanopts_teach',
         'simulated_teacher',
         setup,
+        late=True,
         options=list(setup.taught),
         participant=setup.participant,
         error_rate=setup.teacher_error_rate,

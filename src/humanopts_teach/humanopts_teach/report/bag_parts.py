@@ -67,7 +67,7 @@ def _frame(state: Any, runs: list[_Run]) -> Frame:
 def _topic_rows(info: BagInfo) -> Iterator[TopicRow]:
     for topic in info.topics:
         streams = [stream for stream in info.streams if stream.topic == topic.name]
-        if topic.stamped:
+        if topic.counted:
             lost = sum(stream.missing for stream in streams)
             yield TopicRow(topic.name, topic.type, topic.messages, len(streams), lost)
         else:
