@@ -87,6 +87,17 @@ class BagEvaluation:
         """The planning block of summary.json."""
         return tuple(plan.row for plan in self.plans)
 
+    @property
+    def plan_names(self) -> tuple[str, ...]:
+        """What the plans are called: by action set, and whose, where several people taught."""
+        several = len({option.participant for option in self.options}) > 1
+        return tuple(
+            f'{plan.row.action_set} by {plan.participant}'
+            if several and plan.participant
+            else plan.row.action_set
+            for plan in self.plans
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the evaluation as JSON data, without NaN."""
         return {
@@ -136,12 +147,13 @@ def evaluate(
     groups, notes = _usable(demonstrations, domain)
     if not groups:
         raise EvaluationError('; '.join(['the bag holds no demonstration to learn from', *notes]))
-    work = _Progress(progress, sum(map(len, groups.values())) + len(groups))
+    people = list(dict.fromkeys(participant for participant, _ in groups))
+    work = _Progress(progress, sum(map(len, groups.values())) + len(people) + 1)
     references = reference_options(domain)
     options = []
     for (_, name), demos in groups.items():
         options.append(_learn(demos, domain, settings, references.get(name), work))
-    plans, refused = _plans(options, domain, settings, work)
+    plans, refused = _plans(options, people, domain, settings, work)
     return BagEvaluation(
         domain, settings, tuple(options), tuple(plans), (*warnings, *notes, *refused)
     )
@@ -149,13 +161,13 @@ def evaluate(
 
 class _Progress:
     def __init__(self, tell: OnProgress | None, total: int) -> None:
-        self._tell, self._total, self._done = tell, total, 0
+        self._tell, self._total, self.done = tell, total, 0
 
-    def step(self, text: str) -> None:
-        """Report that one more part is done."""
-        self._done = min(self._done + 1, self._total)
+    def reach(self, done: int, text: str) -> None:
+        """Report how many parts are done."""
+        self.done = done
         if self._tell is not None:
-            self._tell(self._done, self._total, text)
+            self._tell(done, self._total, text)
 
 
 def _usable(
@@ -184,10 +196,10 @@ def _learn(
     reference: ReferenceOption | None,
     work: _Progress,
 ) -> OptionEvaluation:
-    first = demos[0]
+    first, before = demos[0], work.done
 
     def on_point(count: int) -> None:
-        work.step(f'{first.option_name}: demonstration {count} of {len(demos)}')
+        work.reach(before + count, f'{first.option_name}: demonstration {count} of {len(demos)}')
 
     learned = learn_again(demos, domain, settings.thresholds, settings.seed, reference, on_point)
     block = option_block(learned.option, learned.judgement, domain, reference)
@@ -198,6 +210,7 @@ def _learn(
 
 def _plans(
     options: Sequence[OptionEvaluation],
+    people: Sequence[str],
     domain: Domain[Any],
     settings: Settings,
     work: _Progress,
@@ -206,9 +219,10 @@ def _plans(
     if not is_enumerable(domain):
         return [], [f'no plans: the states of {domain.name} cannot all be listed']
     starts = episode_starts(domain, settings.seed, EPISODES)
-    requests = [(person, HUMAN) for person in dict.fromkeys(o.participant for o in options)]
+    requests = [*((person, HUMAN) for person in people), ('', PRIMITIVE)]
     plans, refused = [], []
-    for person, action_set in [*requests, ('', PRIMITIVE)]:
+    for person, action_set in requests:
+        work.reach(work.done + 1, f'planning with {action_set} actions')
         chosen = [o.option for o in options if o.participant == person]
         try:
             plan = make_plan(domain, action_set, chosen)
@@ -216,5 +230,4 @@ def _plans(
             refused.append(f'no plan with {action_set} actions: {error}')
             continue
         plans.append(PlanEvaluation(person, plan, row_of_plan(plan, starts)))
-        work.step(f'planned with {action_set} actions')
     return plans, refused

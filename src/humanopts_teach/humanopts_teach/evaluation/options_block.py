@@ -124,7 +124,7 @@ def finite(value: float | None) -> float | None:
 
 def differences(live: Sequence[OptionBlock], offline: Sequence[OptionBlock]) -> list[str]:
     """Return in words where two lists of blocks differ; empty where they are equal exactly."""
-    there, here = ({block.name: block for block in blocks} for blocks in (live, offline))
+    there, here = _by_name(live), _by_name(offline)
     found = [f'{name!r} was learned live but is not in the bag' for name in set(there) - set(here)]
     found += [
         f'{name!r} is in the bag but was not learned live' for name in set(here) - set(there)
@@ -135,3 +135,12 @@ def differences(live: Sequence[OptionBlock], offline: Sequence[OptionBlock]) -> 
             if a != b:
                 found.append(f'{field.name} of {name!r} was {a!r} live and is {b!r} offline')
     return sorted(found)
+
+
+def _by_name(blocks: Sequence[OptionBlock]) -> dict[str, OptionBlock]:
+    """Return blocks by name; of the same name (several people taught it), numbered."""
+    found: dict[str, OptionBlock] = {}
+    for block in blocks:
+        again = sum(other.name == block.name for other in found.values())
+        found[f'{block.name} ({again + 1})' if again else block.name] = block
+    return found

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from humanopts_learner.options.criteria import Criterion
+from humanopts_teach.evaluation.planning import PlanningRow
 
 if TYPE_CHECKING:  # it imports this module
     from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
@@ -26,7 +27,8 @@ def evaluation_text(evaluation: 'BagEvaluation') -> str:
         lines += ['', *_option(option)]
     if evaluation.plans:
         lines += ['', 'plans']
-        lines += table(PLAN_HEAD, [_plan(evaluation, i) for i in range(len(evaluation.plans))])
+        rows = zip(evaluation.plan_names, evaluation.planning)
+        lines += table(PLAN_HEAD, [_plan(name, row) for name, row in rows])
     return '\n'.join(lines)
 
 
@@ -84,11 +86,9 @@ def _unmet(criterion: Criterion) -> str:
     return f'{criterion.name} is {value}, needs {number(criterion.threshold)} or less'
 
 
-def _plan(evaluation: 'BagEvaluation', place: int) -> list[str]:
-    plan = evaluation.plans[place]
-    row = plan.row
+def _plan(name: str, row: PlanningRow) -> list[str]:
     return [
-        f'{row.action_set} by {plan.participant}' if plan.participant else row.action_set,
+        name,
         number(row.gamma),
         number(1e3 * (row.table_seconds + row.model_seconds + row.sweep_seconds), 3),
         str(row.sweeps),

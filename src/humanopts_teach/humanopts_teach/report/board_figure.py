@@ -1,6 +1,6 @@
 """Value and policy of plans, drawn on the board."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import string
 
 from humanopts_learner.planning.plan import Plan
@@ -16,34 +16,36 @@ COLORS = 'cividis'
 LETTERS = string.ascii_uppercase + string.ascii_lowercase
 
 
-def board_figures(plans: Sequence[Plan], name: str) -> list[CaptionedFigure]:
+def board_figures(plans: Mapping[str, Plan], name: str) -> list[CaptionedFigure]:
     """
     Return one figure for each board slice and plan, slice by slice; all on one scale of values.
 
-    :param plans: of one domain, with its tables of values and choices.
+    :param plans: of one domain, by what each is called.
     :param name: prefix of the identifiers.
     """
     if not plans:
         return []
-    domain = plans[0].domain
+    domain = next(iter(plans.values())).domain
     boards = [read_board(domain, layout) for layout in domain.board_slices()]
     states = [board.states[board.states >= 0] for board in boards]
     if not states:
         return []
-    values = np.concatenate([plan.solution.values[shown] for plan in plans for shown in states])
+    values = np.concatenate(
+        [plan.solution.values[shown] for plan in plans.values() for shown in states]
+    )
     scale = Normalize(float(values.min()), float(values.max()))
     return [
-        _figure(board, plan, scale, f'{name}-{b}-{p}')
+        _figure(board, called, plan, scale, f'{name}-{b}-{p}')
         for b, board in enumerate(boards)
-        for p, plan in enumerate(plans)
+        for p, (called, plan) in enumerate(plans.items())
     ]
 
 
-def _figure(board: Board, plan: Plan, scale: Normalize, name: str) -> CaptionedFigure:
+def _figure(board: Board, called: str, plan: Plan, scale: Normalize, name: str) -> CaptionedFigure:
     rows, cols = board.states.shape
-    title = f'Action set {plan.action_set}\n{board.title}'
+    title = f'Action set {called}\n{board.title}'
     marked = max(rows, cols) <= MOST_MARKED
-    label = f'Value and policy with the action set {plan.action_set}, {board.title}'
+    label = f'Value and policy with the action set {called}, {board.title}'
     with drawing(name, label, 5.0, 1.1 + 3.3 * min(2.0, rows / cols)) as work:
         axes = work.axes
         values = np.where(board.states >= 0, plan.solution.values[board.states], np.nan)

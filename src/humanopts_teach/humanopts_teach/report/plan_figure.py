@@ -1,6 +1,6 @@
 """What planning cost and what it brought, by action set."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from humanopts_teach.evaluation.planning import PlanningRow
@@ -15,25 +15,28 @@ STAGES = (
 )
 
 
-def planning_figures(rows: Sequence[PlanningRow], name: str) -> list[CaptionedFigure]:
-    """Return the planning time and, where it was measured, the return, by action set."""
+def planning_figures(rows: Mapping[str, PlanningRow], name: str) -> list[CaptionedFigure]:
+    """
+    Return the planning time and, where it was measured, the return, by action set.
+
+    :param rows: by what each is called.
+    """
     figures = [CaptionedFigure(_times(rows, f'{name}-time'))] if rows else []
-    if any(row.mean_return is not None for row in rows):
+    if any(row.mean_return is not None for row in rows.values()):
         figures.append(CaptionedFigure(_returns(rows, f'{name}-return')))
     return figures
 
 
-def _times(rows: Sequence[PlanningRow], name: str) -> str:
+def _times(rows: Mapping[str, PlanningRow], name: str) -> str:
     with drawing(name, 'Planning time by action set', 5.0, 1.3 + 0.6 * len(rows)) as work:
         axes = work.axes
-        sets = [row.action_set for row in rows]
         left = [0.0] * len(rows)
         for field, label, color in STAGES:
-            values = [1e3 * getattr(row, field) for row in rows]
-            axes.barh(sets, values, 0.55, left=left, color=SERIES[color], label=label)
+            values = [1e3 * getattr(row, field) for row in rows.values()]
+            axes.barh(list(rows), values, 0.55, left=left, color=SERIES[color], label=label)
             left = [a + b for a, b in zip(left, values)]
-        for row, total in enumerate(left):
-            _label(work, (total, row), f'{total:.3g} ms', (5, 0), 'left')
+        for place, total in enumerate(left):
+            _label(work, (total, place), f'{total:.3g} ms', (5, 0), 'left')
         axes.set(title='Planning time', xlabel='milliseconds')
         axes.set_xlim(0, 1.22 * max(left))
         axes.invert_yaxis()
@@ -43,18 +46,18 @@ def _times(rows: Sequence[PlanningRow], name: str) -> str:
     return work.svg
 
 
-def _returns(rows: Sequence[PlanningRow], name: str) -> str:
+def _returns(rows: Mapping[str, PlanningRow], name: str) -> str:
     with drawing(name, 'Mean return by action set', 5.0, 1.3 + 0.6 * len(rows)) as work:
         axes = work.axes
-        known = [row for row in rows if row.mean_return is not None]
-        for place, row in enumerate(known):
+        known = {name: row for name, row in rows.items() if row.mean_return is not None}
+        for place, row in enumerate(known.values()):
             values = (row.mean_return, row.mean_discounted_return)
             for value, marker, color, shift in zip(values, 'os', (0, 1), (10, -10)):
                 if value is not None:
                     axes.plot(value, place, marker=marker, ms=8, color=SERIES[color], ls='')
                     _label(work, (value, place), number(value), (0, shift), 'center')
         axes.axvline(0, color=MUTED, lw=0.8)
-        axes.set_yticks(range(len(known)), [row.action_set for row in known])
+        axes.set_yticks(range(len(known)), list(known))
         axes.set(title='Mean return of an episode', xlabel='reward units')
         axes.set_ylim(len(known) - 0.4, -0.6)
         axes.xaxis.set_major_locator(MaxNLocator(6))

@@ -1,6 +1,6 @@
 """A report in a few sentences, worked out from its numbers."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
@@ -39,8 +39,7 @@ def findings(data: ReportData) -> list[Finding]:
                 f'their mean return is {number(execution.mean_return)}.',
             )
         )
-    rows = data.summary.planning if data.summary else data.evaluation.planning
-    found += _planning(rows)
+    found += _planning(planning_rows(data))
     if data.topics:
         found.append(_loss(data.topics))
     if data.summary is not None:
@@ -76,26 +75,39 @@ def _unmet(option: OptionEvaluation) -> str:
     )
 
 
-def _planning(rows: Sequence[PlanningRow]) -> list[Finding]:
-    by_set = {row.action_set: row for row in rows}
-    if HUMAN not in by_set or PRIMITIVE not in by_set:
+def planning_rows(data: ReportData) -> dict[str, PlanningRow]:
+    """Return what planning came to, live where it is known, by what each plan is called."""
+    if data.summary is not None:
+        return {row.action_set: row for row in data.summary.planning}
+    return dict(zip(data.evaluation.plan_names, data.evaluation.planning))
+
+
+def _planning(rows: Mapping[str, PlanningRow]) -> list[Finding]:
+    if PRIMITIVE not in rows:
         return []
-    human, primitive = by_set[HUMAN], by_set[PRIMITIVE]
+    planned = [pair for pair in rows.items() if pair[1].action_set == HUMAN]
+    return [finding for name, row in planned for finding in _compare(name, row, rows[PRIMITIVE])]
+
+
+def _compare(name: str, human: PlanningRow, primitive: PlanningRow) -> list[Finding]:
+    whose = f' ({name})' if name != HUMAN else ''
     times = ' against '.join(
         f'{1e3 * (r.table_seconds + r.model_seconds + r.sweep_seconds):.3g} ms in '
         f'{counted(r.sweeps, "sweep")}'
         for r in (human, primitive)
     )
-    found = [Finding(None, f'Planning with the learned options took {times} with primitives.')]
+    found = [
+        Finding(None, f'Planning with the learned options{whose} took {times} with primitives.')
+    ]
     if human.mean_return is None or primitive.mean_return is None:
         return found
     gap = primitive.mean_return - human.mean_return
     share = gap / abs(primitive.mean_return) if primitive.mean_return else float(gap != 0)
     compared = 'the same as' if gap == 0 else f'{abs(share):.1%} {"below" if gap > 0 else "above"}'
     text = (
-        f'The plan with the learned options has a mean return of {number(human.mean_return)}, '
-        f'{compared} that with primitive actions ({number(primitive.mean_return)}) from the same '
-        'start states.'
+        f'The plan with the learned options{whose} has a mean return of '
+        f'{number(human.mean_return)}, {compared} that with primitive actions '
+        f'({number(primitive.mean_return)}) from the same start states.'
     )
     return [Finding(share <= 0.02, text), *found]
 

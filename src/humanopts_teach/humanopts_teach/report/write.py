@@ -16,7 +16,7 @@ from humanopts_teach.report.data import Frame, ReportData, TopicRow
 from humanopts_teach.report.film import filmstrip
 from humanopts_teach.report.plan_figure import planning_figures
 from humanopts_teach.report.rules import option_rules, TreeRules
-from humanopts_teach.report.words import findings, number, percent
+from humanopts_teach.report.words import findings, number, percent, planning_rows
 import jinja2
 from markupsafe import Markup
 
@@ -87,7 +87,7 @@ def write_evaluation_report(
 def render_report(data: ReportData) -> str:
     """Return the page."""
     evaluation = data.evaluation
-    planning = data.summary.planning if data.summary else evaluation.planning
+    planning = planning_rows(data)
     live = {block.name: block for block in data.summary.options} if data.summary else {}
     values: dict[str, Any] = {
         'title': data.title,
@@ -97,7 +97,9 @@ def render_report(data: ReportData) -> str:
             for place, option in enumerate(evaluation.options)
         ],
         'has_live': data.summary is not None,
-        'boards': board_figures([plan.plan for plan in evaluation.plans], 'board'),
+        'boards': board_figures(
+            {name: p.plan for name, p in zip(evaluation.plan_names, evaluation.plans)}, 'board'
+        ),
         'planning': planning,
         'planning_figures': planning_figures(planning, 'planning'),
         'film': filmstrip(evaluation.domain, data.frames),

@@ -1,0 +1,132 @@
+"""Every option learned again from demonstrations alone."""
+
+from dataclasses import replace
+import json
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.options.criteria import Thresholds
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate, EvaluationError
+from humanopts_teach.evaluation.settings import Settings, settings_from_facts
+import pytest
+
+SETTINGS = Settings(seed=5)
+Lesson = list[Demonstration]
+
+
+@pytest.fixture(scope='module')
+def evaluation(taxi: Domain[Any], taxi_lesson: Lesson) -> BagEvaluation:
+    """The lesson, evaluated."""
+    return evaluate(taxi_lesson, taxi, SETTINGS)
+
+
+def test_order_and_repetitions_change_no_number(
+    taxi: Domain[Any], taxi_lesson: Lesson, evaluation: BagEvaluation
+) -> None:
+    mixed = [*reversed(taxi_lesson), *taxi_lesson]
+    again = {block.name: block for block in evaluate(mixed, taxi, SETTINGS).blocks}
+    assert again == {block.name: block for block in evaluation.blocks}
+
+
+def test_one_demonstration_less_changes_the_numbers(
+    taxi: Domain[Any], taxi_lesson: Lesson, evaluation: BagEvaluation
+) -> None:
+    gone = next(i for i, d in enumerate(taxi_lesson) if d.kind is Kind.TRAJECTORY)
+    fewer = evaluate(taxi_lesson[:gone] + taxi_lesson[gone + 1 :], taxi, SETTINGS)
+    assert fewer.blocks[0] != evaluation.blocks[0]
+    assert fewer.blocks[1] == evaluation.blocks[1]
+
+
+def test_the_learning_curve_ends_at_the_options_block(evaluation: BagEvaluation) -> None:
+    for option in evaluation.options:
+        last = option.curve[-1]
+        assert last.n_demonstrations == option.block.n_demonstrations
+        assert last.policy_accuracy == option.block.policy_accuracy
+        assert last.criteria_met == option.block.criteria_met
+        assert {c.name: c.value for c in last.criteria}['initiation'] == (
+            option.block.cv_error_initiation
+        )
+        counts = [point.n_demonstrations + point.n_not_here for point in option.curve]
+        assert counts == list(range(counts[0], counts[-1] + 1))
+
+
+def test_primitive_actions_plan_at_least_as_well_as_options(evaluation: BagEvaluation) -> None:
+    human, primitive = evaluation.planning
+    assert (human.action_set, primitive.action_set) == ('human', 'primitive')
+    assert human.converged
+    assert primitive.mean_return is not None
+    assert human.mean_return is not None
+    assert human.mean_return <= primitive.mean_return
+
+
+def test_people_are_evaluated_apart(taxi: Domain[Any], taxi_lesson: Lesson) -> None:
+    other = [
+        replace(demo, participant='p2', uuid=str(uuid.uuid5(uuid.NAMESPACE_OID, demo.uuid)))
+        for demo in taxi_lesson
+    ]
+    both = evaluate([*taxi_lesson, *other], taxi, SETTINGS)
+    assert [option.participant for option in both.options] == ['p1', 'p1', 'p2', 'p2']
+    assert both.plan_names == ('human by p1', 'human by p2', 'primitive')
+
+
+def test_progress_ends_at_its_total(taxi: Domain[Any], taxi_lesson: Lesson) -> None:
+    told: list[tuple[int, int]] = []
+    evaluate(taxi_lesson, taxi, SETTINGS, (), lambda done, total, _: told.append((done, total)))
+    assert told[-1][0] == told[-1][1]
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+def test_json_holds_no_nan_and_the_text_names_every_option(evaluation: BagEvaluation) -> None:
+    values = json.loads(json.dumps(evaluation.to_dict(), allow_nan=False))
+    assert len(values['options'][0]['learning_curve']) == len(evaluation.options[0].curve)
+    text = evaluation.to_text()
+    assert all(block.name in text for block in evaluation.blocks)
+    assert 'nan' not in text
+
+
+def test_a_demonstration_of_another_game_is_left_out_and_named(
+    taxi: Domain[Any], taxi_lesson: Lesson, evaluation: BagEvaluation
+) -> None:
+    stray = replace(taxi_lesson[0], domain='chess', uuid='00000000-0000-4000-8000-000000000000')
+    found = evaluate([*taxi_lesson, stray], taxi, SETTINGS)
+    assert found.blocks == evaluation.blocks
+    assert any(stray.uuid in warning and 'chess' in warning for warning in found.warnings)
+
+
+def test_nothing_to_learn_from_is_an_error_that_says_so(
+    taxi: Domain[Any], taxi_lesson: Lesson
+) -> None:
+    with pytest.raises(EvaluationError, match='no demonstration to learn from'):
+        evaluate([], taxi, SETTINGS)
+    refused = [demo for demo in taxi_lesson if demo.kind is Kind.NOT_HERE]
+    assert refused
+    with pytest.raises(EvaluationError, match='not here'):
+        evaluate(refused, taxi, SETTINGS)
+
+
+def test_settings_are_read_from_the_facts_in_the_bag() -> None:
+    facts = {
+        'seed': '11',
+        'return_delta': '0.5',
+        'initiation_error': '0.1',
+        'termination_error': '0.2',
+        'strategy': 'random',
+        'budget': '40',
+        'teacher_error_rate': '0.02',
+    }
+    settings, assumed = settings_from_facts(facts)
+    assert settings == Settings(11, Thresholds(0.5, 0.1, 0.2), 'random', 40, 0.02)
+    assert assumed == []
+    person, _ = settings_from_facts({**facts, 'teacher_error_rate': 'None'})
+    assert person.teacher_error_rate is None
+
+
+@pytest.mark.parametrize(
+    ('name', 'text'),
+    [('seed', '-1'), ('budget', 'many'), ('return_delta', 'nan'), ('initiation_error', '7')],
+)
+def test_a_fact_that_makes_no_sense_is_replaced_and_named(name: str, text: str) -> None:
+    settings, assumed = settings_from_facts({name: text})
+    assert settings == Settings()
+    assert any(name in note and text in note for note in assumed)

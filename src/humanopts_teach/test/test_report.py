@@ -1,0 +1,228 @@
+"""Reports: self-contained pages whose every number comes from the data."""
+
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+import re
+from typing import Any
+
+from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.criteria import Thresholds
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
+from humanopts_teach.evaluation.settings import Settings
+from humanopts_teach.evaluation.summary import BagFacts, Execution, Summary, SummaryError
+from humanopts_teach.report.board import read_board
+from humanopts_teach.report.curves import learning_curves
+from humanopts_teach.report.data import Frame, ReportData, TopicRow
+from humanopts_teach.report.film import board_html, filmstrip, MINUS
+from humanopts_teach.report.rules import option_rules
+from humanopts_teach.report.words import counted, DASH, findings, number, percent
+from humanopts_teach.report.write import render_report, write_evaluation_report, write_report
+import numpy as np
+import pytest
+
+SETTINGS = Settings(seed=5, thresholds=Thresholds(2.25, 0.0625, 0.125), teacher_error_rate=0.02)
+FRAMES = (
+    Frame('taxi 0,1 passenger R destination B'),
+    Frame('taxi 0,0 passenger R destination B', 'west', -1.0, 'go to passenger and pickup'),
+    Frame('taxi 0,0 passenger aboard destination B', 'pickup', 0.0, 'go to passenger and pickup'),
+)
+TOPICS = (
+    TopicRow('/game_state', 'humanopts_interfaces/msg/GameState', 4321, 1, 0),
+    TopicRow('/rosout', 'rcl_interfaces/msg/Log', 17),
+)
+
+
+@pytest.fixture(scope='module')
+def evaluation(taxi: Domain[Any], taxi_lesson: list[Demonstration]) -> BagEvaluation:
+    """A short lesson, evaluated."""
+    return evaluate(taxi_lesson, taxi, SETTINGS)
+
+
+@pytest.fixture(scope='module')
+def data(evaluation: BagEvaluation) -> ReportData:
+    """Everything that a report can show."""
+    summary = Summary(
+        'taxi',
+        SETTINGS,
+        evaluation.blocks,
+        evaluation.planning,
+        Execution(100, 100, 0, -11.375),
+        BagFacts('demo/bag', 4338, 2),
+        evaluation.blocks,
+    )
+    return ReportData('Taxi, taught', evaluation, summary, FRAMES, TOPICS, {'Python': '3.11'})
+
+
+@pytest.fixture(scope='module')
+def page(data: ReportData) -> str:
+    """The whole report."""
+    return render_report(data)
+
+
+class Links(HTMLParser):
+    """Collects what a page refers to, and its identifiers."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.targets: list[str] = []
+        self.ids: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Take note of one element."""
+        for name, value in attrs:
+            if name in ('href', 'src', 'xlink:href') and value:
+                self.targets.append(value)
+            if name == 'id' and value:
+                self.ids.append(value)
+
+
+def test_the_page_needs_nothing_outside_itself(page: str) -> None:
+    links = Links(page)
+    assert all(target.startswith(('#', 'data:')) for target in links.targets)
+    assert re.findall(r'https?://|@import|<script|<link', page) == []
+    assert len(links.ids) == len(set(links.ids))
+    assert {target[1:] for target in links.targets if target.startswith('#')} <= set(links.ids)
+    used = set(re.findall(r'url\(#([^)]+)\)', page))
+    assert used <= set(links.ids)
+
+
+def test_figures_take_their_colours_from_the_page(page: str) -> None:
+    assert 'prefers-color-scheme: dark' in page
+    assert re.findall(r'#0[1-4]0[1-4]0[1-4]\b|#0101a', page) == []
+    for variable in set(re.findall(r'var\((--\w+)\)', page)):
+        assert page.count(f'{variable}: #') == 2, variable  # light and dark
+
+
+def test_the_same_data_makes_the_same_page(data: ReportData, page: str) -> None:
+    assert render_report(data) == page
+
+
+def test_every_criterion_is_drawn_with_its_own_threshold(evaluation: BagEvaluation) -> None:
+    option = evaluation.options[0]
+    figures = learning_curves(option.curve, 'curve', option.block.name)
+    assert len(figures) == 4
+    for figure, threshold in zip(figures, ('2.25', '0.0625', '0.125')):
+        assert f'met at or below {threshold}' in figure
+        assert 'demonstrations' in figure
+
+
+def test_an_option_that_nothing_is_known_of_is_drawn_without_accuracy(
+    evaluation: BagEvaluation,
+) -> None:
+    point = replace(
+        evaluation.options[0].curve[0],
+        policy_accuracy=None,
+        classification_accuracy_initiation=None,
+        classification_accuracy_termination=None,
+    )
+    figures = learning_curves([point], 'curve', 'x')
+    assert len(figures) == 3
+    assert all('not yet measurable' in figure for figure in figures)
+    assert learning_curves([], 'curve', 'x') == []
+
+
+def test_walls_and_moves_are_those_of_dietterichs_grid(taxi: Domain[Any]) -> None:
+    assert is_enumerable(taxi)
+    for layout in taxi.board_slices():
+        board = read_board(taxi, layout)
+        east = {(int(r), int(c)) for r, c in np.argwhere(board.walls[0]) if c < 4}
+        assert east == {(0, 1), (1, 1), (3, 0), (4, 0), (3, 2), (4, 2)}
+        assert not board.walls[1][:4].any()
+        assert board.walls[1][4].all()
+        assert board.moves == {0: (1, 0), 1: (-1, 0), 2: (0, 1), 3: (0, -1)}
+
+
+def test_numbers_on_the_page_are_those_of_the_data(data: ReportData, page: str) -> None:
+    assert f'{MINUS}11.38' in page  # the mean return of the execution
+    assert '4,321' in page
+    assert 'demo/bag' in page
+    assert all(option.block.name in page for option in data.evaluation.options)
+    assert 'return shortfall at most 2.25 reward units' in page
+
+
+def test_the_words_say_what_was_lost_and_what_differs(data: ReportData) -> None:
+    assert data.summary is not None
+    block = replace(data.summary.options[0], n_demonstrations=999)
+    summary = replace(data.summary, options=(block, *data.summary.options[1:]))
+    lost = replace(TOPICS[0], lost=3)
+    texts = {
+        finding.text: finding.good
+        for finding in findings(replace(data, summary=summary, topics=(lost,)))
+    }
+    assert texts['3 messages lost, on /game_state.'] is False
+    assert any('999' in text and good is False for text, good in texts.items())
+    good = [finding.text for finding in findings(data) if finding.good]
+    assert any(text.startswith('No message was lost: 4,321') for text in good)
+    assert any('equals the live one' in text for text in good)
+
+
+def test_rules_say_when_an_option_starts_and_ends(
+    taxi: Domain[Any], evaluation: BagEvaluation
+) -> None:
+    initiation, termination, policy = option_rules(evaluation.options[0].option, taxi)
+    assert 'passenger in taxi is yes: may not start' in initiation.text
+    assert 'passenger in taxi is no: goes on' in termination.text
+    assert termination.depth == 1
+    assert termination.leaves == 2
+    assert policy.leaves == sum('(' in line for line in policy.text.splitlines())
+    assert 'taxi row ≤' in policy.text
+
+
+def test_the_film_shows_what_ran_and_only_the_board(taxi: Domain[Any]) -> None:
+    film = filmstrip(taxi, FRAMES)
+    assert [(f.action, f.reward) for f in film] == [
+        ('', ''),
+        ('west', f'{MINUS}1'),
+        ('pickup', '0'),
+    ]
+    assert [f.colour for f in film] == ['', 'o0', 'o0']
+    assert 'landmarks' not in film[0].board
+    assert '<b class="g3">' in film[0].board
+
+
+def test_what_a_board_shows_is_escaped() -> None:
+    assert board_html('<&>', {'&': 'bold red'}) == '&lt;<b class="g1">&amp;</b>&gt;'
+    assert board_html('x', {'x': 'no such style'}) == 'x'
+
+
+def test_names_are_escaped(data: ReportData) -> None:
+    page = render_report(replace(data, title='<script>alert(1)</script>'))
+    assert '<script>' not in page
+
+
+def test_a_report_of_a_bag_alone_has_no_live_numbers(
+    evaluation: BagEvaluation, tmp_path: Path
+) -> None:
+    path = tmp_path / 'report.html'
+    write_evaluation_report(path, evaluation)
+    page = path.read_text('utf-8')
+    assert '<th class="n">live</th>' not in page
+    assert 'id="film"' not in page
+    assert 'id="recording"' not in page
+    assert 'id="boards"' in page
+
+
+def test_a_report_that_cannot_be_written_is_an_error_with_its_path(
+    data: ReportData, tmp_path: Path
+) -> None:
+    with pytest.raises(SummaryError, match='gone'):
+        write_report(tmp_path / 'gone' / 'report.html', data)
+
+
+@pytest.mark.parametrize(
+    ('made', 'text'),
+    [
+        (number(None), DASH),
+        (number(float('nan')), DASH),
+        (number(-0.5), f'{MINUS}0.5'),
+        (percent(1.0), '100%'),
+        (percent(0.9375), '93.8%'),
+        (counted(0, 'fallback'), 'no fallbacks'),
+        (counted(1, 'fallback'), '1 fallback'),
+    ],
+)
+def test_numbers_read_well(made: str, text: str) -> None:
+    assert made == text
