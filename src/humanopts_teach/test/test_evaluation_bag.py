@@ -3,6 +3,7 @@
 from dataclasses import replace
 import json
 from typing import Any
+import uuid
 
 from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import Demonstration, Kind
