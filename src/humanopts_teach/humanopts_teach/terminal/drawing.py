@@ -131,12 +131,18 @@ def _coloured(lines: Sequence[str], styles: Mapping[str, str], *, alone: bool = 
 
 
 def _foot(app: App, width: int) -> Group:
-    keys = Text()
-    for number, (key, words) in enumerate(app.screen.keys(app)):
-        keys.append('  ' if number else '')
-        keys.append(key.replace(' ', '\u00a0'), 'bold bright_cyan')
-        keys.append('\u00a0' + words.replace(' ', '\u00a0'))
-    return Group(Text('─' * width, 'dim'), _said(app), keys)
+    return Group(Text('─' * width, 'dim'), _said(app), *_key_bar(app.screen.keys(app), width))
+
+
+def _key_bar(keys: Sequence[tuple[str, str]], width: int) -> list[Text]:
+    """Return keys and what they do in as few lines as they fit in, none broken in two."""
+    lines = [Text()]
+    for key, words in keys:
+        entry = Text.assemble((key, 'bold bright_cyan'), ' ', words)
+        if lines[-1].cell_len + 2 + entry.cell_len > width:
+            lines.append(Text())
+        lines[-1].append('  ' if lines[-1].plain else '').append_text(entry)
+    return lines
 
 
 def _said(app: App) -> Text:

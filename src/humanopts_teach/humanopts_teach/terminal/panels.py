@@ -95,7 +95,7 @@ def _lesson(screen: LessonScreen, app: App) -> RenderableType:
     if lesson.phase is Phase.ASKING:
         return Group(title, *_question(lesson))
     progress = app.world.progress_of(lesson.participant, lesson.option_name)
-    parts = [title, _where(lesson, app), _features(lesson, app), Text()]
+    parts: list[RenderableType] = [title, _where(lesson, app), _features(lesson, app), Text()]
     parts += _criteria(lesson, progress)
     if progress is not None:
         parts += _conflicts(progress)

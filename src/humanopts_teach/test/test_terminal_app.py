@@ -1,0 +1,423 @@
+"""The terminal's state machine: what is asked of the graph for which keys, and what is seen."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
+from humanopts_teach.terminal.app import App, REPLY_SECONDS, SETTLE_SECONDS
+from humanopts_teach.terminal.drawing import frame
+from humanopts_teach.terminal.menu import opening
+from humanopts_teach.terminal.requests import (
+    AnswerQuestion,
+    Begin,
+    CancelRun,
+    DefineOption,
+    Drive,
+    End,
+    ListOptions,
+    NewEpisode,
+    OpenSession,
+    PlanOptions,
+    PlayEpisodes,
+    Reply,
+    Request,
+    RunOption,
+    SetControl,
+)
+from humanopts_teach.terminal.world import CriterionView, GameView, ProgressView
+import pytest
+
+START = 'taxi 2,3 passenger R destination B'
+NAME = 'go to passenger and pickup'
+CHOSEN = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col')
+
+
+class Person:
+    """Presses keys, and answers the requests as a graph would."""
+
+    def __init__(self, domain: Domain[Any]) -> None:
+        self.app = App(opening('p1'))
+        self.world = self.app.world
+        self.world.domain, self.world.me = domain, 'me'
+        self.world.game = GameView(episode=1, step=0, state=START)
+        self.world.lesson = LessonView(Phase.NO_SESSION, budget=100)
+        self.now = 0.0
+        self.asked: list[Request] = []
+
+    def press(self, *keys: str) -> Request | None:
+        """Type keys; return the request that they lead to."""
+        self.app.type(keys)
+        return self.look()
+
+    def type(self, text: str) -> Request | None:
+        """Type a text and Enter."""
+        return self.press(*text, 'enter')
+
+    def look(self) -> Request | None:
+        """Let the app go on."""
+        request = self.app.advance(self.now)
+        if request is not None:
+            self.asked.append(request)
+        return request
+
+    def answer(self, request: Request | None, ok: bool = True, **fields: Any) -> Request | None:
+        """Answer a request; return the next one."""
+        assert request is not None
+        self.app.replied(Reply(request, ok, **fields), self.now)
+        return self.look()
+
+    def lesson(self, phase: Phase, **fields: Any) -> Request | None:
+        """Have the lesson announce where it stands; return the next request."""
+        assert self.world.lesson is not None
+        self.world.lesson = replace(self.world.lesson, phase=phase, **fields)
+        return self.look()
+
+    def game(self, **fields: Any) -> Request | None:
+        """Have the game go on; return the next request."""
+        assert self.world.game is not None
+        self.world.game = replace(self.world.game, **fields)
+        self.app.moved(self.now)
+        return self.look()
+
+    def sees(self, width: int = 80, height: int = 24) -> str:
+        """Return the screen as text, in one line for each paragraph that was wrapped."""
+        lines = frame(self.app, width, height)
+        assert len(lines) == height
+        return '\n'.join(lines)
+
+    def sees_words(self, text: str) -> bool:
+        """Tell whether the screen shows these words, however they are wrapped."""
+        side = ' '.join(line[24:] for line in frame(self.app, 80, 24))
+        whole = ' '.join(frame(self.app, 80, 24))
+        return any(text in ' '.join(shown.split()) for shown in (side, whole))
+
+
+@pytest.fixture
+def person(taxi: Domain[Any]) -> Person:
+    """Somebody who has just come."""
+    return Person(taxi)
+
+
+@pytest.fixture
+def teacher(person: Person) -> Person:
+    """Somebody whose option is ready for its first demonstration."""
+    opened = person.press('enter')
+    person.lesson(Phase.NO_OPTION, participant='p1')
+    person.answer(opened)
+    defined = person.press('enter', *NAME, 'enter')
+    person.lesson(Phase.READY, option_name=NAME, chosen_features=CHOSEN)
+    person.answer(defined)
+    return person
+
+
+@pytest.fixture
+def shower(teacher: Person) -> Person:
+    """Somebody who is demonstrating."""
+    request = teacher.press('enter')
+    assert request == Begin()
+    teacher.game(episode=2, step=0)
+    teacher.lesson(Phase.DEMONSTRATING, episode=2, start_state=START)
+    teacher.answer(request, episode=2)
+    return teacher
+
+
+def test_enter_accepts_the_proposed_code_and_leads_to_the_menu(person: Person) -> None:
+    assert person.sees_words('Who teaches? > p1')
+    request = person.press('enter')
+    assert request == OpenSession('p1')
+    person.lesson(Phase.NO_OPTION, participant='p1')
+    person.answer(request, names=('fetch',))
+    assert person.sees_words('What next?')
+    assert person.sees_words('Go on teaching an option')
+
+
+def test_another_code_can_be_typed(person: Person) -> None:
+    assert person.press('backspace', 'backspace', *'anna-2', 'enter') == OpenSession('anna-2')
+
+
+def test_a_refused_code_stays_to_be_mended_with_the_reason(person: Person) -> None:
+    person.answer(person.type('!'), ok=False, text="'p1!' is not a code")
+    assert person.sees_words("'p1!' is not a code")
+    assert person.sees_words('> p1!')
+
+
+def test_questions_are_answered_by_y_and_n_only(teacher: Person) -> None:
+    question = f"Does the '{NAME}' option depend on which row the taxi is in?"
+    teacher.lesson(Phase.ASKING, question_id=3, question=question, chosen_features=())
+    assert teacher.sees_words(question)
+    assert teacher.press('x', 'enter', 'up') is None
+    first = teacher.press('y')
+    assert first == AnswerQuestion(3, yes=True)
+    teacher.lesson(Phase.ASKING, question_id=4)
+    teacher.answer(first)
+    assert teacher.press('N') == AnswerQuestion(4, yes=False)
+
+
+def test_keys_wait_until_the_question_that_they_answer_is_shown(teacher: Person) -> None:
+    teacher.lesson(Phase.ASKING, question_id=3)
+    first = teacher.press('y', 'n')
+    assert first == AnswerQuestion(3, yes=True)
+    assert teacher.answer(first) is None  # the lesson still shows question 3
+    assert teacher.lesson(Phase.ASKING, question_id=4) == AnswerQuestion(4, yes=False)
+
+
+def test_the_board_and_the_words_show_only_the_chosen_features(shower: Person) -> None:
+    assert shower.sees_words('taxi row 2, taxi col 3, passenger row 0, passenger col 0')
+    assert '⚑' not in shower.sees()
+    assert '☻' in shower.sees()
+
+
+def test_all_keys_are_on_the_screen_while_demonstrating(shower: Person) -> None:
+    for key in (
+        *('↓ south', '↑ north', '→ east', '← west', 'p pickup', 'd dropoff', 'Enter done'),
+        *('n not here', 'Backspace discard', 'can restart at its end: no', 'q quit', '? help'),
+    ):
+        assert key in shower.sees()
+
+
+def test_an_arrow_key_is_sent_for_the_state_that_was_seen(shower: Person) -> None:
+    assert shower.press('left', 'left') == Drive('west', (2, 0))
+    assert shower.look() is None  # the second key waits for the first
+    assert shower.game(step=1) == Drive('west', (2, 1))
+
+
+def test_done_waits_for_the_steps_typed_before_it(shower: Person) -> None:
+    shower.press('p', 'enter')
+    assert shower.game(step=1) == End(Verdict.DONE, (2, 1))
+
+
+def test_the_next_start_begins_by_itself_after_a_verdict(shower: Person) -> None:
+    request = shower.press('n')
+    assert request == End(Verdict.NOT_HERE, (2, 0))
+    shower.lesson(Phase.LEARNING, n_not_here=1)
+    assert shower.answer(request) is None
+    assert shower.lesson(Phase.READY) == Begin()
+
+
+def test_a_refused_verdict_leaves_the_demonstration_as_it_is(shower: Person) -> None:
+    shower.answer(shower.press('enter'), ok=False, text='nothing was demonstrated')
+    assert shower.sees_words('nothing was demonstrated')
+    assert shower.press('left') == Drive('west', (2, 0))
+
+
+def test_starts_are_not_asked_for_again_and_again_when_they_are_refused(teacher: Person) -> None:
+    assert teacher.answer(teacher.press(' '), ok=False, text='the budget is spent') is None
+    assert teacher.sees_words('the budget is spent')
+
+
+def test_can_start_again_goes_with_one_done_only(shower: Person) -> None:
+    assert shower.press('s') is None
+    assert 'can restart at its end: YES' in shower.sees()
+    request = shower.press('enter')
+    assert request == End(Verdict.DONE, (2, 0), can_start_at_end=True)
+    shower.lesson(Phase.LEARNING)
+    begin = shower.answer(request) or shower.lesson(Phase.READY)
+    shower.game(episode=3)
+    shower.lesson(Phase.DEMONSTRATING, episode=3)
+    shower.answer(begin, episode=3)
+    assert shower.press('enter') == End(Verdict.DONE, (3, 0), can_start_at_end=False)
+
+
+def test_leaving_asks_first_once_steps_were_taken(shower: Person) -> None:
+    shower.press('left')
+    shower.game(step=1)
+    assert shower.press('escape') is None
+    assert shower.sees_words('The demonstration under way is discarded; all else is saved.')
+    assert shower.press('x') is None
+    assert shower.press('escape', 'enter') == End(Verdict.DISCARD, (2, 1))
+
+
+def test_questions_can_be_answered_again(shower: Person) -> None:
+    discard = shower.press('e')
+    assert discard == End(Verdict.DISCARD, (2, 0))
+    shower.lesson(Phase.READY)
+    assert shower.answer(discard) == DefineOption(NAME, ask_again=True)
+
+
+def criteria(values: Iterable[tuple[str, float, float, bool, bool]]) -> ProgressView:
+    """Make the progress of the option."""
+    return ProgressView(
+        NAME, 'p1', CHOSEN, 7, tuple(CriterionView(*value) for value in values), more_needed=6
+    )
+
+
+def test_each_criterion_shows_value_target_and_whether_it_can_be_measured(
+    shower: Person,
+) -> None:
+    shower.world.progress = [
+        criteria(
+            [
+                ('return', 0.25, 1.0, True, True),
+                ('initiation', 0.125, 0.05, True, False),
+                ('termination', float('nan'), 0.05, False, False),
+            ]
+        )
+    ]
+    screen = shower.sees()
+    for line in (
+        r'✓  as good as you   0.25 worse          ≤ 1.00 worse',
+        r'·  where it starts  12.5 % wrong        ≤ 5.0 % wrong',
+        r'·  where it ends    not yet measurable  ≤ 5.0 % wrong',
+        'About 6 more are needed (an estimate).',
+    ):
+        assert line in screen
+
+
+def test_an_estimate_that_cannot_be_made_is_not_made(shower: Person) -> None:
+    progress = criteria([('return', 0.0, 1.0, True, True)])
+    shower.world.progress = [replace(progress, more_needed=-1)]
+    assert 'How many more it takes cannot be told yet.' in shower.sees()
+
+
+def test_conflicts_come_with_the_feature_that_would_tell_them_apart(shower: Person) -> None:
+    progress = criteria([('return', 0.0, 1.0, True, True)])
+    clash = 'taxi row 0: pickup, but also east'
+    shower.world.progress = [
+        replace(progress, conflicts=(clash, 'more'), suggested_feature='passenger_in_taxi')
+    ]
+    assert shower.sees_words(clash)
+    assert shower.sees_words('"passenger in taxi" would tell most apart')
+
+
+@pytest.fixture
+def runner(teacher: Person) -> Person:
+    """Somebody in front of the screen that runs an option."""
+    teacher.press('escape')
+    request = teacher.press('3')
+    assert request == ListOptions('p1')
+    teacher.answer(request, names=(NAME,))
+    teacher.press('enter')
+    return teacher
+
+
+def test_running_gives_control_back_first(runner: Person) -> None:
+    runner.world.holder = 'me'
+    give_back = runner.press('enter')
+    assert give_back == SetControl(hold=False)
+    runner.world.holder = ''
+    assert runner.answer(give_back) == RunOption(NAME, 'p1')
+
+
+def test_running_begins_an_episode_when_none_is_under_way(runner: Person) -> None:
+    runner.game(terminated=True)
+    new = runner.press('enter')
+    assert isinstance(new, NewEpisode)
+    runner.game(episode=2, terminated=False)
+    assert runner.answer(new, episode=2) == SetControl(hold=False)
+
+
+def started(runner: Person) -> RunOption:
+    """Start a run."""
+    run = runner.answer(runner.press('enter'))
+    assert isinstance(run, RunOption)
+    assert runner.answer(run) is None
+    return run
+
+
+def test_an_action_key_takes_over_from_a_run(runner: Person) -> None:
+    run = started(runner)
+    assert runner.press('left') == Drive('west', (1, 0))
+    runner.game(step=1)
+    runner.app.run_ended(Reply(run, ok=True, text='You took over.'))
+    assert runner.sees_words('You took over.')
+
+
+def test_a_key_between_two_episodes_takes_control_all_the_same(runner: Person) -> None:
+    started(runner)
+    runner.game(terminated=True)
+    assert runner.press('left') == SetControl(hold=True)
+
+
+def test_escape_stops_a_run_and_only_then_leaves(runner: Person) -> None:
+    run = started(runner)
+    runner.answer(runner.press('escape'))
+    assert runner.asked[-1] == CancelRun()
+    runner.app.run_ended(Reply(run, ok=True, text='Stopped.'))
+    runner.answer(runner.press('escape'))
+    assert runner.sees_words('What next?')
+
+
+def test_a_run_whose_server_is_gone_ends_in_words(runner: Person) -> None:
+    started(runner)
+    runner.app.lost_server()
+    assert runner.app.run is None
+    assert runner.sees_words('option_server is gone.')
+
+
+def test_watching_plans_first_and_plays_then(teacher: Person) -> None:
+    plan = teacher.answer(teacher.press('escape', '4', '1', 'enter'))
+    assert isinstance(plan, PlanOptions)
+    teacher.answer(plan)
+    teacher.app.run_ended(Reply(plan, ok=True, text='Planned.'))
+    play = teacher.look()
+    assert isinstance(play, PlayEpisodes)
+    assert (play.action_set, play.participant) == ('human', 'p1')
+
+
+def test_a_silent_node_is_named_after_the_deadline_and_nothing_hangs(person: Person) -> None:
+    person.press('enter')
+    person.now = REPLY_SECONDS
+    assert person.look() is None
+    assert person.sees_words('lesson does not answer.')
+    assert person.press('enter') == OpenSession('p1')
+
+
+def test_topics_that_lag_behind_an_answer_hold_nothing_up(person: Person) -> None:
+    request = person.press('enter')
+    assert person.answer(request) is None
+    person.now = SETTLE_SECONDS
+    person.look()
+    assert person.sees_words('What next?')
+
+
+def test_an_answer_that_comes_after_the_deadline_is_ignored(person: Person) -> None:
+    late = person.press('enter')
+    person.now = REPLY_SECONDS
+    person.look()
+    person.answer(late)
+    assert person.sees_words('Who teaches?')
+
+
+def test_ctrl_c_ends_at_once_whatever_is_under_way(shower: Person) -> None:
+    shower.press('left')
+    shower.press('ctrl-c')
+    assert shower.app.ended
+    shower.world.holder = 'me'
+    assert shower.app.parting() == [End(Verdict.DISCARD, (2, 0)), SetControl(hold=False)]
+
+
+def test_a_demonstration_left_by_a_cut_connection_is_taken_up(person: Person) -> None:
+    person.lesson(Phase.DEMONSTRATING, participant='p1', option_name=NAME, chosen_features=CHOSEN)
+    assert person.press('enter') is None
+    assert person.sees_words(f'Teaching: {NAME}')
+
+
+def test_nodes_that_are_gone_are_named(shower: Person) -> None:
+    shower.world.missing = ('lesson',)
+    assert shower.sees_words('lesson: not there. Everything taught is saved; Ctrl-C quits.')
+
+
+def test_a_small_window_is_told_so_politely(shower: Person) -> None:
+    assert '69 x 24 characters, and 70 x 20 are needed' in shower.sees(69, 24)
+    assert '80 x 19 characters, and 70 x 20 are needed' in shower.sees(80, 19)
+    assert 'Teaching' in shower.sees(70, 20)
+
+
+@pytest.mark.parametrize(('width', 'height'), [(80, 24), (120, 40), (70, 20)])
+def test_no_line_is_wider_than_the_window(shower: Person, width: int, height: int) -> None:
+    for key in ('', '?', 'x', 'e'):
+        shower.press(*filter(None, [key]))
+        assert max(map(len, frame(shower.app, width, height))) <= width
+
+
+def test_help_explains_every_key(shower: Person) -> None:
+    shower.press('?')
+    screen = shower.sees()
+    assert 'higher window' not in screen
+    assert 'let the passenger in' in screen
+    assert 'the option makes no sense from this start' in screen
+    shower.press('left')
+    assert shower.sees_words('Teaching')
+    assert not any(isinstance(request, Drive) for request in shower.asked)
