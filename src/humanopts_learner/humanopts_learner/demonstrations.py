@@ -110,7 +110,7 @@ class Demonstration:
                 can_start_at_end=bool(values['can_start_at_end']),
                 seconds=float(values['seconds']),
             )
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise DemonstrationError(f'a field of the demonstration is wrong: {error}') from error
 
 
@@ -203,7 +203,7 @@ def _check_steps(demo: Demonstration, domain: Domain[Any]) -> None:
     except DomainError as error:
         raise DemonstrationError(str(error)) from None
     for row, state in enumerate(states):
-        if not np.array_equal(domain.feature_values(state), demo.feature_rows[row]):
+        if tuple(domain.feature_values(state).tolist()) != demo.features[row]:
             raise DemonstrationError(f'the features of state {row} are not those of its state')
     for t, action in enumerate(actions):
         if domain.is_over(states[t]):

@@ -115,6 +115,12 @@ def count_failures(
     return len(failing_samples(option, domain, rng))
 
 
+def has_new_value(rows: NDArray[np.int32], shown: NDArray[np.int32]) -> Mask:
+    """Return (N,): which of the rows (N, F) have in some column a value that none shown has."""
+    new = [~np.isin(values, seen) for values, seen in zip(rows.T, shown.T)]
+    return np.any(new, axis=0)
+
+
 def _shown(
     option: LearnedOption,
     domain: EnumerableDomain[Any],
@@ -139,7 +145,4 @@ def _shown(
         np.mean([d.terminated for d in demonstrations if d.kind is Kind.TRAJECTORY]) > 0.5
     )
     known_end &= domain.over() == mostly_over
-    new_value = np.zeros(len(table), dtype=np.bool_)
-    for values, seen in zip(table.T, rows.T):
-        new_value |= ~np.isin(values, seen)
-    return times[of_state], known_end, new_value
+    return times[of_state], known_end, has_new_value(table, rows)

@@ -12,7 +12,13 @@ from typing import Any
 from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is_enumerable
 from humanopts_env.domains.tabular import reachable
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.failures import failing_samples, is_surveyable, Survey, survey
+from humanopts_learner.options.failures import (
+    failing_samples,
+    has_new_value,
+    is_surveyable,
+    Survey,
+    survey,
+)
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.trees.encoding import encode_rows, encoding
 import numpy as np
@@ -64,13 +70,22 @@ def _coverage(
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
 ) -> Any:
-    """Return the state that is farthest, in the chosen features, from every state shown."""
+    """
+    Return the state that is farthest, in the chosen features, from every state shown.
+
+    Once there is an option, only states where it can start, or with a value that nobody showed.
+    """
     if not demonstrations:
         return _random(domain, option, demonstrations, rng)
     states = _candidates(domain, rng)
     rows = np.array([domain.feature_values(state) for state in states])
     shown = np.unique(np.concatenate([d.feature_rows for d in demonstrations]), axis=0)
     columns = encoding(domain, demonstrations[-1].chosen_features)
+    if option is not None:
+        picked = sorted({column.index for column in columns})
+        kept = option.can_start(rows) | has_new_value(rows[:, picked], shown[:, picked])
+        if kept.any():
+            states, rows = [s for s, keep in zip(states, kept) if keep], rows[kept]
     features = [domain.features[column.index] for column in columns]
     # An ordinal feature differs by 0..1, a nominal one by 0 or 1: half in each of two columns.
     scale = [

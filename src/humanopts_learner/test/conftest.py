@@ -1,0 +1,84 @@
+"""A scripted person who knows Taxi's options, for the tests of learning."""
+
+from collections.abc import Callable
+from typing import Any
+import uuid
+
+from humanopts_env.domains.registry import parameters_json
+from humanopts_env.domains.taxi import Taxi, TaxiState
+from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration, Kind
+import pytest
+
+TAXI = Taxi()
+REFERENCE = reference_options(TAXI)
+FETCH = 'go to passenger and pickup'
+
+
+class Person:
+    """Shows one option from any state; among equally good actions always prefers the same."""
+
+    def __init__(self, option: str = FETCH, seed: int = 0, error_rate: float = 0.0) -> None:
+        self.option, self.seed, self.error_rate = option, seed, error_rate
+        self.reference = REFERENCE[option]
+        self.features = self.reference.features
+        self.preference = generator(seed, 'preference').permutation(len(TAXI.actions)).tolist()
+        self.shown: list[Demonstration] = []
+
+    def show(self, state: TaxiState) -> Demonstration:
+        """Show the option from a state, or say "not here"; an error is another action."""
+        rng = generator(self.seed, 'person', self.option, len(self.shown))
+        states, actions, rewards, terminated = [state], [], [], False
+        while self.reference.can_start(states[-1]):
+            action = self._choose(self.reference.optimal_actions(states[-1]), rng)
+            outcome = TAXI.step(states[-1], action, rng)
+            states.append(outcome.state)
+            actions.append(action)
+            rewards.append(outcome.reward)
+            terminated = outcome.terminated
+        demo = Demonstration(
+            kind=Kind.TRAJECTORY if actions else Kind.NOT_HERE,
+            uuid=str(uuid.UUID(bytes=rng.bytes(16), version=4)),
+            domain=TAXI.name,
+            domain_parameters=parameters_json(TAXI),
+            participant=f'person {self.seed}',
+            session='morning',
+            option_name=self.option,
+            number=len(self.shown) + 1,
+            chosen_features=tuple(self.features),
+            feature_names=tuple(feature.name for feature in TAXI.features),
+            features=tuple(tuple(TAXI.feature_values(s).tolist()) for s in states),
+            states=tuple(map(TAXI.encode, states)),
+            actions=tuple(TAXI.actions[action].name for action in actions),
+            rewards=tuple(rewards),
+            terminated=terminated,
+        )
+        self.shown.append(demo)
+        return demo
+
+    def show_random(self, count: int) -> list[Demonstration]:
+        """Show the option from random start states of the task."""
+        rng = generator(self.seed, 'starts', self.option)
+        starts = [TAXI.state_at(int(i)) for i in rng.choice(REFERENCE_STARTS[self.option], count)]
+        return [self.show(state) for state in starts]
+
+    def _choose(self, best: tuple[int, ...], rng: Any) -> int:
+        if rng.random() < self.error_rate:
+            return int(rng.choice([a for a in range(len(TAXI.actions)) if a not in best]))
+        return min(best, key=self.preference.index)
+
+
+REFERENCE_STARTS = {name: r.initiation.nonzero()[0] for name, r in REFERENCE.items()}
+
+
+@pytest.fixture(scope='session')
+def person() -> Callable[..., Person]:
+    """Return the class of scripted people."""
+    return Person
+
+
+@pytest.fixture(scope='session')
+def fetching() -> list[Demonstration]:
+    """Return 30 demonstrations of fetching the passenger, from random starts."""
+    return Person().show_random(30)

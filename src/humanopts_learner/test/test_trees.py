@@ -1,0 +1,164 @@
+"""Decision trees as data: the same answers as scikit-learn's, and no damaged tree is used."""
+
+from collections.abc import Callable
+import copy
+import json
+import subprocess
+import sys
+from typing import Any
+
+from humanopts_env.domains.base import DomainError
+from humanopts_env.domains.taxi import Taxi
+from humanopts_learner.trees.encoding import Column, encode_rows, encoding
+from humanopts_learner.trees.fitting import fit_tree
+from humanopts_learner.trees.tree import Tree, TreeError
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+from sklearn.tree import DecisionTreeClassifier
+
+TAXI = Taxi()
+
+
+def small_tree() -> Tree:
+    """Return a tree of two tests: x0 <= 0.5 is class 0, else x1 <= 1.5 tells 1 from 2."""
+    X = np.array([[0, 0], [0, 2], [1, 1], [1, 2], [1, 2]], dtype=np.float32)
+    return fit_tree(X, np.array([0, 0, 1, 2, 2]), (0, 1, 2, 3), 0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31 - 1), st.integers(1, 60), st.integers(1, 6), st.booleans())
+def test_own_evaluator_agrees_with_scikit_learn(
+    seed: int, rows: int, columns: int, whole: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    X, Z = rng.normal(scale=3, size=(2, 60, columns)).astype(np.float32)
+    if whole:
+        X, Z = np.rint(X), np.rint(Z)
+    X, y = X[:rows], rng.choice([0, 2, 5], rows)
+    judge = DecisionTreeClassifier(random_state=seed).fit(X, y)
+    expected = np.zeros((len(Z), 6))
+    expected[:, judge.classes_] = judge.predict_proba(Z)
+    tree = fit_tree(X, y, range(6), seed)
+    assert tree.probabilities(Z) == pytest.approx(expected)
+    assert tree.counts[0].tolist() == np.bincount(y, minlength=6).tolist()
+
+
+def test_a_class_that_was_never_seen_has_probability_zero() -> None:
+    assert small_tree().probabilities(np.ones((1, 2), dtype=np.float32)).tolist() == [[0, 1, 0, 0]]
+
+
+def test_one_class_makes_a_tree_of_one_leaf() -> None:
+    tree = fit_tree(np.zeros((3, 2), dtype=np.float32), np.array([1, 1, 1]), (0, 1), 0)
+    assert tree.counts.tolist() == [[0, 3]]
+    assert tree.depth == 0
+
+
+def test_examples_that_cannot_be_told_apart_give_their_shares() -> None:
+    tree = fit_tree(np.zeros((4, 1), dtype=np.float32), np.array([0, 1, 1, 1]), (0, 1), 0)
+    assert tree.probabilities(np.zeros((1, 1), dtype=np.float32)).tolist() == [[0.25, 0.75]]
+
+
+def test_equal_seeds_give_equal_trees() -> None:
+    assert small_tree() == small_tree()
+    assert hash(small_tree()) == hash(small_tree())
+
+
+def test_fitting_refuses_no_rows_and_unknown_labels() -> None:
+    with pytest.raises(ValueError, match='one row or more'):
+        fit_tree(np.zeros((0, 1), dtype=np.float32), np.zeros(0, dtype=int), (0, 1), 0)
+    with pytest.raises(ValueError, match='labelled with its classes'):
+        fit_tree(np.zeros((1, 1), dtype=np.float32), np.array([7]), (0, 1), 0)
+
+
+def test_rows_of_another_width_are_refused() -> None:
+    with pytest.raises(TreeError, match='2 columns'):
+        small_tree().probabilities(np.zeros((1, 3), dtype=np.float32))
+
+
+def test_a_tree_comes_back_from_json() -> None:
+    tree = small_tree()
+    assert Tree.from_dict(json.loads(json.dumps(tree.to_dict()))) == tree
+
+
+Damage = Callable[[dict[str, Any]], object]
+
+
+@pytest.mark.parametrize(
+    ('damage', 'message'),
+    [
+        (lambda d: d.pop('nodes'), "no 'nodes'"),
+        (lambda d: d.update(nodes=[]), 'not a tree'),
+        (lambda d: d.update(nodes=3), 'not a tree'),
+        (lambda d: d.update(columns=1), 'not among 1'),
+        (lambda d: d.update(columns='2'), 'whole numbers'),
+        (lambda d: d.update(classes=[0, 1, 2]), 'of 3 classes'),
+        (lambda d: d.update(classes=[0, 2, 1, 3]), 'not ascending'),
+        (lambda d: d['nodes'].pop(), 'child of exactly one'),
+        (lambda d: d['nodes'][0].update(left=0), 'child of exactly one'),
+        (lambda d: d['nodes'][0].update(left=99), 'child of exactly one'),
+        (lambda d: d['nodes'][0].update(left=2), 'child of exactly one'),
+        (lambda d: d['nodes'][0].update(left=-1), 'name its column'),
+        (lambda d: d['nodes'][0].update(column=7), 'not among 2'),
+        (lambda d: d['nodes'][0].update(at_most=float('nan')), 'not finite'),
+        (lambda d: d['nodes'][0].update(at_most='0.5'), 'not a number'),
+        (lambda d: d['nodes'][0].pop('right'), "no 'right'"),
+        (lambda d: d['nodes'][1].update(counts=[0, 0, 0, 0]), 'no examples'),
+        (lambda d: d['nodes'][1].update(counts=[5, -1, 0, 0]), 'fewer than none'),
+        (lambda d: d['nodes'][1].update(counts=[1.5, 0, 0, 0]), 'whole numbers'),
+        (lambda d: d['nodes'][1].update(counts=[1]), 'not a tree'),
+        (lambda d: d['nodes'][1].update(counts=[10**30, 0, 0, 0]), 'not a tree'),
+    ],
+)
+def test_a_damaged_tree_is_refused(damage: Damage, message: str) -> None:
+    data = copy.deepcopy(small_tree().to_dict())
+    damage(data)
+    with pytest.raises(TreeError, match=message):
+        Tree.from_dict(data)
+
+
+def test_nodes_in_a_circle_are_refused() -> None:
+    leaf = {'counts': [1, 0]}
+    test = {'column': 0, 'at_most': 0.5, 'counts': [1, 0]}
+    nodes = [leaf, {**test, 'left': 2, 'right': 3}, {**test, 'left': 1, 'right': 4}, leaf, leaf]
+    with pytest.raises(TreeError, match='before its parent'):
+        Tree.from_dict({'columns': 1, 'classes': [0, 1], 'nodes': nodes})
+
+
+def test_ordinal_features_stay_numbers_and_nominal_ones_become_one_hot() -> None:
+    columns = encoding(TAXI, ['blocked_moves', 'taxi_row'])
+    names = [feature.name for feature in TAXI.features]
+    blocked = names.index('blocked_moves')
+    assert columns[0] == Column('taxi_row', names.index('taxi_row'))
+    assert [c.value for c in columns[1:]] == list(range(len(TAXI.features[blocked].values)))
+    rows = TAXI.feature_table()
+    encoded = encode_rows(columns, rows)
+    assert encoded[:, 0].tolist() == rows[:, names.index('taxi_row')].tolist()
+    assert encoded[:, 1:].argmax(axis=1).tolist() == rows[:, blocked].tolist()
+    assert set(encoded[:, 1:].sum(axis=1)) == {1.0}
+
+
+def test_a_feature_of_another_domain_cannot_be_encoded() -> None:
+    with pytest.raises(DomainError, match='ghost'):
+        encoding(TAXI, ['ghost_row'])
+
+
+@pytest.mark.parametrize('data', [{}, {'feature': 1, 'index': 0, 'value': None}, []])
+def test_a_damaged_column_is_refused(data: Any) -> None:
+    with pytest.raises(TreeError, match='tree column'):
+        Column.from_dict(data)
+
+
+@pytest.mark.parametrize('index', [-1, 1.0, True])
+def test_a_column_index_is_a_whole_number(index: Any) -> None:
+    with pytest.raises(TreeError, match='tree column'):
+        Column.from_dict({'feature': 'taxi_row', 'index': index, 'value': None})
+
+
+def test_an_option_can_be_used_without_loading_scikit_learn() -> None:
+    code = (
+        'import sys, humanopts_learner.options.files, humanopts_learner.options.start_states;'
+        'sys.exit("sklearn" in sys.modules)'
+    )
+    assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 0
