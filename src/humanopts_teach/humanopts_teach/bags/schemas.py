@@ -92,8 +92,7 @@ class Definitions:
         suffix, own = name[len(base) :], f'{package}/{base}'
         if suffix in _SECTIONS[kind]:
             sections = re.split(r'^---[ \t]*\n', self._file(package, kind, base), flags=re.M)
-            text = sections[_SECTIONS[kind].index(suffix)]
-            return text if not text or text.endswith('\n') else text + '\n'
+            return _qualified(sections[_SECTIONS[kind].index(suffix)], package)
         self._file(package, kind, base)  # only of what is installed
         if kind == 'action' and suffix in _ACTION_PARTS:
             return _ACTION_PARTS[suffix].replace('P_', own + '_')
@@ -140,12 +139,31 @@ def field_lines(schema: str) -> list[tuple[str, str]]:
     ]
 
 
+def _qualified(text: str, package: str) -> str:
+    """
+    Give the types that ``text`` names the package that they are of.
+
+    Readers look for a bare name beside the type that has it, and parts of services and actions
+    are elsewhere than messages.
+    """
+    for kind in {kind for kind, _ in field_lines(text) if '/' not in kind}:
+        if _base(kind) not in _PRIMITIVE:
+            place = rf'^(\s*){re.escape(kind)}(?=\s)'
+            text = re.sub(place, rf'\g<1>{package}/{kind}', text, flags=re.M)
+    return text
+
+
+def _base(kind: str) -> str:
+    """Return the type of a field without array and string bounds."""
+    return re.sub(r'\[.*\]$', '', kind).partition('<')[0]
+
+
 def _dependencies(type_name: str, text: str) -> list[str]:
     """Return the full names of the types of the fields in ``text``."""
     package = type_name.split('/')[0]
     found = []
     for kind, _ in field_lines(text):
-        base = re.sub(r'\[.*\]$', '', kind).partition('<')[0]
+        base = _base(kind)
         if base not in _PRIMITIVE:
             owner, _, name = base.rpartition('/')
             found.append(_full_name(owner.removesuffix('/msg') or package, name, type_name))

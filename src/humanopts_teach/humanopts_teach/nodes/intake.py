@@ -184,8 +184,11 @@ def load_type(name: str) -> Any:
     """
     package, kind, own = name.split('/')
     module = import_module(f'{package}.{kind}')
-    if own.endswith('_FeedbackMessage'):
-        return getattr(module, own.removesuffix('_FeedbackMessage')).Impl.FeedbackMessage
+    base, _, part = own.partition('_')
+    if part == 'FeedbackMessage':
+        return getattr(module, base).Impl.FeedbackMessage
+    if part in ('Goal', 'Result', 'Feedback'):
+        return getattr(getattr(module, base), part)
     return getattr(module, own)
 
 
