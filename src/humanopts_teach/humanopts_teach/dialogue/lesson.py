@@ -11,7 +11,6 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.game import Moment
-from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
@@ -24,8 +23,7 @@ from humanopts_teach.dialogue.collecting import Attempt, build, Label, objection
 from humanopts_teach.dialogue.history import OptionHistory
 from humanopts_teach.dialogue.notebook import Notebook
 from humanopts_teach.dialogue.questions import question_text
-from humanopts_teach.dialogue.start_states import StartStates
-import numpy as np
+from humanopts_teach.dialogue.start_states import StartDraws, StartStates
 
 _HINTS = {
     Phase.NO_SESSION: 'Open a session to begin.',
@@ -67,7 +65,7 @@ class Lesson:
         :param today: the date as YYYYMMDD, for session codes.
         """
         self._domain = domain
-        self._starts = starts
+        self._draws = StartDraws(domain, starts, rules.seed)
         self._rules = rules
         self._clock = clock
         self._notebook = Notebook(domain, store, today)
@@ -181,11 +179,11 @@ class Lesson:
         if self._option is None or self.phase is not Phase.READY or self._preparing:
             return self._not_ready()
         try:
-            state = self._decode(start_state) if start_state else self._draw(self._option)
+            state = self._start_state(start_state, self._option)
         except DomainError as error:
             return Answer(Status.BAD_STATE, str(error))
         self._preparing, self._trace = True, Trace()
-        seed = int(self._generator('episode', self._option).integers(2**63))
+        seed = self._draws.episode_seed(self._notebook.participant, self._option)
         return Answer(Status.OK, 'the start state is chosen', state=state, seed=seed)
 
     def began(self, episode: int, state: str) -> Answer:
@@ -263,7 +261,9 @@ class Lesson:
         if self._awaited:
             known = self._progress.get((self._notebook.participant, option.name))
             counted = known is not None and known.last_uuid == self._awaited
-            if not counted or not self._starts_know(option):
+            if not counted or not self._draws.know(
+                self._notebook.participant, option, self._awaited
+            ):
                 return
             self._awaited = ''
         self._look_at_progress()
@@ -326,37 +326,16 @@ class Lesson:
 
     def _look_at_progress(self) -> None:
         option = self._option
-        self._done = option is not None and self.criteria_met and self._exhausted(option)
-
-    def _exhausted(self, option: OptionHistory) -> bool:
-        rng = self._generator('exhausted', option)
-        demonstrations = option.demonstrations
-        return self._starts.exhausted(self._notebook.participant, option.name, demonstrations, rng)
-
-    def _starts_know(self, option: OptionHistory) -> bool:
-        """Tell whether start states will be drawn with the newest demonstration counted in."""
-        return not option.n_trajectories or self._starts.knows(
-            self._notebook.participant, option.name, self._awaited
+        self._done = (
+            option is not None
+            and self.criteria_met
+            and self._draws.exhausted(self._notebook.participant, option)
         )
 
-    def _decode(self, text: str) -> str:
-        state = self._domain.decode(text)
-        if self._domain.is_over(state):
-            raise DomainError(f'the task is over in {text}: nothing can be shown from there')
-        return self._domain.encode(state)
-
-    def _draw(self, option: OptionHistory) -> str:
-        if self._again:
-            return self._again
-        rng = self._generator('start_state', option)
-        demonstrations = option.demonstrations
-        return self._domain.encode(
-            self._starts.choose(self._notebook.participant, option.name, demonstrations, rng)
-        )
-
-    def _generator(self, purpose: str, option: OptionHistory) -> np.random.Generator:
-        key = (self._notebook.participant, option.name, option.number)
-        return generator(self._rules.seed, purpose, *key)
+    def _start_state(self, asked_for: str, option: OptionHistory) -> str:
+        if asked_for:
+            return self._draws.check(asked_for)
+        return self._again or self._draws.draw(self._notebook.participant, option)
 
     def _watch(self, moment: Moment) -> bool:
         if self._attempt is None:

@@ -233,10 +233,10 @@ class LessonNode(NodeBase):
 
     async def _begin(self, prepared: Answer) -> Answer:
         """Have game begin the episode, and wait for its first state on the stream."""
-        lesson, wait = self._lesson, self._waiting
-        if not await wait.until(self._reset.service_is_ready, _GAME_DEADLINE):
+        lesson, until = self._lesson, self._waiting.until
+        if not await until(self._reset.service_is_ready, _GAME_DEADLINE):
             return lesson.not_begun(Status.NO_GAME, 'Game does not serve reset_game.')
-        reply = await wait.answer(
+        reply = await self.answer(
             self._reset,
             ResetGame.Request(
                 source=ResetGame.Request.SOURCE_PERSON,
@@ -251,7 +251,7 @@ class LessonNode(NodeBase):
             bad = reply.status == ResetGame.Response.STATUS_BAD_STATE
             return lesson.not_begun(Status.BAD_STATE if bad else Status.NO_GAME, reply.detail)
         answer = lesson.began(reply.episode, reply.state)
-        if not await wait.until(lambda: lesson.reached(reply.episode, 0), _GAME_DEADLINE):
+        if not await until(lambda: lesson.reached(reply.episode, 0), _GAME_DEADLINE):
             return lesson.not_begun(Status.NO_GAME, 'The first state of the episode did not come.')
         if lesson.phase is not Phase.DEMONSTRATING:
             return Answer(Status.NO_GAME, lesson.view.text)

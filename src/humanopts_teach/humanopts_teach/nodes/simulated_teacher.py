@@ -118,8 +118,9 @@ class SimulatedTeacherNode(NodeBase):
         def read(name: str, text: str, **limits: Any) -> Any:
             return self.setting(name, getattr(default, name), text, **limits)
 
+        options = read('options', 'names of the reference options to teach, in order')
         return TeacherSettings(
-            options=tuple(read('options', 'names of the reference options to teach, in order')),
+            options=tuple(name for name in options or () if name),
             participant=read('participant', 'code under which it teaches'),
             session=read('session', 'code of the session'),
             error_rate=read(

@@ -2,9 +2,7 @@
 
 from collections.abc import Callable
 import time
-from typing import Any
 
-from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -40,12 +38,3 @@ class Waiting:
             self._open.append((future, condition, time.monotonic() + seconds))
             await future
         return condition()
-
-    async def answer(self, client: Client, request: Any, seconds: float) -> Any | None:
-        """Call a service; None: no answer in time."""
-        future = client.call_async(request)
-        future.add_done_callback(lambda _: self.look())
-        if await self.until(future.done, seconds):
-            return future.result()
-        client.remove_pending_request(future)
-        return None
