@@ -14,9 +14,12 @@ def _profile(durability: DurabilityPolicy, depth: int) -> QoSProfile:
     )
 
 
-# Current values: the last one is enough, and who comes late gets it.
-LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
-# Reads a latched topic that several nodes publish (node_status): the last one of each.
+# Publishes current values: who comes late gets the last ones. Depth 1 would lose messages that the
+# recorder has not taken yet, since a newer one replaces them even unsent.
+LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 100)
+# Reads a current value: the last one is enough.
+CURRENT = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
+# Reads a latched topic that several nodes publish (node_status): all of each.
 LATCHED_ALL = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)
 # Append-only streams, for the recorder and the lock-step partners. A reader that has stopped
 # blocks the writer, so displays read LATCHED topics or DISPLAY instead.

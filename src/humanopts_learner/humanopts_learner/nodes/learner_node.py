@@ -6,7 +6,7 @@ import sys
 from humanopts_env.convert import domain_from_info
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.nodes.node_base import NodeBase, run_node, StartError
-from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_env.nodes.qos import CURRENT, LATCHED, STREAM
 from humanopts_interfaces.msg import (
     Demonstration as DemonstrationMessage,
 )
@@ -45,7 +45,7 @@ class LearnerNode(NodeBase):
         self._receipts = self.stamped_publisher(DemonstrationReceipt, 'demonstration_receipts')
         self._status_out = self.stamped_publisher(LearningStatus, 'learning_status', LATCHED)
         self._options_out = self.stamped_publisher(LearnedOptions, 'learned_options', LATCHED)
-        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, LATCHED)
+        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
         self.create_subscription(
             DemonstrationMessage, 'demonstrations', self._on_demonstration, STREAM
         )

@@ -7,7 +7,7 @@ from typing import Any
 from humanopts_env.convert import domain_from_info
 from humanopts_env.domains.base import DomainError
 from humanopts_env.nodes.node_base import NodeBase, run_node, StartError
-from humanopts_env.nodes.qos import LATCHED
+from humanopts_env.nodes.qos import CURRENT
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import DomainInfo, LearnedOptions, OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
@@ -47,8 +47,8 @@ class OptionServerNode(NodeBase):
         self._domain: Any = None
         self._results = self.stamped_publisher(OptionResult, 'option_results')
         self._runner = Runner(self, Mode(mode), seed, deadline)
-        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, LATCHED)
-        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, LATCHED)
+        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
+        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
         group = ReentrantCallbackGroup()
         self.recorded_service(RunOption, 'run_option', self._on_run, group)
         self.recorded_service(ListOptions, 'list_options', self._on_list)

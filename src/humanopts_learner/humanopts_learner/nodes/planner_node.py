@@ -10,7 +10,7 @@ import uuid
 from humanopts_env.convert import domain_from_info
 from humanopts_env.domains.base import DomainError
 from humanopts_env.nodes.node_base import NodeBase, run_node, StartError
-from humanopts_env.nodes.qos import LATCHED
+from humanopts_env.nodes.qos import CURRENT
 from humanopts_interfaces.action import Plan as PlanAction
 from humanopts_interfaces.action import RunPolicy
 from humanopts_interfaces.msg import (
@@ -60,8 +60,8 @@ class PlannerNode(NodeBase):
         self._plan_results = self.stamped_publisher(PlanResult, 'plan_results')
         self._policy_goals = self.stamped_publisher(PolicyGoal, 'policy_goals')
         self._policy_results = self.stamped_publisher(PolicyResult, 'policy_results')
-        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, LATCHED)
-        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, LATCHED)
+        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
+        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
         group = ReentrantCallbackGroup()
         self._reset = self.recorded_client(ResetGame, 'reset_game', group)
         self._run = self.recorded_client(RunOption, 'run_option', group)

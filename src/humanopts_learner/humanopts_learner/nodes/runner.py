@@ -8,7 +8,7 @@ import uuid
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.nodes.node_base import NodeBase
-from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_env.nodes.qos import CURRENT, STREAM
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import ActionCommand, ActionRefusal, GameState, OptionGoal
 from humanopts_learner.convert import end_to_message
@@ -67,7 +67,7 @@ class Runner:
         self._arrivals: list[tuple[int, int, Future, float]] = []
         self._actions = node.stamped_publisher(ActionCommand, 'action')
         self._goals = node.stamped_publisher(OptionGoal, 'option_goals')
-        node.create_subscription(GameState, 'current_state', self._on_first_state, LATCHED)
+        node.create_subscription(GameState, 'current_state', self._on_first_state, CURRENT)
         node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
         node.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
         node.create_timer(_CHECK_PERIOD, self._check_deadlines)

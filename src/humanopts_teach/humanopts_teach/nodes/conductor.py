@@ -5,7 +5,7 @@ import time
 from typing import Any, Generic, TypeVar
 
 from humanopts_env.nodes.node_base import NodeBase
-from humanopts_env.nodes.qos import LATCHED, LATCHED_ALL
+from humanopts_env.nodes.qos import CURRENT, LATCHED_ALL
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import (
     DomainInfo,
@@ -34,7 +34,7 @@ class Latest(Generic[M]):
 
     def __init__(self, node: NodeBase, kind: type[M], topic: str) -> None:
         self.message: M | None = None
-        node.create_subscription(kind, topic, self._keep, LATCHED)
+        node.create_subscription(kind, topic, self._keep, CURRENT)
 
     def _keep(self, message: M) -> None:
         self.message = message

@@ -9,7 +9,7 @@ import time
 from humanopts_env.convert import domain_from_info
 from humanopts_env.domains.base import DomainError
 from humanopts_env.nodes.node_base import NodeBase, run_node, StartError
-from humanopts_env.nodes.qos import DISPLAY, LATCHED
+from humanopts_env.nodes.qos import CURRENT, DISPLAY
 from humanopts_interfaces.msg import (
     ActionRefusal,
     ControlState,
@@ -63,7 +63,7 @@ class KeyboardTeleopNode(NodeBase):
             (LearningStatus, 'learning_status', self._on_learning),
             (ControlState, 'control', self._on_control),
         ):
-            self.create_subscription(kind, topic, callback, LATCHED)
+            self.create_subscription(kind, topic, callback, CURRENT)
         self.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, DISPLAY)
 
     def waits_for(self) -> str | None:

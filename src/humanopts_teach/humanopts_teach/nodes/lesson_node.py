@@ -11,7 +11,7 @@ from typing import Any
 from humanopts_env.convert import domain_from_info
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.nodes.node_base import NodeBase, PublishError, run_node, StartError
-from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_env.nodes.qos import CURRENT, LATCHED, STREAM
 from humanopts_interfaces.msg import (
     Demonstration as DemonstrationMessage,
 )
@@ -97,7 +97,7 @@ class LessonNode(NodeBase):
         self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
         self.create_timer(_TICK, self._tick)
-        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, LATCHED)
+        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
         self._game_states = self.create_subscription(
             GameState, 'game_state', self._on_game_state, STREAM
         )
@@ -191,8 +191,8 @@ class LessonNode(NodeBase):
         self.create_subscription(
             DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM
         )
-        self.create_subscription(LearningStatus, 'learning_status', self._on_status, LATCHED)
-        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, LATCHED)
+        self.create_subscription(LearningStatus, 'learning_status', self._on_status, CURRENT)
+        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
 
     # What the person asks for.
 

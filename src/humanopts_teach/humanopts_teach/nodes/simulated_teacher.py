@@ -9,7 +9,7 @@ from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.game import Moment
 from humanopts_env.nodes.node_base import NodeBase, PublishError, run_node, StartError
-from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_env.nodes.qos import CURRENT, STREAM
 from humanopts_interfaces.msg import (
     ActionCommand,
     ActionRefusal,
@@ -86,8 +86,8 @@ class SimulatedTeacherNode(NodeBase):
             kind: self.recorded_client(kind, f'lesson/{name}') for kind, name in names.items()
         }
         self._clients_of[SetControl] = self.recorded_client(SetControl, 'set_control')
-        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, LATCHED)
-        self.create_subscription(LessonState, 'lesson_state', self._on_lesson, LATCHED)
+        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
+        self.create_subscription(LessonState, 'lesson_state', self._on_lesson, CURRENT)
         self.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
         self._states = self.create_subscription(
             GameState, 'game_state', self._on_game_state, STREAM
