@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from humanopts_teach.bags.info import BagInfo, summarise
+from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag
+from humanopts_teach.bags.summary import BagInfo
 from humanopts_teach.report.data import Frame, TopicRow
 
 _GAME_STATE = 'humanopts_interfaces/msg/GameState'

@@ -146,6 +146,11 @@ def number(value: float | None, digits: int = 4) -> str:
     return f'{value:.{digits}g}'.replace('-', '\N{MINUS SIGN}')
 
 
+def duration(seconds: float) -> str:
+    """Return a time for people."""
+    return f'{seconds:.1f} s' if seconds < 100 else f'{seconds / 60:.1f} min'
+
+
 def counted(count: int, thing: str) -> str:
     """Return such as ``1 fallback`` or ``no fallbacks``."""
     return f'{count or "no"} {thing}{"" if count == 1 else "s"}'

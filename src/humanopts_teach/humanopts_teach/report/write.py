@@ -1,10 +1,13 @@
 """Writing a report: one HTML file with everything in it."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
+import platform
 from typing import Any
 
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
@@ -16,7 +19,14 @@ from humanopts_teach.report.data import Frame, ReportData, TopicRow
 from humanopts_teach.report.film import filmstrip
 from humanopts_teach.report.plan_figure import planning_figures
 from humanopts_teach.report.rules import option_rules, TreeRules
-from humanopts_teach.report.words import findings, number, percent, planning_rows
+from humanopts_teach.report.words import (
+    DASH,
+    duration,
+    findings,
+    number,
+    percent,
+    planning_rows,
+)
 import jinja2
 from markupsafe import Markup
 
@@ -51,7 +61,7 @@ class OptionSection:
     features: str
     met: bool
     n_not_here: int
-    seconds: float
+    seconds: str  # of teaching
     criteria: list[tuple[str, str, str, bool]]  # name, value, threshold, met
     curves: list[str]
     rows: list[Row]
@@ -101,6 +111,7 @@ def render_report(data: ReportData) -> str:
             {name: p.plan for name, p in zip(evaluation.plan_names, evaluation.plans)}, 'board'
         ),
         'planning': planning,
+        'teaching_cost': _teaching_cost(evaluation),
         'planning_figures': planning_figures(planning, 'planning'),
         'film': filmstrip(evaluation.domain, data.frames),
         'topics': sorted(data.topics, key=lambda topic: topic.name),
@@ -133,7 +144,7 @@ def _option_section(
         features=', '.join(name.replace('_', ' ') for name in block.features),
         met=block.criteria_met,
         n_not_here=option.option.n_not_here,
-        seconds=option.curve[-1].seconds if option.curve else 0.0,
+        seconds=duration(_seconds(option)),
         criteria=[
             (
                 c.name,
@@ -147,6 +158,20 @@ def _option_section(
         rows=[_row(measure, block, live) for measure in MEASURES],
         rules=option_rules(option.option, evaluation.domain),
     )
+
+
+def _seconds(option: OptionEvaluation) -> float:
+    return option.curve[-1].seconds if option.curve else 0.0
+
+
+def _teaching_cost(evaluation: BagEvaluation) -> dict[str, str]:
+    """Return what it took to get the options of each plan, by what the plan is called."""
+    cost = {}
+    for name, plan in zip(evaluation.plan_names, evaluation.plans):
+        taught = [o for o in evaluation.options if o.participant == plan.participant]
+        shown = sum(option.block.n_demonstrations for option in taught)
+        cost[name] = f'{shown} in {duration(sum(map(_seconds, taught)))}' if taught else DASH
+    return cost
 
 
 def _row(measure: tuple[str, str, bool], offline: OptionBlock, live: OptionBlock | None) -> Row:
@@ -178,4 +203,13 @@ def _provenance(data: ReportData) -> dict[str, str]:
     if data.summary is not None:
         bag = data.summary.bag
         facts['bag'] = f'{bag.path}: {bag.messages:,} messages on {bag.topics} topics'
-    return {**facts, **data.provenance}
+    return {**facts, 'evaluated with': _versions(), **data.provenance}
+
+
+def _versions() -> str:
+    packages = {'NumPy': 'numpy', 'scikit-learn': 'scikit-learn', 'humanopts': 'humanopts_teach'}
+    found = [f'Python {platform.python_version()}']
+    for name, package in packages.items():
+        with suppress(PackageNotFoundError):
+            found.append(f'{name} {version(package)}')
+    return ', '.join(found)
