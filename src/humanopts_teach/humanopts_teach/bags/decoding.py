@@ -10,6 +10,7 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
 Decoder = Callable[[bytes], Any]
+_PLAIN = 'Underscore'  # stands for _ in a name, and is in no name
 _NAME = re.compile(r'^MSG:\s+(\S+)$', re.M)
 
 
@@ -46,11 +47,11 @@ def plain_names(type_name: str, schema: str) -> tuple[str, str]:
     """
     Take the _ out of the type names in a schema, since mcap_ros2 refuses them.
 
-    Parts of services and actions have them, such as Plan_FeedbackMessage.
+    Parts of services and actions have them, such as Plan_Result; there may be a PlanResult too.
     """
     names = {name.rsplit('/', 1)[-1] for name in (type_name, *_NAME.findall(schema))}
     for name in sorted(name for name in names if '_' in name):
         place = rf'^((?:MSG:\s+)?(?:\w+/)*){name}\b'  # where a line names a type
-        schema = re.sub(place, rf'\g<1>{name.replace("_", "")}', schema, flags=re.M)
+        schema = re.sub(place, rf'\g<1>{name.replace("_", _PLAIN)}', schema, flags=re.M)
     package, _, name = type_name.rpartition('/')
-    return f'{package}/{name.replace("_", "")}', schema
+    return f'{package}/{name.replace("_", _PLAIN)}', schema
