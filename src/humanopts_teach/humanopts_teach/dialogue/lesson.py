@@ -280,7 +280,7 @@ class Lesson:
             self._awaited = ''
             self._notice = (
                 'The learner does not answer. The demonstration is on disk, and is sent again '
-                'when the lesson starts again.'
+                'to the next learner that starts.'
             )
 
     # How it is done.
@@ -301,11 +301,8 @@ class Lesson:
             return hint
         budget = self._rules.budget
         reached = 'All criteria hold.' if self.criteria_met else 'Not all criteria hold.'
-        return (
-            f'The budget of {budget} is spent. {reached} {hint}'
-            if self._spent
-            else (f'{reached} {hint}')
-        )
+        spent = f'The budget of {budget} is spent. ' if self._spent else ''
+        return f'{spent}{reached} {hint}'
 
     def _not_ready(self) -> Answer:
         if self._preparing or self._attempt is not None:

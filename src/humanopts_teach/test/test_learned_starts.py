@@ -1,0 +1,85 @@
+"""Start states by what was learned, as the lesson node draws them."""
+
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.registry import make_domain
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.failures import survey
+from humanopts_learner.options.files import option_to_json
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_teach.dialogue.learned_starts import LearnedStarts
+import numpy as np
+import pytest
+
+OPTION = 'go to passenger and pickup'
+RNG = np.random.default_rng
+
+
+@pytest.fixture(scope='module')
+def shown(taxi_lesson: list[Demonstration]) -> list[Demonstration]:
+    """A few demonstrations: not enough to learn the option."""
+    return [demo for demo in taxi_lesson if demo.option_name == OPTION][:6]
+
+
+@pytest.fixture(scope='module')
+def option(taxi: Domain[Any], shown: list[Demonstration]) -> LearnedOption:
+    """What is learned from them."""
+    return learn_option(shown, taxi, 0)
+
+
+def starts(taxi: Domain[Any], strategy: str = 'failures', until: bool = True) -> LearnedStarts:
+    return LearnedStarts(taxi, strategy, until_no_failures=until)
+
+
+def test_failures_asks_for_a_state_where_the_learned_option_fails(
+    taxi: Any, shown: list[Demonstration], option: LearnedOption
+) -> None:
+    failing = survey(option, taxi, shown).failing
+    assert failing.any()
+    chooser = starts(taxi)
+    chooser.learned('p1', OPTION, option_to_json(option, []))
+    drawn = [chooser.choose('p1', OPTION, shown, RNG(seed)) for seed in range(5)]
+    assert all(failing[taxi.index(state)] for state in drawn)
+
+
+def test_it_knows_the_demonstrations_that_the_newest_option_was_learned_from(
+    taxi: Any, shown: list[Demonstration], option: LearnedOption
+) -> None:
+    chooser = starts(taxi)
+    assert not chooser.knows('p1', OPTION, shown[0].uuid)
+    chooser.learned('p1', OPTION, option_to_json(option, []))
+    assert all(chooser.knows('p1', OPTION, demo.uuid) for demo in shown)
+    assert not chooser.knows('p1', OPTION, 'a newer one')
+    assert not chooser.knows('p2', OPTION, shown[0].uuid)
+    assert starts(taxi, 'random').knows('p1', OPTION, 'a newer one')
+
+
+@pytest.mark.parametrize(
+    ('strategy', 'until', 'exhausted'),
+    [('failures', True, False), ('failures', False, True), ('random', True, True)],
+)
+def test_only_failures_goes_on_when_the_criteria_hold(
+    taxi: Any,
+    shown: list[Demonstration],
+    option: LearnedOption,
+    strategy: str,
+    until: bool,
+    exhausted: bool,
+) -> None:
+    chooser = starts(taxi, strategy, until)
+    chooser.learned('p1', OPTION, option_to_json(option, []))
+    assert chooser.exhausted('p1', OPTION, shown, RNG(0)) is exhausted
+
+
+@pytest.mark.parametrize('text', ['{}', 'not JSON'])
+def test_what_is_no_option_is_refused(taxi: Any, text: str) -> None:
+    with pytest.raises(OptionError):
+        starts(taxi).learned('p1', OPTION, text)
+
+
+def test_an_option_of_another_domain_is_refused(taxi: Any, option: LearnedOption) -> None:
+    larger = make_domain('taxi', {'rows': 6, 'cols': 6})
+    with pytest.raises(OptionError, match='was learned in'):
+        starts(larger).learned('p1', OPTION, option_to_json(option, []))
