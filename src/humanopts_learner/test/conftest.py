@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 import uuid
 
+from humanopts_env.domains.base import is_enumerable
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
@@ -69,6 +70,16 @@ class Person:
         return min(best, key=self.preference.index)
 
 
+class PlainTaxi:
+    """Taxi through the methods of ``Domain`` alone, as a domain that cannot be enumerated."""
+
+    name, parameters, gamma, max_steps = TAXI.name, TAXI.parameters, TAXI.gamma, TAXI.max_steps
+    features, actions, glyph_styles = TAXI.features, TAXI.actions, TAXI.glyph_styles
+    reset, step, is_over, can_follow = TAXI.reset, TAXI.step, TAXI.is_over, TAXI.can_follow
+    feature_values, encode, decode = TAXI.feature_values, TAXI.encode, TAXI.decode
+    sample_states, render = TAXI.sample_states, TAXI.render
+
+
 REFERENCE_STARTS = {name: r.initiation.nonzero()[0] for name, r in REFERENCE.items()}
 
 
@@ -76,6 +87,13 @@ REFERENCE_STARTS = {name: r.initiation.nonzero()[0] for name, r in REFERENCE.ite
 def person() -> Callable[..., Person]:
     """Return the class of scripted people."""
     return Person
+
+
+@pytest.fixture(scope='session')
+def plain_taxi() -> Any:
+    """Return Taxi without its tables."""
+    assert not is_enumerable(PlainTaxi())
+    return PlainTaxi()
 
 
 @pytest.fixture(scope='session')

@@ -117,8 +117,10 @@ def count_failures(
 
 def has_new_value(rows: NDArray[np.int32], shown: NDArray[np.int32]) -> Mask:
     """Return (N,): which of the rows (N, F) have in some column a value that none shown has."""
-    new = [~np.isin(values, seen) for values, seen in zip(rows.T, shown.T)]
-    return np.any(new, axis=0)
+    new = np.zeros(len(rows), dtype=np.bool_)
+    for values, seen in zip(rows.T, shown.T):
+        new |= ~np.isin(values, seen)
+    return new
 
 
 def _shown(

@@ -58,7 +58,7 @@ class LearnedOption:
         for part, tree in trees.items():
             if tree.n_columns != len(self.columns):
                 raise OptionError(f'the tree of {part} of {self.name!r} has other columns')
-            if tree is not self.policy and tree.classes != MEMBERSHIP:
+            if part != 'policy' and tree.classes != MEMBERSHIP:
                 raise OptionError(f'the tree of {part} of {self.name!r} is not yes or no')
         if self.max_steps < 1:
             raise OptionError(f'{self.name!r} has max_steps {self.max_steps}, not 1 or more')

@@ -1,0 +1,190 @@
+"""The three criteria: held out by demonstration, whatever the order, honest when unmeasurable."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+import random
+import time
+from typing import Any
+
+from humanopts_env.domains.taxi import Taxi, TaxiState
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.conflicts import find_conflicts
+from humanopts_learner.options.criteria import (
+    Criterion,
+    fold_of,
+    INITIATION,
+    judge,
+    more_needed,
+    RETURN,
+    TERMINATION,
+    Thresholds,
+)
+from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+TAXI = Taxi()
+ABOARD = TaxiState(row=1, col=0, passenger=4, destination=1)
+Shown = Sequence[Demonstration]
+
+
+def values(shown: Shown) -> dict[str, float | None]:
+    """Return the value of each criterion by name."""
+    return {c.name: c.value for c in judge(shown, TAXI, Thresholds(), 0).criteria}
+
+
+@pytest.mark.parametrize('count', [1, 2])
+def test_too_few_demonstrations_are_not_measurable_and_not_met(
+    fetching: Shown, count: int
+) -> None:
+    judgement = judge(fetching[:count], TAXI, Thresholds(), 0)
+    assert [c.value for c in judgement.criteria] == [None] * 3
+    assert not any(c.measurable or c.met for c in judgement.criteria)
+    assert not judgement.criteria_met
+    assert judgement.more_needed == -1
+
+
+def test_without_a_trajectory_nothing_is_judged(person: Callable[..., Any]) -> None:
+    with pytest.raises(NotLearnableError):
+        judge([person().show(ABOARD)], TAXI, Thresholds(), 0)
+
+
+def test_one_class_alone_makes_the_error_of_i_unmeasurable(fetching: Shown) -> None:
+    always = [replace(demo, can_start_at_end=True) for demo in fetching]
+    found = values(always)
+    assert found[INITIATION] is None
+    assert found[TERMINATION] is not None
+    assert found[RETURN] is not None
+
+
+def test_in_sample_return_equals_a_consistent_persons_and_held_out_return_does_not(
+    fetching: Shown,
+) -> None:
+    judgement = judge(fetching, TAXI, Thresholds(), 0)
+    assert judgement.mean_return_policy == judgement.mean_return_demonstrations
+    shortfall = judgement.criteria[0].value
+    assert shortfall is not None
+    assert shortfall > 0
+
+
+def test_the_same_trajectory_shown_often_leaves_no_shortfall(fetching: Shown) -> None:
+    again = [replace(fetching[0], uuid=demo.uuid, number=demo.number) for demo in fetching]
+    assert values(again) == {RETURN: 0.0, INITIATION: 0.0, TERMINATION: 0.0}
+
+
+def test_a_held_out_demonstration_is_not_learned_from(person: Callable[..., Any]) -> None:
+    """Nine say north and pickup at 0,0; none of them knows of west and pickup at 4,3."""
+    ann = person()
+    shown = [ann.show(TaxiState(1, 0, 0, 1)) for _ in range(9)] + [ann.show(TaxiState(4, 4, 3, 1))]
+    judgement = judge(shown, TAXI, Thresholds(), 0)
+    assert judgement.mean_return_policy == judgement.mean_return_demonstrations == -1
+    assert judgement.criteria[0].value == pytest.approx((4 - 1) / 10)  # twice the 2 steps, at -1
+
+
+def test_a_domain_that_cannot_be_enumerated_is_judged_alike(
+    fetching: Shown, plain_taxi: Any
+) -> None:
+    stepwise = judge(fetching[:12], plain_taxi, Thresholds(), 0)
+    assert stepwise == judge(fetching[:12], TAXI, Thresholds(), 0)
+
+
+def test_order_of_arrival_does_not_matter(fetching: Shown) -> None:
+    shuffled = random.Random(4).sample(list(fetching), len(fetching))
+    assert judge(shuffled, TAXI, Thresholds(), 1) == judge(fetching, TAXI, Thresholds(), 1)
+
+
+def test_one_demonstration_less_changes_the_numbers(fetching: Shown) -> None:
+    assert values(fetching[1:])[RETURN] != values(fetching)[RETURN]
+
+
+@settings(max_examples=15, deadline=None)
+@given(count=st.integers(3, 30), seed=st.integers(0, 2**31))
+def test_folds_are_even_and_never_split_a_demonstration(
+    fetching: Shown, count: int, seed: int
+) -> None:
+    folds = fold_of(make_dataset(fetching[:count], TAXI), seed)
+    sizes = np.bincount(folds)
+    assert len(sizes) == min(10, count)
+    assert sizes.max() - sizes.min() <= 1
+
+
+def test_not_here_answers_leave_every_fold_something_to_learn_from(
+    person: Callable[..., Any],
+) -> None:
+    ann = person()
+    refused = [ann.show(ABOARD) for _ in range(12)]
+    assert values([*refused, *ann.show_random(3)])[INITIATION] is not None
+
+
+def test_thresholds_decide_what_is_met(fetching: Shown) -> None:
+    lax = judge(fetching, TAXI, Thresholds(1e6, 1.0, 1.0), 0)
+    assert lax.criteria_met
+    assert lax.more_needed == 0
+    strict = judge(fetching, TAXI, Thresholds(0.0, 0.0, 0.0), 0)
+    assert not strict.criteria_met
+    assert strict.more_needed == -1  # nothing falls to zero at 1 / n
+
+
+@pytest.mark.parametrize(
+    'wrong', [{'return_delta': float('nan')}, {'initiation_error': 2.0}, {'termination_error': -1}]
+)
+def test_senseless_thresholds_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match='thresholds are'):
+        Thresholds(**wrong)
+
+
+@pytest.mark.parametrize(
+    ('value', 'expected'), [(1.0, 0), (2.0, 10), (1.01, 1), (None, -1), (5.0, 40)]
+)
+def test_twice_the_threshold_needs_about_as_many_again(value: float | None, expected: int) -> None:
+    assert (
+        more_needed([Criterion(RETURN, value, 1.0), Criterion(INITIATION, 0.0, 0.1)], 10)
+        == expected
+    )
+
+
+def test_judging_thirty_demonstrations_is_quick(fetching: Shown) -> None:
+    option = learn_option(fetching, TAXI, 0)
+    judge(fetching, TAXI, Thresholds(), 0, option)
+    start = time.process_time()
+    judge(fetching, TAXI, Thresholds(), 0, option)
+    assert time.process_time() - start < 0.2  # 25 ms on a free core
+
+
+def test_a_missing_feature_is_found_and_suggested(person: Callable[..., Any]) -> None:
+    ann = person()
+    ann.features = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col')
+    found = find_conflicts(make_dataset(ann.show_random(12), TAXI), TAXI)
+    assert found.suggested_feature == 'passenger_in_taxi'
+    assert any('not the end' in text and 'taxi row' in text for text in found.texts)
+
+
+def test_missing_coordinates_are_suggested(person: Callable[..., Any]) -> None:
+    ann = person()
+    ann.features = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_in_taxi')
+    found = find_conflicts(make_dataset(ann.show_random(40), TAXI), TAXI)
+    assert found.suggested_feature == 'passenger_col'
+
+
+def test_a_consistent_person_with_the_right_features_has_no_conflicts(fetching: Shown) -> None:
+    found = find_conflicts(make_dataset(fetching, TAXI), TAXI)
+    assert (found.texts, found.suggested_feature) == ((), None)
+
+
+def test_a_slip_is_reported_but_suggests_no_feature(person: Callable[..., Any]) -> None:
+    ann = person()
+    right = [ann.show(TaxiState(1, 0, 0, destination)) for destination in (1, 2, 3)]
+    slip = replace(
+        right[0],
+        uuid='00000000-0000-4000-8000-000000000000',
+        states=(right[0].states[0], *right[0].states),
+        features=(right[0].features[0], *right[0].features),
+        actions=('west', *right[0].actions),
+        rewards=(-1.0, *right[0].rewards),
+    )
+    found = find_conflicts(make_dataset([*right[1:], slip], TAXI), TAXI)
+    assert found.suggested_feature is None
+    assert len(found.texts) == 1
+    assert 'north (3x), west (1x)' in found.texts[0]

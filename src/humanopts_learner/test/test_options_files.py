@@ -1,0 +1,198 @@
+"""Option files: they come back as they were, and a damaged one harms nothing."""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from humanopts_env.domains.taxi import Taxi
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.files import (
+    load_option,
+    load_options,
+    option_from_json,
+    option_path,
+    option_to_json,
+    OptionFileError,
+    save_option,
+)
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import pytest
+
+TAXI = Taxi()
+Shown = Sequence[Demonstration]
+
+
+@pytest.fixture(scope='session')
+def option(fetching: Shown) -> LearnedOption:
+    """Return an option learned from all demonstrations of ``fetching``."""
+    return learn_option(fetching, TAXI, 0)
+
+
+def test_an_option_comes_back_with_its_demonstrations(
+    option: LearnedOption, fetching: Shown
+) -> None:
+    assert option_from_json(option_to_json(option, fetching)) == (option, list(fetching))
+    assert option_from_json(option_to_json(option)) == (option, [])
+
+
+def test_a_nominal_feature_comes_back(person: Callable[..., Any]) -> None:
+    ann = person()
+    ann.features = (*ann.features, 'blocked_moves')
+    option = learn_option(ann.show_random(5), TAXI, 0)
+    assert option_from_json(option_to_json(option))[0] == option
+
+
+def test_a_file_has_one_node_and_one_demonstration_on_each_line(
+    option: LearnedOption, fetching: Shown
+) -> None:
+    text = option_to_json(option, fetching, {'return_delta': 2.0})
+    assert json.loads(text)['thresholds'] == {'return_delta': 2.0}
+    lines = text.splitlines()
+    assert sum('"counts"' in line for line in lines) == sum(
+        len(tree.left) for tree in (option.policy, option.initiation, option.termination)
+    )
+    assert sum('"uuid":' in line for line in lines) == len(fetching)
+
+
+Damage = Callable[[dict[str, Any]], object]
+
+
+@pytest.mark.parametrize(
+    ('damage', 'message'),
+    [
+        (lambda d: d.update(format='bag'), 'not a file of format'),
+        (lambda d: d.update(version=2), 'version 2'),
+        (lambda d: d.pop('policy'), "no 'policy'"),
+        (lambda d: d.pop('uuids'), "no 'uuids'"),
+        (lambda d: d.update(name=3), 'name of it'),
+        (lambda d: d.update(max_steps=0), 'max_steps 0'),
+        (lambda d: d.update(max_steps='9'), 'max_steps of it'),
+        (lambda d: d.update(n_not_here=-1), 'n_not_here of it'),
+        (lambda d: d.update(domain_parameters='{}'), 'domain_parameters of it'),
+        (lambda d: d.update(actions=[1, 2]), 'actions of it'),
+        (lambda d: d.update(actions=d['actions'][:-1]), 'among its actions'),
+        (lambda d: d.update(features=['taxi_row']), 'not of its features'),
+        (lambda d: d.update(columns=[]), 'other columns'),
+        (lambda d: d['policy']['nodes'].pop(), 'child of exactly one'),
+        (lambda d: d.update(demonstrations=[{}]), 'demonstration has no'),
+        (lambda d: d['demonstrations'].pop(), 'not those that it was learned from'),
+    ],
+)
+def test_a_damaged_file_is_refused(
+    option: LearnedOption, fetching: Shown, damage: Damage, message: str
+) -> None:
+    data = json.loads(option_to_json(option, fetching))
+    damage(data)
+    with pytest.raises(OptionFileError, match=message):
+        option_from_json(json.dumps(data))
+
+
+@pytest.mark.parametrize('text', ['', 'null', '[]', '{"format": NaN}', '[' * 100_000, '\x00'])
+def test_text_that_is_no_option_is_refused(text: str) -> None:
+    with pytest.raises(OptionFileError):
+        option_from_json(text)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    place=st.floats(0, 1), text=st.sampled_from(['', '-', '9', 'null', '[]', '{}', '"x"', '1e999'])
+)
+def test_no_damage_ends_in_another_error(
+    option: LearnedOption, fetching: Shown, place: float, text: str
+) -> None:
+    whole = option_to_json(option, fetching[:0])
+    at = int(place * len(whole))
+    with suppress(OptionFileError):
+        option_from_json(whole[:at] + text + whole[at + 1 :])
+
+
+def test_files_are_kept_by_person_and_option(
+    option: LearnedOption, fetching: Shown, tmp_path: Path
+) -> None:
+    path = save_option(tmp_path, option, fetching)
+    assert path == option_path(tmp_path, option)
+    assert path.name.startswith('go-to-passenger-and-pickup')
+    assert load_option(path) == (option, list(fetching))
+    assert load_options(tmp_path) == ([option], [])
+    assert [file.name for file in path.parent.iterdir()] == [path.name]  # nothing temporary
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sets(st.text(min_size=1, max_size=60), min_size=2, max_size=6))
+def test_no_two_names_share_a_file(option: LearnedOption, names: set[str]) -> None:
+    folder = Path('options')
+    paths = {option_path(folder, replace(option, name=name)) for name in names}
+    people = {option_path(folder, replace(option, participant=name)) for name in names}
+    assert len(paths) == len(people) == len(names)
+    for path in paths | people:
+        assert path.parent.parent == folder
+        assert len(path.name) < 80
+        assert path.name.isascii()
+
+
+def test_names_cannot_leave_the_folder(option: LearnedOption) -> None:
+    path = option_path(Path('options'), replace(option, name='../../x', participant='..'))
+    assert '..' not in path.parts
+
+
+def test_a_damaged_file_stops_no_other_and_stays_as_it_is(
+    option: LearnedOption, fetching: Shown, tmp_path: Path
+) -> None:
+    save_option(tmp_path, option, fetching)
+    bad = save_option(tmp_path, replace(option, name='other'), fetching)
+    bad.write_text('{"format": "humanopts-option"')
+    (bad.parent / 'binary.json').write_bytes(b'\xff\xfe\x00')
+    options, problems = load_options(tmp_path)
+    assert options == [option]
+    assert [str(bad) in str(problem) for problem in problems] == [False, True]
+    assert 'not JSON' in str(problems[1])
+    assert bad.read_text() == '{"format": "humanopts-option"'
+
+
+def test_saving_moves_a_damaged_file_aside(
+    option: LearnedOption, fetching: Shown, tmp_path: Path
+) -> None:
+    path = option_path(tmp_path, option)
+    for number, content in [(1, 'half a fi'), (2, 'another')]:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(content)
+        save_option(tmp_path, option, fetching)
+        assert path.with_name(f'{path.name}.damaged-{number}').read_text() == content
+    assert load_options(tmp_path) == ([option], [])
+
+
+def test_saving_again_replaces_the_older_option(
+    option: LearnedOption, fetching: Shown, tmp_path: Path
+) -> None:
+    save_option(tmp_path, learn_option(fetching[:5], TAXI, 0), fetching[:5])
+    path = save_option(tmp_path, option, fetching)
+    assert load_options(tmp_path) == ([option], [])
+    assert len(list(path.parent.iterdir())) == 1
+
+
+def test_a_write_that_fails_leaves_what_was_there(
+    option: LearnedOption, fetching: Shown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    older = learn_option(fetching[:5], TAXI, 0)
+    path = save_option(tmp_path, older, fetching[:5])
+
+    def full(_: int) -> None:
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(os, 'fsync', full)
+    with pytest.raises(OSError, match='No space left'):
+        save_option(tmp_path, option, fetching)
+    assert load_option(path)[0] == older
+    assert len(list(path.parent.iterdir())) == 1
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(OptionFileError, match=r'nothing\.json'):
+        load_option(tmp_path / 'nothing.json')

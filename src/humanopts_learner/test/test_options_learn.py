@@ -1,0 +1,219 @@
+"""Learning an option, running it, and comparing it with what an expert means."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+import uuid
+
+from humanopts_env.domains.taxi import Taxi, TaxiState
+from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
+from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
+from humanopts_learner.options.option import (
+    Mode,
+    option_distributions,
+    option_tables,
+    OptionError,
+)
+from humanopts_learner.options.rollout import rollouts
+import numpy as np
+import pytest
+
+TAXI = Taxi()
+FETCH, DELIVER = 'go to passenger and pickup', 'go to destination and dropoff'
+NEAR = TaxiState(row=1, col=0, passenger=0, destination=1)  # north, then pickup
+ABOARD = TaxiState(row=1, col=0, passenger=4, destination=1)
+Shown = Sequence[Demonstration]
+
+
+def row(state: TaxiState) -> Any:
+    """Return the features of one state as one row."""
+    return TAXI.feature_values(state)[None]
+
+
+def test_a_demonstration_is_reproduced_from_its_start(fetching: Shown) -> None:
+    one = fetching[0]
+    option = learn_option([one], TAXI, 0)
+    result = rollouts(option, TAXI, [TAXI.decode(one.states[0])])
+    assert result.total_reward.tolist() == [one.total_reward]
+    assert result.steps.tolist() == [len(one.actions)]
+    assert result.reached.tolist() == [True]
+
+
+def test_visited_states_are_in_i_and_end_states_are_in_beta(person: Callable[..., Any]) -> None:
+    one = person().show(NEAR)
+    option = learn_option([one], TAXI, 0)
+    assert option.can_start(one.feature_rows).tolist() == [True, True, False]
+    assert option.ends(one.feature_rows).tolist() == [False, False, True]
+    assert option.greedy_action(one.feature_rows[:2]).tolist() == [1, 4]
+
+
+def test_an_option_that_can_start_again_keeps_its_end_in_i(person: Callable[..., Any]) -> None:
+    one = replace(person().show(NEAR), can_start_at_end=True)
+    option = learn_option([one], TAXI, 0)
+    assert option.can_start(one.feature_rows).all()
+    assert option.initiation.counts.tolist() == [[0, 3]]  # one class: one leaf
+
+
+def test_not_here_states_are_outside_i_and_say_nothing_of_beta(
+    person: Callable[..., Any],
+) -> None:
+    ann = person()
+    shown, refused = ann.show(NEAR), ann.show(ABOARD)
+    option = learn_option([shown, refused], TAXI, 0)
+    assert not option.can_start(row(ABOARD))[0]
+    assert option.initiation.counts[0].tolist() == [2, 2]
+    assert option.termination.counts[0].tolist() == [2, 1]
+    assert (option.n_demonstrations, option.n_not_here) == (1, 1)
+    assert option.uuids == (shown.uuid, refused.uuid)
+
+
+def test_only_chosen_features_are_learned_from_and_the_newest_choice_counts(
+    person: Callable[..., Any],
+) -> None:
+    ann = person()
+    first = ann.show(NEAR)
+    ann.features = ('passenger_in_taxi', 'taxi_row')
+    option = learn_option([first, ann.show(NEAR)], TAXI, 0)
+    assert option.features == ('taxi_row', 'passenger_in_taxi')  # the domain's order
+    assert {column.feature for column in option.columns} == set(option.features)
+
+
+def test_order_and_repeats_of_demonstrations_do_not_matter(fetching: Shown) -> None:
+    option = learn_option(fetching, TAXI, 5)
+    assert learn_option([*reversed(fetching), *fetching[:3]], TAXI, 5) == option
+
+
+@pytest.mark.parametrize('count', [0, 2])
+def test_without_a_trajectory_nothing_is_learned(person: Callable[..., Any], count: int) -> None:
+    ann = person()
+    with pytest.raises(NotLearnableError, match=f'{count} "not here" and no demonstration'):
+        learn_option([ann.show(ABOARD) for _ in range(count)], TAXI, 0)
+
+
+def test_people_are_never_mixed(person: Callable[..., Any]) -> None:
+    both = [person(seed=1).show(NEAR), person(seed=2).show(NEAR)]
+    with pytest.raises(NotLearnableError, match='several options or people'):
+        make_dataset(both, TAXI)
+
+
+def test_equal_counts_go_to_the_first_action(person: Callable[..., Any]) -> None:
+    ann = person()
+    one = ann.show(NEAR)
+    bump = {'states': (one.states[0], *one.states), 'features': (one.features[0], *one.features)}
+    slip = replace(
+        one,
+        **bump,
+        uuid=str(uuid.UUID(int=7)),
+        actions=('west', *one.actions),
+        rewards=(-1.0, *one.rewards),
+    )
+    option = learn_option([slip], TAXI, 0)
+    assert option.action_probabilities(row(NEAR))[0].tolist() == [0, 0.5, 0, 0.5, 0, 0]
+    assert option.greedy_action(row(NEAR)).tolist() == [1]
+    drawn = {option.choose_action(row(NEAR)[0], Mode.SAMPLED, rng) for rng in generators(20)}
+    assert drawn == {1, 3}
+
+
+def generators(count: int) -> list[np.random.Generator]:
+    """Return generators of different seeds."""
+    return [np.random.default_rng(seed) for seed in range(count)]
+
+
+def test_a_walk_in_a_circle_is_cut_off_at_max_steps(person: Callable[..., Any]) -> None:
+    option = learn_option([person().show(NEAR)], TAXI, 0)
+    lost = TaxiState(row=0, col=4, passenger=3, destination=1)  # north or pickup, for ever
+    result = rollouts(option, TAXI, [lost], max_steps=17)
+    assert (result.steps.tolist(), result.reached.tolist()) == ([17], [False])
+    assert rollouts(option, TAXI, [lost]).steps.tolist() == [TAXI.max_steps]
+
+
+@pytest.mark.parametrize('name', [FETCH, DELIVER])
+def test_stepwise_and_vectorised_rollouts_agree(person: Callable[..., Any], name: str) -> None:
+    option = learn_option(person(name).show_random(12), TAXI, 0)
+    states = [TAXI.state_at(int(i)) for i in reference_options(TAXI)[name].initiation.nonzero()[0]]
+    fast = rollouts(option, TAXI, states, max_steps=30)
+    pure = replace(
+        option,
+        policy=replace(option.policy, counts=sharpened(option.policy.counts)),
+        termination=replace(option.termination, counts=sharpened(option.termination.counts)),
+    )  # with all mass on the likeliest class, sampling is greedy
+    slow = rollouts(pure, TAXI, states, mode=Mode.SAMPLED, max_steps=30)
+    assert slow.total_reward.tolist() == fast.total_reward.tolist()
+    assert slow.steps.tolist() == fast.steps.tolist()
+    assert slow.reached.tolist() == fast.reached.tolist()
+    assert not fast.reached.all()
+
+
+def sharpened(counts: Any) -> Any:
+    """Return counts with all examples in the largest class."""
+    return np.eye(counts.shape[1], dtype=np.int64)[counts.argmax(axis=1)]
+
+
+def test_sampled_runs_depend_on_their_keys_and_not_on_each_other(
+    person: Callable[..., Any],
+) -> None:
+    option = learn_option(person(error_rate=0.3).show_random(10), TAXI, 0)
+    states = [NEAR, TaxiState(4, 4, 0, 1), TaxiState(2, 2, 0, 1)]
+    keys = ['a', 'b', 'c']
+    together = rollouts(option, TAXI, states, 3, keys, Mode.SAMPLED)
+    turned = rollouts(option, TAXI, states[::-1], 3, keys[::-1], Mode.SAMPLED)
+    assert together.steps.tolist() == turned.steps[::-1].tolist()
+    other = rollouts(option, TAXI, [states[1]] * 8, 3, list('stuvwxyz'), Mode.SAMPLED)
+    assert len(set(other.steps.tolist())) > 1
+
+
+def test_tables_hold_what_the_option_says_of_each_state(fetching: Shown) -> None:
+    option = learn_option(fetching, TAXI, 0)
+    tables, chances = option_tables(option, TAXI), option_distributions(option, TAXI)
+    for index in range(0, TAXI.n_states, 37):
+        one = row(TAXI.state_at(index))
+        assert tables.action[index] == option.greedy_action(one)[0]
+        assert tables.initiation[index] == option.can_start(one)[0]
+        assert tables.termination[index] == option.ends(one)[0]
+        assert chances.policy[index].tolist() == option.action_probabilities(one)[0].tolist()
+        assert chances.termination[index] == option.termination_probability(one)[0]
+
+
+def test_an_option_is_refused_by_another_game(fetching: Shown) -> None:
+    option = learn_option(fetching, TAXI, 0)
+    with pytest.raises(OptionError, match='learned in taxi'):
+        option_tables(option, Taxi(rows=6, cols=6))
+    with pytest.raises(OptionError, match='features or actions'):
+        replace(option, actions=option.actions[::-1]).check_domain(TAXI)
+
+
+def test_trees_that_do_not_fit_make_no_option(fetching: Shown) -> None:
+    option = learn_option(fetching, TAXI, 0)
+    for change, message in [
+        ({'policy': option.initiation}, 'among its actions'),
+        ({'initiation': option.policy}, 'not yes or no'),
+        ({'columns': option.columns[:2]}, 'other columns'),
+        ({'max_steps': 0}, 'max_steps 0'),
+    ]:
+        with pytest.raises(OptionError, match=message):
+            replace(option, **change)
+
+
+def test_accuracy_is_the_share_of_optimal_states(fetching: Shown) -> None:
+    reference = reference_options(TAXI)[FETCH]
+    option = learn_option(fetching, TAXI, 0)
+    states = reference.initiation.nonzero()[0]
+    good = sum(
+        int(option.greedy_action(row(TAXI.state_at(i)))[0])
+        in reference.optimal_actions(TAXI.state_at(i))
+        for i in states.tolist()
+    )
+    assert policy_accuracy(option, TAXI, reference) == pytest.approx(good / len(states))
+    assert 0.5 < good / len(states) < 1
+
+
+def test_classification_accuracy_of_a_perfect_and_of_a_careless_option(fetching: Shown) -> None:
+    reference = reference_options(TAXI)[FETCH]
+    option = learn_option(fetching, TAXI, 0)
+    assert classification_accuracy(option, TAXI, reference) == (1.0, 1.0)
+    careless = learn_option([replace(d, can_start_at_end=True) for d in fetching], TAXI, 0)
+    judged = reference.judged & ~TAXI.over()
+    share = reference.initiation[judged].mean()
+    assert classification_accuracy(careless, TAXI, reference)[0] == pytest.approx(share)

@@ -1,0 +1,228 @@
+"""Start states: what is asked for next, and that what fails is asked for until nothing does."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from humanopts_env.domains.taxi import Taxi, TaxiState
+from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.accuracy import policy_accuracy
+from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_learner.options.failures import count_failures, survey
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.rollout import rollouts
+from humanopts_learner.options.start_states import (
+    choose_start_state,
+    STRATEGIES,
+    UnknownStrategyError,
+)
+import numpy as np
+import pytest
+
+TAXI = Taxi()
+FETCH, DELIVER = 'go to passenger and pickup', 'go to destination and dropoff'
+NEAR = TaxiState(row=1, col=0, passenger=0, destination=1)
+Shown = Sequence[Demonstration]
+
+
+def teach(
+    someone: Any, strategy: str, done: Callable[[LearnedOption, int], bool]
+) -> LearnedOption:
+    """Let the strategy choose start states until ``done`` of the option and its number."""
+    option = None
+    while option is None or not done(option, option.n_demonstrations):
+        rng = generator(someone.seed, 'start_state', someone.option, len(someone.shown))
+        someone.show(choose_start_state(strategy, TAXI, option, someone.shown, rng))
+        if any(demo.actions for demo in someone.shown):
+            option = learn_option(someone.shown, TAXI, 0)
+        assert len(someone.shown) < 90
+    return option
+
+
+def test_an_unknown_strategy_is_answered_with_what_there_is() -> None:
+    with pytest.raises(UnknownStrategyError, match='random, coverage, failures'):
+        choose_start_state('clever', TAXI, None, [], np.random.default_rng(0))
+
+
+@pytest.mark.parametrize('strategy', STRATEGIES)
+def test_the_first_state_is_open_and_depends_on_the_generator_alone(strategy: str) -> None:
+    first = [
+        choose_start_state(strategy, TAXI, None, [], np.random.default_rng(seed))
+        for seed in (1, 1, 2)
+    ]
+    assert first[0] == first[1] != first[2]
+    assert not TAXI.is_over(first[0])
+
+
+@pytest.mark.parametrize('strategy', STRATEGIES)
+def test_not_here_alone_does_not_stop_the_choice(
+    person: Callable[..., Any], strategy: str
+) -> None:
+    ann = person()
+    ann.show(replace(NEAR, passenger=4))
+    state = choose_start_state(strategy, TAXI, None, ann.shown, np.random.default_rng(0))
+    assert not TAXI.is_over(state)
+
+
+def test_coverage_asks_for_what_is_unlike_anything_shown(person: Callable[..., Any]) -> None:
+    ann = person()
+    ann.show(NEAR)
+    option = learn_option(ann.shown, TAXI, 0)
+    state = choose_start_state('coverage', TAXI, option, ann.shown, np.random.default_rng(0))
+    assert (state.row, state.col) == (4, 4)  # NEAR and the passenger are at 1,0 and 0,0
+    assert state.passenger in (3, 4)  # at 4,3 or aboard
+
+
+def test_failures_asks_for_a_state_that_fails(person: Callable[..., Any]) -> None:
+    ann = person()
+    shown = ann.show_random(8)
+    option = learn_option(shown, TAXI, 0)
+    found = survey(option, TAXI, shown)
+    assert found.failing.sum() == count_failures(option, TAXI, shown, np.random.default_rng(0)) > 0
+    for seed in range(5):
+        state = choose_start_state('failures', TAXI, option, shown, np.random.default_rng(seed))
+        assert found.stuck[TAXI.index(state)]
+        assert found.times_shown[TAXI.index(state)] == 0
+
+
+def test_stuck_states_are_those_from_which_no_end_is_reached(person: Callable[..., Any]) -> None:
+    shown = person().show_random(20)
+    option = learn_option(shown, TAXI, 0)
+    found = survey(option, TAXI, shown)
+    members = option.can_start(TAXI.feature_table())
+    candidates = np.flatnonzero(found.candidate & members).tolist()
+    runs = rollouts(option, TAXI, [TAXI.state_at(index) for index in candidates])
+    assert found.stuck[candidates].tolist() == (~runs.reached).tolist()
+    assert 0 < found.stuck[candidates].sum() < len(candidates)
+
+
+def test_letting_out_at_the_wrong_place_is_no_end_that_was_shown(
+    person: Callable[..., Any],
+) -> None:
+    bob = person(DELIVER)
+    bob.show(TaxiState(1, 0, 4, 0))  # to R, which is at 0,0
+    option = learn_option(bob.shown, TAXI, 0)
+    elsewhere = TaxiState(1, 0, 4, 1)
+    wrong = rollouts(option, TAXI, [elsewhere])
+    assert wrong.reached.tolist() == [True]  # it lets the passenger out at R, bound for G
+    assert survey(option, TAXI, bob.shown).stuck[TAXI.index(elsewhere)]
+
+
+def test_an_end_by_a_slip_is_no_end(person: Callable[..., Any]) -> None:
+    """One demonstration in which the passenger was let out at the wrong place."""
+    bob = person(DELIVER)
+    bob.show_random(4)
+    at = TaxiState(0, 0, 4, 1)
+    states = (at, replace(at, passenger=0))
+    slip = replace(
+        bob.shown[0],
+        uuid='00000000-0000-4000-8000-000000000000',
+        number=9,
+        states=tuple(map(TAXI.encode, states)),
+        features=tuple(tuple(TAXI.feature_values(s).tolist()) for s in states),
+        actions=('dropoff',),
+        rewards=(-1.0,),
+        terminated=False,
+    )
+    shown = [*bob.shown, slip]
+    assert survey(learn_option(shown, TAXI, 0), TAXI, shown).stuck[TAXI.index(at)]
+
+
+def test_a_longer_way_counts_until_it_was_shown_three_times(person: Callable[..., Any]) -> None:
+    ann = person()
+    one = ann.show(NEAR)
+    states = [NEAR, replace(NEAR, col=1), TaxiState(0, 1, 0, 1), TaxiState(0, 0, 0, 1)]
+    states.append(replace(states[-1], passenger=4))
+    long_way = replace(
+        one,
+        states=tuple(map(TAXI.encode, states)),
+        features=tuple(tuple(TAXI.feature_values(s).tolist()) for s in states),
+        actions=('east', 'north', 'west', 'pickup'),
+        rewards=(-1.0, -1.0, -1.0, 0.0),
+    )
+    for times, counts in [(1, True), (2, True), (3, False)]:
+        ids = [f'00000000-0000-4000-8000-00000000000{i}' for i in range(times)]
+        shown = [replace(long_way, uuid=uuid, number=i) for i, uuid in enumerate(ids)]
+        found = survey(learn_option(shown, TAXI, 0), TAXI, shown)
+        assert not found.stuck[TAXI.index(NEAR)]
+        assert bool(found.detour[TAXI.index(NEAR)]) is counts
+
+
+@pytest.mark.parametrize('name', [FETCH, DELIVER])
+def test_failures_teaches_every_state_within_thirty_demonstrations(
+    person: Callable[..., Any], name: str
+) -> None:
+    someone = person(name, seed=3)
+    reference = reference_options(TAXI)[name]
+    curve: list[float] = []
+
+    def perfect(option: LearnedOption, number: int) -> bool:
+        curve.append(policy_accuracy(option, TAXI, reference))
+        return curve[-1] == 1.0
+
+    option = teach(someone, 'failures', perfect)
+    assert option.n_demonstrations <= 30
+    assert sum(accuracy < 0.95 for accuracy in curve) <= 24
+    found = survey(option, TAXI, someone.shown)
+    assert not (found.stuck[reference.initiation] | found.detour[reference.initiation]).any()
+
+
+@pytest.mark.parametrize('name', [FETCH, DELIVER])
+def test_once_nothing_fails_and_the_criteria_hold_every_start_is_driven_in_spite_of_slips(
+    person: Callable[..., Any], name: str
+) -> None:
+    someone = person(name, seed=1, error_rate=0.02)
+
+    def good_enough(option: LearnedOption, number: int) -> bool:
+        if count_failures(option, TAXI, someone.shown, np.random.default_rng(0)):
+            return False
+        return judge(someone.shown, TAXI, Thresholds(), 0, option).criteria_met
+
+    option = teach(someone, 'failures', good_enough)
+    reference = reference_options(TAXI)[name]
+    indices = np.flatnonzero(reference.initiation)
+    runs = rollouts(option, TAXI, [TAXI.state_at(int(index)) for index in indices])
+    assert runs.reached.all()
+    assert runs.steps.tolist() == reference.distance[indices].tolist()
+    assert option.n_demonstrations <= 50
+
+
+def test_when_nothing_fails_what_was_shown_least_is_asked_for(person: Callable[..., Any]) -> None:
+    someone = person()
+
+    def no_failure(option: LearnedOption, number: int) -> bool:
+        return count_failures(option, TAXI, someone.shown, np.random.default_rng(0)) == 0
+
+    option = teach(someone, 'failures', no_failure)
+    found = survey(option, TAXI, someone.shown)
+    state = choose_start_state('failures', TAXI, option, someone.shown, np.random.default_rng(0))
+    assert found.candidate[TAXI.index(state)]
+    assert found.times_shown[TAXI.index(state)] <= np.median(found.times_shown[found.candidate])
+
+
+def test_where_states_cannot_be_enumerated_a_sample_that_fails_is_asked_for(
+    person: Callable[..., Any], plain_taxi: Any
+) -> None:
+    shown = person().show_random(12)
+    option = learn_option(shown, plain_taxi, 0)
+    found = survey(option, TAXI, shown)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        assert found.stuck[
+            TAXI.index(choose_start_state('failures', plain_taxi, option, shown, rng))
+        ]
+    assert 0 < count_failures(option, plain_taxi, shown, np.random.default_rng(0)) <= 50
+
+
+def test_where_sampled_states_do_not_fail_coverage_chooses(
+    person: Callable[..., Any], plain_taxi: Any
+) -> None:
+    ann = person()
+    shown = [ann.show(TAXI.state_at(i)) for i in np.flatnonzero(ann.reference.initiation).tolist()]
+    option = learn_option(shown, plain_taxi, 0)
+    assert count_failures(option, plain_taxi, shown, np.random.default_rng(0)) == 0
+    state = choose_start_state('failures', plain_taxi, option, shown, np.random.default_rng(0))
+    assert not TAXI.is_over(state)
