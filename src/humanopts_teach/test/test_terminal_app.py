@@ -239,7 +239,12 @@ def test_questions_can_be_answered_again(shower: Person) -> None:
 def criteria(values: Iterable[tuple[str, float, float, bool, bool]]) -> ProgressView:
     """Make the progress of the option."""
     return ProgressView(
-        NAME, 'p1', CHOSEN, 7, tuple(CriterionView(*value) for value in values), more_needed=6
+        NAME,
+        'p1',
+        CHOSEN,
+        7,
+        criteria=tuple(CriterionView(*value) for value in values),
+        more_needed=6,
     )
 
 

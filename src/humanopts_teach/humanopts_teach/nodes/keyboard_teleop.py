@@ -29,6 +29,7 @@ from humanopts_teach.terminal.requests import Drive, Reply
 from humanopts_teach.terminal.world import CriterionView, GameView, ProgressView
 from rclpy.executors import Executor
 
+_FAREWELL = 'Everything taught is saved; the same command takes it up again.'
 _POLL_SECONDS = 0.025  # between looks at the keyboard
 _FRAME_SECONDS = 0.04  # least time between frames
 _PRESENCE_SECONDS = 0.5  # between looks who is on the graph
@@ -72,10 +73,9 @@ class KeyboardTeleopNode(NodeBase):
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
         """Serve the person until they quit, the terminal is gone, or the process is to end."""
-        with Device() as device:
+        with Device(_FAREWELL) as device:
             while not (stop() or self.app.ended or device.closed):
                 self._turn(executor, device)
-        print('Everything taught is saved; the same command takes it up again.')
         self._part(executor)
 
     def _turn(self, executor: Executor, device: Device) -> None:

@@ -31,7 +31,13 @@ def why_not() -> str:
 class Device:
     """Standard input in raw mode and the alternate screen, for the length of a ``with``."""
 
-    def __init__(self) -> None:
+    def __init__(self, farewell: str = '') -> None:
+        """
+        Look at the terminal.
+
+        :param farewell: line that is left behind at a clean end.
+        """
+        self._farewell = farewell
         self._input = Vt100Input(sys.stdin)
         self._raw = self._input.raw_mode()
         self._poll = select.poll()
@@ -59,6 +65,8 @@ class Device:
         """Put the terminal back."""
         self._write(_LEAVE)
         self._raw.__exit__(kind, error, trace)
+        if kind is None and self._farewell:
+            self._write(f'{self._farewell}\n')
 
     def read(self) -> list[str]:
         """Return the keys that were pressed; waits for nothing."""

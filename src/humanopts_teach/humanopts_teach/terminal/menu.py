@@ -109,7 +109,7 @@ def _standing(name: str, app: App) -> str:
     if progress is None:
         return 'nothing learned yet'
     held = ', all criteria hold' if progress.criteria_met else ''
-    return f'{progress.n_demonstrations} shown{held}'
+    return f'{progress.n_demonstrations} shown, {progress.n_not_here} not here{held}'
 
 
 def _list_taught(app: App) -> None:

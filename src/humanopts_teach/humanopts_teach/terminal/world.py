@@ -50,6 +50,7 @@ class ProgressView:
     participant: str
     features: tuple[str, ...] = ()
     n_demonstrations: int = 0
+    n_not_here: int = 0
     criteria: tuple[CriterionView, ...] = ()
     criteria_met: bool = False
     mean_return_demonstrations: float = float('nan')

@@ -1,0 +1,423 @@
+"""A person at the terminal: real key presses through a pseudo-terminal, on the real graph."""
+
+from collections.abc import Callable, Iterator
+import fcntl
+import os
+from pathlib import Path
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from typing import Any
+
+from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.domains.taxi import TaxiState
+from humanopts_env.domains.taxi_tables import landmark_cells
+from humanopts_env.nodes.qos import STREAM
+from humanopts_env.seeding import generator
+from humanopts_interfaces.msg import ActionRefusal, GameState, OptionResult
+import pyte
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+DOMAIN_ID = 141
+WIDTH, HEIGHT = 80, 24
+SIDE = 24  # column where the panel beside the board begins
+PICKUP = 'go to passenger and pickup'
+KEYS = {'down': '\x1b[B', 'up': '\x1b[A', 'right': '\x1b[C', 'left': '\x1b[D'}
+ENTER, ESCAPE, CTRL_C = '\r', '\x1b', '\x03'
+TELEOP = 'humanopts_teach.nodes.keyboard_teleop'
+ENVIRONMENT = {'ROS_DOMAIN_ID': str(DOMAIN_ID), 'TERM': 'xterm-256color'}
+TAXI = make_domain('taxi')
+
+
+def run_on(slave: int, *arguments: str) -> 'subprocess.Popen[bytes]':
+    """Start Python on a terminal, as its controlling one."""
+
+    def take() -> None:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        stdin=slave,
+        stdout=slave,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        preexec_fn=take,
+        env={**os.environ, **ENVIRONMENT},
+    )
+
+
+class Terminal:
+    """A terminal emulator with a process in it, and a person who reads and types."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.master, self.slave = self._open = list(pty.openpty())
+        fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack('HHHH', HEIGHT, WIDTH, 0, 0))
+        self.before = termios.tcgetattr(self.slave)
+        self.screen = pyte.Screen(WIDTH, HEIGHT)
+        self.stream = pyte.ByteStream(self.screen)
+        self.raw = b''
+        self.process = run_on(self.slave, *arguments)
+
+    def text(self) -> str:
+        """Return what is on the screen, line by line."""
+        return '\n'.join(self.screen.display)
+
+    def words(self) -> str:
+        """Return what is beside the board, with wrapped lines joined."""
+        return ' '.join(' '.join(line[SIDE:] for line in self.screen.display).split())
+
+    def read(self, seconds: float = 0.05) -> None:
+        """Take in what the process has written."""
+        if select.select([self.master], [], [], seconds)[0]:
+            data = os.read(self.master, 65536)
+            self.raw += data
+            self.stream.feed(data)
+
+    def until(self, condition: Callable[[], Any], what: str, seconds: float = 30.0) -> None:
+        """Read until a condition holds."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline, f'waited in vain for {what}:\n{self.text()}'
+            self.read()
+
+    def see(self, text: str, seconds: float = 30.0) -> None:
+        """Read until a text is on the screen, however it is wrapped."""
+        self.until(lambda: text in self.words() or text in self.text(), repr(text), seconds)
+
+    def press(self, *keys: str) -> None:
+        """Press keys."""
+        os.write(self.master, ''.join(KEYS.get(key, key) for key in keys).encode())
+
+    def ended(self) -> int:
+        """Wait for the process's end and return its status."""
+        self.until(lambda: self.process.poll() is not None, 'the end', 15.0)
+        self.read()
+        return self.process.returncode
+
+    def restored(self) -> bool:
+        """Tell whether the settings are what they were, and screen and cursor are given back."""
+        left = self.raw.rfind(b'\x1b[?1049l') > self.raw.rfind(b'\x1b[?1049h')
+        cursor = self.raw.rfind(b'\x1b[?25h') > self.raw.rfind(b'\x1b[?25l')
+        return left and cursor and termios.tcgetattr(self.slave) == self.before
+
+    def close(self) -> None:
+        """End whatever is left."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.communicate()
+        self.hang_up()
+
+    def hang_up(self) -> None:
+        """Cut the connection."""
+        while self._open:
+            os.close(self._open.pop())
+
+
+class Graph:
+    """The other nodes as processes, terminals on them, and a reader of the game's stream."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.terminals: list[Terminal] = []
+        self.messages: list[Any] = []
+        self.context = Context()
+        rclpy.init(
+            context=self.context,
+            domain_id=DOMAIN_ID,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = Node('witness', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        for kind, topic in (
+            (GameState, 'game_state'),
+            (ActionRefusal, 'action_refused'),
+            (OptionResult, 'option_results'),
+        ):
+            self.node.create_subscription(kind, topic, self.messages.append, STREAM)
+
+    def start(self, step_period: float = 0.0) -> None:
+        """Start every node but the terminal."""
+        data = f'directory:={self.folder}'
+        self.run('humanopts_env.nodes.game_node', f'step_period:={step_period}')
+        self.run('humanopts_learner.nodes.learner_node', f'{data}/options')
+        self.run(
+            'humanopts_teach.nodes.lesson_node', f'{data}/demonstrations', 'strategy:=failures'
+        )
+        self.run('humanopts_learner.nodes.option_server')
+
+    def run(self, module: str, *parameters: str) -> None:
+        """Start a node."""
+        options = [part for text in parameters for part in ('-p', text)]
+        self.processes[module] = subprocess.Popen(
+            [sys.executable, '-m', module, '--ros-args', *options],
+            env={**os.environ, **ENVIRONMENT},
+        )
+
+    def kill(self, module: str) -> None:
+        """End a node as its crash would."""
+        process = self.processes.pop(module)
+        process.terminate()
+        process.wait(20)
+
+    def sit_down(self) -> Terminal:
+        """Start a terminal on the graph, and come as p1."""
+        terminal = Terminal('-m', TELEOP)
+        self.terminals.append(terminal)
+        terminal.see('Who teaches? > p1')
+        terminal.press(ENTER)
+        terminal.see('What next?')
+        return terminal
+
+    def witness(self, kind: type, condition: Callable[[Any], bool], terminal: Terminal) -> Any:
+        """Return the first message that fits."""
+        found: list[Any] = []
+
+        def look() -> bool:
+            self.executor.spin_once(0.02)
+            found.extend(m for m in self.messages if isinstance(m, kind) and condition(m))
+            return bool(found)
+
+        terminal.until(look, f'a {kind.__name__}')
+        return found[0]
+
+    def close(self) -> None:
+        """End everything."""
+        for terminal in self.terminals:
+            terminal.close()
+        for process in self.processes.values():
+            process.terminate()
+        for process in self.processes.values():
+            process.wait(20)
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[Graph]:
+    opened = Graph(tmp_path)
+    yield opened
+    opened.close()
+
+
+class Person:
+    """Teaches one option as the yardstick means it, knowing only what is on the screen."""
+
+    def __init__(self, terminal: Terminal) -> None:
+        self.terminal = terminal
+        self.option = reference_options(TAXI)[PICKUP]
+        self.shown = 0
+
+    def name_and_answer(self) -> None:
+        """Name the option and answer every question."""
+        self.terminal.see('1 Teach a new option')
+        self.terminal.press('1', *PICKUP, ENTER)
+        for feature in TAXI.features:
+            self.terminal.see(f"Does the '{PICKUP}' option depend on {feature.question}?")
+            self.terminal.press('y' if feature.name in self.option.features else 'n')
+        self.terminal.see('Enter shows start 1.')
+        self.terminal.press(ENTER)
+
+    def show(self, most: int) -> bool:
+        """Demonstrate; return whether the lesson is finished, within so many demonstrations."""
+        for _ in range(most):
+            following = f'start {self.shown + 1}: next'
+            self.terminal.until(
+                lambda text=following: text in self.terminal.words() or self._finished(),
+                following,
+            )
+            if self._finished():
+                return True
+            self.terminal.press(*self._answer(self._state()))
+            self.shown += 1
+        return False
+
+    def _finished(self) -> bool:
+        return 'This lesson is finished.' in self.terminal.words()
+
+    def _state(self) -> TaxiState:
+        """Read the state from the features beside the board."""
+        words = self.terminal.words()
+        found = re.search(
+            r'taxi row (\d), taxi col (\d), passenger row (\d), passenger col (\d), '
+            r'passenger in taxi (yes|no)',
+            words,
+        )
+        assert found is not None, words
+        row, col, *cell = (int(part) for part in found.groups()[:4])
+        cells = list(landmark_cells(5, 5).values())
+        place = 4 if found.group(5) == 'yes' else cells.index((cell[0], cell[1]))
+        return TaxiState(row, col, place, destination=0 if place else 1)  # it is not shown
+
+    def _answer(self, state: TaxiState) -> list[str]:
+        """Return all keys of one demonstration, typed without looking up."""
+        if not self.option.can_start(state):
+            return ['n']
+        keys = []
+        while not self.option.ends(state):
+            action = self.option.optimal_actions(state)[0]
+            keys.append(TAXI.actions[action].key)
+            state = TAXI.step(state, action, generator(0)).state
+        return [*keys, ENTER]
+
+
+def test_an_option_is_taught_by_key_presses_left_resumed_and_run(graph: Graph) -> None:
+    graph.start()
+    terminal = graph.sit_down()
+    person = Person(terminal)
+    person.name_and_answer()
+    assert not person.show(3)
+    terminal.see('start 4: next')
+    terminal.press('q')
+    assert terminal.ended() == 0
+    assert terminal.restored()
+
+    again = graph.sit_down()
+    person.terminal = again
+    again.press('2')
+    again.see(f'> 1 {PICKUP}')
+    again.press('1')
+    again.see('Enter shows start 4.')
+    again.press(ENTER)
+    assert person.show(60)
+    assert 'All criteria hold.' in again.words()
+
+    again.press('r')
+    again.see(f'Run: {PICKUP}')
+    again.press('n')
+    again.see('step 0')
+    again.press(ENTER)
+    again.see(f'{PICKUP}: ')
+    result = graph.witness(OptionResult, lambda m: True, again)
+    assert result.status == OptionResult.STATUS_REACHED
+    assert TAXI.decode(result.final_state).passenger == 4  # aboard
+    again.press('q')
+    assert again.ended() == 0
+    assert again.restored()
+
+
+def test_a_key_takes_the_wheel_from_the_machine(graph: Graph) -> None:
+    graph.start(step_period=0.3)
+    terminal = graph.sit_down()
+    person = Person(terminal)
+    person.name_and_answer()
+    person.show(2)
+    terminal.see('start 3: next')
+    terminal.press(ESCAPE)
+    terminal.see('What next?')
+    terminal.press('3')
+    terminal.see('Run which option?')
+    terminal.press(ENTER)
+    terminal.see(f'Run: {PICKUP}')
+    for number in range(1, 30):  # until a start from which the run is long enough to be seen
+        terminal.press('n')
+        terminal.see('step 0')
+        terminal.press(ENTER)
+        terminal.until(
+            lambda: (
+                'The machine drives. 1 steps' in terminal.words()
+                or f'{PICKUP}: ' in terminal.text()
+                or 'initiation' in terminal.text()
+            ),
+            f'run {number}',
+        )
+        if 'The machine drives. 1 steps' in terminal.words():
+            break
+    terminal.press('d')
+    terminal.see('You took over')
+    result = graph.witness(
+        OptionResult, lambda m: m.status == OptionResult.STATUS_INTERRUPTED, terminal
+    )
+    refused = graph.witness(ActionRefusal, lambda m: m.episode == result.episode, terminal)
+    assert refused.reason == ActionRefusal.REASON_HELD_BY_PERSON
+    terminal.see('you drive')
+    terminal.press('left')
+
+    def persons(message: Any, action: str) -> bool:
+        at = (message.episode, message.previous_action, message.action_source)
+        return at == (result.episode, action, GameState.SOURCE_PERSON)
+
+    graph.witness(GameState, lambda m: persons(m, 'west'), terminal)  # all before it has come
+    states = [m for m in graph.messages if isinstance(m, GameState)]
+    assert sum(persons(state, 'dropoff') for state in states) == 1
+
+
+def test_a_lesson_that_dies_is_named_and_the_terminal_still_quits(graph: Graph) -> None:
+    graph.start()
+    terminal = graph.sit_down()
+    graph.kill('humanopts_teach.nodes.lesson_node')
+    terminal.see('lesson: not there. Everything taught is saved; Ctrl-C quits.')
+    terminal.press(CTRL_C)
+    assert terminal.ended() == 0
+    assert terminal.restored()
+
+
+def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(graph: Graph) -> None:
+    terminal = Terminal('-m', TELEOP)
+    graph.terminals.append(terminal)
+    terminal.see('Waiting for the game')
+    terminal.see('game, lesson: not there.')
+    terminal.press(CTRL_C)
+    assert terminal.ended() == 0
+    assert terminal.restored()
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_signals_end_it_cleanly(graph: Graph, number: signal.Signals) -> None:
+    terminal = Terminal('-m', TELEOP)
+    graph.terminals.append(terminal)
+    terminal.see('Waiting for the game')
+    terminal.process.send_signal(number)
+    assert terminal.ended() == 0
+    assert terminal.restored()
+
+
+def test_a_connection_that_is_cut_ends_it(graph: Graph) -> None:
+    terminal = Terminal('-m', TELEOP)
+    graph.terminals.append(terminal)
+    terminal.see('Waiting for the game')
+    terminal.hang_up()
+    assert terminal.process.wait(15) == 0
+
+
+def test_an_exception_restores_the_terminal() -> None:
+    terminal = Terminal(
+        '-c',
+        'from humanopts_teach.terminal.device import Device\n'
+        'with Device() as device:\n'
+        '    device.draw(lambda width, height, colours: [f"{width} x {height}"])\n'
+        '    raise RuntimeError("as a defect would")',
+    )
+    assert terminal.ended() == 1
+    assert f'{WIDTH} x {HEIGHT}'.encode() in terminal.raw
+    assert terminal.restored()
+    terminal.close()
+
+
+def test_without_a_terminal_it_says_so_in_one_line() -> None:
+    done = subprocess.run(
+        [sys.executable, '-m', TELEOP],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **ENVIRONMENT},
+    )
+    assert done.returncode == 2
+    assert done.stdout == ''
+    assert done.stderr.splitlines() == [
+        'humanopts: the teaching terminal needs a terminal as standard input and output'
+    ]
