@@ -19,6 +19,10 @@ from mcap.writer import MCAP0_MAGIC
 _FOOTER_BYTES = HEAD + 8 + 8 + 4
 
 
+class _NoIndexError(Exception):
+    """The file is whole and has no index of its chunks, as some programs write it."""
+
+
 def read_index(path: Path) -> FileIndex:
     """
     Find the messages of a file; one that was cut short is scanned up to where it ends.
@@ -32,12 +36,22 @@ def read_index(path: Path) -> FileIndex:
                 raise BagError(f'{path} is empty')
             if magic != MCAP0_MAGIC:
                 raise BagError(f'{path} is not an MCAP file: it was written by another program')
-            try:
-                return _from_summary(path, stream)
-            except DAMAGE:
-                return scan(path, stream)
+            return _index(path, stream)
     except OSError as error:
         raise BagError(f'cannot read {path}: {error.strerror}') from error
+
+
+def _index(path: Path, stream: BinaryIO) -> FileIndex:
+    """Use the file's index, or do without it."""
+    try:
+        return _from_summary(path, stream)
+    except _NoIndexError:
+        return scan(path, stream)
+    except DAMAGE as error:
+        index = scan(path, stream)
+        if not index.damage:
+            index.note(f'its index is damaged ({error}); everything else is whole')
+        return index
 
 
 def read_attachment(index: FileIndex, name: str) -> bytes:
@@ -60,23 +74,21 @@ def _from_summary(path: Path, stream: BinaryIO) -> FileIndex:
     """
     Read the index at the end of the file.
 
-    :raises Exception: one of ``DAMAGE``, where there is none, or it does not fit the file.
+    :raises _NoIndexError: the file is whole and has none.
+    :raises Exception: one of ``DAMAGE``, where it is damaged.
     """
     _check_summary(stream)
+    stream.seek(0)
     reader = SeekingReader(stream, record_size_limit=path.stat().st_size)
     summary = reader.get_summary()
-    if summary is None or summary.statistics is None:
-        raise ValueError('no summary')
+    if summary is None or summary.statistics is None or not summary.chunk_indexes:
+        raise _NoIndexError
     index = FileIndex(path, dict(summary.schemas), dict(summary.channels))
     index.counts.update(summary.statistics.channel_message_counts)
     for chunk in summary.chunk_indexes:
         channels = frozenset(chunk.message_index_offsets) or frozenset(index.channels)
         start = chunk.message_start_time
         index.blocks.append(Block(chunk.chunk_start_offset, chunk.chunk_length, start, channels))
-    if len(index.blocks) != summary.statistics.chunk_count or (
-        not index.blocks and summary.statistics.message_count
-    ):
-        raise ValueError('the chunks are not indexed')
     for attachment in summary.attachment_indexes:
         index.attachments[attachment.name] = attachment.offset
     for record in reader.iter_metadata():
@@ -88,14 +100,17 @@ def _check_summary(stream: BinaryIO) -> None:
     """
     Compare the summary at the end of the file with its checksum.
 
-    :raises Exception: one of ``DAMAGE``, where they differ.
+    :raises _NoIndexError: there is none.
+    :raises Exception: one of ``DAMAGE``, where they differ or the file has no end.
     """
     stream.seek(-_FOOTER_BYTES - MAGIC_SIZE, SEEK_END)
     footer = stream.read(_FOOTER_BYTES)
     opcode, _, start, _, checksum = struct.unpack('<BQQQI', footer)
-    if opcode != Opcode.FOOTER or start == 0 or stream.read() != MCAP0_MAGIC:
-        raise ValueError('no summary')
+    if opcode != Opcode.FOOTER or stream.read() != MCAP0_MAGIC:
+        raise ValueError('the file has no end')
+    if start == 0:
+        raise _NoIndexError
     stream.seek(start)
     summary = stream.read()[: -4 - MAGIC_SIZE]
     if checksum and zlib.crc32(summary) != checksum:
-        raise ValueError('the summary is damaged')
+        raise ValueError('it does not fit its checksum')

@@ -1,0 +1,360 @@
+"""Bag files: what is written is read again, and damage costs only what is damaged."""
+
+from collections.abc import Callable
+import os
+from pathlib import Path
+import resource
+import subprocess
+import sys
+from typing import Any
+
+from humanopts_interfaces.msg import GameState
+from humanopts_teach.bags.errors import BagError, BagWriteError
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.writer import BagWriter
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+import pytest
+from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
+from std_msgs.msg import String
+import yaml
+
+START = 10**18  # ns since the epoch
+GAME = 'humanopts_interfaces/msg/GameState'
+QOS = {
+    'history': 'keep_all',
+    'depth': 0,
+    'reliability': 'reliable',
+    'durability': 'volatile',
+    'deadline': {'sec': 9223372036, 'nsec': 854775807},
+    'lifespan': {'sec': 9223372036, 'nsec': 854775807},
+    'liveliness': 'automatic',
+    'liveliness_lease_duration': {'sec': 9223372036, 'nsec': 854775807},
+    'avoid_ros_namespace_conventions': False,
+}
+NO_ROS = """
+import sys
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        if name.split('.')[0] in {'rclpy', 'humanopts_interfaces', 'std_msgs', 'rosbags'}:
+            raise ImportError(f'{name} is not there')
+sys.meta_path.insert(0, Block())
+from humanopts_teach.bags.info import summarise
+from humanopts_teach.bags.reader import open_bag
+print(summarise(open_bag(sys.argv[1])).messages)
+"""
+
+
+def state(step: int) -> bytes:
+    """Return the bytes of a message."""
+    filler = os.urandom(40).hex()  # does not compress
+    return serialize_message(GameState(episode=1, step=step, state=filler, sequence=step + 1))
+
+
+def write_states(path: Path, count: int, flush_every: int = 10) -> BagWriter:
+    """Begin a bag of game states, one a millisecond, and leave it open."""
+    writer = BagWriter(path, {'seed': '7'})
+    writer.add_topic('/game_state', GAME, [QOS], 'RIHS01_ab')
+    for step in range(count):
+        time = START + step * 10**6
+        writer.write('/game_state', state(step), time, time - 5)
+        if (step + 1) % flush_every == 0:
+            writer.flush()
+    return writer
+
+
+def steps(path: Path) -> list[int]:
+    """Return the steps in a bag, in the order of reading."""
+    return [recorded.message.step for recorded in open_bag(path).messages()]
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """A whole bag of 100 game states in 10 chunks."""
+    write_states(tmp_path / 'bag', 100).close()
+    return tmp_path / 'bag'
+
+
+@pytest.fixture
+def data(bag: Path) -> bytes:
+    """The bytes of its file."""
+    return (bag / 'bag_0.mcap').read_bytes()
+
+
+def test_what_was_written_is_read(bag: Path) -> None:
+    opened = open_bag(bag)
+    recorded = list(opened.messages())
+    assert [(r.log_time, r.publish_time, r.message.step) for r in recorded] == [
+        (START + step * 10**6, START + step * 10**6 - 5, step) for step in range(100)
+    ]
+    assert opened.damage == ''
+    assert opened.metadata['humanopts'] == {'seed': '7'}
+    topic = opened.topics['/game_state']
+    assert (topic.type, topic.messages, topic.type_hash) == (GAME, 100, 'RIHS01_ab')
+    assert yaml.safe_load(topic.qos) == [QOS]
+
+
+def test_the_file_alone_is_a_bag(bag: Path) -> None:
+    assert steps(bag / 'bag_0.mcap') == list(range(100))
+
+
+def test_rosbags_reads_the_directory_with_its_metadata(bag: Path) -> None:
+    with Reader(bag) as reader:
+        (connection,) = reader.connections
+        assert (connection.topic, connection.msgtype, connection.msgcount) == (
+            '/game_state',
+            GAME,
+            100,
+        )
+        assert connection.digest == 'RIHS01_ab'
+        assert reader.ros_distro == 'jazzy'
+        assert (reader.start_time, reader.message_count) == (START, 100)
+        assert sum(1 for _ in reader.messages()) == 100
+
+
+def test_the_mcap_package_finds_profile_index_statistics_and_facts(bag: Path) -> None:
+    with (bag / 'bag_0.mcap').open('rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert reader.get_header().profile == 'ros2'
+        assert summary.statistics.message_count == 100
+        assert {chunk.compression for chunk in summary.chunk_indexes} == {'zstd'}
+        assert [m.name for m in reader.iter_metadata()] == ['humanopts', 'rosbag2']
+
+
+def test_messages_come_in_order_of_time_whatever_the_order_of_writing(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        for topic in ('/a', '/b'):
+            writer.add_topic(topic, GAME)
+        for step in (3, 1, 4, 0, 5, 2):
+            writer.write('/a' if step % 2 else '/b', state(step), step)
+            writer.flush()
+    assert steps(tmp_path / 'bag') == [0, 1, 2, 3, 4, 5]
+    only = open_bag(tmp_path / 'bag').messages(['/a'], decoded=False)
+    assert [(r.topic, r.log_time, r.message) for r in only] == [
+        ('/a', 1, None),
+        ('/a', 3, None),
+        ('/a', 5, None),
+    ]
+
+
+def test_reading_holds_few_chunks_at_a_time(tmp_path: Path, monkeypatch: Any) -> None:
+    write_states(tmp_path / 'bag', 200, flush_every=2).close()
+    opened = open_bag(tmp_path / 'bag')
+    read: list[int] = []
+    original = opened._read
+    monkeypatch.setattr(opened, '_read', lambda *args: read.append(1) or original(*args))
+    messages = opened.messages(decoded=False)
+    for _ in range(20):
+        next(messages)
+    assert len(read) <= 12  # of 100
+
+
+def test_attachments_come_back(tmp_path: Path) -> None:
+    with write_states(tmp_path / 'bag', 3) as writer:
+        writer.attach('option.json', b'{"a": 1}')
+    assert open_bag(tmp_path / 'bag').attachments() == {'option.json': b'{"a": 1}'}
+
+
+def test_metadata_is_valid_from_the_start(tmp_path: Path) -> None:
+    writer = write_states(tmp_path / 'bag', 0)
+    writer.flush()
+    document = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
+    information = document['rosbag2_bagfile_information']
+    assert (information['version'], information['message_count']) == (9, 0)
+    assert [t['topic_metadata']['name'] for t in information['topics_with_message_count']] == [
+        '/game_state'
+    ]
+    writer.close()
+
+
+def test_a_bag_that_was_not_closed_holds_every_flushed_message(tmp_path: Path) -> None:
+    write_states(tmp_path / 'bag', 57)
+    opened = open_bag(tmp_path / 'bag')
+    assert [r.message.step for r in opened.messages()] == list(range(50))
+    assert 'was not closed' in opened.damage
+    assert opened.topics['/game_state'].messages == 50
+    assert opened.metadata['humanopts'] == {'seed': '7'}
+
+
+def test_a_bag_cut_at_any_byte_opens_with_every_whole_chunk(bag: Path, data: bytes) -> None:
+    file = bag / 'bag_0.mcap'
+    with file.open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[0]
+    first_chunk, most = chunk.chunk_start_offset + chunk.chunk_length, 0
+    for size in range(200, len(data), 397):
+        file.write_bytes(data[:size])
+        if size < first_chunk:
+            with pytest.raises(BagError, match='holds no messages'):
+                open_bag(bag)
+            continue
+        opened = open_bag(bag)
+        found = [r.message.step for r in opened.messages()]
+        assert found == list(range(len(found)))
+        assert len(found) % 10 == 0
+        assert len(found) >= most
+        assert opened.damage
+        most = len(found)
+    assert most == 100
+
+
+def test_a_flipped_byte_costs_one_chunk_and_is_said(bag: Path, data: bytes) -> None:
+    with (bag / 'bag_0.mcap').open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[4]
+    place = chunk.chunk_start_offset + chunk.chunk_length // 2
+    broken = bytearray(data)
+    broken[place] ^= 0xFF
+    (bag / 'bag_0.mcap').write_bytes(broken)
+    opened = open_bag(bag)
+    found = [r.message.step for r in opened.messages()]
+    assert found == [*range(40), *range(50, 100)]
+    assert 'damaged and left out' in opened.damage
+
+
+def test_a_damaged_index_is_done_without(bag: Path, data: bytes) -> None:
+    broken = bytearray(data)
+    broken[-60] ^= 0xFF
+    (bag / 'bag_0.mcap').write_bytes(broken)
+    opened = open_bag(bag)
+    assert [r.message.step for r in opened.messages()] == list(range(100))
+    assert 'index' in opened.damage
+
+
+def test_messages_outside_chunks_are_read(tmp_path: Path) -> None:
+    file = tmp_path / 'plain.mcap'
+    schema = open_schema(tmp_path)
+    with file.open('wb') as stream:
+        writer = Writer(stream, use_chunking=False, compression=CompressionType.NONE)
+        writer.start(profile='ros2')
+        channel = writer.register_channel(
+            '/game_state', 'cdr', writer.register_schema(GAME, 'ros2msg', schema)
+        )
+        for step in range(5):
+            writer.add_message(channel, step, state(step), step)
+        writer.finish()
+    assert steps(file) == [0, 1, 2, 3, 4]
+    assert open_bag(file).damage == ''
+
+
+def open_schema(tmp_path: Path) -> bytes:
+    """Return the schema of GameState."""
+    with BagWriter(tmp_path / 'for_schema') as writer:
+        return writer.add_topic('/game_state', GAME).encode()
+
+
+def nothing(path: Path) -> None:
+    """Leave nothing there."""
+
+
+def empty_folder(path: Path) -> None:
+    """Make an empty folder."""
+    path.mkdir()
+
+
+def empty_file(path: Path) -> None:
+    """Make an empty file."""
+    path.touch()
+
+
+def foreign_file(path: Path) -> None:
+    """Make a file of another program."""
+    path.write_bytes(b'SQLite format 3\0' + bytes(100))
+
+
+def foreign_bag(path: Path) -> None:
+    """Record something else."""
+    with BagWriter(path) as writer:
+        writer.add_topic('/chatter', 'std_msgs/msg/String')
+        writer.write('/chatter', serialize_message(String(data='hello')), 1)
+
+
+def sqlite_bag(path: Path) -> None:
+    """Make what ros2 bag makes with its other storage."""
+    path.mkdir()
+    (path / 'metadata.yaml').write_text(
+        'rosbag2_bagfile_information:\n  storage_identifier: sqlite3\n'
+    )
+
+
+def no_messages(path: Path) -> None:
+    """Begin a bag and end it."""
+    BagWriter(path).close()
+
+
+@pytest.mark.parametrize(
+    ('make', 'reason'),
+    [
+        (nothing, 'there is no bag at'),
+        (empty_folder, 'is not a bag: there is no MCAP file'),
+        (empty_file, 'is empty'),
+        (foreign_file, 'written by another program'),
+        (foreign_bag, 'no humanopts topics'),
+        (sqlite_bag, 'sqlite3 format'),
+        (no_messages, 'holds no messages'),
+    ],
+)
+def test_what_is_no_bag_is_refused_with_the_reason(
+    tmp_path: Path, make: Callable[[Path], None], reason: str
+) -> None:
+    make(tmp_path / 'bag')
+    with pytest.raises(BagError, match=reason):
+        open_bag(tmp_path / 'bag')
+
+
+@pytest.mark.parametrize('text', ['', 'rosbag2_bagfile_information: 3', '[unclosed', '\x00'])
+def test_a_damaged_metadata_file_does_not_cost_the_bag(bag: Path, text: str) -> None:
+    (bag / 'metadata.yaml').write_text(text)
+    assert steps(bag) == list(range(100))
+    assert 'metadata.yaml' in open_bag(bag).damage
+
+
+def test_a_directory_that_exists_is_never_written_to(bag: Path, data: bytes) -> None:
+    with pytest.raises(BagWriteError, match='exists already'):
+        BagWriter(bag)
+    assert (bag / 'bag_0.mcap').read_bytes() == data
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / 'file').touch()
+    with pytest.raises(BagWriteError, match='cannot make'):
+        BagWriter(tmp_path / 'file' / 'bag')
+
+
+def test_a_file_that_cannot_grow_stops_the_writer_and_keeps_what_was_written(
+    tmp_path: Path,
+) -> None:
+    writer = write_states(tmp_path / 'bag', 30)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    writer.write('/game_state', state(30), START)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (writer.bytes_written + 100, hard))
+    try:
+        with pytest.raises(BagWriteError, match='what was written before is kept'):
+            writer.flush()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    for again in (writer.flush, writer.close):
+        with pytest.raises(BagWriteError, match='cannot write to'):
+            again()
+    opened = open_bag(tmp_path / 'bag')
+    assert [r.message.step for r in opened.messages()] == list(range(30))
+    assert 'was not closed' in opened.damage  # it ends after a whole record
+
+
+def test_bags_are_read_with_no_ros_installed(bag: Path) -> None:
+    environment = {k: v for k, v in os.environ.items() if k != 'AMENT_PREFIX_PATH'}
+    done = subprocess.run(
+        [sys.executable, '-c', NO_ROS, str(bag)],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=30,
+        check=False,
+    )
+    assert (done.stdout, done.returncode) == ('100\n', 0), done.stderr
