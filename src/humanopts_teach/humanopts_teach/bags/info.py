@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable
+import math
 from typing import Any
 
 from humanopts_learner.demonstrations import (
@@ -132,7 +133,7 @@ class _Survey:
                     demonstrations=len(shown),
                     not_here=len(demos) - len(shown),
                     steps=sum(len(demo.actions) for demo in shown),
-                    seconds=sum(demo.seconds for demo in demos),
+                    seconds=math.fsum(d.seconds for d in demos if math.isfinite(d.seconds)),
                     criteria_met=self._criteria.get((participant, name), False),
                 )
             )

@@ -1,0 +1,250 @@
+"""What a bag says: demonstrations, domain, episodes, what is missing, and the summary."""
+
+from collections.abc import Iterable
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from humanopts_env.convert import domain_to_info, moment_to_message
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.game import Command, Game, Moment, Source
+from humanopts_interfaces.msg import (
+    Criterion,
+    GameState,
+    LearningStatus,
+    OptionResult,
+    OptionStatus,
+    PlanResult,
+)
+from humanopts_interfaces.msg import (
+)
+from humanopts_learner.demonstrations import check_demonstration, Demonstration, DemonstrationError
+from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain, read_episodes
+from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.info import count_loss, summarise
+from humanopts_teach.bags.loss import Stream
+from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.bags.stamps import read_stamp, Stamp
+from humanopts_teach.bags.writer import BagWriter
+from hypothesis import given, strategies
+import pytest
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+PICKUP = 'go to passenger and pickup'
+
+
+def write(path: Path, entries: Iterable[tuple[str, Any]], publisher: str = '/n#1') -> Bag:
+    """Write (topic, message) pairs, numbered per topic, and open the bag."""
+    numbers: dict[str, int] = {}
+    with BagWriter(path) as writer:
+        for time, (topic, message) in enumerate(entries, start=1):
+            package, kind = type(message).__module__.split('.')[:2]
+            writer.add_topic(topic, f'{package}/{kind}/{type(message).__name__}')
+            if hasattr(message, 'publisher_id') and not message.sequence:
+                numbers[topic] = numbers.get(topic, 0) + 1
+                message.publisher_id, message.sequence = publisher, numbers[topic]
+            writer.write(topic, serialize_message(message), time * 10**9)
+    return open_bag(path)
+
+
+def numbered(sequence: int, publisher: str = '/game#1') -> GameState:
+    """Return a message with a number."""
+    return GameState(publisher_id=publisher, sequence=sequence, state='s')
+
+
+def play(domain: Domain[Any], actions: list[str]) -> list[Moment]:
+    """Play one episode."""
+    game = Game(domain)
+    first = game.reset('', 3, Source.MACHINE).moment
+    assert first is not None
+    moments = [first]
+    for action in actions:
+        game.command(Command('/x#1', 1, Source.MACHINE, 1, len(moments) - 1, action))
+        moments.append(game.moment)
+    return moments
+
+
+def test_demonstrations_come_back_equal(
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+) -> None:
+    bag = write(tmp_path / 'bag', (('/ns/demonstrations', demonstration_to_message(d)) for d in taxi_lesson))
+    found = read_demonstrations(bag)
+    assert found == taxi_lesson
+    for demo in found:
+        check_demonstration(demo, taxi)
+
+
+def test_a_demonstration_of_no_kind_is_left_out_and_said(
+    tmp_path: Path, taxi_lesson: list[Demonstration]
+) -> None:
+    broken = demonstration_to_message(taxi_lesson[0])
+    broken.kind = 0
+    entries = [('/demonstrations', broken), ('/demonstrations', demonstration_to_message(taxi_lesson[1]))]
+    bag = write(tmp_path / 'bag', entries)
+    assert read_demonstrations(bag) == [taxi_lesson[1]]
+    assert 'left out' in bag.damage
+
+
+def test_features_that_make_no_whole_rows_are_refused_as_live(
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+) -> None:
+    broken = demonstration_to_message(taxi_lesson[0])
+    broken.features.pop()
+    (found,) = read_demonstrations(write(tmp_path / 'bag', [('/demonstrations', broken)]))
+    with pytest.raises(DemonstrationError, match='rows'):
+        check_demonstration(found, taxi)
+
+
+def test_a_bag_without_demonstrations_says_so(tmp_path: Path) -> None:
+    bag = write(tmp_path / 'bag', [('/game_state', numbered(1))])
+    with pytest.raises(BagError, match='no topic of demonstrations'):
+        read_demonstrations(bag)
+
+
+def test_the_domain_comes_back_with_its_parameters(tmp_path: Path) -> None:
+    domain = make_domain('taxi', {'rows': 8, 'cols': 7})
+    bag = write(tmp_path / 'bag', [('/domain_info', domain_to_info(domain))])
+    found = read_domain(bag)
+    assert (found.name, dict(found.parameters)) == ('taxi', dict(domain.parameters))
+
+
+def test_a_domain_that_is_missing_unknown_or_not_the_only_one_is_named(tmp_path: Path) -> None:
+    taxi = domain_to_info(make_domain('taxi'))
+    other, unknown = (
+        domain_to_info(make_domain('taxi', {'rows': 8})),
+        domain_to_info(make_domain('taxi')),
+    )
+    unknown.domain = 'chess'
+    cases = [
+        ([('/game_state', numbered(1))], 'does not say which domain'),
+        ([('/domain_info', unknown)], "no domain 'chess'"),
+        ([('/a/domain_info', taxi), ('/b/domain_info', other)], 'several domains'),
+    ]
+    for number, (entries, reason) in enumerate(cases):
+        bag = write(tmp_path / f'bag{number}', entries)
+        with pytest.raises(BagError, match=reason):
+            read_domain(bag)
+
+
+def test_episodes_come_back_in_order_and_once(tmp_path: Path, taxi: Domain[Any]) -> None:
+    moments = play(taxi, ['north', 'east', 'south'])
+    entries = []
+    for moment in moments:
+        entries.append(('/game_state', moment_to_message(moment)))
+        entries.append(('/current_state', moment_to_message(moment)))
+    (episode,) = read_episodes(write(tmp_path / 'bag', entries))
+    assert list(episode.moments) == moments
+    assert (episode.number, episode.complete) == (1, False)
+    assert episode.total_reward == -3.0
+
+
+def test_a_restarted_game_makes_new_episodes(tmp_path: Path, taxi: Domain[Any]) -> None:
+    moments = [moment_to_message(m) for m in play(taxi, ['north'])]
+    again = [moment_to_message(m) for m in play(taxi, ['east'])]
+    for number, message in enumerate(again, start=1):
+        message.publisher_id, message.sequence = '/game#2', number
+    bag = write(tmp_path / 'bag', [('/game_state', m) for m in [*moments, *again]])
+    assert [(e.publisher_id, len(e.moments)) for e in read_episodes(bag)] == [
+        ('/n#1', 2),
+        ('/game#2', 2),
+    ]
+
+
+@given(
+    strategies.text(max_size=20), strategies.integers(0, 2**64 - 1), strategies.text(max_size=9)
+)
+def test_a_stamp_is_read_without_decoding(publisher: str, sequence: int, frame: str) -> None:
+    publisher, frame = (
+        text.replace('\0', '').encode('utf-8', 'ignore').decode() for text in (publisher, frame)
+    )
+    message = GameState(publisher_id=publisher, sequence=sequence)
+    message.header.frame_id = frame
+    assert read_stamp(serialize_message(message)) == Stamp(publisher, sequence)
+
+
+@pytest.mark.parametrize('data', [b'', b'\0\1\0\0', b'\0\1\0\0' + b'\xff' * 30])
+def test_a_stamp_of_damaged_bytes_is_none(data: bytes) -> None:
+    assert read_stamp(data) is None
+
+
+@given(strategies.lists(strategies.integers(1, 30), min_size=1))
+def test_a_stream_counts_like_a_set(numbers: list[int]) -> None:
+    stream = Stream()
+    for number in numbers:
+        stream.add(number)
+    distinct, last = set(numbers), max(numbers)
+    assert (stream.first, stream.last, stream.received) == (min(distinct), last, len(distinct))
+    assert stream.duplicates == len(numbers) - len(distinct)
+    gaps = [n for low, high in stream.gaps for n in range(low, high + 1)]
+    assert gaps == [n for n in range(1, last) if n not in distinct]
+    assert stream.missing == len(gaps)
+
+
+def test_gaps_made_by_hand_are_counted_per_topic_and_publisher(tmp_path: Path) -> None:
+    entries: list[tuple[str, Any]] = [('/a', numbered(n)) for n in (1, 2, 5, 6, 6)]
+    entries += [('/a', numbered(n, '/game#2')) for n in (3, 4)]
+    entries += [('/b', numbered(n)) for n in (1, 2, 3)]
+    entries += [('/rosout', String(data='not numbered'))]
+    bag = write(tmp_path / 'bag', entries)
+    rows = {
+        (topic, who): (s.first, s.last, s.received, s.missing, s.duplicates)
+        for topic, who, s in count_loss(bag)
+    }
+    assert rows == {
+        ('/a', '/game#1'): (1, 6, 4, 2, 1),
+        ('/a', '/game#2'): (3, 4, 2, 2, 0),
+        ('/b', '/game#1'): (1, 3, 3, 0, 0),
+    }
+    info = summarise(bag)
+    assert info.missing == 4
+    assert [(t.name, t.messages, t.counted) for t in info.topics] == [
+        ('/a', 7, True),
+        ('/b', 3, True),
+        ('/rosout', 1, False),
+    ]
+    assert 'missing: 4 messages' in info.to_text()
+
+
+def test_the_summary_counts_what_was_taught_and_done(
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+) -> None:
+    status = LearningStatus(
+        options=[
+            OptionStatus(
+                option_name=PICKUP,
+                participant='p1',
+                criteria_met=True,
+                criteria=[Criterion(value=math.nan)],
+            )
+        ]
+    )
+    entries: list[tuple[str, Any]] = [
+        ('/domain_info', domain_to_info(taxi)),
+        *(('/demonstrations', demonstration_to_message(demo)) for demo in taxi_lesson),
+        ('/demonstrations', demonstration_to_message(taxi_lesson[0])),  # once more, after a restart
+        ('/learning_status', status),
+        *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
+        *(('/option_results', OptionResult(status=code)) for code in (1, 1, 5)),
+        ('/plan_results', PlanResult(status=1)),
+    ]
+    info = summarise(write(tmp_path / 'bag', entries))
+    pickup = next(row for row in info.options if row.option == PICKUP)
+    demos = [demo for demo in taxi_lesson if demo.option_name == PICKUP]
+    assert pickup.demonstrations + pickup.not_here == len(demos)
+    assert pickup.steps == sum(len(demo.actions) for demo in demos)
+    assert pickup.criteria_met
+    assert info.participants == ('p1',)
+    assert info.sessions == ('s1',)
+    assert info.option_runs == {'reached': 2, 'interrupted': 1}
+    assert info.plans == {'converged': 1}
+    assert (info.episodes, info.episodes_ended) == (1, 0)
+    assert info.messages == len(entries)
+    assert info.duration == (len(entries) - 1) * 10**9
+    assert info.missing == 0
+    assert json.loads(info.to_json())['options'][0]['option'] == PICKUP
+    text = info.to_text()
+    assert 'option runs: interrupted 1, reached 2' in text
+    assert PICKUP in text
