@@ -18,8 +18,7 @@ from humanopts_interfaces.msg import (
     OptionStatus,
     PlanResult,
 )
-from humanopts_interfaces.msg import (
-)
+from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import check_demonstration, Demonstration, DemonstrationError
 from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain, read_episodes
 from humanopts_teach.bags.errors import BagError
@@ -70,7 +69,8 @@ def play(domain: Domain[Any], actions: list[str]) -> list[Moment]:
 def test_demonstrations_come_back_equal(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
 ) -> None:
-    bag = write(tmp_path / 'bag', (('/ns/demonstrations', demonstration_to_message(d)) for d in taxi_lesson))
+    messages = [demonstration_to_message(demo) for demo in taxi_lesson]
+    bag = write(tmp_path / 'bag', (('/ns/demonstrations', message) for message in messages))
     found = read_demonstrations(bag)
     assert found == taxi_lesson
     for demo in found:
@@ -80,10 +80,9 @@ def test_demonstrations_come_back_equal(
 def test_a_demonstration_of_no_kind_is_left_out_and_said(
     tmp_path: Path, taxi_lesson: list[Demonstration]
 ) -> None:
-    broken = demonstration_to_message(taxi_lesson[0])
+    broken, whole = map(demonstration_to_message, taxi_lesson[:2])
     broken.kind = 0
-    entries = [('/demonstrations', broken), ('/demonstrations', demonstration_to_message(taxi_lesson[1]))]
-    bag = write(tmp_path / 'bag', entries)
+    bag = write(tmp_path / 'bag', [('/demonstrations', broken), ('/demonstrations', whole)])
     assert read_demonstrations(bag) == [taxi_lesson[1]]
     assert 'left out' in bag.damage
 
@@ -224,7 +223,7 @@ def test_the_summary_counts_what_was_taught_and_done(
     entries: list[tuple[str, Any]] = [
         ('/domain_info', domain_to_info(taxi)),
         *(('/demonstrations', demonstration_to_message(demo)) for demo in taxi_lesson),
-        ('/demonstrations', demonstration_to_message(taxi_lesson[0])),  # once more, after a restart
+        ('/demonstrations', demonstration_to_message(taxi_lesson[0])),  # repeated
         ('/learning_status', status),
         *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
         *(('/option_results', OptionResult(status=code)) for code in (1, 1, 5)),
