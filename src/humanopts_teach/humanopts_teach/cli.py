@@ -3,18 +3,29 @@
 import argparse
 from collections.abc import Sequence
 import importlib
+import os
 from pathlib import Path
 import sys
+from typing import NoReturn
 
 from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.demos.store import CODE, CODE_RULE
 from humanopts_teach.launching.launcher import LaunchError
 
 STRATEGIES = ('random', 'coverage', 'failures')
 
 
+class Parser(argparse.ArgumentParser):
+    """A parser that refuses bad input in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with status 2."""
+        self.exit(2, f'{self.prog}: {message}; see {self.prog} --help\n')
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog='humanopts', description='Teach options to a game-playing agent, and plan with them.'
     )
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
@@ -36,14 +47,17 @@ def build_parser() -> argparse.ArgumentParser:
     up.add_argument('--no-record', dest='record', action='store_false', help='do not write a bag')
     up.add_argument(
         '--step-period',
-        type=float,
+        type=_seconds,
         default=0.0,
         help='seconds between steps of the machine, to watch it; default: %(default)s',
     )
     teach = commands.add_parser('teach', help="launch, and teach from this terminal's keyboard")
     teach.add_argument('domain', metavar='DOMAIN')
     teach.add_argument(
-        '--participant', default='p1', help='code of the person; default: %(default)s'
+        '--participant',
+        type=_code,
+        default='p1',
+        help=f'code of the person: {CODE_RULE}; default: %(default)s',
     )
     for command in (demo, up, teach):
         _add_launch_options(command)
@@ -54,22 +68,19 @@ def build_parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit status: 0, 1 for a failure, 2 for bad input."""
     arguments = build_parser().parse_args(argv)
-    module = importlib.import_module(f'humanopts_teach.commands.{arguments.command}')
     try:
+        module = importlib.import_module(f'humanopts_teach.commands.{arguments.command}')
         status: int = module.run(arguments)
+        sys.stdout.flush()
     except CommandError as error:
-        print(f'humanopts {arguments.command}: {error}', file=sys.stderr)
-        return 2
+        return _complain(arguments.command, str(error), 2)
     except LaunchError as error:
-        print(f'humanopts {arguments.command}: {error}', file=sys.stderr)
-        return 1
+        return _complain(arguments.command, str(error), 1)
     except KeyboardInterrupt:
-        print(
-            f'humanopts {arguments.command}: interrupted; everything is stopped', file=sys.stderr
-        )
-        return 130
-    except BrokenPipeError:
-        return 0
+        return _complain(arguments.command, 'interrupted; everything is stopped', 130)
+    except BrokenPipeError:  # nobody reads on, as in "humanopts bag info BAG | head"
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     return status
 
 
@@ -120,24 +131,48 @@ def _add_bag_commands(bag: argparse.ArgumentParser) -> None:
 
 
 def _natural(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f'{value} is below 0')
-    return value
+    return _whole(text, 0)
 
 
 def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f'{value} is below 1')
+    return _whole(text, 1)
+
+
+def _whole(text: str, least: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number') from None
+    if not least <= value < 2**31:
+        raise argparse.ArgumentTypeError(f'{text} is not from {least} to {2**31 - 1}')
     return value
 
 
 def _share(text: str) -> float:
-    value = float(text)
+    value = _number(text)
     if not 0 <= value < 1:
-        raise argparse.ArgumentTypeError(f'{value} is not from 0 to below 1')
+        raise argparse.ArgumentTypeError(f'{text} is not from 0 to below 1')
     return value
+
+
+def _seconds(text: str) -> float:
+    value = _number(text)
+    if not 0 <= value <= 60:
+        raise argparse.ArgumentTypeError(f'{text} is not from 0 to 60')
+    return value
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a number') from None
+
+
+def _code(text: str) -> str:
+    if not CODE.fullmatch(text):
+        raise argparse.ArgumentTypeError(f'{text!r} is not a code: {CODE_RULE}')
+    return text
 
 
 if __name__ == '__main__':

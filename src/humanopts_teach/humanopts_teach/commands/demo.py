@@ -52,9 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         taught=_taught_options(arguments.domain),
         teacher_error_rate=arguments.error_rate,
     )
-    if setup.directory.is_dir() and any(setup.directory.iterdir()):
-        raise CommandError(f'{setup.directory} is not empty; choose another --out')
-    check_setup(setup)
+    check_setup(setup, new=True)
     with DemoProgress() as progress:
         with session(setup, arguments.namespace, progress) as running:
             live = _teach_plan_play(running, setup, arguments.episodes, progress)

@@ -23,25 +23,34 @@ class Session:
     conductor: Conductor
 
 
-def check_setup(setup: Setup) -> None:
+def check_setup(setup: Setup, *, new: bool = False) -> None:
     """
     Refuse a launch that cannot work, before anything is started.
 
+    :param new: the output folder must be empty or not there.
     :raises CommandError: no such domain, or the output folder cannot be used.
     """
     try:
         make_domain(setup.domain, setup.domain_parameters)
+        _check_folder(setup, new)
     except DomainError as error:
         raise CommandError(str(error)) from error
-    if setup.record and setup.bag.exists():
-        raise CommandError(f'{setup.bag} exists already; choose another folder')
-    try:
-        setup.directory.mkdir(parents=True, exist_ok=True)
-        probe = setup.directory / '.probe'
-        probe.write_bytes(b'\0' * 4096)
-        probe.unlink()
     except OSError as error:
         raise CommandError(f'cannot write in {setup.directory}: {error.strerror}') from error
+
+
+def _check_folder(setup: Setup, new: bool) -> None:
+    folder = setup.directory
+    if new and folder.is_dir() and any(folder.iterdir()):
+        raise CommandError(f'{folder} is not empty; choose another --out')
+    if setup.record and setup.bag.exists():
+        raise CommandError(f'{setup.bag} exists already; choose another folder')
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = folder / '.probe'
+    try:
+        probe.write_bytes(bytes(4096))
+    finally:
+        probe.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -2,13 +2,18 @@
 
 import argparse
 import json
+import os
 from pathlib import Path
+import re
 import time
 from typing import Any
 
 from humanopts_env.domains.base import Parameter
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.launching.processes import Setup
+
+_NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
+_LAST_DOMAIN_ID = 232
 
 
 def setup_from(arguments: argparse.Namespace, default_out: Path, **own: Any) -> Setup:
@@ -17,13 +22,13 @@ def setup_from(arguments: argparse.Namespace, default_out: Path, **own: Any) -> 
 
     :param default_out: the folder where the user names none.
     :param own: fields that the command sets itself.
-    :raises CommandError: a domain parameter is not NAME=VALUE, or the namespace is none.
+    :raises CommandError: a domain parameter is not NAME=VALUE, or the namespace or ROS_DOMAIN_ID
+        is none.
     """
-    if not arguments.namespace.startswith('/'):
-        raise CommandError(f'the namespace {arguments.namespace!r} does not begin with /')
+    _check_place(arguments.namespace)
     return Setup(
         domain=arguments.domain,
-        directory=(arguments.out or default_out).resolve(),
+        directory=Path(os.path.abspath(arguments.out or default_out)),
         domain_parameters=dict(_parameter(text) for text in arguments.parameter),
         seed=arguments.seed,
         strategy=arguments.strategy,
@@ -35,6 +40,14 @@ def setup_from(arguments: argparse.Namespace, default_out: Path, **own: Any) -> 
 def new_name(prefix: str) -> str:
     """Return a name that sorts by time and was not used before this second."""
     return time.strftime(f'{prefix}-%Y%m%d-%H%M%S')
+
+
+def _check_place(namespace: str) -> None:
+    if not _NAMESPACE.fullmatch(namespace):
+        raise CommandError(f'{namespace!r} is not a namespace; one reads / or /room_1/left')
+    number = os.environ.get('ROS_DOMAIN_ID') or '0'
+    if not (number.isascii() and number.isdigit() and int(number) <= _LAST_DOMAIN_ID):
+        raise CommandError(f'ROS_DOMAIN_ID is {number!r}, and must be from 0 to {_LAST_DOMAIN_ID}')
 
 
 def _parameter(text: str) -> tuple[str, Parameter]:

@@ -18,7 +18,7 @@ def only_launch(namespace: str) -> Iterator[None]:
 
     :raises LaunchError: another one holds it; the text names its process.
     """
-    domain = os.environ.get('ROS_DOMAIN_ID', '0')
+    domain = int(os.environ.get('ROS_DOMAIN_ID') or 0)
     key = hashlib.sha256(f'{domain} {namespace}'.encode()).hexdigest()[:12]
     path = Path(tempfile.gettempdir()) / f'humanopts-{os.getuid()}-{key}.lock'
     with path.open('a+', encoding='utf-8') as file:
