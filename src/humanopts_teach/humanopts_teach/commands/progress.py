@@ -78,9 +78,9 @@ class DemoProgress:
             state = self._domain.decode(node.state.message.state)
             self._say('the first state:\n' + self._domain.render(state), key='first state')
         for option in node.learning.message.options if node.learning.message else ():
-            given = option.n_demonstrations + option.n_not_here
-            if option.criteria_met or given % _LINE_EVERY == 0:
-                self._say(f'{option.option_name}: {_criteria_words(option)}')
+            tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY
+            key = f'{option.option_name} {tens} {option.criteria_met}'
+            self._say(f'{option.option_name}: {_criteria_words(option)}', key)
 
     def _say(self, text: str, key: str = '') -> None:
         if (key or text) not in self._said:
