@@ -5,8 +5,9 @@ import json
 import sys
 
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.info import BagInfo, summarise
+from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.summary import BagInfo
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag, EvaluationError
 from humanopts_teach.evaluation.summary import SummaryError
