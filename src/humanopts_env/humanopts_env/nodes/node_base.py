@@ -8,7 +8,7 @@ from types import FrameType
 from typing import Any, Generic, TypeVar
 import uuid
 
-from humanopts_env.environment import LAUNCHER_PID
+from humanopts_env.environment import LAUNCHER_PID, prepare_discovery
 from humanopts_env.nodes.qos import LATCHED, STREAM
 from humanopts_interfaces.msg import NodeStatus
 from rcl_interfaces.msg import ParameterDescriptor
@@ -215,6 +215,7 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     :return: the process's exit status: 0 after a clean end, 2 when it cannot start.
     """
     stop = _Stop()
+    prepare_discovery()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
     node: NodeBase | None = None

@@ -4,6 +4,7 @@ from collections.abc import Callable
 import time
 from typing import Any, Generic, TypeVar
 
+from humanopts_env.environment import prepare_discovery
 from humanopts_env.nodes.node_base import NodeBase
 from humanopts_env.nodes.qos import CURRENT, LATCHED_ALL
 from humanopts_interfaces.action import Plan, RunPolicy
@@ -81,6 +82,7 @@ class Conductor:
     def __init__(self, namespace: str, *, record: bool, watch: Callable[[], None]) -> None:
         arguments = ['--ros-args', '-r', f'__ns:={namespace}', '--disable-stdout-logs']
         arguments += ['-p', f'expect_recorder:={str(record).lower()}']
+        prepare_discovery()
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         self.node = ConductorNode()
         self._executor = SingleThreadedExecutor()
