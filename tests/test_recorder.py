@@ -1,0 +1,389 @@
+"""The recorder as a process on a real graph: everything is in the bag, whatever ends it."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+import os
+from pathlib import Path
+import resource
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+from humanopts_env.nodes.qos import LATCHED, LATCHED_ALL, STREAM
+from humanopts_interfaces.action import Plan
+from humanopts_interfaces.msg import GameState, NodeStatus, RecorderStatus
+from humanopts_interfaces.srv import SetControl
+from humanopts_teach.bags.info import summarise
+from humanopts_teach.bags.reader import Bag, open_bag
+import pytest
+import rclpy
+from rclpy.action import ActionClient, ActionServer
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.service_introspection import ServiceIntrospectionState
+from rclpy.signals import SignalHandlerOptions
+from rosbags.rosbag2 import Reader
+from std_msgs.msg import String
+
+DOMAIN_ID = 110
+ENVIRONMENT = {**os.environ, 'ROS_DOMAIN_ID': str(DOMAIN_ID)}
+BEST_EFFORT = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+)
+# Publishes game states, the first when the recorder has matched: as fast as it can, or at a rate.
+BURST = """
+import sys, time
+from humanopts_env.nodes.node_base import NodeBase, run_node
+from humanopts_interfaces.msg import GameState
+class Burst(NodeBase):
+    def __init__(self):
+        super().__init__('burst')
+        self.count, self.rate = int(sys.argv[1]), float(sys.argv[2])
+        self.states = self.stamped_publisher(GameState, 'game_state')
+        self.sent, self.begun = 0, 0.0
+    def on_ready(self):
+        self.begun = time.monotonic()
+        self.create_timer(0.002, self.send)
+    def send(self):
+        due = (time.monotonic() - self.begun) * self.rate if self.rate else self.sent + 1000
+        while self.sent < min(due, self.count):
+            self.states.publish(GameState(step=self.sent, state='x' * 40))
+            self.sent += 1
+        if self.sent == self.count:
+            print('sent', flush=True)
+            self.count = -1
+run_node(Burst, ['--ros-args', '-p', 'expect_recorder:=true'])
+"""
+
+
+class Graph:
+    """A recorder in its own process, and a node of the test."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.recorder: subprocess.Popen[str] | None = None
+        self.others: list[subprocess.Popen[str]] = []
+        self.context = Context()
+        rclpy.init(
+            context=self.context,
+            domain_id=DOMAIN_ID,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = Node('tester', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.status = RecorderStatus()
+        self.node_states: dict[str, int] = {}
+        self.node.create_subscription(RecorderStatus, 'recorder_status', self._keep, LATCHED)
+        self.node.create_subscription(
+            NodeStatus,
+            'node_status',
+            lambda m: self.node_states.update({m.node: m.state}),
+            LATCHED_ALL,
+        )
+
+    def _keep(self, status: RecorderStatus) -> None:
+        self.status = status
+
+    def record(self, *options: str, **popen: Any) -> None:
+        """Start the recorder and wait until it has matched everything."""
+        self.recorder = self.begin(*options, **popen)
+        self.complete()
+
+    def begin(self, *options: str, **popen: Any) -> 'subprocess.Popen[str]':
+        """Start a recorder."""
+        return self.run(
+            '-m',
+            'humanopts_teach.nodes.recorder',
+            '--ros-args',
+            '-p',
+            f'path:={self.path}',
+            *options,
+            **popen,
+        )
+
+    def run(self, *arguments: str, **popen: Any) -> 'subprocess.Popen[str]':
+        """Start Python on the graph."""
+        process = subprocess.Popen(
+            [sys.executable, *arguments],
+            env=ENVIRONMENT,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            **popen,
+        )
+        self.others.append(process)
+        return process
+
+    def until(self, condition: Callable[[], bool], what: str, seconds: float = 20.0) -> None:
+        """Serve the node until a condition holds."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline, f'waited in vain for {what}'
+            self.executor.spin_once(0.02)
+
+    def complete(self) -> None:
+        """Wait until the recorder has every publisher of this process."""
+        publishers = list(self.node.publishers)
+        self.until(
+            lambda: (
+                self.status.complete and all(p.get_subscription_count() > 0 for p in publishers)
+            ),
+            'the recorder',
+        )
+
+    def stop(self, number: int = signal.SIGTERM) -> int:
+        """Signal the recorder and wait for its end."""
+        assert self.recorder is not None
+        self.recorder.send_signal(number)
+        return self.recorder.wait(10)
+
+    def close(self) -> None:
+        """End every process, and the node."""
+        for process in self.others:
+            process.kill()
+            process.communicate()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Iterator[Graph]:
+    """A graph with no recorder yet."""
+    graph = Graph(tmp_path / 'bag')
+    try:
+        yield graph
+    finally:
+        graph.close()
+
+
+def counts(bag: Bag) -> dict[str, int]:
+    """Return the number of messages by topic."""
+    return dict(Counter(recorded.topic for recorded in bag.messages(decoded=False)))
+
+
+def test_a_burst_is_recorded_whole_and_in_order(graph: Graph) -> None:
+    graph.record()
+    burst = graph.run('-c', BURST, '10000', '0')
+    assert burst.stdout is not None
+    assert burst.stdout.readline() == 'sent\n'
+    assert graph.stop() == 0
+    bag = open_bag(graph.path)
+    assert bag.damage == ''
+    assert summarise(bag).missing == 0
+    assert [r.message.step for r in bag.messages(['/game_state'])] == list(range(10000))
+    with Reader(graph.path) as reader:
+        assert reader.topics['/game_state'].msgcount == 10000
+
+
+def test_service_requests_and_responses_are_recorded(graph: Graph) -> None:
+    def answer(request: Any, response: Any) -> Any:
+        response.status, response.detail = 1, f'for {request.holder_id}'
+        return response
+
+    service = graph.node.create_service(SetControl, 'set_control', answer)
+    client = graph.node.create_client(SetControl, 'set_control')
+    for end in (service, client):
+        end.configure_introspection(
+            graph.node.get_clock(), STREAM, ServiceIntrospectionState.CONTENTS
+        )
+    graph.record()
+    graph.until(client.service_is_ready, 'the service')
+    for number in range(5):
+        future = client.call_async(SetControl.Request(hold=True, holder_id=f'terminal {number}'))
+        graph.until(future.done, 'an answer')
+    graph.stop()
+    events = [r.message for r in open_bag(graph.path).messages(['/set_control/_service_event'])]
+    requests = [event.request[0].holder_id for event in events if event.request]
+    responses = [event.response[0].detail for event in events if event.response]
+    assert sorted(requests) == sorted([f'terminal {number}' for number in range(5)] * 2)
+    assert sorted(responses) == sorted([f'for terminal {number}' for number in range(5)] * 2)
+
+
+def test_action_feedback_and_status_are_recorded(graph: Graph) -> None:
+    def execute(goal: Any) -> Any:
+        for sweeps in range(3):
+            goal.publish_feedback(Plan.Feedback(stage='sweeps', sweeps=sweeps))
+        goal.succeed()
+        return Plan.Result()
+
+    server = ActionServer(graph.node, Plan, 'plan', execute)
+    client = ActionClient(graph.node, Plan, 'plan')
+    graph.record()
+    graph.until(client.server_is_ready, 'the action')
+    accepted = client.send_goal_async(Plan.Goal())
+    graph.until(accepted.done, 'the goal')
+    result = accepted.result().get_result_async()
+    graph.until(result.done, 'the result')
+    graph.stop()
+    messages = list(
+        open_bag(graph.path).messages(['/plan/_action/feedback', '/plan/_action/status'])
+    )
+    feedback = [r.message.feedback.sweeps for r in messages if 'feedback' in r.topic]
+    states = [r.message.status_list[-1].status for r in messages if 'status' in r.topic]
+    assert feedback == [0, 1, 2]
+    assert states[-1] == 4  # succeeded
+    client.destroy()
+    server.destroy()
+
+
+def test_what_was_latched_before_the_recorder_came_is_recorded(graph: Graph) -> None:
+    early = graph.node.create_publisher(GameState, 'current_state', LATCHED)
+    early.publish(GameState(publisher_id='/early#1', sequence=1, state='early'))
+    graph.record()
+    graph.stop()
+    bag = open_bag(graph.path)
+    assert [r.message.state for r in bag.messages(['/current_state'])] == ['early']
+    assert 'transient_local' in bag.topics['/current_state'].qos
+    assert bag.topics['/current_state'].type_hash.startswith('RIHS01_')
+
+
+def test_nodes_that_come_later_are_recorded_from_their_first_message(graph: Graph) -> None:
+    graph.record()
+    for number in range(3):
+        publisher = graph.node.create_publisher(String, f'late_{number}', STREAM)
+        graph.until(lambda p=publisher: p.get_subscription_count() > 0, 'the recorder')
+        publisher.publish(String(data='first'))
+        graph.node.destroy_publisher(publisher)
+    again = graph.node.create_publisher(String, 'late_0', STREAM)
+    graph.until(lambda: again.get_subscription_count() > 0, 'the recorder')
+    again.publish(String(data='again'))
+    graph.stop()
+    recorded = [
+        (r.topic, r.message.data) for r in open_bag(graph.path).messages() if 'late' in r.topic
+    ]
+    assert sorted(recorded) == [
+        ('/late_0', 'again'),
+        ('/late_0', 'first'),
+        ('/late_1', 'first'),
+        ('/late_2', 'first'),
+    ]
+
+
+def test_publishers_that_promise_less_are_matched(graph: Graph) -> None:
+    first = graph.node.create_publisher(String, 'mixed', LATCHED)
+    graph.record()
+    second = graph.node.create_publisher(String, 'mixed', BEST_EFFORT)
+    graph.until(lambda: second.get_subscription_count() > 0, 'a match with less')
+    graph.until(lambda: first.get_subscription_count() > 0, 'a match')
+    second.publish(String(data='second'))
+    first.publish(String(data='first'))
+    graph.until(lambda: graph.status.messages > 0, 'a status')
+    graph.stop()
+    recorded = {r.message.data for r in open_bag(graph.path).messages(['/mixed'])}
+    assert recorded == {'first', 'second'}
+
+
+def test_the_log_the_parameters_and_the_recorder_itself_are_recorded(graph: Graph) -> None:
+    graph.node.declare_parameter('colour', 'red')
+    graph.record('-p', 'metadata:=\'{"seed": 7, "strategy": "failures"}\'')
+    graph.node.get_logger().info('a line of the log')
+    graph.node.set_parameters([rclpy.Parameter('colour', value='blue')])
+    graph.stop()
+    bag = open_bag(graph.path)
+    logged = [r.message.msg for r in bag.messages(['/rosout'])]
+    changed = [
+        p.name for r in bag.messages(['/parameter_events']) for p in r.message.changed_parameters
+    ]
+    assert 'a line of the log' in logged
+    assert changed == ['colour']
+    assert {'/recorder_status', '/node_status'} <= counts(bag).keys()
+    assert bag.metadata['humanopts'] == {'seed': '7', 'strategy': 'failures'}
+
+
+def test_a_namespace_is_recorded_without_its_neighbours(graph: Graph) -> None:
+    ours = graph.node.create_publisher(String, '/a/chatter', LATCHED)
+    theirs = graph.node.create_publisher(String, '/ab/chatter', LATCHED)
+    for publisher in (ours, theirs):
+        publisher.publish(String(data='x'))
+    graph.node.create_subscription(RecorderStatus, '/a/recorder_status', graph._keep, LATCHED)
+    graph.recorder = graph.begin('-r', '__ns:=/a')
+    graph.until(lambda: graph.status.complete, 'the recorder')
+    graph.until(lambda: ours.get_subscription_count() == 1, 'a match')
+    graph.stop()
+    topics = set(open_bag(graph.path).topics)
+    assert '/a/chatter' in topics
+    assert all(t.startswith('/a/') or t in ('/rosout', '/parameter_events') for t in topics)
+
+
+def test_a_gap_is_said_while_recording(graph: Graph) -> None:
+    publisher = graph.node.create_publisher(GameState, 'game_state', STREAM)
+    graph.record()
+    for sequence in (1, 2, 6):
+        publisher.publish(GameState(publisher_id='/tester#1', sequence=sequence))
+    graph.until(lambda: graph.status.missing == 3, 'three missing messages')
+    graph.stop()
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_with_a_whole_bag(graph: Graph, number: int) -> None:
+    publisher = graph.node.create_publisher(String, 'chatter', STREAM)
+    graph.record()
+    for word in range(500):
+        publisher.publish(String(data=str(word)))
+    assert graph.stop(number) == 0
+    bag = open_bag(graph.path)
+    assert bag.damage == ''
+    assert [r.message.data for r in bag.messages(['/chatter'])] == [str(n) for n in range(500)]
+
+
+def test_a_killed_recorder_loses_half_a_second_at_most(graph: Graph) -> None:
+    graph.record()
+    graph.run('-c', BURST, '1000000', '500')
+    graph.until(lambda: graph.status.messages > 600, 'messages')
+    killed = time.time_ns()
+    graph.stop(signal.SIGKILL)
+    bag = open_bag(graph.path)
+    recorded = list(bag.messages(['/game_state']))
+    assert 'was not closed' in bag.damage or 'cut short' in bag.damage
+    assert [r.message.step for r in recorded] == list(range(len(recorded)))
+    assert killed - recorded[-1].log_time < 0.5e9
+    assert summarise(bag).missing == 0
+
+
+def test_a_full_disk_is_said_and_holds_nobody_back(graph: Graph) -> None:
+    limit = 20_000
+    graph.record(
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    publisher = graph.node.create_publisher(String, 'chatter', STREAM)
+    graph.until(lambda: publisher.get_subscription_count() > 0, 'the recorder')
+    publisher.publish(String(data='before'))
+    graph.until(lambda: graph.status.messages > 4, 'a status')
+    for _ in range(8):
+        publisher.publish(String(data=os.urandom(10_000).hex()))
+    graph.until(lambda: graph.status.stopped, 'the end of the recording')
+    assert 'recording stopped: cannot write to' in graph.status.text
+    graph.until(
+        lambda: graph.node_states.get('/recorder') == NodeStatus.STATE_PAUSED, 'its node status'
+    )
+    for _ in range(6000):  # more than a reader that has stopped would let pass
+        publisher.publish(String(data='after'))
+    assert graph.stop() == 0
+    first = next(open_bag(graph.path).messages(['/chatter']))
+    assert first.message.data == 'before'
+
+
+@pytest.mark.parametrize(
+    ('options', 'reason'),
+    [
+        ((), 'exists already'),
+        (('-p', 'path:=/proc/no/such'), 'cannot make /proc/no/such'),
+        (('-p', "path:=''"), 'name the directory'),
+        (('-p', 'metadata:="[1]"', '-p', 'path:=/tmp/never'), 'not a JSON object'),
+    ],
+)
+def test_a_recording_that_cannot_begin_says_why(
+    graph: Graph, options: tuple[str, ...], reason: str
+) -> None:
+    graph.path.mkdir()
+    process = graph.begin(*options)
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert reason in errors
+    assert 'Traceback' not in errors
