@@ -234,7 +234,7 @@ class Person:
     def show(self, most: int) -> bool:
         """Demonstrate; return whether the lesson is finished, within so many demonstrations."""
         for _ in range(most):
-            following = f'start {self.shown + 1}: next'
+            following = f'next: start {self.shown + 1} '
             self.terminal.until(
                 lambda text=following: text in self.terminal.words() or self._finished(),
                 following,
@@ -280,7 +280,7 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(graph: Graph) -
     person = Person(terminal)
     person.name_and_answer()
     assert not person.show(3)
-    terminal.see('start 4: next')
+    terminal.see('next: start 4 ')
     terminal.press('q')
     assert terminal.ended() == 0
     assert terminal.restored()
@@ -315,7 +315,7 @@ def test_a_key_takes_the_wheel_from_the_machine(graph: Graph) -> None:
     person = Person(terminal)
     person.name_and_answer()
     person.show(2)
-    terminal.see('start 3: next')
+    terminal.see('next: start 3 ')
     terminal.press(ESCAPE)
     terminal.see('What next?')
     terminal.press('3')

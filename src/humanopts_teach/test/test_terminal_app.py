@@ -145,8 +145,15 @@ def test_a_refused_code_stays_to_be_mended_with_the_reason(person: Person) -> No
 
 def test_questions_are_answered_by_y_and_n_only(teacher: Person) -> None:
     question = f"Does the '{NAME}' option depend on which row the taxi is in?"
-    teacher.lesson(Phase.ASKING, question_id=3, question=question, chosen_features=())
+    teacher.lesson(
+        Phase.ASKING,
+        question_id=3,
+        question=question,
+        question_feature='taxi_row',
+        questions_total=10,
+    )
     assert teacher.sees_words(question)
+    assert teacher.sees_words('question 1 of 10')
     assert teacher.press('x', 'enter', 'up') is None
     first = teacher.press('y')
     assert first == AnswerQuestion(3, yes=True)
@@ -283,7 +290,7 @@ def test_conflicts_come_with_the_feature_that_would_tell_them_apart(shower: Pers
         replace(progress, conflicts=(clash, 'more'), suggested_feature='passenger_in_taxi')
     ]
     assert shower.sees_words(clash)
-    assert shower.sees_words('"passenger in taxi" would tell most apart')
+    assert shower.sees_words('Add "passenger in taxi" (e): it tells most apart.')
 
 
 @pytest.fixture
@@ -402,6 +409,24 @@ def test_a_demonstration_left_by_a_cut_connection_is_taken_up(person: Person) ->
 def test_nodes_that_are_gone_are_named(shower: Person) -> None:
     shower.world.missing = ('lesson',)
     assert shower.sees_words('lesson: not there. Everything taught is saved; Ctrl-C quits.')
+
+
+def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:
+    values = [(name, 0.125, 0.05, True, False) for name in ('return', 'initiation', 'termination')]
+    situation = ', '.join(f'{name.replace("_", " ")} 4' for name in CHOSEN)
+    shower.world.progress = [
+        replace(
+            criteria(values),
+            mean_return_demonstrations=-5.25,
+            mean_return_policy=-6.5,
+            conflicts=(f'{situation}: not the end (10x), the end (2x)', 'another'),
+            suggested_feature='passenger_in_taxi',
+        )
+    ]
+    screen = shower.sees()
+    assert 'higher window' not in screen
+    assert shower.sees_words('yours -5.25, learned -6.50')
+    assert shower.sees_words('not the end (10x), the end (2x) Add "passenger in taxi" (e)')
 
 
 def test_a_small_window_is_told_so_politely(shower: Person) -> None:

@@ -176,7 +176,8 @@ class Launcher:
         if self._terminal is not None:
             termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._terminal)
             if sys.stdout.isatty():
-                sys.stdout.write('\x1b[?1049l\x1b[?25h\x1b[0m')
+                # 47, not 1049: the cursor stays below what the node said at a clean end
+                sys.stdout.write('\x1b[?47l\x1b[?25h\x1b[0m')
                 sys.stdout.flush()
 
 

@@ -30,8 +30,9 @@ from humanopts_teach.terminal.world import CriterionView, GameView, ProgressView
 from rclpy.executors import Executor
 
 _FAREWELL = 'Everything taught is saved; the same command takes it up again.'
-_POLL_SECONDS = 0.025  # between looks at the keyboard
-_FRAME_SECONDS = 0.04  # least time between frames
+_POLL_SECONDS = 0.015  # between looks at the keyboard
+_FRAME_SECONDS = 0.03  # least time between frames
+_SETTLING_SECONDS = 0.1  # a frame waits so long for the answer to what was just asked
 _PRESENCE_SECONDS = 0.5  # between looks who is on the graph
 _START_SECONDS = 5.0  # before a node that has not come is called missing
 _PARTING_SECONDS = 1.0  # for the last requests
@@ -54,7 +55,7 @@ class KeyboardTeleopNode(NodeBase):
         self._calls = Calls(self, self.app)
         self._came: set[str] = set()  # nodes that were there once
         self._started = self._looked = time.monotonic()
-        self._drawn = 0.0
+        self._drawn = self._asked = 0.0
         self._news = True  # something came in since the last frame
         self._seen: object = None  # what the last frame showed
         for kind, topic, callback in (
@@ -83,12 +84,17 @@ class KeyboardTeleopNode(NodeBase):
         keys = device.read()
         self.app.type(keys)
         now = time.monotonic()
-        self._calls.send(self.app.advance(now) if self.ready else None)
+        request = self.app.advance(now) if self.ready else None
+        if request is not None:
+            self._asked = now
+        self._calls.send(request)
         self._look_around(now)
         self._news |= bool(keys) or device.resized()
-        if (self._news or self._seen != self.app.shown) and now - self._drawn > _FRAME_SECONDS:
-            self._drawn, self._seen, self._news = now, self.app.shown, False
+        self._news |= self._seen != self.app.shown
+        unsettled = self.app.waits_for is not None and now - self._asked < _SETTLING_SECONDS
+        if self._news and not unsettled and now - self._drawn > _FRAME_SECONDS:
             device.draw(partial(frame, self.app))
+            self._drawn, self._seen, self._news = time.monotonic(), self.app.shown, False
 
     def _look_around(self, now: float) -> None:
         """Notice nodes that are gone."""

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 SMALLEST = (70, 20)  # columns, rows
+_ROOMY = 24  # rows; above, there is a gap below the head
 Colours = Literal['auto', 'standard', '256', 'truecolor', 'windows']
 _BARE = {Phase.READY, Phase.DEMONSTRATING, Phase.LEARNING}  # only chosen features are shown
 
@@ -28,7 +29,8 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
     if width < SMALLEST[0] or height < SMALLEST[1]:
         return _fit(_lines(_too_small(width, height), width, colours), height)
     bottom = _lines(_foot(app, width), width, colours)
-    top = _lines(Group(_head(app, width), Text(), _middle(app)), width, colours)
+    gap = [Text()] if height > _ROOMY else []
+    top = _lines(Group(_head(app, width), *gap, _middle(app)), width, colours)
     return _fit(top, height - len(bottom)) + bottom
 
 

@@ -19,7 +19,6 @@ _CRITERIA = {
     'initiation': 'where it starts',
     'termination': 'where it ends',
 }
-_CONFLICTS = 1  # that are spelt out
 
 
 @singledispatch
@@ -93,36 +92,40 @@ def _lesson(screen: LessonScreen, app: App) -> RenderableType:
         return Text()
     title = Text.assemble('Teaching: ', (lesson.option_name, 'bold bright_white'))
     if lesson.phase is Phase.ASKING:
-        return Group(title, *_question(lesson))
+        return Group(title, *_question(lesson, app))
     progress = app.world.progress_of(lesson.participant, lesson.option_name)
-    parts: list[RenderableType] = [title, _where(lesson, app), _features(lesson, app), Text()]
+    parts: list[RenderableType] = [title, _where(lesson, app), _features(lesson, app)]
     parts += _criteria(lesson, progress)
     if progress is not None:
-        parts += _conflicts(progress)
+        parts += _conflicts(progress, screen.questions_key(app))
     return Group(*parts)
 
 
-def _question(lesson: LessonView) -> list[RenderableType]:
+def _question(lesson: LessonView, app: App) -> list[RenderableType]:
+    names = [feature.name for feature in app.domain.features]
+    number = names.index(lesson.question_feature) + 1 if lesson.question_feature in names else 0
     yes = ', '.join(map(_plain, lesson.chosen_features)) or 'nothing yet'
     return [
         Text(),
         Text(lesson.question, 'bold'),
         Text(),
-        Text(f'one of {lesson.questions_total} questions', 'dim'),
+        Text(f'question {number} of {lesson.questions_total}', 'dim'),
         Text(f'It depends on: {yes}'),
     ]
 
 
 def _where(lesson: LessonView, app: App) -> Text:
+    game = app.world.game
     shown = lesson.n_demonstrations + lesson.n_not_here
-    if lesson.phase is Phase.DEMONSTRATING and app.world.game is not None:
-        step = app.world.game.step
-        return Text(f'start {shown + 1}' + (f', step {step}' if step else ': next'), 'bright_cyan')
-    if lesson.phase is Phase.LEARNING:
-        return Text('learning ...', 'bright_cyan')
-    if lesson.phase is Phase.FINISHED:
-        return Text('This lesson is finished.', 'bright_cyan')
-    return Text(f'Enter shows start {shown + 1}.', 'bright_cyan')
+    where = f'Enter shows start {shown + 1}.'
+    if lesson.phase is Phase.DEMONSTRATING and game is not None:
+        where = f'start {shown + 1}, step {game.step}' if game.step else f'next: start {shown + 1}'
+    elif lesson.phase is Phase.LEARNING:
+        where = 'learning ...'
+    elif lesson.phase is Phase.FINISHED:
+        where = 'This lesson is finished.'
+    counts = f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here, of {lesson.budget}'
+    return Text.assemble((where, 'bright_cyan'), (f'  ({counts})', 'dim'))
 
 
 def _features(lesson: LessonView, app: App) -> Text:
@@ -140,15 +143,13 @@ def _features(lesson: LessonView, app: App) -> Text:
 
 
 def _criteria(lesson: LessonView, progress: ProgressView | None) -> list[RenderableType]:
-    shown = f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here'
-    counts = Text(f'{shown}; at most {lesson.budget} are asked for', 'dim')
     if progress is None or not progress.criteria:
-        return [Text('Nothing is learned yet.'), counts]
+        return [Text('Nothing is learned yet.')]
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_row('', *(Text(head, 'dim', no_wrap=True) for head in ('learned', 'now', 'needs')))
     for criterion in progress.criteria:
         table.add_row(*_criterion(criterion))
-    parts: list[RenderableType] = [table, _estimate(progress), counts]
+    parts: list[RenderableType] = [table, _estimate(progress)]
     if not math.isnan(progress.mean_return_policy):
         yours, learned = progress.mean_return_demonstrations, progress.mean_return_policy
         text = f'mean return from your starts: yours {yours:.2f}, learned {learned:.2f}'
@@ -185,17 +186,17 @@ def _estimate(progress: ProgressView) -> Text:
     return Text(f'About {more} more {"is" if more == 1 else "are"} needed (an estimate).')
 
 
-def _conflicts(progress: ProgressView) -> list[RenderableType]:
+def _conflicts(progress: ProgressView, key: str) -> list[RenderableType]:
+    """Return a situation that was answered differently, and what to press about it."""
     if not progress.conflicts:
         return []
-    more = len(progress.conflicts) - _CONFLICTS
-    lines: list[RenderableType] = [
-        Text(f'Alike, but shown differently{f" ({more} more)" if more > 0 else ""}:', 'yellow'),
-        *[Text(text) for text in progress.conflicts[:_CONFLICTS]],
-    ]
+    more = len(progress.conflicts) - 1
+    head = f'Alike, but shown differently{f" (and {more} more)" if more else ""}:'
+    lines: list[RenderableType] = [Text(head, 'yellow'), Text(progress.conflicts[0])]
     if progress.suggested_feature:
         name = _plain(progress.suggested_feature)
-        lines.append(Text(f'"{name}" would tell most apart: add it (questions).', 'yellow'))
+        how = f' ({key})' if key else ''
+        lines.append(Text(f'Add "{name}"{how}: it tells most apart.', 'yellow'))
     return lines
 
 

@@ -89,6 +89,12 @@ class LessonScreen(PlainScreen):
         actions = app.domain.actions if phase is Phase.DEMONSTRATING else ()
         return key_table(actions, _IN_PHASE.get(phase, _ELSE))
 
+    def questions_key(self, app: App) -> str:
+        """Return the label of the key that asks the questions again; empty: not now."""
+        table = self.table(app)
+        known = Command.QUESTIONS in table.commands.values()
+        return table.key(Command.QUESTIONS) if known else ''
+
     def keys(self, app: App) -> Keys:
         """Return the keys of the phase and what they do."""
         phase, table = _phase(app), self.table(app)
