@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+import json
 import os
 from pathlib import Path
 import signal
@@ -13,7 +14,6 @@ from typing import Any
 
 from humanopts_env.environment import LAUNCHER_PID
 from humanopts_teach.launching.processes import ProcessSpec
-import yaml
 
 TAIL_LINES = 12
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
@@ -139,7 +139,8 @@ class Launcher:
     def _parameters(self, spec: ProcessSpec) -> Path:
         path = self._directory / f'{spec.name}.yaml'
         tree = {'/**': {'ros__parameters': dict(spec.parameters)}}
-        path.write_text(yaml.safe_dump(tree), encoding='utf-8')
+        # JSON, as YAML whose strings are quoted: rcl takes a bare y for true.
+        path.write_text(json.dumps(tree, ensure_ascii=False), encoding='utf-8')
         return path
 
     def _end(self, entries: Sequence[_Running]) -> list[str]:
