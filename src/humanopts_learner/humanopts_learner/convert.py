@@ -2,26 +2,20 @@
 
 from dataclasses import asdict
 import math
-from typing import Any
 
 from humanopts_interfaces import msg
-from humanopts_learner.demonstrations import Demonstration, DemonstrationError, Kind
+from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
 from humanopts_learner.execution import End
 from humanopts_learner.options.criteria import Judgement
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.plan import Plan
 
-_KINDS = {
-    Kind.TRAJECTORY: msg.Demonstration.KIND_TRAJECTORY,
-    Kind.NOT_HERE: msg.Demonstration.KIND_NOT_HERE,
-}
-
 
 def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
     """Encode a demonstration; header, publisher_id and sequence are left to the publisher."""
     return msg.Demonstration(
-        kind=_KINDS[demo.kind],
+        kind=KIND_NUMBERS[demo.kind],
         uuid=demo.uuid,
         domain=demo.domain,
         domain_parameters=demo.domain_parameters,
@@ -39,27 +33,6 @@ def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
         can_start_at_end=demo.can_start_at_end,
         seconds=demo.seconds,
     )
-
-
-def demonstration_from_message(message: Any) -> Demonstration:
-    """
-    Decode a demonstration; ``message`` may come from rclpy or from a bag reader.
-
-    :raises DemonstrationError: its kind is unknown, or its features are not a table.
-    """
-    kinds = {number: kind for kind, number in _KINDS.items()}
-    if message.kind not in kinds:
-        raise DemonstrationError(f'it is of unknown kind {message.kind}')
-    width = len(message.feature_names)
-    flat = list(message.features)
-    if width == 0 or len(flat) != width * len(message.states):
-        raise DemonstrationError(
-            f'{len(flat)} feature values are not {len(message.states)} rows of {width}'
-        )
-    names = Demonstration.__dataclass_fields__
-    values = {name: getattr(message, name) for name in names if name not in ('kind', 'features')}
-    rows = [flat[start : start + width] for start in range(0, len(flat), width)]
-    return Demonstration.from_fields({**values, 'kind': kinds[message.kind], 'features': rows})
 
 
 def status_to_message(option: LearnedOption, judgement: Judgement) -> msg.OptionStatus:

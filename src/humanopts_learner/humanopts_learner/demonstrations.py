@@ -25,6 +25,9 @@ class Kind(Enum):
     NOT_HERE = 'not_here'  # the option makes no sense in its one state
 
 
+KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
+
+
 @dataclass(frozen=True)
 class Demonstration:
     """
@@ -112,6 +115,20 @@ class Demonstration:
             )
         except (TypeError, ValueError, OverflowError) as error:
             raise DemonstrationError(f'a field of the demonstration is wrong: {error}') from error
+
+
+def demonstration_from_message(message: Any) -> Demonstration:
+    """
+    Decode a ``humanopts_interfaces/msg/Demonstration``, from rclpy or from a bag reader.
+
+    :raises DemonstrationError: its kind is unknown.
+    """
+    values = {field.name: getattr(message, field.name) for field in fields(Demonstration)}
+    kinds = {number: kind for kind, number in KIND_NUMBERS.items()}
+    values['kind'] = kinds.get(message.kind, f'number {message.kind}')
+    flat, width = list(message.features), len(message.feature_names) or 1
+    values['features'] = [flat[start : start + width] for start in range(0, len(flat), width)]
+    return Demonstration.from_fields(values)
 
 
 def check_demonstration(demonstration: Demonstration, domain: Domain[Any]) -> None:

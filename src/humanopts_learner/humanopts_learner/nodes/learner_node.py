@@ -19,12 +19,11 @@ from humanopts_interfaces.msg import (
     OptionStatus,
 )
 from humanopts_learner.convert import (
-    demonstration_from_message,
     not_learnable_status,
     status_to_message,
 )
 from humanopts_learner.course import Course, CourseError, OptionProgress
-from humanopts_learner.demonstrations import DemonstrationError
+from humanopts_learner.demonstrations import demonstration_from_message, DemonstrationError
 from humanopts_learner.options.criteria import Thresholds
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 

@@ -1,6 +1,5 @@
 """The study's data in a bag: its domain, the demonstrations, and the episodes that were played."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 from typing import Any
@@ -8,14 +7,17 @@ from typing import Any
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
 from humanopts_env.game import Moment, Source
-from humanopts_learner.demonstrations import Demonstration, DemonstrationError
+from humanopts_learner.demonstrations import (
+    Demonstration,
+    demonstration_from_message,
+    DemonstrationError,
+)
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag
 
 DEMONSTRATION = 'humanopts_interfaces/msg/Demonstration'
 DOMAIN_INFO = 'humanopts_interfaces/msg/DomainInfo'
 GAME_STATE = 'humanopts_interfaces/msg/GameState'
-_KINDS = {1: 'trajectory', 2: 'not_here'}
 STATE_COPY = 'current_state'  # the latched topic that repeats the last state
 
 
@@ -61,18 +63,6 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
             except DemonstrationError as error:
                 bag.note(f'a message on {recorded.topic} is left out: {error}')
     return found
-
-
-def demonstration_from_message(message: Any) -> Demonstration:
-    """
-    Return the demonstration in a decoded message.
-
-    :raises DemonstrationError: its kind is unknown.
-    """
-    values = {name: getattr(message, name) for name in Demonstration.__dataclass_fields__}
-    values['kind'] = _KINDS.get(message.kind, f'kind {message.kind}')
-    values['features'] = _rows(message.features, len(message.feature_names))
-    return Demonstration.from_fields(values)
 
 
 def read_domain(bag: Bag) -> Domain[Any]:
@@ -122,8 +112,3 @@ def moment_from_message(message: Any) -> Moment:
     values['features'] = tuple(message.features)
     values['action_source'] = Source(message.action_source)
     return Moment(**values)
-
-
-def _rows(values: Sequence[int], width: int) -> list[Sequence[int]]:
-    """Cut a flat array into rows; a last row that is too short stays so."""
-    return [values[i : i + width] for i in range(0, len(values), width)] if width else []

@@ -7,13 +7,13 @@ from typing import Any
 
 from humanopts_learner.demonstrations import (
     Demonstration,
+    demonstration_from_message,
     DemonstrationError,
     group_by_option,
     Kind,
 )
 from humanopts_teach.bags.demonstrations import (
     DEMONSTRATION,
-    demonstration_from_message,
     DOMAIN_INFO,
     GAME_STATE,
     STATE_COPY,

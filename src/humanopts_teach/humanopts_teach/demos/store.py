@@ -1,9 +1,4 @@
-"""
-The lesson's memory: for each participant one file of JSON lines, only ever appended to.
-
-A line is on disk (fsync) before ``append`` returns. A line that a crash cut off in the middle is
-moved aside on the next start; a line that was written whole is never lost.
-"""
+"""The lesson's memory: for each participant one journal of what they said and showed."""
 
 import errno
 import fcntl
@@ -12,6 +7,7 @@ from pathlib import Path
 import re
 from types import TracebackType
 
+from humanopts_learner.journal import Journal
 from humanopts_teach.demos.entries import Entry, entry_from_line, entry_to_line, EntryError
 
 _SUFFIX = '.jsonl'
@@ -36,6 +32,7 @@ class DemonstrationStore:
         self.directory = directory
         self.damage: list[str] = []  # what was found damaged, in words
         self._entries: dict[str, list[Entry]] = {}
+        self._journals: dict[str, Journal] = {}
         self._lock = -1
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -83,54 +80,27 @@ class DemonstrationStore:
             raise ValueError(f'participant {entry.participant!r} is not a code: {CODE_RULE}')
         path = self.directory / f'{entry.participant}{_SUFFIX}'
         try:
-            _write_line(path, entry_to_line(entry))
+            if entry.participant not in self._journals:
+                self._journals[entry.participant] = Journal(path)
+            self._journals[entry.participant].append(entry_to_line(entry))
         except OSError as error:
             raise _explained(error, f'write to {path}') from error
         self._entries.setdefault(entry.participant, []).append(entry)
 
     def _load(self, path: Path) -> list[Entry]:
-        whole, torn = _split_torn(path.read_bytes())
-        if torn:
-            whole += self._mend(path, len(whole), torn)
+        journal = self._journals[path.stem] = Journal(path)
+        if journal.damage:
+            self.damage.append(journal.damage)
         found: list[Entry] = []
-        for number, line in enumerate(whole.split(b'\n')[:-1], start=1):
+        for number, line in enumerate(journal.lines, start=1):
             try:
-                entry = entry_from_line(line.decode())
+                entry = entry_from_line(line)
                 if entry.participant != path.stem:
                     raise EntryError(f'it is of participant {entry.participant!r}')
                 found.append(entry)
-            except (EntryError, UnicodeDecodeError) as error:
+            except EntryError as error:
                 self.damage.append(f'line {number} of {path} is left out: {error}')
         return found
-
-    def _mend(self, path: Path, size: int, torn: bytes) -> bytes:
-        """Complete a last line that lacks only its end; move any other aside."""
-        try:
-            entry_from_line(torn.decode())
-        except (EntryError, UnicodeDecodeError):
-            aside = _free_name(path)
-            _write_bytes(aside, torn)
-            os.truncate(path, size)
-            _sync(path)
-            self.damage.append(
-                f'the last line of {path} was cut off; its {len(torn)} bytes are now in '
-                f'{aside.name}, and all lines before it are kept'
-            )
-            return b''
-        _write_bytes(path, b'\n')
-        return torn + b'\n'
-
-
-def _split_torn(content: bytes) -> tuple[bytes, bytes]:
-    end = content.rfind(b'\n') + 1
-    return content[:end], content[end:]
-
-
-def _free_name(path: Path) -> Path:
-    number = 1
-    while (aside := path.with_name(f'{path.name}.torn-{number}')).exists():
-        number += 1
-    return aside
 
 
 def _lock(path: Path) -> int:
@@ -141,37 +111,6 @@ def _lock(path: Path) -> int:
         os.close(handle)
         raise
     return handle
-
-
-def _write_line(path: Path, line: str) -> None:
-    _write_bytes(path, line.encode() + b'\n')
-
-
-def _write_bytes(path: Path, content: bytes) -> None:
-    """Append and fsync; on failure cut the file back to what it was."""
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    try:
-        size = os.fstat(handle).st_size
-        try:
-            left = memoryview(content)
-            while left:
-                left = left[os.write(handle, left) :]
-            os.fsync(handle)
-        except OSError:
-            os.ftruncate(handle, size)
-            raise
-    finally:
-        os.close(handle)
-    if size == 0:
-        _sync(path.parent)
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _explained(error: OSError, what: str) -> StoreError:
