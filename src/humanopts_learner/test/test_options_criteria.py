@@ -83,6 +83,15 @@ def test_a_held_out_demonstration_is_not_learned_from(person: Callable[..., Any]
     assert judgement.criteria[0].value == pytest.approx((4 - 1) / 10)  # twice the 2 steps, at -1
 
 
+def test_coming_to_another_end_counts_as_not_coming_to_the_end(person: Callable[..., Any]) -> None:
+    """Three deliver to R, one to Y; without it the policy lets the passenger out at R for Y."""
+    bob = person('go to destination and dropoff')
+    shown = [bob.show(TaxiState(1, 0, 4, destination)) for destination in (0, 0, 0, 2)]
+    assert [demo.total_reward for demo in shown] == [0, 0, 0, -2]
+    value = judge(shown, TAXI, Thresholds(), 0).criteria[0].value
+    assert value == pytest.approx((8 - 2) / 4)  # twice the 4 steps at -1, though it ended after 2
+
+
 def test_a_domain_that_cannot_be_enumerated_is_judged_alike(
     fetching: Shown, plain_taxi: Any
 ) -> None:

@@ -18,7 +18,7 @@ from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.learn import assemble, Dataset, Examples, fit_trees, make_dataset
 from humanopts_learner.options.option import LearnedOption, MEMBER, option_tables
-from humanopts_learner.options.rollout import follow, rollouts
+from humanopts_learner.options.rollout import follow, Rollouts, rollouts
 import numpy as np
 from numpy.typing import NDArray
 
@@ -185,29 +185,48 @@ def _shortfall(
     folds: NDArray[np.int64],
     seed: int,
 ) -> float:
-    """Return the mean of demonstrated return - return of the policy that did not see it."""
-    pairs = [p for p in zip(data.demonstrations, folds.tolist()) if p[0].kind is Kind.TRAJECTORY]
-    limits = [min(options[0].max_steps, CUT_OFF * len(demo.actions)) for demo, _ in pairs]
-    starts = [domain.decode(demo.states[0]) for demo, _ in pairs]
+    """
+    Return the mean of demonstrated return - return of the policy that did not see it.
+
+    A run that ends with the task over where the demonstration did not, or the other way round, has
+    come to another end: the steps that it has left then cost what the demonstration's worst did.
+    """
+    demos = data.trajectories
+    fold = folds[[demo.kind is Kind.TRAJECTORY for demo in data.demonstrations]]
+    limit = np.array([min(options[0].max_steps, CUT_OFF * len(demo.actions)) for demo in demos])
+    runs = _held_out_runs(demos, domain, [options[f] for f in fold.tolist()], limit, seed)
+    other_end = runs.reached & (runs.over != np.array([demo.terminated for demo in demos]))
+    worst = np.array([min(0.0, *demo.rewards) for demo in demos])
+    returns = runs.total_reward + other_end * (limit - runs.steps) * worst
+    return float(np.mean([demo.total_reward for demo in demos] - returns))
+
+
+def _held_out_runs(
+    demos: Sequence[Demonstration],
+    domain: Domain[Any],
+    options: Sequence[LearnedOption],
+    limit: NDArray[np.int64],
+    seed: int,
+) -> Rollouts:
+    """Run each option from the start of its demonstration."""
+    starts = [domain.decode(demo.states[0]) for demo in demos]
     if is_enumerable(domain) and domain.transitions().deterministic:
-        tables = [option_tables(option, domain) for option in options]
-        returns = follow(
+        several = {id(option): option_tables(option, domain) for option in options}
+        which = {key: number for number, key in enumerate(several)}
+        return follow(
             domain,
-            np.stack([table.action for table in tables]),
-            np.stack([table.termination for table in tables]),
-            np.array([fold for _, fold in pairs]),
+            np.stack([tables.action for tables in several.values()]),
+            np.stack([tables.termination for tables in several.values()]),
+            np.array([which[id(option)] for option in options]),
             np.array([domain.index(state) for state in starts]),
-            np.array(limits),
-        ).total_reward
-    else:
-        runs = [
-            rollouts(
-                options[fold], domain, [start], seed, [f'held-out {demo.uuid}'], max_steps=limit
-            )
-            for (demo, fold), start, limit in zip(pairs, starts, limits)
-        ]
-        returns = np.concatenate([run.total_reward for run in runs])
-    return float(np.mean([demo.total_reward for demo, _ in pairs] - returns))
+            limit,
+        )
+    runs = [
+        rollouts(option, domain, [start], seed, [f'held-out {demo.uuid}'], max_steps=int(most))
+        for demo, option, start, most in zip(demos, options, starts, limit)
+    ]
+    fields = ('total_reward', 'steps', 'reached', 'over')
+    return Rollouts(*(np.concatenate([getattr(run, name) for run in runs]) for name in fields))
 
 
 def _balanced_error(

@@ -18,6 +18,7 @@ class Rollouts:
     total_reward: NDArray[np.float64]  # (N,) undiscounted
     steps: NDArray[np.int64]  # (N,)
     reached: NDArray[np.bool_]  # (N,) beta holds or the task is over; else cut off
+    over: NDArray[np.bool_]  # (N,) the task is over
 
 
 @dataclass(frozen=True)
@@ -60,11 +61,12 @@ def rollouts(
         _run(option, domain, start, generator(seed, 'rollout', option.name, key), mode, limit)
         for start, key in zip(starts, names, strict=True)
     ]
-    rewards, steps, reached = zip(*runs) if runs else ((), (), ())
+    rewards, steps, reached, over = zip(*runs) if runs else ((), (), (), ())
     return Rollouts(
         np.array(rewards, dtype=np.float64),
         np.array(steps, dtype=np.int64),
         np.array(reached, dtype=np.bool_),
+        np.array(over, dtype=np.bool_),
     )
 
 
@@ -88,6 +90,7 @@ def follow(
     table, over = domain.transitions(), domain.over()
     total, steps = np.zeros(len(starts)), np.zeros(len(starts), dtype=np.int64)
     reached, final = np.zeros(len(starts), dtype=np.bool_), starts.copy()
+    is_over = np.zeros_like(reached)
     going, at, policy = np.arange(len(starts)), starts, which
     while going.size:
         pair = at, action[policy, at], 0
@@ -95,12 +98,13 @@ def follow(
         total[going] += table.reward[pair]
         steps[going] += 1
         final[going] = at
-        ended = termination[policy, at] | table.terminated[pair] | over[at]
+        is_over[going] = table.terminated[pair] | over[at]
+        ended = termination[policy, at] | is_over[going]
         reached[going[ended]] = True
         on = ~ended & (steps[going] < max_steps[going])
         if not on.all():
             going, at, policy = going[on], at[on], policy[on]
-    return Walks(total, steps, reached, final)
+    return Walks(total, steps, reached, is_over, final)
 
 
 def _run(
@@ -110,14 +114,14 @@ def _run(
     rng: np.random.Generator,
     mode: Mode,
     max_steps: int,
-) -> tuple[float, int, bool]:
+) -> tuple[float, int, bool, bool]:
     total = 0.0
     for step in range(1, max_steps + 1):
         action = option.choose_action(domain.feature_values(state), mode, rng)
         outcome = domain.step(state, action, rng)
         state, total = outcome.state, total + outcome.reward
         if outcome.terminated or domain.is_over(state):
-            return total, step, True
+            return total, step, True, True
         if option.choose_end(domain.feature_values(state), mode, rng):
-            return total, step, True
-    return total, max_steps, False
+            return total, step, True, False
+    return total, max_steps, False, False

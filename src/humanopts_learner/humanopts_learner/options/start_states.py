@@ -3,7 +3,8 @@ Choosing the next state to show, from the rules and the learned trees alone.
 
 ``random`` is the paper's way (section 5). ``failures`` shows states from which the learned option
 does not do what was shown: of these, the one whose shortest ways to an end go through the most
-situations that fail and were not shown yet, so that one demonstration teaches the most.
+situations that fail and were not shown yet, so that one demonstration teaches the most. Once
+none is stuck, it asks about states that are outside I by mere guess.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ from humanopts_env.domains.tabular import reachable
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.failures import (
     failing_samples,
-    has_new_value,
+    in_doubt,
     is_surveyable,
     Survey,
     survey,
@@ -73,29 +74,16 @@ def _coverage(
     """
     Return the state that is farthest, in the chosen features, from every state shown.
 
-    Once there is an option, only states where it can start, or with a value that nobody showed.
+    Once there is an option, only states where it can start, or that are outside I by mere guess.
     """
     if not demonstrations:
         return _random(domain, option, demonstrations, rng)
     states = _candidates(domain, rng)
-    rows = np.array([domain.feature_values(state) for state in states])
-    shown = np.unique(np.concatenate([d.feature_rows for d in demonstrations]), axis=0)
-    columns = encoding(domain, demonstrations[-1].chosen_features)
     if option is not None:
-        picked = sorted({column.index for column in columns})
-        kept = option.can_start(rows) | has_new_value(rows[:, picked], shown[:, picked])
-        if kept.any():
-            states, rows = [s for s, keep in zip(states, kept) if keep], rows[kept]
-    features = [domain.features[column.index] for column in columns]
-    # An ordinal feature differs by 0..1, a nominal one by 0 or 1: half in each of two columns.
-    scale = [
-        1 / max(len(f.values) - 1, 1) if f.kind is FeatureKind.ORDINAL else 0.5 for f in features
-    ]
-    here, there = (encode_rows(columns, part) * np.array(scale) for part in (rows, shown))
-    distance = np.zeros((len(here), len(there)))
-    for ours, theirs in zip(here.T, there.T):
-        distance += np.abs(np.subtract.outer(ours, theirs))
-    return states[_best(distance.min(axis=1), rng)]
+        rows = _rows(domain, states)
+        kept = option.can_start(rows) | in_doubt(option, rows, demonstrations)
+        states = [state for state, keep in zip(states, kept) if keep] or states
+    return _farthest(domain, states, demonstrations, rng)
 
 
 def _failures(
@@ -108,8 +96,13 @@ def _failures(
         return _coverage(domain, option, demonstrations, rng)
     if is_enumerable(domain) and is_surveyable(domain):
         found = survey(option, domain, demonstrations)
-        return domain.state_at(_instructive_state(domain, found, rng))
-    failing = failing_samples(option, domain, rng)
+        if found.doubt.any() and not found.stuck.any():
+            states = _states(domain, found.doubt, rng)
+            return _farthest(domain, states, demonstrations, rng)
+        if found.candidate.any():
+            return domain.state_at(_instructive_state(domain, found, rng))
+        return _coverage(domain, option, demonstrations, rng)
+    failing = failing_samples(option, domain, demonstrations, rng)
     if failing:
         return failing[int(rng.integers(len(failing)))]
     return _coverage(domain, option, demonstrations, rng)
@@ -128,7 +121,7 @@ def _instructive_state(
     """
     Return the state from which a demonstration teaches the most.
 
-    While states are stuck, those; then those on a detour; and when nothing fails, the state whose
+    While states are stuck, those; then those on a detour; when nothing fails, the state whose
     ways go through what was shown least often, so that no lesson rests on one demonstration.
     """
     lost = found.stuck & (found.distance < 0) & (found.times_shown == 0)
@@ -156,12 +149,48 @@ def _weight_on_the_way(domain: EnumerableDomain[Any], found: Survey, weight: Flo
     return total
 
 
+def _farthest(
+    domain: Domain[Any],
+    states: Sequence[Any],
+    demonstrations: Sequence[Demonstration],
+    rng: np.random.Generator,
+) -> Any:
+    """
+    Return the state whose nearest shown state is farthest in the chosen features.
+
+    An ordinal feature differs by 0..1, a nominal one by 0 or 1: half in each of two columns.
+    """
+    columns = encoding(domain, demonstrations[-1].chosen_features)
+    features = [domain.features[column.index] for column in columns]
+    scale = [
+        1 / max(len(f.values) - 1, 1) if f.kind is FeatureKind.ORDINAL else 0.5 for f in features
+    ]
+    shown = np.unique(np.concatenate([demo.feature_rows for demo in demonstrations]), axis=0)
+    here, there = (
+        encode_rows(columns, r) * np.array(scale) for r in (_rows(domain, states), shown)
+    )
+    distance = np.zeros((len(here), len(there)))
+    for ours, theirs in zip(here.T, there.T):
+        distance += np.abs(np.subtract.outer(ours, theirs))
+    return states[_best(distance.min(axis=1), rng)]
+
+
 def _candidates(domain: Domain[Any], rng: np.random.Generator) -> list[Any]:
     if not is_enumerable(domain):
         return domain.sample_states(rng, SAMPLE)
-    states = np.flatnonzero(reachable(domain) & ~domain.over())
-    some = rng.permutation(states)[:SAMPLE]
+    return _states(domain, reachable(domain) & ~domain.over(), rng)
+
+
+def _states(
+    domain: EnumerableDomain[Any], chosen: NDArray[np.bool_], rng: np.random.Generator
+) -> list[Any]:
+    """Return at most ``SAMPLE`` of the chosen states (S,)."""
+    some = rng.permutation(np.flatnonzero(chosen))[:SAMPLE]
     return [domain.state_at(int(index)) for index in some]
+
+
+def _rows(domain: Domain[Any], states: Sequence[Any]) -> NDArray[np.int32]:
+    return np.array([domain.feature_values(state) for state in states])
 
 
 def _best(score: Floats, rng: np.random.Generator) -> int:
