@@ -120,6 +120,6 @@ def _criteria_words(option: Any) -> str:
 
 def _episodes(feedback: Any) -> str:
     return (
-        f'{feedback.episodes} episodes played, {feedback.successes} delivered, '
+        f'{feedback.episodes} episodes played, {feedback.successes} done, '
         f'{feedback.fallbacks} fallbacks, mean return {feedback.mean_return:.2f}'
     )

@@ -21,13 +21,13 @@ from humanopts_interfaces.msg import (
     RecorderStatus,
 )
 from humanopts_teach.launching.launcher import LaunchError
+from humanopts_teach.teacher.simulated import FINISHED
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 M = TypeVar('M')
-FINISHED = 'finished'  # how simulated_teacher says that it has taught everything
 
 
 class Latest(Generic[M]):

@@ -40,11 +40,15 @@ from humanopts_teach.teacher.acts import (
     Reply,
     Wait,
 )
-from humanopts_teach.teacher.simulated import SimulatedTeacher, TeacherError, TeacherSettings
+from humanopts_teach.teacher.simulated import (
+    FINISHED,
+    SimulatedTeacher,
+    TeacherError,
+    TeacherSettings,
+)
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.task import Future
 
-FINISHED = 'finished'  # text of its status when everything was taught
 _TICK = 0.1  # s between looks at the deadline
 _REFUSALS = 3  # in a row, after which it gives up
 _GAME_DEADLINE = 5.0  # s for game to take control back

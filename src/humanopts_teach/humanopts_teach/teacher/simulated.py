@@ -30,6 +30,7 @@ from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
 from humanopts_teach.teacher.acts import Act, Begin, Define, Drive, End, Finish, Open, Reply, Wait
 import numpy as np
 
+FINISHED = 'finished'  # text of its node's status when everything was taught
 ATTEMPTS = 10  # discarded demonstrations in a row from one start state
 
 
