@@ -124,7 +124,9 @@ def _where(lesson: LessonView, app: App) -> Text:
         where = 'learning ...'
     elif lesson.phase is Phase.FINISHED:
         where = 'This lesson is finished.'
-    counts = f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here, of {lesson.budget}'
+    counts = (
+        f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here; at most {lesson.budget}'
+    )
     return Text.assemble((where, 'bright_cyan'), (f'  ({counts})', 'dim'))
 
 
