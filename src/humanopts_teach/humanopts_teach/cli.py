@@ -45,12 +45,6 @@ def build_parser() -> argparse.ArgumentParser:
     up = commands.add_parser('up', help='launch the nodes and stay until Ctrl-C')
     up.add_argument('domain', metavar='DOMAIN')
     up.add_argument('--no-record', dest='record', action='store_false', help='do not write a bag')
-    up.add_argument(
-        '--step-period',
-        type=_seconds,
-        default=0.0,
-        help='seconds between steps of the machine, to watch it; default: %(default)s',
-    )
     teach = commands.add_parser('teach', help="launch, and teach from this terminal's keyboard")
     teach.add_argument('domain', metavar='DOMAIN')
     teach.add_argument(
@@ -61,6 +55,14 @@ def build_parser() -> argparse.ArgumentParser:
     )
     for command in (demo, up, teach):
         _add_launch_options(command)
+        command.add_argument(
+            '--step-period',
+            type=_seconds,
+            default=0.0,
+            help='seconds between steps of the machine, to watch it; default: %(default)s',
+        )
+    teach.set_defaults(step_period=0.15)
+    demo.set_defaults(step_period=0.02 if sys.stdout.isatty() else 0.0)
     _add_bag_commands(commands.add_parser('bag', help='look into a recorded bag, no ROS needed'))
     return parser
 

@@ -33,6 +33,7 @@ def setup_from(arguments: argparse.Namespace, default_out: Path, **own: Any) -> 
         seed=arguments.seed,
         strategy=arguments.strategy,
         budget=arguments.budget,
+        step_period=arguments.step_period,
         **own,
     )
 

@@ -16,7 +16,6 @@ def run(arguments: argparse.Namespace) -> int:
         Path('runs') / arguments.domain,
         bag_name=new_name('bags/up'),
         record=arguments.record,
-        step_period=arguments.step_period,
     )
     check_setup(setup)
     try:
