@@ -131,26 +131,29 @@ class GameNode(NodeBase):
         self._control.publish(control_to_message(control))
 
     def _send(self, moment: Moment) -> None:
-        """Publish a state; where that fails, pause until it can be sent."""
         self._unsent.append(moment)
+        self._flush()
+
+    def _flush(self) -> None:
+        """Publish what is not sent yet, in order; where that fails, pause until it can be sent."""
         try:
             while self._unsent:
                 self._stream.publish(moment_to_message(self._unsent[0]))
                 self._current.publish(moment_to_message(self._unsent[0]))
                 del self._unsent[0]
         except PublishError as error:
-            self._game.paused = str(error)
-            self.set_status(NodeStatus.STATE_PAUSED, str(error))
             self._retry.reset()
+            if not self._game.paused:
+                self._game.paused = str(error)
+                self.set_status(NodeStatus.STATE_PAUSED, str(error))
+            return
+        if self._game.paused:
+            self._game.paused = ''
+            self.set_status(NodeStatus.STATE_READY)
 
     def _on_retry(self) -> None:
         self._retry.cancel()
-        self._game.paused = ''
-        unsent, self._unsent = self._unsent, []
-        for moment in unsent:
-            self._send(moment)
-        if not self._unsent:
-            self.set_status(NodeStatus.STATE_READY)
+        self._flush()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -68,7 +68,7 @@ class StampedPublisher(Generic[M]):
         try:
             self._publisher.publish(self.stamp(message))
         except Exception as error:
-            raise PublishError(f'cannot publish on {self.topic}: {error}') from error
+            raise PublishError(self._why(error)) from error
         self.sequence += 1
 
     def recorded(self) -> bool:
@@ -76,6 +76,13 @@ class StampedPublisher(Generic[M]):
         readers = self._node.get_subscriptions_info_by_topic(self.topic)
         matched = self._publisher.get_subscription_count() >= len(readers)
         return matched and any(reader.node_name == RECORDER for reader in readers)
+
+    def _why(self, error: Exception) -> str:
+        """Name the readers, since one of them that has stopped is the usual cause."""
+        readers = self._node.get_subscriptions_info_by_topic(self.topic)
+        names = ', '.join(sorted({reader.node_name for reader in readers})) or 'none'
+        cause = str(error).split(', at /')[0]  # without the place in the source of rmw
+        return f'cannot publish on {self.topic}: {cause}; has a reader stopped? They are: {names}'
 
 
 class NodeBase(Node):
@@ -212,7 +219,8 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     """
     Run a node until SIGINT, SIGTERM or SIGHUP.
 
-    :return: the process's exit status: 0 after a clean end, 2 when it cannot start.
+    :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
+        cannot go on.
     """
     stop = _Stop()
     prepare_discovery()
@@ -228,6 +236,9 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     except StartError as error:
         print(f'humanopts: {error}', file=sys.stderr)
         return 2
+    except PublishError as error:
+        print(f'humanopts: {error}', file=sys.stderr)
+        return 1
     except ExternalShutdownException:
         pass
     finally:
