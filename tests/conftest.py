@@ -1,0 +1,51 @@
+"""Fixtures of the live graph."""
+
+from collections.abc import Iterator
+import os
+
+from graph_support.command import DemoRun, run_demo
+from graph_support.live import free_domain_id, Graph
+import pytest
+
+os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'  # a misspelt field is an error, here and in the nodes
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+
+
+def _graph(folder: object) -> Iterator[Graph]:
+    with free_domain_id() as domain_id:
+        opened = Graph(folder, domain_id)
+        try:
+            yield opened
+        finally:
+            problems = opened.close()
+    assert not problems, '\n'.join(problems)
+
+
+@pytest.fixture
+def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    """A graph of one test."""
+    yield from _graph(tmp_path_factory.mktemp('graph'))
+
+
+@pytest.fixture(scope='module')
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    """A graph that the tests of a module share."""
+    yield from _graph(tmp_path_factory.mktemp('graph'))
+
+
+@pytest.fixture
+def domain_id() -> Iterator[int]:
+    """A ROS_DOMAIN_ID that no other test uses meanwhile."""
+    with free_domain_id() as number:
+        yield number
+
+
+@pytest.fixture(scope='session')
+def demo(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
+    """A whole demo, which all tests of what it leaves share."""
+    with free_domain_id() as number:
+        return run_demo(
+            tmp_path_factory.mktemp('demo'),
+            number,
+            *('--domain', 'taxi', '--seed', 1, '--episodes', 100),
+        )

@@ -1,0 +1,249 @@
+"""The graph of a test: node processes, and a node in the test's own process that talks to them."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+import fcntl
+import itertools
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from typing import Any
+
+from humanopts_env.nodes.qos import LATCHED_ALL, STREAM
+from humanopts_interfaces.msg import NodeStatus
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+import yaml
+
+GAME = 'humanopts_env.nodes.game_node'
+LEARNER = 'humanopts_learner.nodes.learner_node'
+OPTION_SERVER = 'humanopts_learner.nodes.option_server'
+PLANNER = 'humanopts_learner.nodes.planner_node'
+LESSON = 'humanopts_teach.nodes.lesson_node'
+TEACHER = 'humanopts_teach.nodes.simulated_teacher'
+RECORDER = 'humanopts_teach.nodes.recorder'
+KEYBOARD = 'humanopts_teach.nodes.keyboard_teleop'
+
+_IDS = range(10, 100)
+_TURN = itertools.count(os.getpid())
+
+
+@contextmanager
+def free_domain_id() -> Iterator[int]:
+    """Claim a ROS_DOMAIN_ID that no other test of this machine uses."""
+    for number in itertools.islice(_TURN, len(_IDS)):
+        domain_id = _IDS[number % len(_IDS)]
+        path = Path(tempfile.gettempdir()) / f'humanopts-test-{os.getuid()}-{domain_id}.lock'
+        with path.open('w') as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain_id
+            return
+    raise RuntimeError(f'every ROS_DOMAIN_ID from {_IDS[0]} to {_IDS[-1]} is in use')
+
+
+@dataclass
+class NodeProcess:
+    """A process that the test started."""
+
+    name: str
+    process: 'subprocess.Popen[bytes]'
+    stderr: Path
+    stopped: bool = False  # by SIGSTOP
+    expected: set[int] = field(default_factory=lambda: {0})  # exit statuses
+
+    def said(self) -> str:
+        """Return what it wrote on standard error."""
+        return self.stderr.read_text(errors='replace')
+
+    def kill(self, how: signal.Signals) -> int:
+        """Send a signal that ends it, and return its exit status."""
+        if how == signal.SIGKILL:
+            self.expected.add(-how)
+        self.process.send_signal(how)
+        return self.ended()
+
+    def ended(self, seconds: float = 20.0) -> int:
+        """Wait for its end and return its exit status."""
+        return self.process.wait(seconds)
+
+    def pause(self) -> None:
+        """Stop it, as Ctrl-Z does."""
+        self.process.send_signal(signal.SIGSTOP)
+        self.stopped = True
+
+    def go_on(self) -> None:
+        """Undo ``pause``."""
+        self.process.send_signal(signal.SIGCONT)
+        self.stopped = False
+
+
+class Goal:
+    """A goal of an action, sent."""
+
+    def __init__(self, graph: 'Graph', kind: Any, client: ActionClient, fields: Any) -> None:
+        self._graph = graph
+        self.feedback: list[Any] = []
+        sent = client.send_goal_async(
+            kind.Goal(**fields), feedback_callback=lambda m: self.feedback.append(m.feedback)
+        )
+        graph.until(sent.done, 'the goal to be accepted')
+        self._handle = sent.result()
+        assert self._handle.accepted
+        self._reply = self._handle.get_result_async()
+
+    def cancel(self) -> None:
+        """Ask for its end, and wait until that is accepted."""
+        asked = self._handle.cancel_goal_async()
+        self._graph.until(asked.done, 'an answer to cancel')
+
+    def result(self, seconds: float = 30.0) -> tuple[int, Any]:
+        """Wait for its end; return its GoalStatus and the result."""
+        self._graph.until(self._reply.done, 'the result', seconds)
+        reply = self._reply.result()
+        return reply.status, reply.result.result
+
+
+class Graph:
+    """Processes of one test or module, and a node that sees and asks."""
+
+    def __init__(self, folder: Path, domain_id: int) -> None:
+        self.folder, self.domain_id = folder, domain_id
+        self.started: list[NodeProcess] = []
+        self.statuses: dict[str, list[NodeStatus]] = {}  # by full node name, in order
+        self.context = Context()
+        rclpy.init(
+            context=self.context,
+            domain_id=domain_id,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = Node('person', context=self.context)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._clients: dict[str, Any] = {}
+        self._watched: set[str] = set()
+
+    def start(self, module: str, namespace: str = '/', /, **parameters: Any) -> NodeProcess:
+        """Start a node in its own process."""
+        self._watch(namespace)
+        return self.run(
+            ['-m', module, '--ros-args', '-r', f'__ns:={namespace}'], module, parameters
+        )
+
+    def run(
+        self,
+        command: list[str],
+        name: str,
+        parameters: dict[str, Any] | None = None,
+        **options: Any,
+    ) -> NodeProcess:
+        """Start Python in its own process."""
+        stem = self.folder / f'{len(self.started)}-{name}'
+        if parameters:
+            file = stem.with_suffix('.yaml')
+            tree = {'/**': {'ros__parameters': parameters}}
+            file.write_text(yaml.safe_dump(tree))
+            command = [*command, '--params-file', str(file)]
+        log = stem.with_suffix('.stderr')
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain_id)}
+        with log.open('wb') as stderr:
+            process = subprocess.Popen(
+                [sys.executable, *command],
+                stdin=subprocess.DEVNULL,
+                stderr=stderr,
+                env=environment,
+                **{'stdout': subprocess.DEVNULL, **options},
+            )
+        self.started.append(NodeProcess(name, process, log))
+        return self.started[-1]
+
+    def until(self, condition: Callable[[], Any], what: str, seconds: float = 20.0) -> None:
+        """Serve the test's node until a condition holds."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline, f'waited in vain for {what}'
+            self._executor.spin_once(0.02)
+
+    def ready(self, *names: str) -> None:
+        """Wait until nodes, by full name, are ready."""
+        missing = list(names)
+        deadline = time.monotonic() + 30.0
+        while missing := [name for name in missing if self.state(name) != NodeStatus.STATE_READY]:
+            dead = [p for p in self.started if p.process.poll() not in (None, 0)]
+            said = '\n'.join(p.said() for p in dead)
+            assert time.monotonic() < deadline, f'not ready: {", ".join(missing)}\n{said}'
+            self._executor.spin_once(0.02)
+
+    def state(self, name: str) -> int:
+        """Return the last state that a node was in; 0: it has not said yet."""
+        return int(self.statuses[name][-1].state) if name in self.statuses else 0
+
+    def listen(self, kind: Any, topic: str, qos: Any = STREAM) -> list[Any]:
+        """Return the list to which the messages of a topic will be added."""
+        messages: list[Any] = []
+        self.node.create_subscription(kind, topic, messages.append, qos)
+        return messages
+
+    def ask(self, kind: Any, service: str, /, **fields: Any) -> Any:
+        """Call a service and return the response."""
+        future = self.request(kind, service, **fields)
+        self.until(future.done, f'an answer of {service}', 30.0)
+        return future.result()
+
+    def request(self, kind: Any, service: str, /, **fields: Any) -> Any:
+        """Call a service and return the future of its response."""
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(kind, service)
+        client = self._clients[service]
+        self.until(client.service_is_ready, f'service {service}')
+        return client.call_async(kind.Request(**fields))
+
+    def act(self, kind: Any, action: str, /, **fields: Any) -> Goal:
+        """Send a goal to an action."""
+        if action not in self._clients:
+            self._clients[action] = ActionClient(self.node, kind, action)
+        client = self._clients[action]
+        self.until(client.server_is_ready, f'action {action}')
+        return Goal(self, kind, client, fields)
+
+    def close(self) -> list[str]:
+        """End everything; say which processes did not end as they should."""
+        running = [started for started in self.started if started.process.poll() is None]
+        for started in running:
+            started.go_on()
+            started.process.terminate()
+        problems = []
+        for started in self.started:
+            try:
+                status = started.ended()
+            except subprocess.TimeoutExpired:
+                started.process.kill()
+                status = started.ended()
+            if status not in started.expected or 'Traceback' in started.said():
+                problems.append(f'{started.name} ended with {status}: {started.said()}')
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+        return problems
+
+    def _watch(self, namespace: str) -> None:
+        """Keep the statuses of the nodes of a namespace."""
+        if namespace not in self._watched:
+            self._watched.add(namespace)
+            self.node.create_subscription(
+                NodeStatus,
+                f'{namespace.rstrip("/")}/node_status',
+                lambda status: self.statuses.setdefault(status.node, []).append(status),
+                LATCHED_ALL,
+            )

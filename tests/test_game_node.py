@@ -1,0 +1,322 @@
+"""The node game on the real graph: what it takes, what it refuses, and how it survives."""
+
+from itertools import pairwise
+import json
+import signal
+from typing import Any
+
+from graph_support.live import GAME, Graph, NodeProcess
+from graph_support.player import MACHINE, ME, PERSON, Player
+from graph_support.scripted import TAXI
+from humanopts_env.nodes.qos import LATCHED
+from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState, NodeStatus
+from humanopts_interfaces.srv import ResetGame, SetControl
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+START = 'taxi 0,1 passenger R destination G'
+NEARLY_DONE = 'taxi 0,4 passenger aboard destination G'
+Answer = GameState | ActionRefusal
+
+
+@pytest.fixture(scope='module')
+def playing(shared: Graph) -> Player:
+    shared.start(GAME)
+    shared.ready('/game')
+    return Player(shared)
+
+
+@pytest.fixture
+def player(playing: Player) -> Player:
+    """Begin an episode at START that nobody holds."""
+    playing.fresh(START)
+    return playing
+
+
+def refused(answer: Answer) -> tuple[int, str]:
+    assert isinstance(answer, ActionRefusal)
+    return answer.reason, answer.detail
+
+
+def taken(answer: Answer) -> tuple[int, str]:
+    assert isinstance(answer, GameState), answer.detail
+    return answer.step, answer.state
+
+
+def test_a_stream_of_states_is_the_record_of_the_game(player: Player) -> None:
+    for action in ('west', 'pickup', 'south'):
+        player.do(action)
+    first, *later = player.states[-4:]
+    assert (first.state, first.step, first.previous_action) == (START, 0, '')
+    assert [s.previous_action for s in later] == ['west', 'pickup', 'south']
+    assert [s.reward for s in later] == [-1.0, 0.0, -1.0]
+    assert [s.step for s in later] == [1, 2, 3]
+    assert {(s.action_source, s.action_publisher_id) for s in later} == {(MACHINE, ME)}
+    assert later[-1].state == 'taxi 1,0 passenger aboard destination G'
+    for state in player.states[-4:]:
+        values = TAXI.feature_values(TAXI.decode(state.state))
+        assert state.features.tolist() == values.tolist()
+
+
+def test_who_comes_late_knows_the_rules_and_the_current_state(
+    player: Player, shared: Graph
+) -> None:
+    player.do('west')
+    info = shared.listen(DomainInfo, 'domain_info', LATCHED)
+    current = shared.listen(GameState, 'current_state', LATCHED)
+    shared.until(lambda: info and current and current[-1].step, 'latched values')
+    assert (info[0].domain, info[0].gamma, info[0].max_steps) == ('taxi', 0.99, 200)
+    assert json.loads(info[0].parameters) == {'rows': 5, 'cols': 5}
+    assert [a.name for a in info[0].actions] == [a.name for a in TAXI.actions]
+    assert current[-1].state == player.state.state
+
+
+@pytest.mark.parametrize('wrong', [{'step': 1}, {'episode': 1}, {'step': 7, 'episode': 0}])
+def test_a_command_for_another_moment_is_refused_and_never_applied(
+    player: Player, wrong: dict[str, int]
+) -> None:
+    reason, detail = refused(player.do('west', **wrong))
+    assert reason == ActionRefusal.REASON_STALE
+    assert f'the game is at episode {player.state.episode} step 0' in detail
+    assert taken(player.do('south')) == (1, 'taxi 1,1 passenger R destination G')
+
+
+def test_a_refusal_repeats_the_command_and_says_what_is_current(player: Player) -> None:
+    player.do('south')
+    refusal = player.do('west', step=0)
+    assert (refusal.command_step, refusal.command_action) == (0, 'west')
+    assert (refusal.episode, refusal.step) == (player.state.episode, 1)
+
+
+def test_a_command_that_comes_twice_is_applied_once(player: Player, shared: Graph) -> None:
+    command = player.command('south')
+    before = len(player.refusals)
+    player.send(command)
+    player.send(command)
+    shared.until(lambda: len(player.refusals) > before, 'the refusal of the second')
+    assert player.refusals[-1].reason == ActionRefusal.REASON_STALE
+    made = [s for s in player.states if s.action_sequence == command.sequence]
+    assert [s.step for s in made] == [1]
+    assert taken(player.do('south'))[0] == 2
+
+
+@pytest.mark.parametrize(
+    ('source', 'fields', 'reason', 'says'),
+    [
+        (MACHINE, {'action': 'jump'}, ActionRefusal.REASON_NO_SUCH_ACTION, "no action 'jump'"),
+        (0, {}, ActionRefusal.REASON_NO_SUCH_SOURCE, 'source 0'),
+        (9, {}, ActionRefusal.REASON_NO_SUCH_SOURCE, 'source 9'),
+    ],
+)
+def test_a_command_that_makes_no_sense_is_refused_in_words(
+    player: Player, source: int, fields: dict[str, str], reason: int, says: str
+) -> None:
+    answer = player.do(fields.get('action', 'south'), source)
+    assert refused(answer)[0] == reason
+    assert says in refused(answer)[1]
+    assert taken(player.do('south'))[0] == 1
+
+
+def test_a_person_without_a_name_is_refused(player: Player, shared: Graph) -> None:
+    before = len(player.refusals)
+    player.send(player.command('south', PERSON, publisher_id=''))
+    shared.until(lambda: len(player.refusals) > before, 'the refusal')
+    assert player.refusals[-1].reason == ActionRefusal.REASON_NO_SUCH_SOURCE
+    assert not player.controls[-1].holder
+
+
+def test_nothing_can_be_done_when_the_task_is_over(player: Player) -> None:
+    player.fresh(NEARLY_DONE)
+    delivered = player.do('dropoff')
+    assert (delivered.terminated, delivered.truncated, delivered.reward) == (True, False, 1.0)
+    reason, detail = refused(player.do('south'))
+    assert reason == ActionRefusal.REASON_EPISODE_OVER
+    assert 'the task is over; call reset_game' in detail
+
+
+@pytest.mark.parametrize(
+    ('text', 'says'),
+    [('nowhere', "'nowhere'"), ('taxi 9,9 passenger R destination G', 'grid of 5 x 5')],
+)
+def test_a_start_state_that_is_none_changes_nothing(player: Player, text: str, says: str) -> None:
+    reply = player.reset(text)
+    assert reply.status == ResetGame.Response.STATUS_BAD_STATE
+    assert says in reply.detail
+    assert (reply.episode, reply.state) == (0, '')
+    assert taken(player.do('south'))[0] == 1
+
+
+def test_a_start_state_in_which_the_task_is_over_is_refused(player: Player) -> None:
+    player.fresh(NEARLY_DONE)
+    over = player.do('dropoff').state
+    reply = player.reset(over)
+    assert reply.status == ResetGame.Response.STATUS_BAD_STATE
+    assert 'already over' in reply.detail
+
+
+def test_a_reset_from_nobody_is_refused(player: Player) -> None:
+    assert player.reset(source=0).status == ResetGame.Response.STATUS_BAD_SOURCE
+
+
+@pytest.mark.parametrize('seed', [0, 5, 2**64 - 1])
+def test_the_same_seed_draws_the_same_start(player: Player, seed: int) -> None:
+    starts = {player.reset(seed=seed).state for _ in range(2)}
+    assert len(starts) == 1
+    assert starts.pop() != player.reset(seed=seed // 2 + 1).state
+
+
+def test_a_key_claims_control_and_applies_to_the_current_step(player: Player) -> None:
+    player.do('south')
+    state = player.do('south', PERSON, step=0, episode=0)
+    assert taken(state) == (2, 'taxi 2,1 passenger R destination G')
+    control = player.controls[-1]
+    assert (control.holder, control.holder_id) == (ControlState.HOLDER_PERSON, ME)
+
+
+def test_while_a_person_holds_control_machines_and_others_are_refused(player: Player) -> None:
+    player.do('south', PERSON)
+    held = ActionRefusal.REASON_HELD_BY_PERSON
+    assert refused(player.do('south')) == (held, f'control is held by the person at {ME}')
+    assert refused(player.do('south', PERSON, publisher_id='/person#2'))[0] == held
+    reply = player.reset(source=MACHINE)
+    assert reply.status == ResetGame.Response.STATUS_HELD_BY_PERSON
+    other = player.hold(False, '/person#2')
+    assert other.status == SetControl.Response.STATUS_NOT_HOLDER
+    assert ME in other.detail
+    assert player.hold(True, '').status == SetControl.Response.STATUS_NOT_HOLDER
+    assert taken(player.do('south', PERSON))[0] == 2
+
+
+def test_control_is_given_back_and_then_the_machine_drives(player: Player) -> None:
+    player.hold(True)
+    assert refused(player.do('south'))[0] == ActionRefusal.REASON_HELD_BY_PERSON
+    assert player.hold(False).status == SetControl.Response.STATUS_OK
+    assert player.controls[-1].holder == ControlState.HOLDER_NOBODY
+    assert taken(player.do('south'))[0] == 1
+    assert player.hold(False).detail == 'nothing changed'
+
+
+def test_control_is_free_again_when_the_terminal_is_gone(player: Player, shared: Graph) -> None:
+    context = Context()
+    rclpy.init(
+        context=context,
+        domain_id=shared.domain_id,
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    terminal = Node('terminal', context=context)
+    terminal_id = '/terminal#1'
+    try:
+        shared.until(lambda: 'terminal' in shared.node.get_node_names(), 'the terminal')
+        player.hold(True, terminal_id)
+        assert player.controls[-1].holder_id == terminal_id
+    finally:
+        terminal.destroy_node()
+        context.shutdown()
+    shared.until(lambda: not player.controls[-1].holder, 'control to be free')
+    assert 'the terminal /terminal is gone' in player.controls[-1].reason
+    assert taken(player.do('south'))[0] == 1
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({'domain': 'chess'}, "no domain 'chess'; there is"),
+    ({'domain_parameters': '{"rows": 1}'}, 'rows is 1'),
+    ({'domain_parameters': '{"wheels": 3}'}, 'wheels'),
+    ({'domain_parameters': 'rows=7'}, 'not JSON'),
+    ({'domain_parameters': '[7]'}, 'not a JSON object'),
+    ({'seed': -1}, 'parameter seed'),
+    ({'seed': 'one'}, 'parameter seed'),
+    ({'step_period': -0.5}, 'parameter step_period'),
+]
+
+
+@pytest.fixture(scope='module')
+def failures(shared: Graph) -> list[NodeProcess]:
+    """Start all of WRONG at once."""
+    processes = [shared.start(GAME, '/wrong', **parameters) for parameters, _ in WRONG]
+    for process in processes:
+        process.expected = {2}
+    return processes
+
+
+@pytest.mark.parametrize(('number', 'says'), [(n, says) for n, (_, says) in enumerate(WRONG)])
+def test_a_game_that_cannot_start_says_why_in_one_line(
+    failures: list[NodeProcess], number: int, says: str
+) -> None:
+    assert failures[number].ended() == 2
+    (line,) = failures[number].said().splitlines()
+    assert line.startswith('humanopts: ')
+    assert says in line
+
+
+def test_a_person_watching_a_paced_game_sees_every_step(live: Graph) -> None:
+    live.start(GAME, step_period=0.2)
+    live.ready('/game')
+    player = Player(live)
+    player.fresh(START)
+    for _ in range(3):
+        player.do('south')
+    stamps = [s.header.stamp.sec + s.header.stamp.nanosec * 1e-9 for s in player.states[-3:]]
+    assert all(later - earlier > 0.19 for earlier, later in pairwise(stamps))
+    keyed = player.do('south', PERSON)
+    assert keyed.step == 4
+
+
+READER = """
+import signal, sys
+from humanopts_env.nodes.qos import STREAM
+from humanopts_interfaces.msg import GameState
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+ended = []
+signal.signal(signal.SIGTERM, lambda *_: ended.append(True))
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+node = rclpy.create_node('slow_reader')
+numbers = open(sys.argv[1], 'w', buffering=1)
+keep = lambda state: print(state.sequence, file=numbers)
+node.create_subscription(GameState, 'game_state', keep, STREAM)
+while not ended:
+    rclpy.spin_once(node, timeout_sec=0.1)
+"""
+
+
+def flood_until_paused(graph: Graph, player: Player) -> str:
+    """Have game publish as many states as it can; return why it pauses."""
+    for _ in range(40):
+        player.reset(START)
+        known = len(player.refusals)
+        for _ in range(199):
+            player.send(player.command('pickup', PERSON))
+        graph.until(lambda n=known: player.state.step == 199 or player.refusals[n:], 'the steps')
+        if player.refusals[known:]:
+            break
+    graph.until(lambda: graph.state('/game') == NodeStatus.STATE_PAUSED, 'game to pause')
+    return str(graph.statuses['/game'][-1].text)
+
+
+def test_a_stopped_reader_pauses_the_game_and_no_state_is_lost_or_doubled(live: Graph) -> None:
+    live.start(GAME)
+    live.ready('/game')
+    player, numbers = Player(live), live.folder / 'numbers'
+    reader = live.run(['-c', READER, str(numbers)], 'reader')
+    live.until(lambda: live.node.count_subscribers('game_state') == 2, 'the reader')
+    player.reset(START)
+    first = player.state.sequence
+    reader.pause()
+    cause = flood_until_paused(live, player)
+    assert 'cannot publish on /game_state' in cause
+    assert 'slow_reader' in cause
+    assert refused(player.do('south', PERSON)) == (ActionRefusal.REASON_PAUSED, cause)
+    reader.go_on()
+    live.until(lambda: live.state('/game') == NodeStatus.STATE_READY, 'game to go on')
+    player.fresh(START)
+    assert taken(player.do('south'))[0] == 1
+    last = player.state.sequence
+    live.until(lambda: str(last) in numbers.read_text().split(), 'the reader to have it all')
+    assert reader.kill(signal.SIGTERM) == 0
+    for got in (player.states, numbers.read_text().split()):
+        seen = [int(getattr(state, 'sequence', state)) for state in got]
+        assert seen[seen.index(first) :] == list(range(first, last + 1))
