@@ -41,7 +41,8 @@ class Recorder(NodeBase):
         self._intake = Intake(self)
         self._ledger = Ledger()
         self._counted: dict[str, bool] = {}  # recorded topics: whether messages are numbered
-        self._complete = False
+        self._matched = False  # at the last look
+        self._complete = False  # at the last two
         self._stopped = self._text = ''
         self._calm = 0
         self._said: tuple[object, ...] = ()
@@ -73,7 +74,8 @@ class Recorder(NodeBase):
         self._calm = (self._calm + 1) % _CALM_LOOKS if self._complete else 0
         if self._calm == 0:
             found = self._intake.discover()
-            self._complete = found.complete
+            self._complete = found.complete and self._matched  # the other side has matched, too
+            self._matched = found.complete
             for tap in found.added:
                 try:
                     schema = self._bag.add_topic(tap.topic, tap.type, tap.offers, tap.type_hash)
