@@ -101,7 +101,7 @@ class Course:
         except NotLearnableError:
             self._progress[key] = OptionProgress(demos, None, None, '')
             return
-        judgement = judge(demos, self._domain, self._thresholds, self._seed)
+        judgement = judge(demos, self._domain, self._thresholds, self._seed, option)
         try:
             save_option(self._directory, option, demos)
         except OSError as error:
