@@ -137,7 +137,7 @@ class Graph:
             lambda: (
                 self.status.complete
                 and all(p.get_subscription_count() > 0 for p in publishers)
-                and all(self.node.count_subscribers(topic) > 0 for topic in hidden)
+                and all(map(self._read_by_recorder, hidden))
             ),
             'the recorder',
         )
