@@ -122,11 +122,19 @@ class OptionLibrary:
         """
         kept = {}
         for option in options:
-            option.check_domain(self._domain)
-            if option.name.startswith(PRIMITIVE_PREFIX):
-                raise OptionError(f'{option.name!r} is the name of a primitive action')
+            self.check(option)
             kept[option.participant, option.name] = option
         self._options = kept
+
+    def check(self, option: LearnedOption) -> None:
+        """
+        Check that an option can be held.
+
+        :raises OptionError: it was learned in another domain, or is named like an action.
+        """
+        option.check_domain(self._domain)
+        if option.name.startswith(PRIMITIVE_PREFIX):
+            raise OptionError(f'{option.name!r} is the name of a primitive action')
 
     def resolve(self, name: str, participant: str = '') -> RunnableOption:
         """

@@ -45,6 +45,7 @@ class OptionServerNode(NodeBase):
             floating_point_range=[patience],
         )
         self._domain: Any = None
+        self._learned: list[LearnedOption] | None = None  # None: nobody has said yet
         self._results = self.stamped_publisher(OptionResult, 'option_results')
         self._runner = Runner(self, Mode(mode), seed, deadline)
         self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
@@ -77,25 +78,39 @@ class OptionServerNode(NodeBase):
         except DomainError as error:
             raise StartError(str(error)) from error
         self._runner.set_domain(self._domain)
-        if self._directory and Path(self._directory).is_dir():
-            options, problems = load_options(Path(self._directory))
-            for problem in problems:
-                self.get_logger().warning(str(problem))
-            self._serve(options)
+        if self._learned is None:
+            self._learned = self._read_files()
+        self._serve(self._learned)
+
+    def _read_files(self) -> list[LearnedOption]:
+        if not self._directory or not Path(self._directory).is_dir():
+            return []
+        options, problems = load_options(Path(self._directory))
+        for problem in problems:
+            self.get_logger().warning(str(problem))
+        return options
 
     def _on_options(self, message: LearnedOptions) -> None:
-        try:
-            self._serve([option_from_json(entry.model)[0] for entry in message.options])
-        except OptionError as error:
-            self.get_logger().error(f'learned_options cannot be used: {error}')
+        self._learned = []
+        for entry in message.options:
+            try:
+                self._learned.append(option_from_json(entry.model)[0])
+            except OptionError as error:
+                self.get_logger().error(f'{entry.name!r} in learned_options: {error}')
+        self._serve(self._learned)
 
     def _serve(self, options: list[LearnedOption]) -> None:
-        if self._runner.library is None:
+        """Serve the options that fit the game, once it is known, and report the others."""
+        library, fitting = self._runner.library, []
+        if library is None:
             return
-        try:
-            self._runner.library.replace(options)
-        except OptionError as error:
-            self.get_logger().error(f'options cannot be used: {error}')
+        for option in options:
+            try:
+                library.check(option)
+                fitting.append(option)
+            except OptionError as error:
+                self.get_logger().warning(f'not served: {error}')
+        library.replace(fitting)
 
     async def _on_run(
         self, request: RunOption.Request, response: RunOption.Response

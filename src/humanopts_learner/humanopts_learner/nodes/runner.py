@@ -13,7 +13,7 @@ from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import ActionCommand, ActionRefusal, GameState, OptionGoal
 from humanopts_learner.convert import end_to_message
 from humanopts_learner.execution import End, OptionRun, refusal, Status
-from humanopts_learner.library import OptionLibrary, UnknownOptionError
+from humanopts_learner.library import OptionLibrary, RunnableOption, UnknownOptionError
 from humanopts_learner.options.option import Mode
 from rclpy.task import Future
 
@@ -27,10 +27,10 @@ class _Active:
     run: OptionRun
     run_id: str
     episode: int
-    step: int  # of the state that the next command answers
-    done: Future
+    step: int  # of the state that the command under way answers
     canceled: Callable[[], bool]
     on_step: Callable[[OptionRun, str, str], None]
+    done: Future = field(default_factory=Future)
     deadline: float = 0.0
     command: int = 0  # sequence of the command that is not answered yet
 
@@ -53,8 +53,9 @@ class Runner:
     """
     Runs options in the current episode, one at a time; a second request is answered BUSY.
 
-    Whether the run goes on is decided here, after each state and before each command. A person
-    who takes over, or a reset, ends it as interrupted; silence of game ends it after a deadline.
+    Whether the run goes on is decided here, after each state and before each command, so that no
+    command is on its way when it ends, be it canceled or not. A person who takes over, or a reset,
+    ends it as interrupted; silence of game ends it after a deadline.
     """
 
     def __init__(self, node: NodeBase, mode: Mode, seed: int, no_progress_seconds: float) -> None:
@@ -63,11 +64,12 @@ class Runner:
         self._domain: Domain | None = None
         self.library: OptionLibrary | None = None
         self.state: GameState | None = None  # newest
-        self._active: _Active | None = None
+        self._taken_by = ''  # option that the runner is at work on; empty: it is free
+        self._active: _Active | None = None  # from its first command on
         self._arrivals: list[tuple[int, int, Future, float]] = []
         self._actions = node.stamped_publisher(ActionCommand, 'action')
         self._goals = node.stamped_publisher(OptionGoal, 'option_goals')
-        node.create_subscription(GameState, 'current_state', self._on_first_state, CURRENT)
+        node.create_subscription(GameState, 'current_state', self._on_state, CURRENT)
         node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
         node.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
         node.create_timer(_CHECK_PERIOD, self._check_deadlines)
@@ -80,47 +82,53 @@ class Runner:
         """Run an option to its end, or refuse; return an ``OptionResult``."""
         if self._domain is None or self.library is None:
             return self._refused(request, Status.NO_EPISODE, 'game has not announced itself')
-        if self._active is not None:
-            return self._refused(request, Status.BUSY, self._active.run.option.name)
+        if self._taken_by:
+            return self._refused(request, Status.BUSY, self._taken_by)
         try:
             option = self.library.resolve(request.option_name, request.participant)
         except UnknownOptionError as error:
             return self._refused(request, Status.UNKNOWN_OPTION, str(error))
-        run_id = str(uuid.uuid4())
-        rng = self._generator(request)
-        run = OptionRun(
-            option, self._domain, self._domain.gamma, request.max_steps, self._mode, rng
-        )
-        self._active = _Active(run, run_id, 0, 0, Future(), request.canceled, request.on_step)
+        self._taken_by = option.name
         try:
-            end = await self._drive(request, self._active)
+            return await self._drive(request, option)
         finally:
-            self._active = None
-        refused = (Status.NO_EPISODE, Status.NOT_AVAILABLE)
-        return end_to_message(end, '' if end.status in refused else run_id)
+            self._taken_by = ''
 
     def stop(self) -> None:
         """End the run under way, because the node ends."""
         if self._active is not None:
             self._finish(self._active.run.end(Status.FAILED, 'the option server stops'))
 
-    async def _drive(self, request: RunRequest, active: _Active) -> End:
+    async def _drive(self, request: RunRequest, option: RunnableOption) -> Any:
+        """Wait for the state to start from, and run the option from there."""
         state = await self._arrival(request.episode, request.step)
         if state is None:
-            return refusal(
-                Status.NO_EPISODE,
-                request.option_name,
-                f'episode {request.episode} step {request.step} did not come'
-                if request.episode
-                else 'no state came from game',
-            )
+            return self._refused(request, Status.NO_EPISODE, self._missing(request))
         if state.terminated or state.truncated:
-            return refusal(Status.NO_EPISODE, request.option_name, 'the episode has ended')
-        assert self._domain is not None
-        end = active.run.begin(self._domain.decode(state.state), state.episode, state.step)
+            return self._refused(request, Status.NO_EPISODE, 'the episode has ended')
+        moment = state.episode, state.step
+        rng = generator(self._seed, 'run', option.name, *moment)
+        gamma, limit = self._domain.gamma, request.max_steps
+        run = OptionRun(option, self._domain, gamma, limit, self._mode, rng)
+        end = run.begin(self._domain.decode(state.state), *moment)
         if end is not None:
-            return end
-        active.episode, active.step = state.episode, state.step
+            return end_to_message(end, '')
+        run_id = str(uuid.uuid4())
+        active = _Active(run, run_id, *moment, request.canceled, request.on_step)
+        self._active = active
+        self._announce(request, active)
+        self._send(active)
+        return end_to_message(await active.done, run_id)
+
+    def _missing(self, request: RunRequest) -> str:
+        if self.state is None or not request.episode:
+            return 'no state came from game'
+        return (
+            f'episode {request.episode} step {request.step} did not come; the game is at episode '
+            f'{self.state.episode} step {self.state.step}'
+        )
+
+    def _announce(self, request: RunRequest, active: _Active) -> None:
         self._goals.publish(
             OptionGoal(
                 run_id=active.run_id,
@@ -130,9 +138,6 @@ class Runner:
                 max_steps=active.run.max_steps,
             )
         )
-        self._send(active)
-        ended: End = await active.done
-        return ended
 
     async def _arrival(self, episode: int, step: int) -> GameState | None:
         """Return the state of that moment once it is here; None when it does not come."""
@@ -161,18 +166,18 @@ class Runner:
         self._actions.publish(command)
         active.command = self._actions.sequence
 
-    def _on_first_state(self, message: GameState) -> None:
-        """Know where the game is, where the stream has not said so yet."""
-        if self.state is None:
-            self._on_state(message)
-
     def _on_state(self, message: GameState) -> None:
+        """Take the next state; ``current_state`` repeats those that ``game_state`` brought."""
+        known, moment = self.state, (message.episode, message.step)
+        same_game = known is not None and known.publisher_id == message.publisher_id
+        if same_game and moment <= (known.episode, known.step):
+            return
         self.state = message
         self._answer_arrivals(message)
         active = self._active
-        if active is None or not active.episode or message.episode < active.episode:
+        if active is None:
             return
-        if message.episode > active.episode:
+        if message.episode != active.episode:
             self._finish(active.run.end(Status.INTERRUPTED, 'the game was reset'))
         elif message.step > active.step:
             self._on_step(active, message)
@@ -207,8 +212,9 @@ class Runner:
         self._finish(active.run.end(status, message.detail))
 
     def _finish(self, end: End) -> None:
-        if self._active is not None and not self._active.done.done():
-            self._active.done.set_result(end)
+        active, self._active = self._active, None
+        if active is not None:
+            active.done.set_result(end)
 
     def _answer_arrivals(self, message: GameState) -> None:
         waiting = []
@@ -227,15 +233,8 @@ class Runner:
             if now > deadline:
                 arrival.set_result(None)
         self._arrivals = [entry for entry in self._arrivals if not entry[2].done()]
-        if active is None or not active.episode:
-            return
-        if active.canceled():
-            self._finish(active.run.end(Status.CANCELED))
-        elif now > active.deadline:
+        if active is not None and now > active.deadline:
             self._finish(active.run.end(Status.NO_PROGRESS, f'{self._patience:g} s'))
-
-    def _generator(self, request: RunRequest) -> Any:
-        return generator(self._seed, 'run', request.option_name, request.episode, request.step)
 
     def _refused(self, request: RunRequest, status: Status, detail: str) -> Any:
         return end_to_message(refusal(status, request.option_name, detail), '')

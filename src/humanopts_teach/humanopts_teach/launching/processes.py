@@ -9,6 +9,7 @@ from humanopts_env.domains.base import Parameter
 from humanopts_learner.options.criteria import Thresholds
 
 Value = Parameter | list[str]
+_PATIENCE = 5.0  # s that a run waits for game, beside the time that game takes for a step
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,7 @@ def _option_server(setup: Setup) -> ProcessSpec:
         setup,
         options_directory=str(setup.options),
         seed=setup.seed,
+        no_progress_seconds=_PATIENCE + setup.step_period,
     )
 
 
