@@ -1,0 +1,407 @@
+"""The node option_server on the real graph: options run to their end, and it says which."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from graph_support.live import GAME, Goal, Graph, NodeProcess, OPTION_SERVER
+from graph_support.player import MACHINE, ME, PERSON, Player
+from graph_support.scripted import DELIVER, expert, FETCH, taught, TAXI, walk
+from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.nodes.qos import LATCHED
+from humanopts_env.seeding import generator
+from humanopts_interfaces.action import ExecuteOption
+from humanopts_interfaces.msg import (
+    ActionRefusal,
+    LearnedOptions,
+    OptionGoal,
+    OptionModel,
+    OptionResult,
+)
+from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
+from humanopts_learner.execution import OptionRun
+from humanopts_learner.options.files import option_to_json, save_option
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption, Mode
+import pytest
+
+START = 'taxi 4,4 passenger R destination G'
+ABOARD = 'taxi 4,4 passenger aboard destination G'
+CIRCLE, WANDER = 'go round', 'wander'
+PACE = 0.02  # s between steps, so that there is time to cancel
+PATIENCE = 1.0  # s that option_server waits for game
+
+
+def circle() -> LearnedOption:
+    """Learn a policy that goes to and fro between the two upper rows for ever."""
+    ways = ['south', 'north'] * 4
+    demo = walk('taxi 0,2 passenger R destination G', ways, CIRCLE, ['taxi_row'])
+    again = walk(
+        'taxi 1,2 passenger R destination G', ['north', 'south'] * 4, CIRCLE, ['taxi_row']
+    )
+    return learn_option([demo, again], TAXI, 0)
+
+
+def wander() -> LearnedOption:
+    """Learn a policy that is not sure what to do anywhere."""
+    starts = ['taxi 0,2 passenger R destination G', 'taxi 2,2 passenger R destination G']
+    ways = [['south', 'east', 'north', 'west'] * 3, ['west', 'east', 'south', 'south', 'north']]
+    demos = [walk(s, w, WANDER, ['passenger_in_taxi']) for s, w in zip(starts, ways)]
+    return learn_option(demos, TAXI, 0)
+
+
+OPTIONS = {option.name: option for option in [*taught(), circle(), wander()]}
+
+
+class Runs:
+    """A game, and the option server that plays it."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph, self.player = graph, Player(graph)
+        self.results = graph.listen(OptionResult, 'option_results')
+        self.goals = graph.listen(OptionGoal, 'option_goals')
+
+    def run(self, name: str, start: str = START, **fields: Any) -> OptionResult:
+        """Begin an episode and run an option in it."""
+        state = self.player.fresh(start)
+        fields = {'episode': state.episode, 'step': 0, **fields}
+        result: OptionResult = self.graph.ask(
+            RunOption, 'run_option', option_name=name, **fields
+        ).result
+        return result
+
+    def begin(self, name: str, start: str = START, **fields: Any) -> Goal:
+        """Begin an episode, and an option by the action; wait for the first feedback."""
+        state = self.player.fresh(start)
+        fields = {'episode': state.episode, 'step': 0, **fields}
+        goal = self.graph.act(ExecuteOption, 'execute_option', option_name=name, **fields)
+        self.graph.until(lambda: goal.feedback, 'feedback')
+        return goal
+
+    def steps(self, result: OptionResult) -> list[Any]:
+        """Return the states that a run led to."""
+        return [
+            s
+            for s in self.player.states
+            if s.episode == result.episode and s.step > result.first_step
+        ]
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Option files: good ones, a damaged one and one of another game."""
+    folder = tmp_path_factory.mktemp('options')
+    for option in OPTIONS.values():
+        path = save_option(folder, option, [])
+    (path.parent / 'damaged.json').write_text(path.read_text()[:200])
+    large = make_domain('taxi', {'rows': 7})
+    save_option(folder, learn_option(expert('go to passenger', 3, large), large, 0), [])
+    return folder
+
+
+@pytest.fixture(scope='module')
+def server(shared: Graph, folder: Path) -> NodeProcess:
+    shared.start(GAME, step_period=PACE)
+    process = shared.start(
+        OPTION_SERVER, options_directory=str(folder), no_progress_seconds=PATIENCE, seed=3
+    )
+    shared.ready('/game', '/option_server')
+    return process
+
+
+@pytest.fixture(scope='module')
+def runs(shared: Graph, server: NodeProcess) -> Runs:
+    return Runs(shared)
+
+
+def test_a_learned_option_runs_to_its_end(runs: Runs) -> None:
+    result = runs.run(FETCH)
+    assert result.status == OptionResult.STATUS_REACHED
+    assert result.detail == 'its termination condition holds'
+    distance = reference_options(TAXI)[FETCH].distance[TAXI.index(TAXI.decode(START))]
+    assert result.step_count == distance
+    assert result.final_state == 'taxi 0,0 passenger aboard destination G'
+    steps = runs.steps(result)
+    rewards = [s.reward for s in steps]
+    assert result.total_reward == sum(rewards)
+    assert result.discounted_return == pytest.approx(
+        sum(0.99**k * reward for k, reward in enumerate(rewards))
+    )
+    assert {s.action_source for s in steps} == {MACHINE}
+
+
+def test_an_option_that_ends_the_episode_says_so(runs: Runs) -> None:
+    result = runs.run(DELIVER, ABOARD)
+    assert (result.status, result.terminated) == (OptionResult.STATUS_REACHED, True)
+
+
+def test_goals_and_results_of_runs_are_on_the_graph(runs: Runs) -> None:
+    result = runs.run(FETCH)
+    runs.graph.until(lambda: runs.results and runs.results[-1].run_id == result.run_id, 'result')
+    goal = next(goal for goal in runs.goals if goal.run_id == result.run_id)
+    assert (goal.via, goal.option_name, goal.max_steps) == ('run_option', FETCH, 200)
+    assert runs.results[-1].step_count == result.step_count
+
+
+def test_a_primitive_action_is_an_option_of_one_step(runs: Runs) -> None:
+    result = runs.run('action:north')
+    assert (result.status, result.step_count) == (OptionResult.STATUS_REACHED, 1)
+    assert runs.steps(result)[0].previous_action == 'north'
+
+
+def test_whatever_is_current_is_where_a_run_starts_that_names_no_moment(runs: Runs) -> None:
+    runs.player.fresh(START)
+    runs.player.do('north')
+    answer = runs.graph.ask(RunOption, 'run_option', option_name='action:north').result
+    assert (answer.first_step, answer.status) == (1, OptionResult.STATUS_REACHED)
+
+
+def test_the_action_gives_feedback_after_every_step(runs: Runs) -> None:
+    goal = runs.begin(FETCH)
+    status, result = goal.result()
+    assert status == GoalStatus.STATUS_SUCCEEDED
+    assert result.status == OptionResult.STATUS_REACHED
+    steps = runs.steps(result)
+    assert [f.step_count for f in goal.feedback] == list(range(1, result.step_count + 1))
+    assert [f.action for f in goal.feedback] == [s.previous_action for s in steps]
+    assert [f.state for f in goal.feedback] == [s.state for s in steps]
+    assert goal.feedback[-1].total_reward == result.total_reward
+    assert [f.termination >= 0.5 for f in goal.feedback] == [False] * (len(steps) - 1) + [True]
+
+
+def test_a_run_is_canceled_and_its_result_is_where_the_game_is(runs: Runs) -> None:
+    goal = runs.begin(CIRCLE)
+    goal.cancel()
+    status, result = goal.result()
+    assert status == GoalStatus.STATUS_CANCELED
+    assert result.status == OptionResult.STATUS_CANCELED
+    assert 0 < result.step_count < 200
+    answer = runs.player.do('north', step=result.step_count)
+    assert answer.step == result.step_count + 1
+    assert runs.player.states[-2].state == result.final_state
+
+
+def test_a_second_request_is_answered_busy_at_once(runs: Runs) -> None:
+    goal = runs.begin(CIRCLE)
+    known = runs.player.state.step
+    for answer in (
+        runs.graph.ask(RunOption, 'run_option', option_name=FETCH).result,
+        runs.graph.act(ExecuteOption, 'execute_option', option_name=FETCH).result()[1],
+    ):
+        assert answer.status == OptionResult.STATUS_BUSY
+        assert CIRCLE in answer.detail
+        assert answer.run_id == ''
+    assert runs.player.state.step < known + 50
+    goal.cancel()
+    assert goal.result()[1].status == OptionResult.STATUS_CANCELED
+
+
+def test_an_unknown_option_is_refused_with_what_there_is(runs: Runs) -> None:
+    result = runs.run('fly')
+    assert result.status == OptionResult.STATUS_UNKNOWN_OPTION
+    for name in (FETCH, DELIVER, 'action:dropoff'):
+        assert name in result.detail
+    whose = runs.run(FETCH, participant='p2')
+    assert whose.status == OptionResult.STATUS_UNKNOWN_OPTION
+    assert "participant 'p2'" in whose.detail
+
+
+def test_an_option_outside_its_initiation_set_is_not_available(runs: Runs) -> None:
+    result = runs.run(FETCH, ABOARD)
+    assert result.status == OptionResult.STATUS_NOT_AVAILABLE
+    assert ABOARD in result.detail
+    assert (result.step_count, result.run_id) == (0, '')
+
+
+def test_without_an_episode_under_way_nothing_runs(runs: Runs) -> None:
+    over = runs.run(DELIVER, 'taxi 0,4 passenger aboard destination G')
+    assert over.terminated
+    refused = runs.graph.ask(RunOption, 'run_option', option_name=FETCH).result
+    assert refused.status == OptionResult.STATUS_NO_EPISODE
+    assert 'the episode has ended' in refused.detail
+    never = runs.run(FETCH, episode=9999)
+    assert never.status == OptionResult.STATUS_NO_EPISODE
+    assert 'episode 9999 step 0 did not come; the game is at' in never.detail
+
+
+def test_max_steps_cuts_a_run_off(runs: Runs) -> None:
+    result = runs.run(FETCH, max_steps=2)
+    assert (result.status, result.step_count) == (OptionResult.STATUS_MAX_STEPS, 2)
+    assert 'circle' not in result.detail
+
+
+def test_a_policy_that_walks_in_a_circle_ends_and_is_told_so(runs: Runs) -> None:
+    result = runs.run(CIRCLE, 'taxi 0,2 passenger R destination G', max_steps=7)
+    assert (result.status, result.step_count) == (OptionResult.STATUS_MAX_STEPS, 7)
+    assert 'walked in a circle of 2 through taxi 0,2' in result.detail
+
+
+def test_a_person_takes_over_a_running_option(runs: Runs) -> None:
+    goal = runs.begin(CIRCLE)
+    key = runs.player.command('east', PERSON)
+    runs.player.send(key)
+    status, result = goal.result()
+    assert status == GoalStatus.STATUS_ABORTED
+    assert result.status == OptionResult.STATUS_INTERRUPTED
+    assert f'{ME} took east' in result.detail
+    refusals = runs.player.refusals
+    runs.graph.until(
+        lambda: refusals and refusals[-1].command_episode == key.episode, "the machine's refusal"
+    )
+    assert refusals[-1].reason == ActionRefusal.REASON_HELD_BY_PERSON
+    made = (ME, key.sequence)
+    moves = [s for s in runs.player.states if (s.action_publisher_id, s.action_sequence) == made]
+    assert [(s.previous_action, s.action_source) for s in moves] == [('east', PERSON)]
+    assert moves[0].step == result.step_count + 1
+
+    again = runs.graph.ask(RunOption, 'run_option', option_name='action:north').result
+    assert again.status == OptionResult.STATUS_INTERRUPTED
+    assert 'held by the person' in again.detail
+    runs.player.hold(False)
+    driven = runs.graph.ask(RunOption, 'run_option', option_name='action:north').result
+    assert driven.status == OptionResult.STATUS_REACHED
+
+
+def test_control_taken_without_a_move_interrupts_too(runs: Runs) -> None:
+    goal = runs.begin(CIRCLE)
+    runs.player.hold(True)
+    _, result = goal.result()
+    assert result.status == OptionResult.STATUS_INTERRUPTED
+    assert 'control is held by the person' in result.detail
+    assert runs.player.state.step == result.step_count
+
+
+def test_a_reset_interrupts_a_run(runs: Runs) -> None:
+    goal = runs.begin(CIRCLE)
+    runs.player.reset(START)
+    _, result = goal.result()
+    assert result.status == OptionResult.STATUS_INTERRUPTED
+    assert 'the game was reset' in result.detail
+    assert runs.run(FETCH).status == OptionResult.STATUS_REACHED
+
+
+def test_a_game_that_says_nothing_ends_the_run_and_the_next_one_works(runs: Runs) -> None:
+    game = runs.graph.started[0]
+    goal = runs.begin(CIRCLE)
+    game.pause()
+    _, result = goal.result()
+    assert result.status == OptionResult.STATUS_NO_PROGRESS
+    assert 'deadline: 1 s' in result.detail
+    game.go_on()
+    assert runs.run(FETCH).status == OptionResult.STATUS_REACHED
+
+
+@pytest.mark.parametrize('name', [FETCH, WANDER])
+@pytest.mark.parametrize('text', [START, ABOARD, 'taxi 0,0 passenger R destination G'])
+def test_a_query_answers_with_the_numbers_of_the_option(runs: Runs, name: str, text: str) -> None:
+    answer = runs.graph.ask(QueryOption, 'query_option', option_name=name, state=text)
+    option, row = OPTIONS[name], TAXI.feature_values(TAXI.decode(text))[None]
+    assert answer.status == QueryOption.Response.STATUS_OK
+    assert answer.can_start == option.can_start(row)[0]
+    assert answer.initiation == option.initiation_probability(row)[0]
+    assert answer.termination == option.termination_probability(row)[0]
+    assert answer.actions == [action.name for action in TAXI.actions]
+    assert answer.action_probabilities.tolist() == option.action_probabilities(row)[0].tolist()
+    assert answer.greedy_action == TAXI.actions[option.greedy_action(row)[0]].name
+
+
+def test_a_query_without_a_state_is_about_the_current_one(runs: Runs) -> None:
+    runs.player.fresh(ABOARD)
+    answer = runs.graph.ask(QueryOption, 'query_option', option_name=FETCH)
+    assert not answer.can_start
+
+
+def test_a_query_that_makes_no_sense_is_refused_in_words(runs: Runs) -> None:
+    unknown = runs.graph.ask(QueryOption, 'query_option', option_name='fly', state=START)
+    assert unknown.status == QueryOption.Response.STATUS_UNKNOWN_OPTION
+    assert FETCH in unknown.detail
+    nowhere = runs.graph.ask(QueryOption, 'query_option', option_name=FETCH, state='nowhere')
+    assert nowhere.status == QueryOption.Response.STATUS_BAD_STATE
+    assert "'nowhere'" in nowhere.detail
+
+
+def test_the_list_is_what_can_be_run(runs: Runs) -> None:
+    listed = runs.graph.ask(ListOptions, 'list_options')
+    assert listed.option_names == sorted(OPTIONS)
+    assert set(listed.participants) == {'p1'}
+    assert listed.n_demonstrations.tolist() == [
+        OPTIONS[name].n_demonstrations for name in sorted(OPTIONS)
+    ]
+    assert listed.primitive_actions == [f'action:{action.name}' for action in TAXI.actions]
+    assert runs.graph.ask(ListOptions, 'list_options', participant='p2').option_names == []
+
+
+def test_a_file_that_cannot_be_used_is_reported_and_left_alone(
+    server: NodeProcess, folder: Path
+) -> None:
+    said = server.said()
+    (damaged,) = folder.glob('*/damaged.json')
+    assert f'{damaged} cannot be used: it is not JSON' in said
+    assert "not served: 'go to passenger' was learned in taxi" in said
+    assert len(damaged.read_text()) == 200
+
+
+@pytest.fixture
+def alone(live: Graph) -> Iterator[Graph]:
+    """A game, and nothing else yet."""
+    live.start(GAME)
+    live.ready('/game')
+    return live
+
+
+def test_options_that_the_learner_published_before_are_served(alone: Graph) -> None:
+    good = OptionModel(name=FETCH, participant='p1', model=option_to_json(OPTIONS[FETCH]))
+    bad = OptionModel(name='spoilt', participant='p1', model='{}')
+    publisher = alone.node.create_publisher(LearnedOptions, 'learned_options', LATCHED)
+    publisher.publish(LearnedOptions(options=[bad, good]))
+    server = alone.start(OPTION_SERVER)
+    alone.ready('/option_server')
+
+    def names() -> list[str]:
+        return list(alone.ask(ListOptions, 'list_options').option_names)
+
+    alone.until(lambda: names() == [FETCH], 'the option to be served')
+    assert "'spoilt' in learned_options" in server.said()
+
+
+def test_the_sampled_mode_is_a_function_of_the_seed_and_the_moment(
+    alone: Graph, folder: Path
+) -> None:
+    alone.start(OPTION_SERVER, options_directory=str(folder), mode='sampled', seed=5)
+    alone.ready('/option_server')
+    runs = Runs(alone)
+    taken = []
+    for fields in ({}, {'episode': 0}):
+        result = runs.run(WANDER, **fields)
+        steps = runs.steps(result)
+        expected = sampled(5, steps[0].episode)
+        assert [s.previous_action for s in steps] == expected
+        taken.append(expected)
+        assert expected != sampled(6, steps[0].episode)
+    assert taken[0] != taken[1]
+
+
+def sampled(seed: int, episode: int) -> list[str]:
+    """Return the actions that the option draws in an episode that begins at START."""
+    option, state = OPTIONS[WANDER], TAXI.decode(START)
+    rng = generator(seed, 'run', WANDER, episode, 0)
+    run = OptionRun(option, TAXI, TAXI.gamma, 0, Mode.SAMPLED, rng)
+    assert run.begin(state, episode, 0) is None
+    actions: list[str] = []
+    end = None
+    while end is None:
+        action = run.next_action()
+        actions.append(TAXI.actions[action].name)
+        outcome = TAXI.step(state, action, rng)
+        state = outcome.state
+        truncated = not outcome.terminated and len(actions) == TAXI.max_steps
+        end = run.observe(state, outcome.reward, outcome.terminated, truncated)
+    return actions
+
+
+def test_a_mode_that_there_is_not_is_refused(alone: Graph) -> None:
+    process = alone.start(OPTION_SERVER, mode='lazy')
+    process.expected = {2}
+    assert process.ended() == 2
+    assert process.said() == "humanopts: mode is 'lazy', and must be greedy or sampled\n"
