@@ -76,10 +76,17 @@ class Command:
                 found[number] = ' '.join(words)
         return found
 
-    def node(self, name: str) -> int:
-        """Return the process of a node."""
-        (number,) = [n for n, line in self.running().items() if f'/log/{name}.yaml' in line]
-        return number
+    def kill(self, node: str, how: signal.Signals) -> None:
+        """Send a signal to the process of a node."""
+        (number,) = [n for n, line in self.running().items() if f'/log/{node}.yaml' in line]
+        os.kill(number, how)
+
+    def gone(self, seconds: float) -> None:
+        """Wait until nothing is left below it."""
+        deadline = time.monotonic() + seconds
+        while left := self.running():
+            assert time.monotonic() < deadline, f'still there: {left}'
+            time.sleep(0.05)
 
     def close(self) -> None:
         """End whatever is left."""

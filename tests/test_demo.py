@@ -1,0 +1,340 @@
+"""One demo from end to end, and what it leaves: summary, report, options and bag."""
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+import json
+from pathlib import Path
+import re
+from typing import Any
+
+from graph_support.command import DemoRun, run_demo, shown_on_disk
+from graph_support.rewriting import without
+from humanopts_env.domains.base import action_index
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Kind
+from humanopts_learner.options.files import option_from_json
+from humanopts_teach.bags.demonstrations import (
+    DEMONSTRATION,
+    Episode,
+    read_demonstrations,
+    read_episodes,
+)
+from humanopts_teach.bags.info import count_loss
+from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.cli import main
+from humanopts_teach.evaluation.bag_evaluation import evaluate_bag
+import numpy as np
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
+OPTION = {
+    'name': str,
+    'features': [str],
+    'n_demonstrations': int,
+    'policy_accuracy': float,
+    'mean_return_demonstrations': float,
+    'mean_return_policy': float,
+    'cv_error_initiation': float,
+    'cv_error_termination': float,
+    'classification_accuracy_initiation': float,
+    'classification_accuracy_termination': float,
+    'criteria_met': bool,
+}
+SCHEMA = {
+    'domain': str,
+    'seed': int,
+    'options': [OPTION],
+    'teaching': {
+        'strategy': str,
+        'thresholds': {
+            'return_delta': float,
+            'initiation_error': float,
+            'termination_error': float,
+        },
+        'teacher_error_rate': float,
+        'budget': int,
+    },
+    'planning': [
+        {
+            'action_set': str,
+            'gamma': float,
+            'table_seconds': float,
+            'model_seconds': float,
+            'sweep_seconds': float,
+            'sweeps': int,
+            'residual': float,
+            'converged': bool,
+            'mean_return': float,
+            'mean_discounted_return': float,
+        }
+    ],
+    'execution': {'episodes': int, 'successes': int, 'fallbacks': int, 'mean_return': float},
+    'bag': {'path': str, 'messages': int, 'topics': int},
+    'offline': {'options': [OPTION]},
+}
+# What nothing in a demo sends on: nobody is refused, and options are run by the service.
+QUIET = {
+    '/action_refused',
+    '/execute_option/_action/feedback',
+    '/execute_option/_action/status',
+    '/list_options/_service_event',
+    '/query_option/_service_event',
+}
+OWN_OF_RCLPY = {'/rosout', '/parameter_events'}
+
+
+@pytest.fixture(scope='module')
+def bag(demo: DemoRun) -> Bag:
+    """The demo's bag."""
+    return open_bag(demo.bag)
+
+
+@pytest.fixture(scope='module')
+def episodes(bag: Bag) -> list[Episode]:
+    """Every episode in it, those of the lesson first."""
+    return read_episodes(bag)
+
+
+def test_demo_keeps_its_promises_and_says_so(demo: DemoRun) -> None:
+    assert (demo.status, demo.errors) == (0, '')
+    assert f'{PICKUP}: ' in demo.output
+    assert '100 of 100 episodes done by running options, 0 fallbacks' in demo.output
+    assert demo.output.endswith(f'report: {demo.folder / "report.html"}\n')
+
+
+def test_progress_is_printed_where_there_is_no_terminal(demo: DemoRun) -> None:
+    stages = ['teaching', 'planning', 'playing 100 episodes', 'evaluating the bag', 'writing']
+    places = [demo.output.index(f'\n{stage}') for stage in stages]
+    assert places == sorted(places)
+    assert re.search(rf'^{PICKUP}: \d+ demonstrations, .* criteria met$', demo.output, re.M)
+    assert '\x1b' not in demo.output
+
+
+def test_first_state_is_shown_soon_and_the_demo_is_short(demo: DemoRun) -> None:
+    assert demo.first_state_after < 10  # about 3 s where nothing else runs
+    assert demo.seconds < 100
+
+
+def test_summary_has_exactly_its_schema(demo: DemoRun) -> None:
+    assert list(_deviations(demo.summary, SCHEMA)) == []
+    assert [row['action_set'] for row in demo.summary['planning']] == ['human', 'primitive']
+    assert [option['name'] for option in demo.summary['options']] == [PICKUP, DROPOFF]
+    assert (demo.summary['domain'], demo.summary['seed']) == ('taxi', 1)
+    assert demo.summary['teaching']['teacher_error_rate'] > 0
+
+
+def _deviations(value: Any, schema: Any, place: str = 'summary') -> Iterator[str]:
+    if isinstance(schema, dict):
+        if not isinstance(value, dict) or list(value) != list(schema):
+            yield f'{place} has not the keys {list(schema)}'
+            return
+        for key, part in schema.items():
+            yield from _deviations(value[key], part, f'{place}.{key}')
+    elif isinstance(schema, list):
+        if not isinstance(value, list) or not value:
+            yield f'{place} is no list, or an empty one'
+            return
+        for number, entry in enumerate(value):
+            yield from _deviations(entry, schema[0], f'{place}[{number}]')
+    elif type(value) is not schema:
+        yield f'{place} is {value!r}'
+
+
+def test_criteria_of_both_options_are_met(demo: DemoRun) -> None:
+    limits = demo.summary['teaching']['thresholds']
+    for option in demo.summary['options']:
+        assert option['criteria_met']
+        assert option['cv_error_initiation'] <= limits['initiation_error']
+        assert option['cv_error_termination'] <= limits['termination_error']
+
+
+def test_every_episode_is_delivered_without_a_fallback(demo: DemoRun, bag: Bag) -> None:
+    played = demo.summary['execution']
+    assert (played['episodes'], played['successes'], played['fallbacks']) == (100, 100, 0)
+    runs = [r.message.option_name for r in bag.messages(['/option_results'])]
+    assert len(runs) == 200
+    assert set(runs) == {PICKUP, DROPOFF}
+
+
+def test_mean_return_is_that_of_the_episodes_and_near_the_optimum(
+    demo: DemoRun, episodes: list[Episode]
+) -> None:
+    domain, played = Taxi(), episodes[-100:]
+    assert all(episode.complete and episode.moments[-1].terminated for episode in played)
+    mean = sum(episode.total_reward for episode in played) / 100
+    assert demo.summary['execution']['mean_return'] == pytest.approx(mean, abs=1e-12)
+    best = _best_returns(domain)
+    starts = [domain.index(domain.decode(episode.moments[0].state)) for episode in played]
+    optimum = best[starts].mean()
+    assert abs(mean - optimum) <= 0.02 * abs(optimum)
+    primitive = demo.summary['planning'][1]['mean_return']
+    assert abs(mean - primitive) <= 0.02 * abs(primitive)
+
+
+def _best_returns(domain: Taxi) -> np.ndarray:
+    """Return (S,): the largest undiscounted return from every state, by sweeps over the rules."""
+    table, best = domain.transitions(), np.zeros(domain.n_states)
+    for _ in range(domain.max_steps):
+        after = np.where(table.terminated[..., 0], 0.0, best[table.successor[..., 0]])
+        best = np.where(domain.over(), 0.0, (table.reward[..., 0] + after).max(axis=1))
+    return best
+
+
+def test_game_states_replay_exactly_in_the_rules(episodes: list[Episode]) -> None:
+    domain, rng = Taxi(), generator(0, 'replay')
+    steps = 0
+    for episode in episodes:
+        for before, after in zip(episode.moments, episode.moments[1:]):
+            action = action_index(domain, after.previous_action)
+            outcome = domain.step(domain.decode(before.state), action, rng)
+            assert after.step == before.step + 1
+            assert domain.encode(outcome.state) == after.state
+            assert (outcome.reward, outcome.terminated) == (after.reward, after.terminated)
+            assert tuple(domain.feature_values(outcome.state)) == after.features
+            steps += 1
+    assert steps > 1000
+
+
+def test_every_step_answers_one_recorded_command(bag: Bag) -> None:
+    sent = {(m.publisher_id, m.sequence): m for m in _all(bag, '/action')}
+    led = [m for m in _all(bag, '/game_state') if m.previous_action]
+    answered = [(m.action_publisher_id, m.action_sequence) for m in led]
+    assert len(set(answered)) == len(answered) == len(sent)
+    for state, key in zip(led, answered):
+        command = sent[key]
+        assert (command.action, command.source) == (state.previous_action, state.action_source)
+        assert (command.episode, command.step + 1) == (state.episode, state.step)
+
+
+def _all(bag: Bag, topic: str) -> list[Any]:
+    return [recorded.message for recorded in bag.messages([topic])]
+
+
+def test_no_message_is_lost(bag: Bag) -> None:
+    streams = list(count_loss(bag))
+    assert [(t, who, s.gaps) for t, who, s in streams if s.missing or s.duplicates] == []
+    assert len(streams) > 20
+    assert bag.damage == ''
+
+
+def test_every_topic_of_the_graph_reference_is_in_the_bag(demo: DemoRun, bag: Bag) -> None:
+    expected = _documented_topics()
+    assert set(bag.topics) - OWN_OF_RCLPY == set(expected)
+    assert set(bag.topics) >= OWN_OF_RCLPY
+    assert {name: bag.topics[name].type for name in expected} == expected
+    assert {name for name in expected if not bag.topics[name].messages} == QUIET
+    counted = (demo.summary['bag']['messages'], demo.summary['bag']['topics'])
+    assert counted == (bag.n_messages, len(bag.topics))
+
+
+def _documented_topics() -> dict[str, str]:
+    """Return the type of every topic that docs/reference/graph.md names or implies."""
+    text = (ROOT / 'docs/reference/graph.md').read_text('utf-8')
+    found = {}
+    for name, kind in re.findall(r'^\| `([\w/]+)` \| `([\w/]+)` \|', text, re.M):
+        if '/srv/' in kind:
+            found[f'/{name}/_service_event'] = f'{kind}_Event'
+        elif '/action/' in kind:
+            found[f'/{name}/_action/feedback'] = f'{kind}_FeedbackMessage'
+            found[f'/{name}/_action/status'] = 'action_msgs/msg/GoalStatusArray'
+        else:
+            found[f'/{name}'] = kind
+    return found
+
+
+def test_every_service_call_is_recorded_by_both_its_ends(bag: Bag) -> None:
+    names = [name for name in bag.topics if name.endswith('/_service_event')]
+    calls = defaultdict(list)  # the ends call the client differently
+    for recorded in bag.messages(names):
+        info = recorded.message.info
+        end = (recorded.topic, tuple(info.client_gid), info.sequence_number)
+        calls[end].append(info.event_type)
+    asked = [end[0] for end, events in calls.items() if sorted(events) == [0, 3]]
+    answered = [end[0] for end, events in calls.items() if sorted(events) == [1, 2]]
+    assert Counter(asked) == Counter(answered)
+    assert len(asked) + len(answered) == len(calls) > 800
+
+
+def test_metadata_of_the_bag_counts_what_is_there(demo: DemoRun, bag: Bag) -> None:
+    document = yaml.safe_load((demo.bag / 'metadata.yaml').read_text('utf-8'))
+    information = document['rosbag2_bagfile_information']
+    counts = {
+        entry['topic_metadata']['name']: entry['message_count']
+        for entry in information['topics_with_message_count']
+    }
+    assert counts == {name: topic.messages for name, topic in bag.topics.items()}
+    assert information['message_count'] == bag.n_messages
+
+
+def test_demonstrations_in_the_bag_are_those_on_disk(demo: DemoRun, bag: Bag) -> None:
+    on_disk, in_bag = shown_on_disk(demo.folder), read_demonstrations(bag)
+    assert in_bag == on_disk
+    shown = [d.option_name for d in on_disk if d.kind is Kind.TRAJECTORY]
+    for option in demo.summary['options']:
+        assert shown.count(option['name']) == option['n_demonstrations']
+
+
+def test_option_files_load_again_and_are_the_taught_options(demo: DemoRun, bag: Bag) -> None:
+    files = sorted((demo.folder / 'options/p1').glob('*.json'))
+    loaded = {o.name: (o, d) for o, d in (option_from_json(f.read_text('utf-8')) for f in files)}
+    taught = {option['name']: option for option in demo.summary['options']}
+    assert set(loaded) == set(taught) == {PICKUP, DROPOFF}
+    for name, (option, demonstrations) in loaded.items():
+        assert list(option.features) == taught[name]['features']
+        assert demonstrations == [d for d in read_demonstrations(bag) if d.option_name == name]
+
+
+def test_offline_numbers_equal_the_live_ones_exactly(demo: DemoRun) -> None:
+    assert demo.summary['offline'] == {'options': demo.summary['options']}
+
+
+def test_bag_eval_gives_the_same_block(demo: DemoRun, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['bag', 'eval', '--json', str(demo.bag)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    block = [{key: option[key] for key in OPTION} for option in found['options']]
+    assert block == demo.summary['options']
+    assert found['warnings'] == []
+
+
+def test_bag_info_names_what_is_there(
+    demo: DemoRun, bag: Bag, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['bag', 'info', str(demo.bag)]) == 0
+    said = capsys.readouterr().out
+    for words in (PICKUP, DROPOFF, 'taxi', 'missing: 0 messages', 'reached 200', *bag.topics):
+        assert words in said
+    assert main(['bag', 'info', '--json', str(demo.bag)]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts['messages'], facts['damage']) == (bag.n_messages, '')
+
+
+@pytest.mark.parametrize('option', [PICKUP, DROPOFF])
+def test_a_demonstration_less_changes_the_offline_numbers(
+    demo: DemoRun, bag: Bag, tmp_path: Path, option: str
+) -> None:
+    shown = [d for d in read_demonstrations(bag) if d.option_name == option]
+    last = [d for d in shown if d.kind is Kind.TRAJECTORY][-1]
+    cut = without(demo.bag, tmp_path / 'cut.mcap', DEMONSTRATION, lambda m: m.uuid == last.uuid)
+    assert open_bag(cut).n_messages == bag.n_messages - 1
+    before = {block['name']: block for block in demo.summary['offline']['options']}
+    for block in (block.to_dict() for block in evaluate_bag(cut).blocks):
+        if block['name'] != option:
+            assert block == before[block['name']]
+        else:
+            changed = {key for key in block if block[key] != before[option][key]}
+            assert {'n_demonstrations', 'mean_return_demonstrations'} <= changed
+
+
+def test_same_seed_teaches_the_same_again(
+    demo: DemoRun, bag: Bag, tmp_path: Path, domain_id: int
+) -> None:
+    again = run_demo(tmp_path, domain_id, '--seed', 1, '--episodes', 1)
+    assert (again.status, again.errors) == (0, '')
+    assert again.summary['options'] == demo.summary['options']
+    first, second = read_demonstrations(bag), read_demonstrations(open_bag(again.bag))
+    assert [(d.uuid, d.states, d.actions) for d in first] == [
+        (d.uuid, d.states, d.actions) for d in second
+    ]

@@ -1,0 +1,118 @@
+"""A demo whose nodes die, or that is ended: it says so, keeps its bag and leaves nothing."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+import signal
+from signal import SIGINT, SIGKILL, SIGTERM
+
+from graph_support.command import Command, shown_on_disk
+from humanopts_teach.bags.demonstrations import read_demonstrations
+from humanopts_teach.bags.reader import Bag, open_bag
+import pytest
+
+SHOWN = 3  # demonstrations on disk before anything happens
+PATIENCE = 15.0  # s for a demo to end; it takes about one
+Start = Callable[..., Command]
+
+
+@pytest.fixture
+def start(tmp_path: Path, domain_id: int) -> Iterator[Start]:
+    """Start a demo in ``tmp_path / 'out'``."""
+    started = []
+
+    def begin(*arguments: object) -> Command:
+        command = Command(
+            ['demo', '--out', tmp_path / 'out', '--seed', 3, *arguments], tmp_path, domain_id
+        )
+        started.append(command)
+        return command
+
+    yield begin
+    for command in started:
+        command.close()
+
+
+def teach(command: Command, folder: Path) -> None:
+    """Wait until it is in the middle of teaching."""
+    command.until(lambda: len(shown_on_disk(folder / 'out')) >= SHOWN, 'demonstrations')
+
+
+def bag_of(folder: Path) -> Bag:
+    """Open the bag, whatever became of its recorder."""
+    return open_bag(folder / 'out' / 'bag')
+
+
+def check_end(command: Command, node: str, how: str) -> None:
+    """The demo ends with a message that names the node, and nothing is left of it."""
+    assert command.ended(PATIENCE) == 1
+    first = command.errors.partition('\n')[0]
+    assert first.startswith(f'humanopts demo: the node {node} ended ({how}) while it was needed; ')
+    assert command.running() == {}
+
+
+@pytest.mark.parametrize('node', ['recorder', 'game', 'learner', 'lesson', 'simulated_teacher'])
+def test_a_node_that_ends_while_it_teaches_ends_the_demo(
+    start: Start, tmp_path: Path, node: str
+) -> None:
+    command = start()
+    teach(command, tmp_path)
+    command.kill(node, SIGTERM)
+    check_end(command, node, 'exit status 0')
+    assert 'Traceback' not in command.errors
+    bag = bag_of(tmp_path)
+    assert bag.damage == ''
+    on_disk, in_bag = shown_on_disk(tmp_path / 'out'), read_demonstrations(bag)
+    assert len(in_bag) >= SHOWN
+    assert in_bag == on_disk[: len(in_bag)]
+
+
+@pytest.mark.parametrize('node', ['option_server', 'planner'])
+def test_a_node_that_ends_while_it_plays_ends_the_demo(
+    start: Start, tmp_path: Path, node: str
+) -> None:
+    command = start('--budget', 3, '--episodes', 100000)
+    command.until(lambda: 'playing' in command.output, 'the first episode')
+    command.kill(node, SIGTERM)
+    check_end(command, node, 'exit status 0')
+    bag = bag_of(tmp_path)
+    assert bag.damage == ''
+    assert read_demonstrations(bag) == shown_on_disk(tmp_path / 'out')
+
+
+def test_a_killed_recorder_leaves_what_it_had_written(start: Start, tmp_path: Path) -> None:
+    command = start()
+    teach(command, tmp_path)
+    command.kill('recorder', SIGKILL)
+    check_end(command, 'recorder', 'by signal SIGKILL')
+    bag = bag_of(tmp_path)
+    assert 'not closed' in bag.damage or 'cut short' in bag.damage
+    in_bag = read_demonstrations(bag)
+    assert in_bag == shown_on_disk(tmp_path / 'out')[: len(in_bag)]
+    assert bag.n_messages > 50
+
+
+@pytest.mark.parametrize('how', [SIGINT, SIGTERM])
+def test_a_demo_that_is_interrupted_stops_everything(
+    start: Start, tmp_path: Path, how: signal.Signals
+) -> None:
+    command = start()
+    teach(command, tmp_path)
+    command.send(how)
+    command.send(how)  # an impatient second one changes nothing
+    assert command.ended(PATIENCE) == 130
+    assert command.errors == 'humanopts demo: interrupted; everything is stopped\n'
+    assert command.running() == {}
+    bag = bag_of(tmp_path)
+    assert bag.damage == ''
+    assert read_demonstrations(bag) == shown_on_disk(tmp_path / 'out')
+
+
+def test_nodes_whose_launcher_was_killed_end_by_themselves(start: Start, tmp_path: Path) -> None:
+    command = start()
+    teach(command, tmp_path)
+    command.send(SIGKILL)
+    assert command.ended(PATIENCE) == -SIGKILL
+    command.gone(PATIENCE)
+    bag = bag_of(tmp_path)
+    assert bag.damage == ''
+    assert len(read_demonstrations(bag)) >= SHOWN
