@@ -83,13 +83,15 @@ class BagWriter:
 
         :param type_name: such as humanopts_interfaces/msg/GameState.
         :param qos: the profiles that its publishers offer.
-        :param type_hash: RIHS01_..., where it is known.
+        :param type_hash: RIHS01_..., where it is known; kept for messages only.
         :return: the schema of its messages.
         :raises SchemaError: the type's definition is not installed here.
         """
         schema = self._definitions.schema(type_name)
         if name in self._topics:
             return schema
+        if '/msg/' not in type_name:
+            type_hash = ''  # rosbags 0.11 opens no bag with that of a service event or feedback
         if type_name not in self._schemas:
             self._schemas[type_name] = self._writer.register_schema(
                 type_name, 'ros2msg', schema.encode()
