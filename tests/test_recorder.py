@@ -39,6 +39,7 @@ BURST = """
 import sys, time
 from humanopts_env.nodes.node_base import NodeBase, run_node
 from humanopts_interfaces.msg import GameState
+from rclpy.duration import Duration
 class Burst(NodeBase):
     def __init__(self):
         super().__init__('burst')
@@ -54,6 +55,8 @@ class Burst(NodeBase):
             self.states.publish(GameState(step=self.sent, state='x' * 40))
             self.sent += 1
         if self.sent == self.count:
+            for publisher in self.publishers:
+                publisher.wait_for_all_acked(Duration(seconds=20))
             print('sent', flush=True)
             self.count = -1
 run_node(Burst, ['--ros-args', '-p', 'expect_recorder:=true'])
