@@ -6,10 +6,11 @@ import sys
 
 from catkin_pkg.package import InvalidPackage, parse_package
 
-# Import name -> rosdep key, where the two differ. None: part of another dependency.
+# Import name -> rosdep key, where the two differ.
 KEYS = {
     'gymnasium': 'python3-gymnasium-pip',
     'jinja2': 'python3-jinja2',
+    'markupsafe': 'python3-jinja2',
     'matplotlib': 'python3-matplotlib',
     'mcap': 'python3-mcap-pip',
     'mcap_ros2': 'python3-mcap-ros2-support-pip',
@@ -21,6 +22,7 @@ KEYS = {
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }
+FIELDS = {'std_msgs'}  # used as fields of our messages
 
 
 def imported(package: Path) -> set[str]:
@@ -49,7 +51,7 @@ def problems(package: Path) -> list[str]:
         f'{package}/package.xml does not list {name}' for name in sorted(needed - declared)
     ] + [
         f'{package}/package.xml lists {name}, which no code imports'
-        for name in sorted(declared - needed)
+        for name in sorted(declared - needed - FIELDS)
         if imported(package)
     ]
 

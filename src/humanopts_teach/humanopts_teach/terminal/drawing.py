@@ -1,11 +1,12 @@
 """The whole screen as lines of a given size."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from io import StringIO
 from typing import Literal
 
 from humanopts_teach.dialogue.answers import Phase
 from humanopts_teach.terminal.app import App
+from humanopts_teach.terminal.board import board_text
 from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen
 from humanopts_teach.terminal.panels import panel
 from humanopts_teach.terminal.teaching import LessonScreen
@@ -97,11 +98,7 @@ def _board(app: App) -> tuple[Text, Text]:
     game, domain = app.world.game, app.domain
     if game is None or not game.state:
         return Text(), Text()
-    lines = domain.render(domain.decode(game.state), _shown(app)).split('\n')
-    width = cell_len(lines[0])
-    end = next((n for n, line in enumerate(lines) if cell_len(line) != width), len(lines))
-    styles = domain.glyph_styles
-    return _coloured(lines[:end], styles), _coloured(lines[end:], styles, alone=True)
+    return board_text(domain, domain.decode(game.state), _shown(app))
 
 
 def _shown(app: App) -> Collection[str] | None:
@@ -114,22 +111,6 @@ def _shown(app: App) -> Collection[str] | None:
     ):
         return lesson.chosen_features
     return None
-
-
-def _coloured(lines: Sequence[str], styles: Mapping[str, str], *, alone: bool = False) -> Text:
-    """
-    Return the lines with the domain's colours.
-
-    :param alone: colour only characters that are no part of a word.
-    """
-    plain = '\n'.join(lines)
-    text = Text(plain)
-    around = f' {plain} '
-    for at, character in enumerate(plain):
-        in_word = alone and (around[at].isalpha() or around[at + 2].isalpha())
-        if character in styles and not in_word:
-            text.stylize(styles[character], at, at + 1)
-    return text
 
 
 def _foot(app: App, width: int) -> Group:
