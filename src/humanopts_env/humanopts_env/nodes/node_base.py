@@ -4,6 +4,7 @@ from collections.abc import Callable
 import os
 import signal
 import sys
+import time
 from types import FrameType
 from typing import Any, Generic, TypeVar
 import uuid
@@ -13,8 +14,10 @@ from humanopts_env.nodes.qos import LATCHED, STREAM
 from humanopts_interfaces.msg import NodeStatus
 from rcl_interfaces.msg import ParameterDescriptor
 import rclpy
+from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
+from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -26,6 +29,8 @@ from rclpy.signals import SignalHandlerOptions
 
 M = TypeVar('M')
 RECORDER = 'recorder'
+_RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
+_DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _CHECK_PERIOD = 0.02  # s between looks at what a starting node waits for
 
 
@@ -75,7 +80,11 @@ class StampedPublisher(Generic[M]):
         """Tell whether the recorder's subscription is matched."""
         readers = self._node.get_subscriptions_info_by_topic(self.topic)
         matched = self._publisher.get_subscription_count() >= len(readers)
-        return matched and any(reader.node_name == RECORDER for reader in readers)
+        return matched and self._node.is_recorded(self.topic)
+
+    def drain(self, seconds: float) -> None:
+        """Wait for the readers to take what was sent."""
+        self._publisher.wait_for_all_acked(Duration(seconds=seconds))
 
     def _why(self, error: Exception) -> str:
         """Name the readers, since one of them that has stopped is the usual cause."""
@@ -97,6 +106,7 @@ class NodeBase(Node):
         super().__init__(name)
         self.publisher_id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
         self._stamped: list[StampedPublisher[Any]] = []
+        self._hidden: list[str] = []  # topics of services and actions
         self._expect_recorder = bool(
             self.setting('expect_recorder', False, 'wait until the recorder has every publisher')
         )
@@ -139,6 +149,7 @@ class NodeBase(Node):
         service.configure_introspection(
             self.get_clock(), STREAM, ServiceIntrospectionState.CONTENTS
         )
+        self._hidden.append(f'{name}/_service_event')
         return service
 
     def recorded_client(self, kind: Any, name: str, group: CallbackGroup | None = None) -> Client:
@@ -147,7 +158,28 @@ class NodeBase(Node):
         client.configure_introspection(
             self.get_clock(), STREAM, ServiceIntrospectionState.CONTENTS
         )
+        self._hidden.append(f'{name}/_service_event')
         return client
+
+    def recorded_action(
+        self, kind: Any, name: str, execute: Callable[..., Any], group: CallbackGroup
+    ) -> ActionServer:
+        """Create an action server that accepts every goal and every cancel."""
+        self._hidden += [f'{name}/_action/feedback', f'{name}/_action/status']
+        return ActionServer(
+            self,
+            kind,
+            name,
+            execute,
+            callback_group=group,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            result_timeout=_RESULT_TIMEOUT,
+        )
+
+    def is_recorded(self, topic: str) -> bool:
+        """Tell whether the recorder has subscribed to a topic."""
+        readers = self.get_subscriptions_info_by_topic(topic)
+        return any(reader.node_name == RECORDER for reader in readers)
 
     async def answer(self, client: Client, request: Any, seconds: float) -> Any:
         """
@@ -187,10 +219,19 @@ class NodeBase(Node):
     def close(self) -> None:
         """Finish work before the node ends. To be overridden."""
 
+    def drain(self) -> None:
+        """Wait a moment for the readers to take what was sent."""
+        deadline = time.monotonic() + _DRAIN
+        for publisher in self._stamped:
+            publisher.drain(max(0.0, deadline - time.monotonic()))
+
     def _check_start(self) -> None:
         if self.waits_for() is not None:
             return
-        if self._expect_recorder and not all(p.recorded() for p in self._stamped):
+        if self._expect_recorder and not (
+            all(publisher.recorded() for publisher in self._stamped)
+            and all(self.is_recorded(topic) for topic in self._hidden)
+        ):
             return
         self._start_timer.cancel()
         self.ready = True
@@ -233,6 +274,7 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
         node.serve(executor, stop)
         node.close()
         node.set_status(NodeStatus.STATE_STOPPING)
+        node.drain()
     except StartError as error:
         print(f'humanopts: {error}', file=sys.stderr)
         return 2

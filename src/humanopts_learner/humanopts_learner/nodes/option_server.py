@@ -17,11 +17,8 @@ from humanopts_learner.nodes.runner import Runner, RunRequest
 from humanopts_learner.options.files import load_options, option_from_json
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
-from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-
-RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
 
 
 class OptionServerNode(NodeBase):
@@ -54,15 +51,7 @@ class OptionServerNode(NodeBase):
         self.recorded_service(RunOption, 'run_option', self._on_run, group)
         self.recorded_service(ListOptions, 'list_options', self._on_list)
         self.recorded_service(QueryOption, 'query_option', self._on_query)
-        ActionServer(
-            self,
-            ExecuteOption,
-            'execute_option',
-            self._execute,
-            callback_group=group,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            result_timeout=RESULT_TIMEOUT,
-        )
+        self.recorded_action(ExecuteOption, 'execute_option', self._execute, group)
 
     def waits_for(self) -> str | None:
         """Wait for the rules of the game."""

@@ -29,12 +29,10 @@ from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.plan import make_plan, Plan, PRIMITIVE
-from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
-RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
 _TOLERANCE, _MAX_SWEEPS = 1e-8, 10_000
 _FEEDBACK_PERIOD = 0.1  # s
 _RESET_SECONDS, _OPTION_SECONDS, _OPTIONS_SECONDS = 5.0, 120.0, 5.0
@@ -65,19 +63,8 @@ class PlannerNode(NodeBase):
         group = ReentrantCallbackGroup()
         self._reset = self.recorded_client(ResetGame, 'reset_game', group)
         self._run = self.recorded_client(RunOption, 'run_option', group)
-        for kind, name, execute in (
-            (PlanAction, 'plan', self._execute_plan),
-            (RunPolicy, 'run_policy', self._execute_policy),
-        ):
-            ActionServer(
-                self,
-                kind,
-                name,
-                execute,
-                callback_group=group,
-                cancel_callback=lambda _: CancelResponse.ACCEPT,
-                result_timeout=RESULT_TIMEOUT,
-            )
+        self.recorded_action(PlanAction, 'plan', self._execute_plan, group)
+        self.recorded_action(RunPolicy, 'run_policy', self._execute_policy, group)
 
     def waits_for(self) -> str | None:
         """Wait for the rules of the game."""

@@ -93,6 +93,7 @@ class Conductor:
     def close(self) -> None:
         """Leave the graph."""
         self.node.set_status(NodeStatus.STATE_STOPPING)
+        self.node.drain()
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown()
