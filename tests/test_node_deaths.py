@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 import signal
 from signal import SIGINT, SIGKILL, SIGTERM
+import subprocess
 
 from graph_support.command import Command, shown_on_disk
 from humanopts_teach.bags.demonstrations import read_demonstrations
@@ -12,6 +13,7 @@ import pytest
 
 SHOWN = 3  # demonstrations on disk before anything happens
 PATIENCE = 15.0  # s for a demo to end; it takes about one
+DISK = 300_000  # bytes; a demo's bag alone is about twice as large
 Start = Callable[..., Command]
 
 
@@ -70,7 +72,7 @@ def test_a_node_that_ends_while_it_teaches_ends_the_demo(
 def test_a_node_that_ends_while_it_plays_ends_the_demo(
     start: Start, tmp_path: Path, node: str
 ) -> None:
-    command = start('--budget', 3, '--episodes', 100000)
+    command = start('--budget', 3, '--episodes', 2000)
     command.until(lambda: 'playing' in command.output, 'the first episode')
     command.kill(node, SIGTERM)
     check_end(command, node, 'exit status 0')
@@ -105,6 +107,35 @@ def test_a_demo_that_is_interrupted_stops_everything(
     bag = bag_of(tmp_path)
     assert bag.damage == ''
     assert read_demonstrations(bag) == shown_on_disk(tmp_path / 'out')
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[bool]:
+    """Make ``tmp_path / 'out'`` a disk of its own; False: that is not allowed here."""
+    folder = tmp_path / 'out'
+    folder.mkdir()
+    mount = ['mount', '-t', 'tmpfs', '-o', f'size={DISK}', 'small', str(folder)]
+    mounted = subprocess.run(mount, capture_output=True, check=False).returncode == 0
+    yield mounted
+    if mounted:
+        subprocess.run(['umount', '--lazy', str(folder)], check=True)
+
+
+def test_a_full_disk_ends_the_demo_and_the_bag_stays_readable(
+    start: Start, tmp_path: Path, small_disk: bool
+) -> None:
+    command = start()
+    if not small_disk:
+        command.limit_files(DISK // 4)
+    assert command.ended(60) == 1
+    (message,) = command.errors.splitlines()
+    assert message.startswith('humanopts demo: ')
+    assert 'No space left on device' in message or 'File too large' in message
+    assert command.running() == {}
+    in_bag = read_demonstrations(bag_of(tmp_path))
+    on_disk = shown_on_disk(tmp_path / 'out')
+    assert len(in_bag) >= SHOWN
+    assert in_bag == on_disk[: len(in_bag)]
 
 
 def test_nodes_whose_launcher_was_killed_end_by_themselves(start: Start, tmp_path: Path) -> None:

@@ -1,0 +1,117 @@
+"""What the launch file for ROS from apt starts: the same processes as the command line does."""
+
+import ast
+from collections.abc import Iterator
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from humanopts_teach.launching import processes as table
+from humanopts_teach.launching import ros_launch
+from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
+from humanopts_teach.launching.ros_launch import (
+    ARGUMENTS,
+    LaunchArgumentError,
+    launched,
+    setup_from_launch,
+)
+import pytest
+
+FILE = Path(__file__).parents[1] / 'launch/humanopts.launch.py'
+DEFAULTS = {argument.name: argument.default for argument in ARGUMENTS}
+
+
+def names(**values: str) -> list[str]:
+    """Return the names of the processes of a launch."""
+    return [spec.name for spec in launched({**DEFAULTS, **values})]
+
+
+def test_defaults_launch_every_node_but_the_teachers() -> None:
+    nodes = ['recorder', 'game', 'learner', 'lesson', 'option_server', 'planner']
+    assert names() == nodes
+    assert names(record='False', teach='false') == ['game', 'option_server', 'planner']
+    assert names(taught='go up; go down') == [*nodes, 'simulated_teacher']
+
+
+def test_processes_are_those_of_the_table() -> None:
+    setup = setup_from_launch({**DEFAULTS, 'seed': '7', 'taught': 'go up'})
+    assert launched({**DEFAULTS, 'seed': '7', 'taught': 'go up'}) == processes(setup)
+    assert setup == Setup(
+        domain='taxi',
+        directory=Path('runs/launch').absolute(),
+        seed=7,
+        taught=('go up',),
+        bag_name=setup.bag_name,
+    )
+
+
+def test_every_argument_reaches_a_parameter() -> None:
+    values = {
+        'domain': 'rooms',
+        'domain_parameters': '{"rows": 7}',
+        'out': '/data/study',
+        'seed': '12',
+        'strategy': 'coverage',
+        'budget': '9',
+        'step_period': '2',
+        'taught': 'go up; go down',
+    }
+    assert {*values, 'teach', 'record'} == set(DEFAULTS)
+    specs = {spec.name: spec.parameters for spec in launched({**DEFAULTS, **values})}
+    assert specs['game']['domain'] == 'rooms'
+    assert specs['game']['domain_parameters'] == '{"rows": 7}'
+    assert specs['game']['step_period'] == 2.0
+    assert isinstance(specs['game']['step_period'], float)
+    assert (specs['lesson']['strategy'], specs['lesson']['budget']) == ('coverage', 9)
+    assert [specs[n]['seed'] for n in ('learner', 'lesson', 'option_server')] == [12, 12, 12]
+    assert specs['learner']['directory'] == '/data/study/options'
+    assert str(specs['recorder']['path']).startswith('/data/study/bags/launch-')
+    assert specs['simulated_teacher']['options'] == ['go up', 'go down']
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('seed', 'x'),
+        ('seed', 'true'),
+        ('seed', '1.5'),
+        ('budget', ''),
+        ('teach', 'perhaps'),
+        ('record', '1'),
+        ('step_period', 'slow'),
+        ('domain_parameters', '[7]'),
+        ('domain_parameters', 'rows=7'),
+    ],
+)
+def test_bad_value_is_refused_by_name(name: str, value: str) -> None:
+    with pytest.raises(LaunchArgumentError, match=f'^{name}:='):
+        launched({**DEFAULTS, name: value})
+
+
+def test_executables_are_installed_under_the_names_of_the_nodes() -> None:
+    specs: list[ProcessSpec] = launched({**DEFAULTS, 'taught': 'go up'})
+    scripts = {point.name: point.value for point in entry_points(group='console_scripts')}
+    for spec in [*specs, *processes(Setup('taxi', Path('/x'), keyboard=True))]:
+        assert scripts[spec.name] == f'{spec.module}:main'
+        assert spec.module.startswith(f'{spec.package}.')
+
+
+def test_launch_file_declares_every_argument_and_uses_what_there_is() -> None:
+    tree = ast.parse(FILE.read_text('utf-8'))
+    ours = dict(_imports(tree))
+    assert ours == {
+        'ARGUMENTS': ros_launch,
+        'launched': ros_launch,
+        'ProcessSpec': table,
+    }
+    assert all(hasattr(module, name) for name, module in ours.items())
+    functions = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    assert 'generate_launch_description' in functions
+    assert all(argument.description for argument in ARGUMENTS)
+
+
+def _imports(tree: ast.Module) -> Iterator[tuple[str, Any]]:
+    modules = {module.__name__: module for module in (ros_launch, table)}
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and (node.module or '').startswith('humanopts'):
+            yield from ((alias.name, modules[str(node.module)]) for alias in node.names)

@@ -1,0 +1,232 @@
+"""The command line: help, one plain line for any bad input, and two launches in one place."""
+
+from pathlib import Path
+import resource
+import signal
+import subprocess
+import sys
+from typing import Any
+
+from graph_support.command import Command, DemoRun
+from humanopts_teach.cli import main
+from mcap.writer import Writer
+import pytest
+
+LAUNCH = ('--out', '--seed', '--strategy', '--budget', '--parameter', '--namespace')
+HELP = {
+    (): ('demo', 'up', 'teach', 'bag'),
+    ('demo',): ('--domain', '--episodes', '--error-rate', *LAUNCH),
+    ('up',): ('DOMAIN', '--no-record', '--step-period', *LAUNCH),
+    ('teach',): ('DOMAIN', '--participant', *LAUNCH),
+    ('bag',): ('info', 'eval'),
+    ('bag', 'info'): ('BAG', '--json'),
+    ('bag', 'eval'): ('BAG', '--json', '--html'),
+}
+
+
+def run(*arguments: Any) -> int:
+    """Run a command in this process and return its exit status."""
+    try:
+        return main([str(argument) for argument in arguments])
+    except SystemExit as end:  # argparse ends so
+        return int(end.code or 0)
+
+
+def check_refused(capsys: pytest.CaptureFixture[str], status: int, *words: str) -> None:
+    """It is bad input: status 2, nothing on standard output, one plain line on standard error."""
+    out, err = capsys.readouterr()
+    assert (status, out) == (2, '')
+    assert err.startswith('humanopts')
+    assert err.endswith('\n')
+    assert err.count('\n') == 1, err
+    for word in words:
+        assert word in err
+
+
+@pytest.mark.parametrize(('command', 'words'), HELP.items(), ids=lambda v: '-'.join(v) or 'all')
+def test_help_of_every_command_names_its_options(
+    capsys: pytest.CaptureFixture[str], command: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    assert run(*command, '--help') == 0
+    out, err = capsys.readouterr()
+    assert err == ''
+    assert [word for word in words if word not in out] == []
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        ((), ['COMMAND']),
+        (('fly',), ["'fly'", 'demo', 'teach']),
+        (('demo', 'extra'), ['extra']),
+        (('demo', '--fast'), ['--fast']),
+        (('demo', '--episodes', 0), ['--episodes', '0']),
+        (('demo', '--episodes', 'many'), ["'many' is not a whole number"]),
+        (('demo', '--seed', -1), ['--seed', '-1']),
+        (('demo', '--seed', 2**40), ['--seed']),
+        (('demo', '--seed'), ['--seed']),
+        (('demo', '--budget', 0), ['--budget']),
+        (('demo', '--error-rate', 1), ['--error-rate']),
+        (('demo', '--error-rate', 'nan'), ['--error-rate']),
+        (('demo', '--strategy', 'luck'), ["'luck'", 'random', 'coverage', 'failures']),
+        (('demo', '--domain', 'chess'), ["'chess'", 'taxi']),
+        (('up', 'chess'), ["'chess'", 'taxi']),
+        (('up',), ['DOMAIN']),
+        (('up', 'taxi', '--step-period', -1), ['--step-period']),
+        (('up', 'taxi', '--parameter', 'rows=2'), ['rows', '4 to 1000']),
+        (('up', 'taxi', '--parameter', 'rows=abc'), ["'abc'"]),
+        (('up', 'taxi', '--parameter', 'nope=1'), ["'nope'"]),
+        (('up', 'taxi', '--parameter', 'rows'), ["'rows' is not NAME=VALUE"]),
+        (('up', 'taxi', '--namespace', 'left'), ["'left' is not a namespace"]),
+        (('up', 'taxi', '--namespace', '/left hand'), ["'/left hand' is not a namespace"]),
+        (('teach', 'taxi'), ['terminal']),
+        (('teach', 'taxi', '--participant', 'J. Doe'), ["'J. Doe' is not a code"]),
+        (('bag',), ['COMMAND']),
+        (('bag', 'burn', 'x'), ["'burn'", 'info', 'eval']),
+        (('bag', 'info'), ['BAG']),
+    ],
+    ids=lambda value: ' '.join(map(str, value)),
+)
+def test_bad_input_is_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: Any, words: list[str]
+) -> None:
+    launches = arguments[:1] in (('demo',), ('up',), ('teach',))
+    out = ('--out', tmp_path / 'out') if launches and arguments[-1] != '--seed' else ()
+    check_refused(capsys, run(*arguments, *out), *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('number', ['abc', '-1', '233', '1.5'])
+def test_bad_ros_domain_id_is_refused(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    number: str,
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', number)
+    check_refused(capsys, run('up', 'taxi', '--out', tmp_path), 'ROS_DOMAIN_ID', repr(number))
+
+
+@pytest.mark.parametrize('command', [('demo',), ('up', 'taxi')])
+def test_output_folder_that_cannot_be_used_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    (tmp_path / 'file').touch()
+    for out in (tmp_path / 'file', tmp_path / 'file/below', '/proc/here', tmp_path / ('x' * 300)):
+        check_refused(capsys, run(*command, '--out', out), f'cannot write in {out}')
+    assert [path.name for path in tmp_path.iterdir()] == ['file']
+
+
+def test_output_folder_without_room_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        status = run('demo', '--out', tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    check_refused(capsys, status, f'cannot write in {tmp_path}: File too large')
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_demo_refuses_a_folder_that_holds_something(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / 'thesis.tex').write_text('precious')
+    check_refused(capsys, run('demo', '--out', tmp_path), str(tmp_path), 'not empty')
+    assert [path.read_text() for path in tmp_path.iterdir()] == ['precious']
+
+
+def foreign_bag(path: Path) -> None:
+    """Write what another program may have recorded."""
+    with path.open('wb') as stream:
+        writer = Writer(stream)
+        writer.start(profile='ros2')
+        kind = writer.register_schema('std_msgs/msg/String', 'ros2msg', b'string data')
+        channel = writer.register_channel('/chatter', 'cdr', kind)
+        writer.add_message(channel, 1, b'\0\1\0\0\2\0\0\0a\0', 1)
+        writer.finish()
+
+
+@pytest.mark.parametrize('command', ['info', 'eval'])
+def test_what_is_no_bag_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
+) -> None:
+    (tmp_path / 'empty').touch()
+    (tmp_path / 'text').write_text('Dear diary, today I taught a taxi to drive.\n')
+    (tmp_path / 'folder').mkdir()
+    foreign_bag(tmp_path / 'foreign.mcap')
+    for name, words in (
+        ('nowhere', 'there is no bag'),
+        ('empty', 'is empty'),
+        ('text', 'another program'),
+        ('folder', 'is not a bag'),
+        ('foreign.mcap', 'no humanopts topics'),
+    ):
+        path = tmp_path / name
+        check_refused(capsys, run('bag', command, path), str(path), words)
+
+
+def test_bag_that_was_cut_short_says_so_and_gives_what_is_left(
+    capsys: pytest.CaptureFixture[str], demo: DemoRun, tmp_path: Path
+) -> None:
+    content = next(demo.bag.glob('*.mcap')).read_bytes()
+    cut = tmp_path / 'cut.mcap'
+    cut.write_bytes(content[: len(content) // 2])
+    assert run('bag', 'info', cut) == 0
+    out, err = capsys.readouterr()
+    assert 'DAMAGED' in out
+    assert 'cut short' in out
+    assert err == ''
+    assert run('bag', 'eval', cut) == 0
+    out, err = capsys.readouterr()
+    assert 'go to passenger and pickup' in out
+    assert 'cut short' in err
+    cut.write_bytes(content[:2000])
+    check_refused(capsys, run('bag', 'eval', cut), 'no messages')
+
+
+def test_eval_of_a_bag_writes_a_report_or_says_why_not(
+    capsys: pytest.CaptureFixture[str], demo: DemoRun, tmp_path: Path
+) -> None:
+    page = tmp_path / 'report.html'
+    assert run('bag', 'eval', demo.bag, '--html', page) == 0
+    assert page.read_text('utf-8').startswith('<!doctype html>')
+    assert capsys.readouterr().err.strip() == f'report: {page}'
+    assert run('bag', 'eval', demo.bag, '--html', tmp_path / 'nowhere/report.html') == 2
+    assert 'nowhere/report.html' in capsys.readouterr().err
+
+
+def test_reader_that_stops_reading_ends_the_command_quietly(demo: DemoRun) -> None:
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'humanopts_teach.cli', 'bag', 'info', demo.bag],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.stderr is not None
+    assert (process.stderr.read(), process.wait(20)) == (b'', 1)
+
+
+def test_second_launch_in_the_same_place_is_refused_and_the_first_goes_on(
+    tmp_path: Path, domain_id: int
+) -> None:
+    folders = [tmp_path / name for name in ('first', 'second', 'third')]
+    for folder in folders:
+        folder.mkdir()
+    first = Command(['up', 'taxi', '--out', folders[0] / 'out'], folders[0], domain_id)
+    try:
+        first.until(lambda: 'ready: /recorder, /game' in first.output, 'the nodes')
+        second = Command(['up', 'taxi', '--out', folders[1] / 'out'], folders[1], domain_id)
+        assert second.ended(15) == 1
+        assert 'runs humanopts already' in second.errors
+        assert second.errors.count('\n') == 1
+        assert first.running()
+        first.send(signal.SIGINT)
+        assert first.ended(15) == 0
+        assert first.output.endswith('stopped\n')
+        assert (first.errors, first.running()) == ('', {})
+    finally:
+        first.close()

@@ -1,0 +1,151 @@
+"""Setting up: what is missing is named in one line; the lock file and the targets are whole."""
+
+import os
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PYTHON = os.path.realpath(sys.executable)  # of the system, not of .venv
+CHECK = ROOT / 'tools/check_prerequisites.sh'
+# A python3 that runs the real one after a line that takes something away from it.
+CRIPPLED = """#!/bin/sh
+[ "$1" = -c ] || exec {python} "$@"
+code="$2"; shift 2
+exec {python} -c "{line}
+$code" "$@"
+"""
+TARGETS = ('help', 'setup', 'demo', 'test', 'lint', 'format', 'lock', 'clean')
+
+
+def tool(folder: Path, name: str) -> None:
+    """Put a program into a folder that stands for the whole PATH."""
+    found = PYTHON if name == 'python3' else shutil.which(name)
+    assert found
+    (folder / name).symlink_to(found)
+
+
+def check(path: Path) -> tuple[int, str, str]:
+    """Look for the prerequisites on a machine that has only what is in a folder."""
+    done = subprocess.run(
+        [shutil.which('bash') or 'bash', CHECK, 'python3'],
+        env={'PATH': str(path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def check_missing(path: Path, *words: str) -> None:
+    """One plain line says what is missing and which package brings it."""
+    status, out, err = check(path)
+    assert (status, out) == (2, '')
+    assert re.fullmatch(r'humanopts: [^\n]+; install it with: apt-get install [^\n]+\n', err)
+    for word in words:
+        assert word in err
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Path:
+    """A PATH with all prerequisites."""
+    for name in ('g++', 'git', 'python3'):
+        tool(tmp_path, name)
+    return tmp_path
+
+
+def replace_python(machine: Path, script: str) -> None:
+    """Put another python3 in place."""
+    (machine / 'python3').unlink()
+    (machine / 'python3').write_text(script)
+    (machine / 'python3').chmod(0o755)
+
+
+def test_machine_with_everything_passes_in_silence(machine: Path) -> None:
+    assert check(machine) == (0, '', '')
+
+
+@pytest.mark.parametrize(
+    ('name', 'package'), [('g++', 'g++'), ('git', 'git'), ('python3', 'python3-venv')]
+)
+def test_missing_program_is_named_with_its_package(machine: Path, name: str, package: str) -> None:
+    (machine / name).unlink()
+    check_missing(machine, f'there is no {name};', f'apt-get install {package.split("-")[0]}')
+    check_missing(machine, package)
+
+
+def test_python_that_is_too_old_is_named(machine: Path) -> None:
+    replace_python(machine, '#!/bin/sh\n[ "$1" = --version ] && echo Python 3.9.2\nexit 1\n')
+    check_missing(machine, 'Python 3.9.2 is too old', '3.11')
+
+
+@pytest.mark.parametrize(
+    ('line', 'package'),
+    [
+        ("import sys; sys.modules['ensurepip'] = None", 'python3-venv'),
+        ("import sysconfig; sysconfig.get_path = lambda name: '/nowhere'", 'python3-dev'),
+    ],
+)
+def test_missing_part_of_python_is_named_with_its_package(
+    machine: Path, line: str, package: str
+) -> None:
+    replace_python(machine, CRIPPLED.format(python=PYTHON, line=line))
+    check_missing(machine, package)
+
+
+def test_command_in_a_tree_that_is_not_set_up_says_what_to_run(tmp_path: Path) -> None:
+    shutil.copy(ROOT / 'humanopts', tmp_path)
+    done = subprocess.run([tmp_path / 'humanopts', 'demo'], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert done.stderr.count('\n') == 1
+    assert 'make setup' in done.stderr
+
+
+def test_every_locked_package_is_pinned_with_hashes_and_no_host_is_named() -> None:
+    text = (ROOT / 'requirements.lock').read_text('utf-8')
+    entries = re.split(r'^(?=[a-z0-9])', text, flags=re.M)[1:]
+    assert len(entries) > 50
+    assert [e for e in entries if not re.match(r'[a-z0-9._-]+(\[[\w,-]+\])?==\S+', e)] == []
+    assert [e for e in entries if not re.search(r'--hash=sha256:[0-9a-f]{64}', e)] == []
+    assert '://' not in text
+    assert 'index' not in text.partition('\n')[0]
+
+
+def test_every_wanted_package_is_locked() -> None:
+    def names(file: str) -> set[str]:
+        lines = (ROOT / file).read_text('utf-8').splitlines()
+        found = (re.match(r'[A-Za-z0-9._-]+', line) for line in lines)
+        return {match[0].lower().replace('_', '-') for match in found if match}
+
+    assert names('requirements.in') <= names('requirements.lock')
+
+
+def make(*arguments: str) -> 'subprocess.CompletedProcess[str]':
+    """Run make, also where the tests themselves were started by make."""
+    own = {k: v for k, v in os.environ.items() if not k.startswith(('MAKE', 'MFLAGS'))}
+    return subprocess.run(
+        ['make', *arguments], cwd=ROOT, env=own, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize('target', TARGETS)
+def test_target_is_there(target: str) -> None:
+    done = make('--dry-run', target)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout
+
+
+def test_help_names_every_target() -> None:
+    done = make('help')
+    assert [t for t in TARGETS if t != 'help' and f'make {t}' not in done.stdout] == []
+
+
+def test_the_whole_check_is_lint_and_tests() -> None:
+    check_all = ROOT / '.ci/run'
+    assert os.access(check_all, os.X_OK)
+    lines = [line for line in check_all.read_text().splitlines() if line.startswith('make')]
+    assert lines == ['make lint', 'make test']
