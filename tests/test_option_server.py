@@ -81,11 +81,14 @@ class Runs:
 
     def steps(self, result: OptionResult) -> list[Any]:
         """Return the states that a run led to."""
-        return [
-            s
-            for s in self.player.states
-            if s.episode == result.episode and s.step > result.first_step
-        ]
+        first, last = result.first_step, result.first_step + result.step_count
+
+        def found() -> list[Any]:
+            states = [s for s in self.player.states if s.episode == result.episode]
+            return [s for s in states if first < s.step <= last]
+
+        self.graph.until(lambda: len(found()) == result.step_count, 'the states of the run')
+        return found()
 
 
 @pytest.fixture(scope='module')
@@ -177,6 +180,7 @@ def test_a_run_is_canceled_and_its_result_is_where_the_game_is(runs: Runs) -> No
     assert status == GoalStatus.STATUS_CANCELED
     assert result.status == OptionResult.STATUS_CANCELED
     assert 0 < result.step_count < 200
+    runs.steps(result)
     answer = runs.player.do('north', step=result.step_count)
     assert answer.step == result.step_count + 1
     assert runs.player.states[-2].state == result.final_state
@@ -269,7 +273,8 @@ def test_control_taken_without_a_move_interrupts_too(runs: Runs) -> None:
     _, result = goal.result()
     assert result.status == OptionResult.STATUS_INTERRUPTED
     assert 'control is held by the person' in result.detail
-    assert runs.player.state.step == result.step_count
+    runs.steps(result)
+    assert runs.player.do('north', PERSON).step == result.step_count + 1
 
 
 def test_a_reset_interrupts_a_run(runs: Runs) -> None:
