@@ -13,8 +13,12 @@ setup(
     ],
     entry_points={
         'console_scripts': ['game = humanopts_env.nodes.game_node:main'],
-        'humanopts.domains': ['taxi = humanopts_env.domains.taxi:Taxi'],
+        'humanopts.domains': [
+            'rooms = humanopts_env.domains.rooms:Rooms',
+            'taxi = humanopts_env.domains.taxi:Taxi',
+        ],
         'humanopts.reference_options': [
+            'rooms = humanopts_env.domains.rooms_reference:reference_options',
             'taxi = humanopts_env.domains.taxi_reference:reference_options',
         ],
     },

@@ -1,0 +1,142 @@
+"""
+Rooms: walk through four rooms to a goal, with moves that may slip.
+
+R. S. Sutton, D. Precup and S. Singh (1999), "Between MDPs and semi-MDPs: A framework for temporal
+abstraction in reinforcement learning", section 3, figure 2.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, FeatureKind
+from humanopts_env.domains.rooms_board import (
+    DOORWAYS,
+    draw_rooms,
+    GLYPH_STYLES,
+    GOALS,
+    LAYOUT,
+    Place,
+    places,
+    ROOMS,
+)
+from humanopts_env.domains.table_domain import TableDomain
+import numpy as np
+
+ACTIONS = (
+    Action('up', 'up', 'walk one cell north'),
+    Action('down', 'down', 'walk one cell south'),
+    Action('left', 'left', 'walk one cell west'),
+    Action('right', 'right', 'walk one cell east'),
+)
+STEPS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # rows, columns of each action
+INTENDED = 2 / 3  # probability of going as intended; the other three directions share the rest
+PLACES = places()
+OPEN = frozenset(PLACES)
+NOWHERE = ('none', *DOORWAYS.values())
+ROOM_VALUES = (*ROOMS.values(), 'doorway')
+
+
+@dataclass(frozen=True, slots=True)
+class RoomsState:
+    """Where the agent is."""
+
+    row: int  # 0 = north edge
+    col: int  # 0 = west edge
+
+
+class Rooms(TableDomain[RoomsState]):
+    """
+    The four-room gridworld: 104 cells, four doorways ("hallways" in the paper).
+
+    A move goes as intended with probability 2/3 and in each other direction with 1/9; into a wall
+    it stays. Entering the goal is worth 1 and ends the task, all else is worth 0. Episodes begin
+    in any other cell.
+    """
+
+    def __init__(self, goal: str = 'G1') -> None:
+        """
+        Make the rooms.
+
+        :param goal: G1, the east doorway, or G2, a cell of the south-east room; as in the paper.
+        :raises DomainError: there is no such goal.
+        """
+        if goal not in GOALS:
+            raise DomainError(f'goal is {goal!r}, and must be {" or ".join(GOALS)}')
+        super().__init__([RoomsState(*place) for place in PLACES])
+        self.goal = RoomsState(*GOALS[goal])
+        self.name = 'rooms'
+        self.parameters = {'goal': goal}
+        self.features = _features()
+        self.actions = ACTIONS
+        self.gamma = 0.9
+        self.max_steps = 1000
+        self.glyph_styles = GLYPH_STYLES
+
+    def outcomes(
+        self, state: RoomsState, action: int
+    ) -> Sequence[tuple[float, RoomsState, float]]:
+        """Return the four outcomes: as intended, then the other directions in action order."""
+        slips = [other for other in range(4) if other != action]
+        shares = (INTENDED, *[(1 - INTENDED) / 3] * 3)
+        arrivals = [RoomsState(*neighbour((state.row, state.col), a)) for a in (action, *slips)]
+        return [(p, to, float(to == self.goal)) for p, to in zip(shares, arrivals)]
+
+    def is_over(self, state: RoomsState) -> bool:
+        """Tell whether the agent is at the goal."""
+        return state == self.goal
+
+    def can_begin(self, state: RoomsState) -> bool:
+        """Tell whether the agent is anywhere but at the goal."""
+        return state != self.goal
+
+    def values_of(self, state: RoomsState) -> Sequence[int]:
+        """Return row, column, room, doorway and blocked moves."""
+        place = state.row, state.col
+        sign = LAYOUT[state.row][state.col]
+        room = ROOM_VALUES.index(ROOMS.get(sign, 'doorway'))
+        doorway = NOWHERE.index(DOORWAYS.get(sign, 'none'))
+        blocked = sum(1 << action for action in range(4) if neighbour(place, action) == place)
+        return state.row, state.col, room, doorway, blocked
+
+    def encode(self, state: RoomsState) -> str:
+        """Return the state as one line, such as ``cell 2,5``."""
+        return f'cell {state.row},{state.col}'
+
+    def render(self, state: RoomsState, shown: Collection[str] | None = None) -> str:
+        """
+        Draw the state as text lines.
+
+        :param shown: names of the features that may be revealed; None: all.
+        """
+        values = self.shown_values(state, shown)
+        seen = {'row', 'col'} <= values.keys()  # then all else can be seen, too
+        goal = self.goal.row, self.goal.col
+        return draw_rooms(goal, (state.row, state.col) if seen else None, {} if seen else values)
+
+    def board_slices(self) -> list[BoardSlice]:
+        """Return the one layout that there is."""
+        cells = np.full((len(LAYOUT), len(LAYOUT[0])), -1, dtype=np.int32)
+        for index, place in enumerate(PLACES):
+            cells[place] = index
+        return [BoardSlice(f'goal {self.parameters["goal"]}', cells)]
+
+
+def neighbour(place: Place, action: int) -> Place:
+    """Return where a move leads if it goes as intended: next to ``place``, or nowhere."""
+    to = place[0] + STEPS[action][0], place[1] + STEPS[action][1]
+    return to if to in OPEN else place
+
+
+def _features() -> tuple[Feature, ...]:
+    masks = [
+        ', '.join(a.name for bit, a in enumerate(ACTIONS) if mask >> bit & 1) or 'none'
+        for mask in range(16)
+    ]
+    rows, cols = (tuple(map(str, range(count))) for count in (len(LAYOUT), len(LAYOUT[0])))
+    return (
+        Feature('row', 'which row the agent is in', FeatureKind.ORDINAL, rows),
+        Feature('col', 'which column the agent is in', FeatureKind.ORDINAL, cols),
+        Feature('room', 'which room the agent is in', FeatureKind.NOMINAL, ROOM_VALUES),
+        Feature('doorway', 'which doorway the agent is in', FeatureKind.NOMINAL, NOWHERE),
+        Feature('blocked_moves', 'which moves a wall blocks', FeatureKind.NOMINAL, tuple(masks)),
+    )

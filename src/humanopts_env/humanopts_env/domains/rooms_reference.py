@@ -1,0 +1,129 @@
+"""
+The eight hallway options of Rooms, exactly.
+
+Sutton, Precup and Singh (1999), section 3: from anywhere in a room, or from its other doorway, an
+option walks to one of the room's two doorways, and it ends wherever it has left the room.
+"""
+
+from functools import cached_property
+
+from humanopts_env.domains.base import EnumerableDomain, feature_columns, Transitions
+from humanopts_env.domains.reference import TabularReferenceOption
+from humanopts_env.domains.rooms import NOWHERE, ROOM_VALUES, RoomsState
+from humanopts_env.domains.rooms_board import ROOMS
+from humanopts_env.domains.tabular import distance_to, read_only
+import numpy as np
+from numpy.typing import NDArray
+
+FEATURES = ('row', 'col', 'room', 'doorway')
+TIE = 1e-12  # actions whose values differ by less are equally good
+Domain = EnumerableDomain[RoomsState]
+Mask = NDArray[np.bool_]
+
+
+class HallwayOption(TabularReferenceOption):
+    """A reference option of a domain with chance; ``distance`` is for moves that never slip."""
+
+    @cached_property
+    def expected_steps(self) -> NDArray[np.float64]:
+        """
+        Expected steps (S,) until it ends, by the first of its optimal actions; NaN where it
+        cannot start.
+
+        The solution of t = 1 + Q t, with Q (n, n) the probabilities of going on.
+        """
+        states = np.flatnonzero(self.initiation)
+        table, action = self.domain.transitions(), self.optimal[states].argmax(axis=1)
+        step = np.zeros((len(states), self.domain.n_states))
+        row = np.arange(len(states))[:, None]
+        np.add.at(step, (row, table.successor[states, action]), table.probability[states, action])
+        step[:, self.termination] = 0.0
+        expected = np.full(self.domain.n_states, np.nan)
+        expected[states] = np.linalg.solve(
+            np.eye(len(states)) - step[:, states], np.ones(len(row))
+        )
+        return read_only(expected)
+
+
+def reference_options(domain: Domain) -> dict[str, HallwayOption]:
+    """
+    Return the hallway options by name: two for each room, whatever the goal.
+
+    The optimal actions are those with the highest expected gamma**k at the doorway that is walked
+    to, k steps away, where all other ways out of the room count as nothing: shortest ways that
+    avoid stumbling into the other doorway.
+    """
+    options = [_build(domain, room, doorway) for room, doorway in _pairs(domain)]
+    return {option.name: option for option in options}
+
+
+def best_ways(
+    transitions: Transitions, target: Mask, allowed: Mask, gamma: float
+) -> tuple[NDArray[np.float64], Mask]:
+    """
+    Find the best ways to a target by value iteration, which ends when rounding does.
+
+    :param target: (S,), outside ``allowed``.
+    :param allowed: (S,), states in which a step can be taken.
+    :return: value (S,), the expected gamma**k at the target, 1 in it and 0 elsewhere outside
+        ``allowed``; optimal (S, A).
+    """
+    value = target.astype(np.float64)
+    while True:
+        ahead = (transitions.probability * value[transitions.successor]).sum(axis=2) * gamma
+        better = np.where(allowed, ahead.max(axis=1), value)
+        if np.abs(better - value).max() <= np.finfo(np.float64).eps:
+            break
+        value = better
+    return value, allowed[:, None] & (ahead >= ahead.max(axis=1, keepdims=True) - TIE)
+
+
+def _pairs(domain: Domain) -> list[tuple[str, str]]:
+    """Return room and doorway of each option."""
+    room, doorway = (_column(domain, name) for name in ('room', 'doorway'))
+    successor = domain.transitions().successor
+    pairs = []
+    for number, name in enumerate(ROOMS.values()):
+        around = np.unique(doorway[successor[room == number]])
+        pairs += [(name, NOWHERE[side]) for side in around if side]
+    return pairs
+
+
+def _build(domain: Domain, room: str, doorway: str) -> HallwayOption:
+    inside = _column(domain, 'room') == ROOM_VALUES.index(room)
+    target = _column(domain, 'doorway') == NOWHERE.index(doorway)
+    table, over = domain.transitions(), domain.over()
+    around = np.zeros_like(inside)
+    around[table.successor[inside]] = True
+    walks = inside | (around & ~inside & ~target)  # the room and its other doorway
+    _, optimal = best_ways(table, target, walks, domain.gamma)
+    initiation = walks & ~over
+    straight = _without_slips(table)
+    distance, _ = distance_to(straight, target[straight.successor[:, :, 0]], walks)
+    return HallwayOption(
+        domain=domain,
+        name=f'{room} room to {doorway} doorway',
+        features=FEATURES,
+        initiation=read_only(initiation),
+        termination=read_only(~inside | over),
+        optimal=read_only(optimal & initiation[:, None]),
+        distance=read_only(np.where(initiation, distance, -1).astype(np.int32)),
+        judged=read_only(~over | around),
+        definition=(
+            f'Starts in the {room} room or its other doorway; walks to the {doorway} doorway; '
+            f'ends wherever it has left the room.'
+        ),
+    )
+
+
+def _without_slips(table: Transitions) -> Transitions:
+    """Return the transitions if every move went as intended."""
+    reward = table.reward[:, :, :1]
+    return Transitions(
+        table.successor[:, :, :1], np.ones(reward.shape), reward, table.terminated[:, :, :1]
+    )
+
+
+def _column(domain: Domain, name: str) -> NDArray[np.int32]:
+    values: NDArray[np.int32] = domain.feature_table()[:, feature_columns(domain, [name])[0]]
+    return values

@@ -1,0 +1,235 @@
+"""A base for domains whose states can all be listed, written as the rules of single states."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Hashable, Mapping, Sequence
+from functools import cached_property
+from typing import Generic, TypeVar
+
+from humanopts_env.domains.base import (
+    Action,
+    BoardSlice,
+    DomainError,
+    Feature,
+    Outcome,
+    Parameter,
+    StateError,
+    Transitions,
+)
+from humanopts_env.domains.chance import draw_outcomes, outcome_limits
+from humanopts_env.domains.tabular import reachable, read_only
+import numpy as np
+from numpy.typing import NDArray
+
+S = TypeVar('S', bound=Hashable)
+
+
+class TableDomain(ABC, Generic[S]):
+    """
+    An ``EnumerableDomain`` of up to some 100,000 states.
+
+    A subclass sets the attributes of ``Domain``, passes its states to ``__init__`` and writes the
+    abstract methods; all tables are built from these, each when it is first asked for.
+    """
+
+    name: str
+    parameters: Mapping[str, Parameter]
+    features: Sequence[Feature]
+    actions: Sequence[Action]
+    gamma: float
+    max_steps: int
+    glyph_styles: Mapping[str, str] = {}
+
+    def __init__(self, states: Sequence[S]) -> None:
+        """
+        Number the states.
+
+        :param states: all of them, different ones.
+        """
+        self._states = tuple(states)
+        self._numbers = {state: number for number, state in enumerate(self._states)}
+
+    @abstractmethod
+    def outcomes(self, state: S, action: int) -> Sequence[tuple[float, S, float]]:
+        """
+        Return what an action can lead to: probability, successor and reward of each outcome.
+
+        Asked of every state, of those where the task is over as well. A figure of the board takes
+        the first outcome for what the action is meant to do.
+        """
+
+    @abstractmethod
+    def is_over(self, state: S) -> bool:
+        """Tell whether the task is over in ``state``, so that no step can be taken."""
+
+    @abstractmethod
+    def can_begin(self, state: S) -> bool:
+        """Tell whether an episode can begin in ``state``; all such states are as likely."""
+
+    @abstractmethod
+    def values_of(self, state: S) -> Sequence[int]:
+        """Return the value of every feature, indices into ``Feature.values``."""
+
+    @abstractmethod
+    def encode(self, state: S) -> str:
+        """Return the state in the domain's notation, one line; different for every state."""
+
+    @abstractmethod
+    def render(self, state: S, shown: Collection[str] | None = None) -> str:
+        """
+        Draw the state as text lines.
+
+        :param shown: names of the features that may be revealed; None: all.
+        """
+
+    @property
+    def n_states(self) -> int:
+        """Number of states, reachable or not."""
+        return len(self._states)
+
+    def index(self, state: S) -> int:
+        """
+        Return the state's index, 0..n_states-1.
+
+        :raises StateError: it is not a state of this domain.
+        """
+        try:
+            return self._numbers[state]
+        except (KeyError, TypeError):
+            raise StateError(f'{state} is not a state of {self.name}') from None
+
+    def state_at(self, index: int) -> S:
+        """
+        Return the state of an index.
+
+        :raises StateError: there is no such state.
+        """
+        if not 0 <= index < self.n_states:
+            raise StateError(f'{self.name} has no state {index}; it has 0 to {self.n_states - 1}')
+        return self._states[index]
+
+    def decode(self, text: str) -> S:
+        """
+        Return the state that ``encode`` wrote.
+
+        :raises StateError: ``text`` is not a state of this domain.
+        """
+        if text not in self._texts:
+            example = next(iter(self._texts))
+            raise StateError(f'{text!r} is not a state of {self.name}; one reads {example!r}')
+        return self._states[self._texts[text]]
+
+    def reset(self, rng: np.random.Generator) -> S:
+        """Draw a start state of the task."""
+        return self._states[int(rng.choice(self.start_states()))]
+
+    def step(self, state: S, action: int, rng: np.random.Generator) -> Outcome[S]:
+        """
+        Take one primitive action.
+
+        :raises DomainError: the action is not in the domain, or the episode is over in ``state``.
+        """
+        if not 0 <= action < len(self.actions):
+            raise DomainError(
+                f'{self.name} has no action {action}; it has 0 to {len(self.actions) - 1}'
+            )
+        number, table = self.index(state), self.transitions()
+        if self.over()[number]:
+            raise DomainError(f'the task is over in {self.encode(state)!r}: no step can be taken')
+        chosen = 0
+        if not table.deterministic:
+            chosen = int(draw_outcomes(self._limits, number, action, rng.random()))
+        at = number, action, chosen
+        successor = self._states[table.successor[at]]
+        return Outcome(successor, float(table.reward[at]), bool(table.terminated[at]))
+
+    def can_follow(self, state: S, action: int, successor: S) -> bool:
+        """Tell whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
+        number, table = self.index(state), self.transitions()
+        if self.over()[number] or not 0 <= action < len(self.actions):
+            return False
+        possible = table.probability[number, action] > 0
+        return self.index(successor) in table.successor[number, action][possible]
+
+    def feature_values(self, state: S) -> NDArray[np.int32]:
+        """Return the value of every feature, (F,), indices into ``Feature.values``."""
+        values: NDArray[np.int32] = self.feature_table()[self.index(state)]
+        return values
+
+    def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
+        """Draw states uniformly from those that an episode can pass through, never over."""
+        return [self._states[int(number)] for number in rng.choice(self._open, count)]
+
+    def transitions(self) -> Transitions:
+        """Return the exact transitions; built once, then shared and read-only."""
+        return self._transitions
+
+    def feature_table(self) -> NDArray[np.int32]:
+        """Return (S, F): ``feature_values`` of every state; shared and read-only."""
+        return self._feature_table
+
+    def start_states(self) -> NDArray[np.int32]:
+        """Return the indices that ``reset`` draws from, uniformly."""
+        return self._start_states
+
+    def over(self) -> NDArray[np.bool_]:
+        """Return (S,): ``is_over`` of every state; shared and read-only."""
+        return self._over
+
+    def board_slices(self) -> list[BoardSlice]:
+        """Return a few layouts for figures of values and policies: none."""
+        return []
+
+    def shown_values(self, state: S, shown: Collection[str] | None) -> dict[str, str]:
+        """Return the features that may be revealed with what their values read."""
+        return {
+            feature.name: feature.values[value]
+            for feature, value in zip(self.features, self.values_of(state))
+            if shown is None or feature.name in shown
+        }
+
+    @cached_property
+    def _texts(self) -> dict[str, int]:
+        return {self.encode(state): number for number, state in enumerate(self._states)}
+
+    @cached_property
+    def _transitions(self) -> Transitions:
+        pairs = [
+            list(self.outcomes(state, action))
+            for state in self._states
+            for action in range(len(self.actions))
+        ]
+        shape = (len(pairs), max(map(len, pairs)))
+        successor, reward = np.zeros(shape, np.int32), np.zeros(shape)
+        probability = np.zeros(shape)
+        for pair, entries in enumerate(pairs):
+            for outcome, (share, state, gain) in enumerate(entries):
+                probability[pair, outcome], reward[pair, outcome] = share, gain
+                successor[pair, outcome] = self.index(state)
+        axes = (self.n_states, len(self.actions), shape[1])
+        return Transitions(
+            successor=read_only(successor.reshape(axes)),
+            probability=read_only(probability.reshape(axes)),
+            reward=read_only(reward.reshape(axes)),
+            terminated=read_only((self.over()[successor] & (probability > 0)).reshape(axes)),
+        )
+
+    @cached_property
+    def _limits(self) -> NDArray[np.float64]:
+        return outcome_limits(self.transitions())
+
+    @cached_property
+    def _feature_table(self) -> NDArray[np.int32]:
+        return read_only(np.array([self.values_of(s) for s in self._states], dtype=np.int32))
+
+    @cached_property
+    def _start_states(self) -> NDArray[np.int32]:
+        begins = [self.can_begin(state) for state in self._states]
+        return read_only(np.flatnonzero(begins).astype(np.int32))
+
+    @cached_property
+    def _over(self) -> NDArray[np.bool_]:
+        return read_only(np.array([self.is_over(s) for s in self._states], dtype=np.bool_))
+
+    @cached_property
+    def _open(self) -> NDArray[np.intp]:
+        return np.flatnonzero(reachable(self) & ~self.over())

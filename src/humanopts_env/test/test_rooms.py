@@ -1,0 +1,157 @@
+"""Rooms by what the paper and its figure say, and by numbers known by hand."""
+
+from collections import Counter
+from typing import Any
+
+from humanopts_env.contract import DomainContract
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.chance import draw_outcomes, outcome_limits
+from humanopts_env.domains.rooms import ACTIONS, Rooms, RoomsState
+from humanopts_env.seeding import generator
+import numpy as np
+import pytest
+
+ROOMS = Rooms()
+UP, DOWN, LEFT, RIGHT = range(4)
+
+
+class TestRooms(DomainContract):
+    """The goal in a doorway."""
+
+    def make(self) -> Domain[Any]:
+        """Return the rooms of the first experiments."""
+        return Rooms()
+
+
+class TestRoomsWithTheGoalInARoom(DomainContract):
+    """The goal in a cell of a room."""
+
+    def make(self) -> Domain[Any]:
+        """Return the rooms of the other experiments."""
+        return Rooms('G2')
+
+
+def count_of(feature: str) -> dict[str, int]:
+    """Return how many states have each value of a feature."""
+    column = [f.name for f in ROOMS.features].index(feature)
+    values = ROOMS.features[column].values
+    return dict(Counter(values[row[column]] for row in ROOMS.feature_table().tolist()))
+
+
+def test_there_are_104_cells_in_four_rooms_and_four_doorways() -> None:
+    """Rooms of 5 x 5, 6 x 5, 5 x 5 and 4 x 5 cells."""
+    assert ROOMS.n_states == 104
+    assert count_of('room') == {
+        'north-west': 25,
+        'north-east': 30,
+        'south-west': 25,
+        'south-east': 20,
+        'doorway': 4,
+    }
+    assert count_of('doorway') == {'none': 100, 'north': 1, 'west': 1, 'east': 1, 'south': 1}
+
+
+def test_rooms_are_joined_by_doorways_alone() -> None:
+    """A way through the cells reaches all of them, and without doorways only one room."""
+    table, doorway = ROOMS.transitions(), ROOMS.feature_table()[:, 3] > 0
+    for blocked, expected in ((np.zeros_like(doorway), 104), (doorway, 25)):
+        found = np.arange(104) == ROOMS.index(RoomsState(0, 0))
+        while True:
+            more = found.copy()
+            more[table.successor[found & ~blocked]] = True
+            more &= ~blocked
+            if (more == found).all():
+                break
+            found = more
+        assert found.sum() == expected
+
+
+@pytest.mark.parametrize(
+    ('start', 'action', 'arrivals'),
+    [
+        ((0, 0), UP, {(0, 0): 7 / 9, (1, 0): 1 / 9, (0, 1): 1 / 9}),
+        ((1, 1), UP, {(0, 1): 6 / 9, (2, 1): 1 / 9, (1, 0): 1 / 9, (1, 2): 1 / 9}),
+        ((2, 4), RIGHT, {(2, 5): 6 / 9, (2, 3): 1 / 9, (1, 4): 1 / 9, (3, 4): 1 / 9}),
+        ((2, 5), UP, {(2, 5): 7 / 9, (2, 4): 1 / 9, (2, 6): 1 / 9}),
+        ((0, 4), RIGHT, {(0, 4): 7 / 9, (1, 4): 1 / 9, (0, 3): 1 / 9}),
+    ],
+)
+def test_moves_slip_as_the_paper_says(
+    start: tuple[int, int], action: int, arrivals: dict[tuple[int, int], float]
+) -> None:
+    """2/3 as intended, 1/9 in each other direction; into a wall the agent stays."""
+    table, here = ROOMS.transitions(), ROOMS.index(RoomsState(*start))
+    found: dict[tuple[int, int], float] = {}
+    for to, share in zip(table.successor[here, action], table.probability[here, action]):
+        state = ROOMS.state_at(int(to))
+        found[state.row, state.col] = found.get((state.row, state.col), 0.0) + share
+    assert found == pytest.approx(arrivals)
+
+
+def test_the_first_outcome_is_what_was_intended() -> None:
+    """Figures read from it which way an action moves."""
+    here = ROOMS.index(RoomsState(8, 2))
+    ahead = ROOMS.transitions().successor[here, :, 0]
+    assert [ROOMS.encode(ROOMS.state_at(int(s))) for s in ahead] == [
+        'cell 7,2',
+        'cell 9,2',
+        'cell 8,1',
+        'cell 8,3',
+    ]
+
+
+@pytest.mark.parametrize(('goal', 'cell'), [('G1', (6, 8)), ('G2', (8, 8))])
+def test_entering_the_goal_is_worth_one_and_ends_the_task(
+    goal: str, cell: tuple[int, int]
+) -> None:
+    """And nothing else is worth anything."""
+    domain = Rooms(goal)
+    table, end = domain.transitions(), domain.index(RoomsState(*cell))
+    assert (table.reward == (table.successor == end)).all()
+    assert np.flatnonzero(domain.over()).tolist() == [end]
+    assert domain.start_states().tolist() == [i for i in range(104) if i != end]
+
+
+def test_a_goal_that_there_is_not_is_refused() -> None:
+    """By name, with those that there are."""
+    with pytest.raises(DomainError, match=r"'G3'.*G1 or G2"):
+        Rooms('G3')
+
+
+def test_outcomes_are_drawn_as_often_as_they_are_likely() -> None:
+    """5,000 steps from one cell; a share of 2/3 has a standard error of 0.007."""
+    rng = generator(0, 'test')
+    drawn = Counter(ROOMS.step(RoomsState(1, 1), UP, rng).state for _ in range(5000))
+    assert drawn[RoomsState(0, 1)] / 5000 == pytest.approx(2 / 3, abs=0.025)
+    for slip in (RoomsState(2, 1), RoomsState(1, 0), RoomsState(1, 2)):
+        assert drawn[slip] / 5000 == pytest.approx(1 / 9, abs=0.02)
+
+
+def test_an_outcome_that_cannot_happen_is_never_drawn() -> None:
+    """Whatever number is drawn, at the ends of the range too."""
+    shares = np.array([[[0.0, 0.25, 0.0, 0.75, 0.0]]])
+    table = type(ROOMS.transitions())(
+        np.zeros(shape := shares.shape, np.int32), shares, np.zeros(shape), np.zeros(shape, bool)
+    )
+    numbers = np.array([0.0, 0.2499, 0.25, 0.9999999])
+    zeros = np.zeros(4, dtype=np.intp)
+    drawn = draw_outcomes(outcome_limits(table), zeros, zeros, numbers)
+    assert drawn.tolist() == [1, 1, 3, 3]
+
+
+def test_the_drawing_is_the_figure() -> None:
+    """Walls two characters wide, the agent left of what is in its cell."""
+    lines = ROOMS.render(RoomsState(2, 5)).splitlines()
+    assert lines[0] == lines[12] == '█' * 26
+    assert lines[3] == '██ · · · · ·☻· · · · · ·██'
+    assert lines[7] == '██ · · · · ·██████ ⚑██████'
+    assert ROOMS.render(RoomsState(6, 8)).splitlines()[7].count('☻⚑') == 1
+    hidden = ROOMS.render(RoomsState(2, 5), {'row', 'doorway'})
+    assert '☻' not in hidden
+    assert hidden.endswith('row: 2   doorway: north')
+
+
+def test_actions_are_the_arrows() -> None:
+    """As the paper names them."""
+    assert [action.name for action in ACTIONS] == ['up', 'down', 'left', 'right']
+    assert [action.key for action in ACTIONS] == ['up', 'down', 'left', 'right']
