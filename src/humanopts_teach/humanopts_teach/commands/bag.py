@@ -33,6 +33,8 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 def _eval(arguments: argparse.Namespace) -> int:
+    if arguments.html and not arguments.html.parent.is_dir():
+        raise CommandError(f'cannot write {arguments.html}: there is no such folder')
     bag = open_bag(arguments.bag)
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task('reading', total=None)
