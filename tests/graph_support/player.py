@@ -93,6 +93,8 @@ class Player:
             return bool(answers)
 
         self._graph.until(answered, f'an answer to {action}')
+        if source == PERSON and isinstance(answers[0], GameState):
+            self._graph.until(lambda: self.controls[-1].holder, 'control, which comes apart')
         return answers[0]
 
     def _hears(self) -> bool:
