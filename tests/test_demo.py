@@ -338,3 +338,16 @@ def test_same_seed_teaches_the_same_again(
     assert [(d.uuid, d.states, d.actions) for d in first] == [
         (d.uuid, d.states, d.actions) for d in second
     ]
+
+
+def test_demo_that_was_too_short_to_teach_says_what_is_missing(
+    tmp_path: Path, domain_id: int
+) -> None:
+    short = run_demo(tmp_path, domain_id, '--seed', 1, '--budget', 1, '--episodes', 3)
+    assert short.status == 1
+    problems = short.errors.splitlines()
+    assert all(problem.startswith('humanopts demo: ') for problem in problems)
+    assert f'humanopts demo: the criteria of {PICKUP!r} are not met' in problems
+    assert f'humanopts demo: {DROPOFF!r} was not learned' in problems
+    assert short.summary['execution']['successes'] < 3
+    assert (short.folder / 'report.html').stat().st_size > 10_000

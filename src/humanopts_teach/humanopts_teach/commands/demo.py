@@ -10,12 +10,13 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
+from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.commands.progress import DemoProgress
 from humanopts_teach.commands.session import check_setup, Session, session
 from humanopts_teach.commands.setup import new_name, setup_from
-from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag, EvaluationError
 from humanopts_teach.evaluation.options_block import differences, option_block, OptionBlock
 from humanopts_teach.evaluation.planning import PlanningRow, row_of_result
 from humanopts_teach.evaluation.summary import (
@@ -25,6 +26,7 @@ from humanopts_teach.evaluation.summary import (
     SummaryError,
     write_json,
 )
+from humanopts_teach.launching.launcher import LaunchError
 from humanopts_teach.launching.processes import Setup
 from humanopts_teach.report.bag_parts import bag_parts
 from humanopts_teach.report.data import ReportData, TopicRow
@@ -57,8 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         with session(setup, arguments.namespace, progress) as running:
             live = _teach_plan_play(running, setup, arguments.episodes, progress)
         progress.stage('evaluating the bag')
-        bag = open_bag(setup.bag)
-        evaluation = evaluate_bag(bag, progress.offline)
+        bag, evaluation = _evaluate(setup, progress)
         summary = _summarise(setup, live, evaluation, bag)
         progress.stage('writing the report')
         parts = bag_parts(bag)
@@ -69,7 +70,15 @@ def run(arguments: argparse.Namespace) -> int:
             write_report(setup.directory / 'report.html', data)
         except SummaryError as error:
             raise CommandError(str(error)) from error
-    return _conclude(setup, summary, _problems(summary, parts.topics))
+    return _conclude(setup, summary, _problems(setup, summary, parts.topics))
+
+
+def _evaluate(setup: Setup, progress: DemoProgress) -> tuple[Bag, BagEvaluation]:
+    try:
+        bag = open_bag(setup.bag)
+        return bag, evaluate_bag(bag, progress.offline)
+    except (BagError, EvaluationError) as error:
+        raise LaunchError(f'the recording cannot be evaluated: {error}') from error
 
 
 def _taught_options(domain: str) -> tuple[str, ...]:
@@ -127,9 +136,11 @@ def _summarise(setup: Setup, live: Live, evaluation: BagEvaluation, bag: Bag) ->
     )
 
 
-def _problems(summary: Summary, topics: Sequence[TopicRow]) -> list[str]:
+def _problems(setup: Setup, summary: Summary, topics: Sequence[TopicRow]) -> list[str]:
     """Return in words what a demo promises and this one did not keep."""
-    found = [
+    learned = {block.name for block in summary.options}
+    found = [f'{name!r} was not learned' for name in setup.taught if name not in learned]
+    found += [
         f'the criteria of {b.name!r} are not met' for b in summary.options if not b.criteria_met
     ]
     found += [f'{topic.lost} messages of {topic.name} are lost' for topic in topics if topic.lost]
@@ -137,6 +148,8 @@ def _problems(summary: Summary, topics: Sequence[TopicRow]) -> list[str]:
     undelivered = summary.execution.episodes - summary.execution.successes
     if undelivered:
         found.append(f'{undelivered} episodes ended with the task not done')
+    if summary.execution.fallbacks:
+        found.append(f'no option was available {summary.execution.fallbacks} times')
     return found
 
 
