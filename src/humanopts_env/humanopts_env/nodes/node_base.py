@@ -30,6 +30,7 @@ from rclpy.signals import SignalHandlerOptions
 M = TypeVar('M')
 RECORDER = 'recorder'
 _RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
+_LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _CHECK_PERIOD = 0.02  # s between looks at what a starting node waits for
 
@@ -218,6 +219,14 @@ class NodeBase(Node):
 
     def close(self) -> None:
         """Finish work before the node ends. To be overridden."""
+
+    def finish(self, busy: Callable[[], bool], seconds: float) -> None:
+        """Carry out callbacks until nothing is under way and the answers to it are sent."""
+        deadline = time.monotonic() + seconds
+        while busy() and time.monotonic() < deadline:
+            self.executor.spin_once(_CHECK_PERIOD)
+        for _ in range(_LAST_ROUNDS):
+            self.executor.spin_once(0.0)
 
     def drain(self) -> None:
         """Wait a moment for the readers to take what was sent."""

@@ -20,6 +20,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 
+_FAREWELL = 0.5  # s to answer who asked for the run under way, when the node ends
+
 
 class OptionServerNode(NodeBase):
     """Serves the options that ``learner`` publishes, and before that those found as files."""
@@ -58,8 +60,9 @@ class OptionServerNode(NodeBase):
         return None if self._runner.library is not None else 'domain_info'
 
     def close(self) -> None:
-        """End the run under way."""
+        """End the run under way, and answer who asked for it."""
         self._runner.stop()
+        self.finish(lambda: self._runner.busy, _FAREWELL)
 
     def _on_domain(self, info: DomainInfo) -> None:
         try:

@@ -1,5 +1,6 @@
 """The node ``planner``: SMDP value iteration, and acting by the policy over options it gives."""
 
+from collections.abc import Callable
 import math
 import sys
 import threading
@@ -28,7 +29,7 @@ from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
 from humanopts_learner.planning.evaluate import episode_starts, play
-from humanopts_learner.planning.plan import make_plan, Plan, PRIMITIVE
+from humanopts_learner.planning.plan import check_request, make_plan, Plan, PRIMITIVE
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
@@ -36,6 +37,8 @@ from rclpy.task import Future
 _TOLERANCE, _MAX_SWEEPS = 1e-8, 10_000
 _FEEDBACK_PERIOD = 0.1  # s
 _RESET_SECONDS, _OPTION_SECONDS, _OPTIONS_SECONDS = 5.0, 120.0, 5.0
+_FAREWELL = 1.0  # s to answer who asked for what is under way, when the node ends
+_STOPS = 'the planner stops'
 _GO_ON = (
     OptionResult.STATUS_REACHED,
     OptionResult.STATUS_EPISODE_OVER,
@@ -53,7 +56,8 @@ class PlannerNode(NodeBase):
         self._version = 0  # sequence of the LearnedOptions that they came with
         self._plans: dict[tuple[str, str], tuple[Plan, int]] = {}
         self._waiting: list[tuple[int, Future]] = []
-        self._planning = self._playing = False
+        self._planning = self._playing = self.stopping = False
+        self._thread = threading.Thread()  # that plans
         self._plan_goals = self.stamped_publisher(PlanGoal, 'plan_goals')
         self._plan_results = self.stamped_publisher(PlanResult, 'plan_results')
         self._policy_goals = self.stamped_publisher(PolicyGoal, 'policy_goals')
@@ -69,6 +73,13 @@ class PlannerNode(NodeBase):
     def waits_for(self) -> str | None:
         """Wait for the rules of the game."""
         return None if self._domain is not None else 'domain_info'
+
+    def close(self) -> None:
+        """End what is under way, and answer who asked for it."""
+        self.stopping = True
+        self.finish(lambda: self._planning or self._playing, _FAREWELL)
+        if self._thread.is_alive():
+            self._thread.join()
 
     def _on_domain(self, info: DomainInfo) -> None:
         try:
@@ -102,23 +113,39 @@ class PlannerNode(NodeBase):
             refused.status = PlanResult.STATUS_BUSY
             refused.detail = 'the planner is at work on another plan'
             return refused
+        if self._domain is None:
+            refused.status = PlanResult.STATUS_FAILED
+            refused.detail = 'game has not announced itself'
+            return refused
         self._planning = True
         try:
             await self._options_arrive(request.options_sequence)
-            return await self._plan_in_thread(handle, str(uuid.uuid4()))
+            options = self._options_of(request)
+            check_request(self._domain, request.action_set, options, self._gamma(request))
+            refused.plan_id = str(uuid.uuid4())  # from here on it is accepted
+            return await self._plan_in_thread(handle, refused.plan_id, options)
         except NoOptionsError as error:
             refused.status, refused.detail = PlanResult.STATUS_NO_OPTIONS, str(error)
         except (PlanError, OptionError) as error:
             refused.status, refused.detail = PlanResult.STATUS_BAD_REQUEST, str(error)
         except PlanCanceled:
             refused.status, refused.detail = PlanResult.STATUS_CANCELED, 'canceled by the client'
+            if self.stopping:
+                refused.status, refused.detail = PlanResult.STATUS_FAILED, _STOPS
+        except Exception as error:  # such as no memory for the tables of so many states
+            refused.status, refused.detail = PlanResult.STATUS_FAILED, repr(error)
         finally:
             self._planning = False
         return refused
 
-    async def _plan_in_thread(self, handle: ServerGoalHandle, plan_id: str) -> PlanResult:
-        request = handle.request
-        gamma = request.gamma or self._domain.gamma
+    def _gamma(self, request: Any) -> float:
+        return request.gamma or self._domain.gamma
+
+    async def _plan_in_thread(
+        self, handle: ServerGoalHandle, plan_id: str, options: list[LearnedOption]
+    ) -> PlanResult:
+        request, version = handle.request, self._version
+        gamma = self._gamma(request)
         self._plan_goals.publish(
             PlanGoal(
                 plan_id=plan_id,
@@ -129,8 +156,7 @@ class PlannerNode(NodeBase):
                 max_sweeps=request.max_sweeps or _MAX_SWEEPS,
             )
         )
-        options, version = self._options_of(request), self._version
-        progress = _Feedback(handle)
+        progress = _Feedback(handle, lambda: self.stopping)
         done: Future = Future(executor=self.executor)
 
         def work() -> None:
@@ -149,12 +175,12 @@ class PlannerNode(NodeBase):
                 done.set_exception(error)
             self.executor.wake()
 
-        thread = threading.Thread(target=work, name='plan')
-        thread.start()
+        self._thread = threading.Thread(target=work, name='plan')
+        self._thread.start()
         try:
             plan, returns = await done
         finally:
-            thread.join()
+            self._thread.join()
         self._plans[request.action_set, request.participant] = plan, version
         return plan_to_message(plan, plan_id, returns)
 
@@ -174,8 +200,10 @@ class PlannerNode(NodeBase):
             raise PlanError(f'learned_options {sequence} did not come, only {self._version}')
 
     def _options_of(self, request: Any) -> list[LearnedOption]:
+        if request.action_set == PRIMITIVE:
+            return []
         people = {option.participant for option in self._options}
-        if request.action_set != PRIMITIVE and not request.participant and len(people) > 1:
+        if not request.participant and len(people) > 1:
             raise PlanError(
                 f'several people taught options: name one of {", ".join(sorted(people))}'
             )
@@ -237,7 +265,8 @@ class PlannerNode(NodeBase):
         totals, discounted = [], []
         for number, start in enumerate(starts):
             episode = _Episode(self, plan, result, handle)
-            if not await episode.play(int(start), request.seed + number, limit):
+            seed = (request.seed + number) % 2**64
+            if not await episode.play(int(start), seed, limit):
                 return
             totals.append(episode.total)
             discounted.append(episode.discounted)
@@ -292,6 +321,8 @@ class _Episode:
         for _ in range(limit):
             if self._handle.is_cancel_requested:
                 return self._stop(PolicyResult.STATUS_CANCELED, 'canceled by the client')
+            if self._node.stopping:
+                return self._fail(_STOPS)
             decision = self._plan.choose(state)
             self._result.decisions += 1
             self._result.fallbacks += decision.fallback
@@ -323,12 +354,12 @@ class _Episode:
 class _Feedback:
     """Publishes how far planning is, and raises ``PlanCanceled`` when the client wants no more."""
 
-    def __init__(self, handle: ServerGoalHandle) -> None:
-        self._handle = handle
+    def __init__(self, handle: ServerGoalHandle, stopping: Callable[[], bool]) -> None:
+        self._handle, self._stopping = handle, stopping
         self._stage, self._next = '', 0.0
 
     def __call__(self, stage: str, fraction: float, sweeps: int, residual: float) -> None:
-        if self._handle.is_cancel_requested:
+        if self._handle.is_cancel_requested or self._stopping():
             raise PlanCanceled
         now = time.monotonic()
         if stage != self._stage or now >= self._next:

@@ -94,6 +94,11 @@ class Runner:
         finally:
             self._taken_by = ''
 
+    @property
+    def busy(self) -> bool:
+        """Whether a run is under way, or waits for its first state."""
+        return bool(self._taken_by)
+
     def stop(self) -> None:
         """End the run under way, because the node ends."""
         if self._active is not None:

@@ -37,6 +37,7 @@ __all__ = [
     'Plan',
     'Progress',
     'TabledOption',
+    'check_request',
     'make_plan',
     'plan_with_tables',
 ]
@@ -113,7 +114,7 @@ def make_plan(
     """
     gamma = domain.gamma if gamma is None else gamma
     used = () if action_set == PRIMITIVE else tuple(options)
-    listed = _check_request(domain, action_set, used, gamma)
+    listed = check_request(domain, action_set, used, gamma)
     tell = progress or say_nothing
     listed.feature_table()  # built once for all plans, so no part of this one's time
     began = clock()
@@ -163,9 +164,14 @@ def plan_with_tables(
     )
 
 
-def _check_request(
+def check_request(
     domain: Domain[Any], action_set: str, options: Sequence[LearnedOption], gamma: float
 ) -> EnumerableDomain[Any]:
+    """
+    Check what ``make_plan`` is asked for, without planning.
+
+    :raises PlanError: the request makes no sense; its subclasses say which part.
+    """
     check_action_set(action_set, [option.name for option in options])
     check_gamma(gamma)
     for option in options:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from humanopts_learner.planning.errors import ModelError
-from humanopts_learner.planning.model import SmdpModel
+from humanopts_learner.planning.model import Model
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,20 +23,24 @@ class Solution:
 
 
 class _Backup:
-    """One sweep over a model, in place: no loop over states, nothing allocated."""
+    """One sweep over a model, in place: no loop over states."""
 
-    def __init__(self, model: SmdpModel) -> None:
+    def __init__(self, model: Model) -> None:
         self.dead = ~model.available.any(axis=1)
-        self._successor = np.ascontiguousarray(model.successor.T, dtype=np.intp)
+        self._expect = model.expectation()
         self._reward = np.where(model.available.T, model.reward.T, -np.inf)
-        self._discount = model.discount.T.copy()
-        self._reward[0, self.dead] = self._discount[0, self.dead] = 0.0  # their value stays 0
+        self._reward[0, self.dead] = 0.0  # nothing follows there, so their value stays 0
         self._choices = np.empty(self._reward.shape)
+
+    def sweep(self, old: NDArray[np.float64], new: NDArray[np.float64]) -> float:
+        """Write the next values to ``new`` and the changes to ``old``; return the largest."""
+        np.max(self.choices(old), axis=0, out=new)
+        np.subtract(new, old, out=old)
+        return max(float(old.max()), -float(old.min()))
 
     def choices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the value of every choice (O, S), in space that the next call uses again."""
-        np.take(values, self._successor, out=self._choices, mode='clip')
-        np.multiply(self._choices, self._discount, out=self._choices)
+        self._expect(values, self._choices)
         return np.add(self._choices, self._reward, out=self._choices)
 
     def best(self, values: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -51,7 +55,7 @@ class _Backup:
 
 
 def solve_smdp(
-    model: SmdpModel,
+    model: Model,
     tol: float = 1e-8,
     max_sweeps: int = 10_000,
     on_sweep: OnSweep | None = None,
@@ -70,9 +74,7 @@ def solve_smdp(
     backup = _Backup(model)
     old, new = np.zeros(model.n_states), np.empty(model.n_states)
     for sweeps in range(1, max_sweeps + 1):
-        np.max(backup.choices(old), axis=0, out=new)
-        np.subtract(new, old, out=old)
-        residual = max(float(old.max()), -float(old.min()))
+        residual = backup.sweep(old, new)
         old, new = new, old
         stop = on_sweep is not None and on_sweep(sweeps, residual)
         if stop or residual <= tol:
