@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+import signal
 from typing import Any
 
 from action_msgs.msg import GoalStatus
@@ -345,6 +346,18 @@ def test_a_file_that_cannot_be_used_is_reported_and_left_alone(
     assert f'{damaged} cannot be used: it is not JSON' in said
     assert "not served: 'go to passenger' was learned in taxi" in said
     assert len(damaged.read_text()) == 200
+
+
+def test_an_option_server_that_is_ended_answers_who_waits(runs: Runs, server: NodeProcess) -> None:
+    goal = runs.begin(CIRCLE)
+    server.process.send_signal(signal.SIGTERM)
+    status, result = goal.result()
+    assert status == GoalStatus.STATUS_ABORTED
+    assert (result.status, result.detail) == (
+        OptionResult.STATUS_FAILED,
+        'it failed: the option server stops',
+    )
+    assert (server.ended(5.0), 'Traceback' in server.said()) == (0, False)
 
 
 @pytest.fixture

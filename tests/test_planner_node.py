@@ -1,0 +1,291 @@
+"""The node planner on the real graph: plans are those of the pure code, and so is playing them."""
+
+import math
+import signal
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from graph_support.live import GAME, Goal, Graph, OPTION_SERVER, PLANNER
+from graph_support.player import PERSON, Player
+from graph_support.scripted import FETCH, taught, TAXI
+from humanopts_env.nodes.qos import LATCHED
+from humanopts_interfaces.action import Plan, RunPolicy
+from humanopts_interfaces.msg import (
+    LearnedOptions,
+    OptionModel,
+    PlanGoal,
+    PlanResult,
+    PolicyGoal,
+    PolicyResult,
+)
+from humanopts_learner.options.files import option_to_json
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.evaluate import episode_starts, play
+from humanopts_learner.planning.plan import make_plan
+import pytest
+
+OPTIONS = taught()
+FIRST_ONLY = [option for option in OPTIONS if option.name == FETCH]
+EPISODES, SEED = 10, 11
+HUGE = '{"rows": 130, "cols": 130}'  # 338,000 states: sweeps take some ten seconds
+
+
+class Planning:
+    """A game with everything that plays it, and the test in the learner's place."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph, self._sequence = graph, 0
+        self._options = graph.node.create_publisher(LearnedOptions, 'learned_options', LATCHED)
+        self.plan_goals = graph.listen(PlanGoal, 'plan_goals')
+        self.plan_results = graph.listen(PlanResult, 'plan_results')
+        self.policy_goals = graph.listen(PolicyGoal, 'policy_goals')
+        self.policy_results = graph.listen(PolicyResult, 'policy_results')
+        self.player = Player(graph)
+
+    def teach(self, options: list[LearnedOption]) -> int:
+        """Publish what was learned; return the sequence to plan with."""
+        self._sequence += 1
+        models = [
+            OptionModel(name=o.name, participant=o.participant, model=option_to_json(o))
+            for o in options
+        ]
+        self._options.publish(LearnedOptions(sequence=self._sequence, options=models))
+        return self._sequence
+
+    def plan(self, action_set: str, **fields: Any) -> PlanResult:
+        """Plan with the newest options."""
+        fields = {'options_sequence': self._sequence, 'seed': SEED, **fields}
+        _, result = self.graph.act(Plan, 'plan', action_set=action_set, **fields).result()
+        return result
+
+    def begin(self, action_set: str, **fields: Any) -> Goal:
+        """Begin to play by a plan; nobody holds control."""
+        self.player.fresh()
+        fields = {'episodes': EPISODES, 'seed': SEED, **fields}
+        return self.graph.act(RunPolicy, 'run_policy', action_set=action_set, **fields)
+
+    def play(self, action_set: str, **fields: Any) -> PolicyResult:
+        """Play by a plan."""
+        _, result = self.begin(action_set, **fields).result()
+        return result
+
+
+@pytest.fixture(scope='module')
+def at_work(shared: Graph) -> Planning:
+    for module in (GAME, OPTION_SERVER, PLANNER):
+        shared.start(module)
+    shared.ready('/game', '/option_server', '/planner')
+    return Planning(shared)
+
+
+@pytest.fixture
+def planning(at_work: Planning) -> Planning:
+    """Have the options of the whole task known."""
+    at_work.teach(OPTIONS)
+    return at_work
+
+
+@pytest.mark.parametrize('action_set', ['human', 'primitive', 'human+primitive'])
+def test_a_plan_is_the_plan_of_the_pure_code(planning: Planning, action_set: str) -> None:
+    result = planning.plan(action_set, evaluation_episodes=EPISODES)
+    plan = make_plan(TAXI, action_set, OPTIONS)
+    returns = play(plan, episode_starts(TAXI, SEED, EPISODES))
+    assert result.status == PlanResult.STATUS_CONVERGED
+    assert (result.action_set, tuple(result.option_names)) == (action_set, plan.names)
+    assert (result.gamma, result.n_states) == (0.99, 500)
+    assert (result.sweeps, result.residual) == (plan.solution.sweeps, plan.solution.residual)
+    assert result.evaluation_episodes == EPISODES
+    assert result.mean_return == returns.total.mean()
+    assert result.mean_discounted_return == returns.discounted.mean()
+    assert result.sweep_seconds > 0
+
+
+def test_a_plan_that_is_not_judged_has_no_mean(planning: Planning) -> None:
+    result = planning.plan('primitive', gamma=0.5)
+    assert (result.gamma, result.evaluation_episodes) == (0.5, 0)
+    assert math.isnan(result.mean_return)
+
+
+def test_sweeps_can_be_limited(planning: Planning) -> None:
+    result = planning.plan('primitive', max_sweeps=2)
+    assert result.status == PlanResult.STATUS_NOT_CONVERGED
+    assert (result.sweeps, result.converged) == (2, False)
+    assert result.detail == 'not converged after 2 sweeps'
+
+
+def test_goals_and_results_of_plans_are_on_the_graph(planning: Planning) -> None:
+    result = planning.plan('human')
+    planning.graph.until(
+        lambda: planning.plan_results and planning.plan_results[-1].plan_id == result.plan_id,
+        'the result',
+    )
+    (goal,) = [goal for goal in planning.plan_goals if goal.plan_id == result.plan_id]
+    assert (goal.action_set, goal.gamma, goal.tolerance) == ('human', 0.99, 1e-8)
+    assert goal.max_sweeps == 10_000
+
+
+@pytest.mark.parametrize(
+    ('action_set', 'fields', 'says'),
+    [
+        ('robot', {}, "no action set 'robot'; there is human, primitive, human+primitive"),
+        ('primitive', {'gamma': 2.0}, 'gamma is 2.0'),
+        ('primitive', {'gamma': math.nan}, 'gamma is nan'),
+        ('primitive', {'tolerance': -1.0}, 'tol'),
+    ],
+)
+def test_a_request_that_makes_no_sense_is_refused_in_words(
+    planning: Planning, action_set: str, fields: dict[str, float], says: str
+) -> None:
+    result = planning.plan(action_set, **fields)
+    assert result.status == PlanResult.STATUS_BAD_REQUEST
+    assert says in result.detail
+
+
+def test_without_options_only_primitive_actions_can_be_planned_with(planning: Planning) -> None:
+    planning.teach([])
+    refused = planning.plan('human')
+    assert (refused.status, refused.plan_id) == (PlanResult.STATUS_NO_OPTIONS, '')
+    assert 'teach one first' in refused.detail
+    assert planning.plan('primitive').status == PlanResult.STATUS_CONVERGED
+
+
+def test_options_that_do_not_come_are_named(planning: Planning) -> None:
+    result = planning.plan('human', options_sequence=10_000)  # after 5 s
+    assert result.status == PlanResult.STATUS_BAD_REQUEST
+    assert 'learned_options 10000 did not come' in result.detail
+
+
+def test_options_of_two_people_are_not_mixed(planning: Planning) -> None:
+    planning.teach([*OPTIONS, *taught('p2')])
+    either = planning.plan('human')
+    assert either.status == PlanResult.STATUS_BAD_REQUEST
+    assert 'name one of p1, p2' in either.detail
+    assert planning.plan('human', participant='p2').status == PlanResult.STATUS_CONVERGED
+    assert planning.plan('human', participant='p3').status == PlanResult.STATUS_NO_OPTIONS
+
+
+def test_playing_by_a_plan_is_what_the_pure_code_says(planning: Planning) -> None:
+    planning.plan('human')
+    runs = [planning.play('human') for _ in range(2)]
+    plan = make_plan(TAXI, 'human', OPTIONS)
+    returns = play(plan, episode_starts(TAXI, SEED, EPISODES))
+    for result in runs:
+        assert result.status == PolicyResult.STATUS_DONE
+        assert (result.episodes, result.successes) == (EPISODES, returns.successes.sum())
+        assert (result.decisions, result.fallbacks) == (returns.decisions.sum(), 0)
+        assert result.mean_return == returns.total.mean()
+        assert result.mean_discounted_return == pytest.approx(returns.discounted.mean(), abs=1e-9)
+    goals = [goal.run_id for goal in planning.policy_goals]
+    assert goals[-2:] == [result.run_id for result in runs]
+
+
+def test_fallbacks_are_counted(planning: Planning) -> None:
+    planning.teach(FIRST_ONLY)
+    planning.plan('human')
+    result = planning.play('human', episodes=3)
+    plan = make_plan(TAXI, 'human', FIRST_ONLY)
+    returns = play(plan, episode_starts(TAXI, SEED, 3))
+    assert result.status == PolicyResult.STATUS_DONE
+    assert result.fallbacks == returns.fallbacks.sum() > 0
+    assert result.mean_return == returns.total.mean()
+
+
+def test_an_episode_is_given_up_after_so_many_decisions(planning: Planning) -> None:
+    planning.plan('human')
+    result = planning.play('human', episodes=2, max_decisions=1)
+    assert (result.episodes, result.successes, result.decisions) == (2, 0, 2)
+
+
+def test_without_a_plan_nothing_is_played(planning: Planning) -> None:
+    result = planning.play('human', participant='nobody')
+    assert result.status == PolicyResult.STATUS_NO_PLAN
+    assert 'plan it first' in result.detail
+    assert (result.run_id, result.episodes) == ('', 0)
+
+
+def test_a_plan_is_out_of_date_when_the_options_changed(planning: Planning) -> None:
+    for action_set in ('human', 'primitive'):
+        planning.plan(action_set)
+    planning.teach(FIRST_ONLY)
+    planning.plan('primitive')
+    result = planning.play('human')
+    assert result.status == PolicyResult.STATUS_NO_PLAN
+    assert 'the options changed' in result.detail
+    assert planning.play('primitive', episodes=1).status == PolicyResult.STATUS_DONE
+
+
+def test_playing_no_episode_is_refused(planning: Planning) -> None:
+    planning.plan('human')
+    assert planning.play('human', episodes=0).status == PolicyResult.STATUS_BAD_REQUEST
+
+
+def test_a_second_policy_is_answered_busy_and_playing_is_canceled(planning: Planning) -> None:
+    planning.plan('human')
+    goal = planning.begin('human', episodes=5000)
+    planning.graph.until(lambda: goal.feedback, 'an episode')
+    _, second = planning.graph.act(
+        RunPolicy, 'run_policy', action_set='human', episodes=1
+    ).result()
+    assert second.status == PolicyResult.STATUS_BUSY
+    goal.cancel()
+    status, result = goal.result(5.0)
+    assert (status, result.status) == (GoalStatus.STATUS_CANCELED, PolicyResult.STATUS_CANCELED)
+    assert result.episodes == goal.feedback[-1].episodes
+    assert result.mean_return == goal.feedback[-1].mean_return
+
+
+def test_a_person_takes_over_from_a_policy(planning: Planning) -> None:
+    planning.plan('human')
+    goal = planning.begin('human', episodes=5000)
+    planning.graph.until(lambda: goal.feedback, 'an episode')
+    planning.player.hold(True)
+    status, result = goal.result(5.0)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert result.status == PolicyResult.STATUS_INTERRUPTED
+    assert 'held by the person' in result.detail
+    assert planning.player.do('north', PERSON).action_source == PERSON
+
+
+def test_a_game_held_by_a_person_is_not_taken_from_them(planning: Planning) -> None:
+    planning.plan('human')
+    planning.player.fresh()
+    planning.player.hold(True)
+    _, result = planning.graph.act(
+        RunPolicy, 'run_policy', action_set='human', episodes=1
+    ).result()
+    assert result.status == PolicyResult.STATUS_INTERRUPTED
+    assert result.episodes == 0
+    assert math.isnan(result.mean_return)
+
+
+@pytest.fixture
+def long(live: Graph) -> Goal:
+    """A plan that takes long, under way."""
+    live.start(GAME, domain_parameters=HUGE)
+    live.start(PLANNER)
+    live.ready('/game', '/planner')
+    goal = live.act(Plan, 'plan', action_set='primitive', gamma=0.999)
+    live.until(lambda: any(f.sweeps for f in goal.feedback), 'a sweep', 60.0)
+    return goal
+
+
+def test_planning_says_how_far_it_is_and_is_canceled_at_once(long: Goal, live: Graph) -> None:
+    _, busy = live.act(Plan, 'plan', action_set='primitive').result()
+    assert busy.status == PlanResult.STATUS_BUSY
+    long.cancel()
+    status, result = long.result(5.0)
+    assert (status, result.status) == (GoalStatus.STATUS_CANCELED, PlanResult.STATUS_CANCELED)
+    assert result.plan_id != ''
+    sweeps = [f for f in long.feedback if f.stage == 'sweeps']
+    assert [f.sweeps for f in sweeps] == sorted(f.sweeps for f in sweeps)
+    assert all(0.0 <= f.progress < 1.0 for f in sweeps)
+    assert all(f.residual > 0 for f in sweeps)
+
+
+def test_a_planner_at_work_ends_at_once_when_it_is_asked_to(long: Goal, live: Graph) -> None:
+    planner = live.started[-1]
+    planner.process.send_signal(signal.SIGTERM)
+    status, result = long.result(5.0)
+    assert (status, result.status) == (GoalStatus.STATUS_ABORTED, PlanResult.STATUS_FAILED)
+    assert result.detail == 'the planner stops'
+    assert (planner.ended(5.0), planner.said()) == (0, '')
