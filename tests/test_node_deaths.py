@@ -45,11 +45,13 @@ def bag_of(folder: Path) -> Bag:
     return open_bag(folder / 'out' / 'bag')
 
 
-def check_end(command: Command, node: str, how: str) -> None:
-    """The demo ends with a message that names the node, and nothing is left of it."""
+def check_end(command: Command, *words: str) -> None:
+    """The demo ends with a message that has these words first, and nothing is left of it."""
     assert command.ended(PATIENCE) == 1
     first = command.errors.partition('\n')[0]
-    assert first.startswith(f'humanopts demo: the node {node} ended ({how}) while it was needed; ')
+    assert first.startswith('humanopts demo: ')
+    assert [word for word in words if word not in first] == [], first
+    assert 'Traceback' not in command.errors
     assert command.running() == {}
 
 
@@ -60,8 +62,7 @@ def test_a_node_that_ends_while_it_teaches_ends_the_demo(
     command = start()
     teach(command, tmp_path)
     command.kill(node, SIGTERM)
-    check_end(command, node, 'exit status 0')
-    assert 'Traceback' not in command.errors
+    check_end(command, f'the node {node} ended (exit status 0) while it was needed')
     bag = bag_of(tmp_path)
     assert bag.damage == ''
     on_disk, in_bag = shown_on_disk(tmp_path / 'out'), read_demonstrations(bag)
@@ -76,7 +77,7 @@ def test_a_node_that_ends_while_it_plays_ends_the_demo(
     command = start('--budget', 3, '--episodes', 2000)
     command.until(lambda: 'playing' in command.output, 'the first episode')
     command.kill(node, SIGTERM)
-    check_end(command, node, 'exit status 0')
+    check_end(command, node)  # the planner may say itself that it stops
     bag = bag_of(tmp_path)
     assert bag.damage == ''
     assert read_demonstrations(bag) == shown_on_disk(tmp_path / 'out')
@@ -86,7 +87,7 @@ def test_a_killed_recorder_leaves_what_it_had_written(start: Start, tmp_path: Pa
     command = start()
     teach(command, tmp_path)
     command.kill('recorder', SIGKILL)
-    check_end(command, 'recorder', 'by signal SIGKILL')
+    check_end(command, 'the node recorder ended (by signal SIGKILL) while it was needed')
     bag = bag_of(tmp_path)
     assert 'not closed' in bag.damage or 'cut short' in bag.damage
     in_bag = read_demonstrations(bag)
