@@ -263,9 +263,11 @@ def test_a_lesson_that_was_killed_goes_on_where_it_was(graph: Graph) -> None:
     assert graph.lesson.option_name == PICKUP
     assert tuple(graph.lesson.chosen_features) == CHOSEN
     assert graph.lesson.n_demonstrations == 1
-    graph.until(lambda: len(graph.shown) > 1, 'the demonstration to be sent again')
-    again = graph.shown[1]
-    assert again.publisher_id != first.publisher_id
+    graph.until(
+        lambda: graph.shown[-1].publisher_id != first.publisher_id,
+        'the demonstration to be sent again',
+    )
+    again = graph.shown[-1]
     assert (again.uuid, again.states, again.rewards) == (first.uuid, first.states, first.rewards)
     episode = graph.begin()
     graph.drive(episode, 'pickup')
