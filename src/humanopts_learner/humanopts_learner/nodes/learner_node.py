@@ -79,8 +79,7 @@ class LearnerNode(NodeBase):
             self._course = Course(self._directory, self._domain, self._thresholds, self._seed)
         except (CourseError, DomainError) as error:
             raise StartError(str(error)) from error
-        for problem in self._course.problems:
-            self.get_logger().warning(problem)
+        self._report()
 
     def _on_demonstration(self, message: DemonstrationMessage) -> None:
         receipt = DemonstrationReceipt(uuid=message.uuid, option_name=message.option_name)
@@ -97,11 +96,16 @@ class LearnerNode(NodeBase):
                 receipt.status = DemonstrationReceipt.STATUS_REFUSED
                 receipt.detail = str(error)
         if receipt.status == DemonstrationReceipt.STATUS_ACCEPTED:
+            self._report()
             self._publish()
         self._receipts.publish(receipt)
 
+    def _report(self) -> None:
+        """Log what is wrong with the folder since the last time."""
+        while self._course.problems:
+            self.get_logger().warning(self._course.problems.pop(0))
+
     def _publish(self) -> None:
-        assert self._course is not None
         progress = self._course.progress()
         self._options_out.publish(
             LearnedOptions(
