@@ -24,7 +24,7 @@ def walk(
     **fields: Any,
 ) -> Demonstration:
     """Show an option from a state by a list of actions; "not here" where it is empty."""
-    rng = generator(0, 'scripted', option, start, *actions)
+    rng = generator(0, 'scripted', option, start, *actions, str(sorted(fields.items())))
     states, rewards, terminated = [domain.decode(start)], [], False
     for action in actions:
         outcome = domain.step(states[-1], action_index(domain, action), rng)

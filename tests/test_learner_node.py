@@ -1,0 +1,238 @@
+"""The node learner on the real graph: it keeps what can be used, and says what cannot and why."""
+
+from collections.abc import Callable
+from dataclasses import replace
+import math
+from pathlib import Path
+import signal
+from typing import Any
+
+from graph_support.live import GAME, Graph, LEARNER, NodeProcess
+from graph_support.scripted import DELIVER, expert, FETCH, TAXI, walk
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_interfaces.msg import Demonstration as DemonstrationMessage
+from humanopts_interfaces.msg import DemonstrationReceipt, LearnedOptions, LearningStatus
+from humanopts_learner.convert import demonstration_to_message
+from humanopts_learner.course import DATA_SET
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_learner.options.files import load_options, option_from_json
+from humanopts_learner.options.learn import learn_option
+import pytest
+
+SEED = 4
+ACCEPTED = DemonstrationReceipt.STATUS_ACCEPTED
+NOT_HERE = walk('taxi 0,0 passenger aboard destination G', [], FETCH, ['taxi_row'], number=1)
+
+
+class Learning:
+    """A game, a learner with its folder, and the test in the lesson's place."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph, self.folder = graph, graph.folder / 'options'
+        self._out = graph.node.create_publisher(DemonstrationMessage, 'demonstrations', STREAM)
+        self.receipts = graph.listen(DemonstrationReceipt, 'demonstration_receipts')
+        self.statuses = graph.listen(LearningStatus, 'learning_status', LATCHED)
+        self.options = graph.listen(LearnedOptions, 'learned_options', LATCHED)
+        graph.start(GAME)
+        self.process = self.start()
+
+    def start(self) -> NodeProcess:
+        """Start the learner, and wait until it has said what it knows."""
+        known, writers = len(self.statuses), self._out.get_subscription_count()
+        process = self.graph.start(LEARNER, directory=str(self.folder), seed=SEED)
+        self.graph.until(
+            lambda: len(self.statuses) == len(self.options) > known, 'what the learner knows'
+        )
+        self.graph.until(lambda: self._out.get_subscription_count() > writers, 'it to listen')
+        return process
+
+    def give(self, message: DemonstrationMessage) -> DemonstrationReceipt:
+        """Send a demonstration and return its receipt."""
+        known = len(self.receipts)
+        self._out.publish(message)
+        self.graph.until(lambda: len(self.receipts) > known, 'a receipt')
+        receipt: DemonstrationReceipt = self.receipts[-1]
+        assert (receipt.uuid, receipt.option_name) == (message.uuid, message.option_name)
+        if receipt.status == ACCEPTED:
+            self.graph.until(
+                lambda: (
+                    any(o.last_uuid == message.uuid for o in self.statuses[-1].options)
+                    and len(self.options) == len(self.statuses)
+                ),
+                'what was learned from it',
+            )
+        return receipt
+
+    def give_all(self, demos: list[Demonstration]) -> None:
+        """Send demonstrations that must be accepted."""
+        for demo in demos:
+            receipt = self.give(demonstration_to_message(demo))
+            assert receipt.status == ACCEPTED, receipt.detail
+
+    def known(self) -> dict[tuple[str, str], Any]:
+        """Return the newest status by participant and option."""
+        return {(o.participant, o.option_name): o for o in self.statuses[-1].options}
+
+
+@pytest.fixture(scope='module')
+def learning(shared: Graph) -> Learning:
+    opened = Learning(shared)
+    opened.give_all(expert(FETCH, 5))
+    return opened
+
+
+def test_what_is_learned_is_what_the_pure_code_learns(learning: Learning) -> None:
+    demos = expert(FETCH, 5)
+    status = learning.known()['p1', FETCH]
+    judgement = judge(demos, TAXI, Thresholds(), SEED)
+    taught = [demo for demo in demos if demo.actions]
+    assert (status.n_demonstrations, status.n_not_here) == (len(taught), 5 - len(taught))
+    assert status.last_uuid == demos[-1].uuid
+    for criterion, expected in zip(status.criteria, judgement.criteria):
+        value = math.nan if expected.value is None else expected.value
+        assert criterion.name == expected.name
+        assert criterion.value == pytest.approx(value, nan_ok=True)
+        assert (criterion.measurable, criterion.met) == (expected.measurable, expected.met)
+    assert status.criteria_met == judgement.criteria_met
+    option = next(o for o in learning.options[-1].options if o.name == FETCH)
+    assert option_from_json(option.model)[0] == learn_option(demos, TAXI, SEED)
+
+
+def test_a_demonstration_that_is_known_changes_nothing(learning: Learning) -> None:
+    statuses, size = len(learning.statuses), (learning.folder / DATA_SET).stat().st_size
+    receipt = learning.give(demonstration_to_message(expert(FETCH, 5)[2]))
+    assert (receipt.status, receipt.detail) == (receipt.STATUS_DUPLICATE, 'it is known already')
+    assert len(learning.statuses) == statuses
+    assert (learning.folder / DATA_SET).stat().st_size == size
+
+
+def spoilt(change: Callable[[DemonstrationMessage], object]) -> DemonstrationMessage:
+    """Return a good demonstration that is not known yet, with one thing changed."""
+    demo = walk('taxi 0,1 passenger R destination G', ['west', 'pickup'], FETCH, ['taxi_row'])
+    message = demonstration_to_message(demo)
+    change(message)
+    return message
+
+
+def other_domain(message: DemonstrationMessage) -> None:
+    large = make_domain('taxi', {'rows': 7})
+    start = 'taxi 6,1 passenger R destination G'
+    fields = demonstration_to_message(walk(start, ['west'], FETCH, ['taxi_row'], large))
+    for name in ('domain_parameters', 'feature_names', 'features', 'states', 'actions', 'rewards'):
+        setattr(message, name, getattr(fields, name))
+
+
+REFUSED: list[tuple[str, Callable[[DemonstrationMessage], object], str]] = [
+    ('no steps', lambda m: _cut(m, 0), 'it has no steps'),
+    ('NaN', lambda m: setattr(m, 'rewards', [-1.0, math.nan]), 'not finite'),
+    ('infinite time', lambda m: setattr(m, 'seconds', math.inf), 'not finite'),
+    ('other features', lambda m: m.feature_names.__setitem__(0, 'colour'), 'colour'),
+    ('unknown choice', lambda m: setattr(m, 'chosen_features', ['colour']), "feature 'colour'"),
+    ('no choice', lambda m: setattr(m, 'chosen_features', []), 'names no feature'),
+    ('other domain', other_domain, 'it is of domain taxi {"cols": 5, "rows": 7}'),
+    ('no table', lambda m: setattr(m, 'features', [1, 2, 3]), '3 states but 1 rows of features'),
+    ('wrong values', lambda m: m.features.__setitem__(0, 3), 'the features of state 0'),
+    ('a jump', lambda m: setattr(m, 'actions', ['east', 'pickup']), 'east does not lead'),
+    ('no such action', lambda m: setattr(m, 'actions', ['west', 'jump']), "no action 'jump'"),
+    ('no such state', lambda m: m.states.__setitem__(1, 'nowhere'), "'nowhere'"),
+    ('no kind', lambda m: setattr(m, 'kind', 0), 'kind'),
+    ('no uuid', lambda m: setattr(m, 'uuid', '42'), "uuid '42' is not a UUID"),
+    ('no name', lambda m: setattr(m, 'option_name', ' '), 'names no option'),
+    ('too few rewards', lambda m: setattr(m, 'rewards', [-1.0]), '2 actions need'),
+]
+
+
+def _cut(message: DemonstrationMessage, steps: int) -> None:
+    """Keep the first steps of a demonstration."""
+    message.states, message.features = message.states[: steps + 1], message.features[:10]
+    message.actions, message.rewards = [], []
+
+
+@pytest.mark.parametrize(('change', 'says'), [r[1:] for r in REFUSED], ids=[r[0] for r in REFUSED])
+def test_what_cannot_be_used_is_refused_in_words_and_nothing_is_lost(
+    learning: Learning, change: Callable[[DemonstrationMessage], object], says: str
+) -> None:
+    statuses, content = len(learning.statuses), (learning.folder / DATA_SET).read_bytes()
+    receipt = learning.give(spoilt(change))
+    assert receipt.status == DemonstrationReceipt.STATUS_REFUSED
+    assert says in receipt.detail.replace('Kind', 'kind')
+    assert len(learning.statuses) == statuses
+    assert (learning.folder / DATA_SET).read_bytes() == content
+    assert learning.known()['p1', FETCH].n_demonstrations
+
+
+def test_options_and_people_are_never_mixed(learning: Learning) -> None:
+    before = learning.known()['p1', FETCH]
+    second = expert(FETCH, 3, participant='p2')
+    learning.give_all([*second, *expert(DELIVER, 10)])
+    known = learning.known()
+    assert set(known) == {('p1', FETCH), ('p2', FETCH), ('p1', DELIVER)}
+    assert str(known['p1', FETCH]) == str(before)  # as text, since NaN does not equal itself
+    models = {(o.participant, o.name): o.model for o in learning.options[-1].options}
+    assert set(models) == set(known)
+    for key, demos in {('p1', FETCH): expert(FETCH, 5), ('p2', FETCH): second}.items():
+        assert option_from_json(models[key])[0] == learn_option(demos, TAXI, SEED)
+
+
+def test_not_here_alone_is_no_option_yet_but_is_counted(learning: Learning) -> None:
+    learning.give_all([replace(NOT_HERE, option_name='rest')])
+    status = learning.known()['p1', 'rest']
+    assert (status.n_demonstrations, status.n_not_here, status.more_needed) == (0, 1, -1)
+    assert math.isnan(status.mean_return_policy)
+    assert 'rest' not in {option.name for option in learning.options[-1].options}
+
+
+def test_a_learner_that_was_killed_knows_everything_again(learning: Learning) -> None:
+    before, options = str(learning.known()), learning.options[-1].options
+    files = {o.name: o for o in load_options(learning.folder)[0] if o.participant == 'p1'}
+    assert files[FETCH] == learn_option(expert(FETCH, 5), TAXI, SEED)
+    learning.process.kill(signal.SIGKILL)
+    process = learning.start()
+    assert str(learning.known()) == before
+    assert learning.options[-1].options == options
+    assert process.said() == ''
+    assert learning.give(demonstration_to_message(expert(FETCH, 1)[0])).status == (
+        DemonstrationReceipt.STATUS_DUPLICATE
+    )
+    learning.process = process
+
+
+def test_a_torn_last_line_is_moved_aside_and_the_rest_is_kept(learning: Learning) -> None:
+    before = str(learning.known())
+    learning.process.kill(signal.SIGKILL)
+    data = learning.folder / DATA_SET
+    whole = data.read_bytes()
+    data.write_bytes(whole + b'{"kind": "traj')
+    learning.process = learning.start()
+    assert 'was cut off' in learning.process.said()
+    assert str(learning.known()) == before
+    assert data.read_bytes() == whole
+    assert (learning.folder / f'{DATA_SET}.torn-1').read_bytes() == b'{"kind": "traj'
+
+
+def test_a_line_that_cannot_be_used_is_named_and_left_alone(learning: Learning) -> None:
+    before = str(learning.known())
+    learning.process.kill(signal.SIGKILL)
+    data = learning.folder / DATA_SET
+    first, rest = data.read_bytes().split(b'\n', 1)
+    spoilt_line = first.replace(b'"rows\\": 5', b'"rows\\": 9')
+    assert spoilt_line != first
+    data.write_bytes(b'{}\n' + spoilt_line + b'\n' + first + b'\n' + rest)
+    learning.process = learning.start()
+    said = learning.process.said()
+    assert 'line 1 of' in said
+    assert 'line 2 of' in said
+    assert str(learning.known()) == before
+
+
+def test_a_folder_that_cannot_be_used_is_named_in_one_line(
+    learning: Learning, tmp_path: Path
+) -> None:
+    (tmp_path / 'file').write_text('')
+    process = learning.graph.start(LEARNER, '/', directory=str(tmp_path / 'file'))
+    process.expected = {2}
+    assert process.ended() == 2
+    (line,) = process.said().splitlines()
+    assert f'cannot use the folder {tmp_path / "file"}' in line
