@@ -22,7 +22,7 @@ KEYS = {
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }
-FIELDS = {'std_msgs'}  # used as fields of our messages
+UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # fields of messages; launch files
 
 
 def imported(package: Path) -> set[str]:
@@ -34,7 +34,7 @@ def imported(package: Path) -> set[str]:
                 names |= {alias.name.split('.')[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 names.add(node.module.split('.')[0])
-    return names - set(sys.stdlib_module_names) - {package.name, 'launch', 'launch_ros'}
+    return names - set(sys.stdlib_module_names) - {package.name}
 
 
 def problems(package: Path) -> list[str]:
@@ -51,7 +51,7 @@ def problems(package: Path) -> list[str]:
         f'{package}/package.xml does not list {name}' for name in sorted(needed - declared)
     ] + [
         f'{package}/package.xml lists {name}, which no code imports'
-        for name in sorted(declared - needed - FIELDS)
+        for name in sorted(declared - needed - UNIMPORTED)
         if imported(package)
     ]
 
