@@ -8,14 +8,22 @@ from typing import Any, Protocol
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import OptionTables
+from humanopts_learner.planning.chance import RowComposer
 from humanopts_learner.planning.composition import Composer
 from humanopts_learner.planning.errors import (
     DuplicateOptionError,
     NoOptionsError,
     UnknownActionSetError,
 )
-from humanopts_learner.planning.model import concatenate, primitive_model, SmdpModel
+from humanopts_learner.planning.model import (
+    concatenate,
+    Model,
+    primitive_model,
+    RowModel,
+    SmdpModel,
+)
 import numpy as np
+from scipy.sparse import csr_array, vstack
 
 HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE = 'human', 'primitive', 'human+primitive'
 ACTION_SETS = (HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE)
@@ -70,7 +78,7 @@ def build_model(
     options: Sequence[TabledOption],
     gamma: float,
     progress: Progress | None = None,
-) -> SmdpModel:
+) -> Model:
     """
     Return the exact model of an action set.
 
@@ -86,7 +94,9 @@ def build_model(
     names = [PRIMITIVE_PREFIX + action.name for action in domain.actions]
     if action_set == PRIMITIVE:
         return primitive_model(domain.transitions(), domain.over(), gamma, names)
-    model = _option_model(domain, options, gamma, tell)
+    deterministic = domain.transitions().deterministic
+    model_options = _option_model if deterministic else _option_rows
+    model: Model = model_options(domain, options, gamma, tell)
     closed = domain.over()
     if action_set == HUMAN:
         closed = closed | model.available.any(axis=1)
@@ -118,6 +128,30 @@ def _option_model(
         successor[o, outcome.states] = outcome.successor
     names = tuple(option.name for option in options)
     return SmdpModel(names, reward.T, available.T, successor.T, discount.T)
+
+
+def _option_rows(
+    domain: EnumerableDomain[Any], options: Sequence[TabledOption], gamma: float, tell: Progress
+) -> RowModel:
+    over = domain.over()
+    composer = RowComposer(domain.transitions(), over, gamma)
+    shape = (len(options), len(over))
+    reward, available = np.zeros(shape), np.empty(shape, dtype=np.bool_)
+    rows = []
+    for o, option in enumerate(options):
+        tell('models', o / (1 + len(options)), 0, math.nan)
+        tables = option.tables
+        np.greater(tables.initiation, over, out=available[o])
+        outcome = composer.outcome(
+            tables.action, tables.termination, option.max_steps, available[o]
+        )
+        asked = np.flatnonzero(available[o, outcome.states])
+        starts = outcome.states[asked]
+        reward[o, starts] = outcome.reward[asked]
+        place = csr_array((np.ones(len(asked)), (starts, asked)), (len(over), len(outcome.states)))
+        rows.append(place @ outcome.successor)
+    names = tuple(option.name for option in options)
+    return RowModel(names, reward.T, available.T, vstack(rows, format='csr'))
 
 
 def say_nothing(stage: str, fraction: float, sweeps: int, residual: float) -> None:

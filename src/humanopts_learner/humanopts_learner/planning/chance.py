@@ -156,6 +156,8 @@ def _run_to_the_end(step: _Step) -> Rows:
             break
         can_end = more
     rows = np.flatnonzero(can_end)
+    if not step.end.nnz:
+        return step.end
     solve = splu((eye_array(len(rows)) - step.on[rows][:, rows]).tocsc()).solve
     columns = np.unique(step.end.indices)
     blocks = []
@@ -164,7 +166,7 @@ def _run_to_the_end(step: _Step) -> Rows:
         found = solve(step.end[rows][:, block].toarray())
         row, col = np.nonzero(found > NEGLIGIBLE)
         blocks.append((found[row, col], rows[row], block[col]))
-    data, row, col = (np.concatenate(part) for part in zip(*blocks)) if blocks else ((), (), ())
+    data, row, col = (np.concatenate(part) for part in zip(*blocks))
     return csr_array((data, (row, col)), shape=step.end.shape)
 
 

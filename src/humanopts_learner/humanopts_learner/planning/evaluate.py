@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.domains.base import EnumerableDomain
+from humanopts_env.domains.chance import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.planning.plan import Plan
@@ -41,11 +42,14 @@ def episode_starts(domain: EnumerableDomain[Any], seed: int, episodes: int) -> N
     )
 
 
-def play(plan: Plan, starts: NDArray[np.integer], max_steps: int = 0) -> Returns:
+def play(plan: Plan, starts: NDArray[np.integer], max_steps: int = 0, seed: int = 0) -> Returns:
     """
     Run each option of the policy to its end, as the runner does, until the episode ends.
 
+    Chance has its own generator for each step, so episode i is the same however many are played.
+
     :param starts: (E,) state indices.
+    :param seed: of the outcomes; not used where every action has one.
     :param max_steps: episodes are cut off after so many steps; 0: the domain's own limit.
     :raises PlanError: neither limits the episodes, or a start is not a state.
     """
@@ -55,11 +59,12 @@ def play(plan: Plan, starts: NDArray[np.integer], max_steps: int = 0) -> Returns
     if len(starts) and not 0 <= starts.min() <= starts.max() < plan.domain.n_states:
         raise PlanError(f'a start is not within 0..{plan.domain.n_states - 1}')
     game = _Games(plan, starts)
-    for _ in range(limit):
+    chance = not plan.domain.transitions().deterministic
+    for step in range(limit):
         if not len(game.live):
             break
         game.decide()
-        game.step()
+        game.step(generator(seed, 'play', step).random(len(starts)) if chance else None)
     return game.returns
 
 
@@ -70,6 +75,7 @@ class _Games:
         count = len(starts)
         self._plan = plan
         self._rules = plan.domain.transitions()
+        self._limits = None if self._rules.deterministic else outcome_limits(self._rules)
         self._over = plan.domain.over()
         self._tables = _Tables(plan)
         self._state = starts.astype(np.intp)
@@ -94,14 +100,21 @@ class _Games:
         self.returns.decisions[free] += 1
         self.returns.fallbacks[free] += column >= self._plan.first_fallback
 
-    def step(self) -> None:
-        """Take one primitive step in every game that goes on."""
+    def step(self, numbers: NDArray[np.float64] | None) -> None:
+        """
+        Take one primitive step in every game that goes on.
+
+        :param numbers: (E,), uniform, that choose the outcomes; None: every action has one.
+        """
         live, returns = self.live, self.returns
         state, column = self._state[live], self._column[live]
         action = self._tables.action(column, state)
-        arrived = self._rules.successor[state, action, 0]
-        reward = self._rules.reward[state, action, 0]
-        over = self._rules.terminated[state, action, 0] | self._over[arrived]
+        outcome: Ints | int = 0
+        if self._limits is not None and numbers is not None:
+            outcome = draw_outcomes(self._limits, state, action, numbers[live])
+        at = state, action, outcome
+        arrived, reward = self._rules.successor[at], self._rules.reward[at]
+        over = self._rules.terminated[at] | self._over[arrived]
         returns.total[live] += reward
         returns.discounted[live] += self._discount[live] * reward
         returns.steps[live] += 1

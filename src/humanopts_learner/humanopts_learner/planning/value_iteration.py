@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 OnSweep = Callable[[int, float], bool | None]
+OnValues = Callable[[NDArray[np.float64]], object]
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ def solve_smdp(
     tol: float = 1e-8,
     max_sweeps: int = 10_000,
     on_sweep: OnSweep | None = None,
+    on_values: OnValues | None = None,
 ) -> Solution:
     """
     Return the best value of every state, from values of 0.
@@ -67,6 +69,7 @@ def solve_smdp(
     :param max_sweeps: 1 or more.
     :param on_sweep: called with the number of sweeps and the residual after each; returning True
         ends the work early, and what it raises passes through.
+    :param on_values: called with the values (S,) after each sweep; they must be copied to be kept.
     :raises ModelError: tol is negative or no number, or max_sweeps is below 1.
     """
     if not tol >= 0.0 or max_sweeps < 1:
@@ -76,6 +79,8 @@ def solve_smdp(
     for sweeps in range(1, max_sweeps + 1):
         residual = backup.sweep(old, new)
         old, new = new, old
+        if on_values is not None:
+            on_values(old)
         stop = on_sweep is not None and on_sweep(sweeps, residual)
         if stop or residual <= tol:
             break

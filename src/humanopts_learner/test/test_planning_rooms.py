@@ -1,0 +1,203 @@
+"""Planning in the four rooms: option models, sweeps and play, as the paper published them."""
+
+from functools import cache
+
+from humanopts_env.domains.chance import draw_outcomes, outcome_limits
+from humanopts_env.domains.rooms import Rooms, RoomsState
+from humanopts_env.domains.rooms_reference import reference_options
+from humanopts_env.seeding import generator
+from humanopts_learner.options.option import LearnedOption, option_tables
+from humanopts_learner.options.ready import ready_options
+from humanopts_learner.planning.action_sets import build_model
+from humanopts_learner.planning.chance import RowComposer
+from humanopts_learner.planning.evaluate import episode_starts, play
+from humanopts_learner.planning.model import RowModel
+from humanopts_learner.planning.plan import make_plan, Plan, TabledOption
+from humanopts_learner.planning.sweeps import sweep_table, value_history
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+
+RUNS = 100_000
+ROOMS = Rooms()
+
+
+def hallway_options(domain: Rooms) -> list[LearnedOption]:
+    """Return the ready set."""
+    return ready_options(domain, reference_options(domain).values())
+
+
+@cache
+def plan(action_set: str, goal: str = 'G1') -> Plan:
+    """Return a plan over the ready hallway options."""
+    domain = Rooms(goal)
+    return make_plan(domain, action_set, hallway_options(domain))
+
+
+@cache
+def model(action_set: str) -> RowModel:
+    """Return the model of an action set."""
+    tabled = [
+        TabledOption(o.name, o.max_steps, option_tables(o, ROOMS)) for o in hallway_options(ROOMS)
+    ]
+    found = build_model(ROOMS, action_set, tabled, ROOMS.gamma)
+    assert isinstance(found, RowModel)
+    return found
+
+
+def room_of(name: str) -> NDArray[np.bool_]:
+    """Return the states of a room, or of the doorways."""
+    column = ROOMS.feature_table()[:, 2]
+    found: NDArray[np.bool_] = column == ROOMS.features[2].values.index(name)
+    return found
+
+
+@pytest.mark.parametrize('max_steps', [6, 200])
+def test_option_models_agree_with_simulated_runs(max_steps: int) -> None:
+    """Each discounted share within five standard errors, from the far corner of the room."""
+    rules, over = ROOMS.transitions(), ROOMS.over()
+    limits = outcome_limits(rules)
+    for name, option in reference_options(ROOMS).items():
+        action = option.optimal.argmax(axis=1)
+        start = int(option.distance.argmax())
+        found = RowComposer(rules, over, ROOMS.gamma).outcome(
+            action, option.termination, max_steps, option.initiation
+        )
+        row = int(np.flatnonzero(found.states == start)[0])
+        rng = generator(0, 'simulated', name)
+        state, going = np.full(RUNS, start), np.arange(RUNS)
+        discount, total = np.ones(RUNS), np.zeros(RUNS)
+        for _ in range(max_steps):
+            here = state[going]
+            at = (
+                here,
+                action[here],
+                draw_outcomes(limits, here, action[here], rng.random(len(going))),
+            )
+            total[going] += discount[going] * rules.reward[at]
+            discount[going] *= ROOMS.gamma
+            state[going] = rules.successor[at]
+            discount[going[rules.terminated[at]]] = 0.0
+            going = going[~option.termination[state[going]]]
+            if not going.size:
+                break
+        check(float(found.reward[row]), total)
+        expected = found.successor.toarray()[row]
+        for end in np.union1d(np.flatnonzero(expected), state[discount > 0]):
+            check(float(expected[end]), np.where(state == end, discount, 0.0))
+
+
+def check(expected: float, samples: NDArray[np.float64]) -> None:
+    """Compare a mean with its expectation."""
+    error = max(float(samples.std()), 1e-3) / np.sqrt(len(samples))
+    assert abs(samples.mean() - expected) < 5 * error
+
+
+@pytest.mark.parametrize('goal', ['G1', 'G2'])
+def test_the_ready_options_are_the_reference_options(goal: str) -> None:
+    """In every state in which they can be asked."""
+    domain = Rooms(goal)
+    for ready, reference in zip(hallway_options(domain), reference_options(domain).values()):
+        tables = option_tables(ready, domain)
+        starts, judged = reference.initiation, reference.judged
+        assert ready.name == reference.name
+        assert reference.optimal[starts, tables.action[starts]].all()
+        assert (tables.initiation == starts)[judged & ~domain.over()].all()
+        assert (tables.termination == reference.termination)[judged].all()
+
+
+def test_an_option_leads_to_the_two_doorways_of_its_room() -> None:
+    """From anywhere in the room, most often to the one that it walks to."""
+    first = model('human').rows[: ROOMS.n_states].toarray()
+    north, west = (ROOMS.index(RoomsState(*cell)) for cell in ((2, 5), (5, 1)))
+    inside = room_of('north-west')
+    assert set(np.flatnonzero(first[inside].any(axis=0))) == {north, west}
+    assert (first[inside, north] > first[inside, west]).all()
+    assert (first.sum(axis=1) <= 0.9 + 1e-12).all()
+
+
+def test_values_spread_room_by_room_with_options_and_cell_by_cell_without() -> None:
+    """Figure 4 of the paper: the goal is the doorway between the two eastern rooms."""
+    options, primitives = value_history(model('human')), value_history(model('primitive'))
+    goal = ROOMS.index(RoomsState(6, 8))
+    doors = [ROOMS.index(RoomsState(*cell)) for cell in ((2, 5), (9, 5))]
+    near = room_of('north-east') | room_of('south-east')
+    near[doors] = True
+    near[goal] = False
+    assert ((options[1] > 0) == near).all()
+    assert ((options[2] > 0) == (np.arange(104) != goal)).all()
+    away = steps_from(goal)
+    for sweep in range(1, 12):
+        assert ((primitives[sweep] > 0) == ((away <= sweep) & (away > 0))).all()
+
+
+def steps_from(goal: int) -> NDArray[np.intp]:
+    """Return the fewest moves (S,) from each cell to the goal."""
+    successor = ROOMS.transitions().successor.reshape(ROOMS.n_states, -1)
+    away = np.full(ROOMS.n_states, 999)
+    away[goal] = 0
+    for _ in range(60):
+        away = np.minimum(away, 1 + away[successor].min(axis=1))
+    return away
+
+
+def test_planning_over_options_takes_fewer_sweeps() -> None:
+    """And what they are worth is near to the best there is after two of them."""
+    options, primitives = sweep_table(model('human')), sweep_table(model('primitive'))
+    both = sweep_table(model('human+primitive'))
+    assert len(options) < len(both) < len(primitives)
+    assert len(options) <= len(primitives) / 3 + 1
+    assert options[2].valued == 103
+    assert options[2].error < 0.11 < primitives[2].error
+    assert primitives[2].valued < 10
+
+
+def test_the_table_says_what_each_sweep_brought() -> None:
+    """Errors fall, values spread, and in the end all are settled."""
+    table = sweep_table(model('human'), tol=1e-8, near=1e-3)
+    assert [row.sweep for row in table] == list(range(len(table)))
+    assert np.isnan(table[0].residual)
+    assert table[-1].residual <= 1e-8 < table[-2].residual
+    assert (table[0].valued, table[-1].valued) == (0, 103)
+    assert (table[-1].error, table[-1].settled) == (0.0, 104)
+    errors = [row.error for row in table]
+    assert errors == sorted(errors, reverse=True)
+
+
+@pytest.mark.parametrize('goal', ['G1', 'G2'])
+def test_mixtures_are_worth_as_much_as_the_best_policy(goal: str) -> None:
+    """Options alone are worth as much at most, and where the goal is in a room far less."""
+    values = {name: plan(name, goal).solution.values for name in SETS}
+    assert values['human+primitive'] == pytest.approx(values['primitive'], abs=1e-6)
+    assert (values['human'] <= values['primitive'] + 1e-6).all()
+    lost = (values['primitive'] - values['human']).max()
+    assert lost < 0.01 if goal == 'G1' else lost > 0.1
+
+
+SETS = ('human', 'primitive', 'human+primitive')
+
+
+@pytest.mark.parametrize('action_set', SETS)
+def test_played_returns_agree_with_the_planned_values(action_set: str) -> None:
+    """20,000 episodes from one corner, within five standard errors."""
+    found = plan(action_set)
+    start = ROOMS.index(RoomsState(0, 0))
+    returns = play(found, np.full(20_000, start), seed=1)
+    assert returns.successes.all()
+    check(float(found.solution.values[start]), returns.discounted)
+
+
+def test_play_is_keyed_by_the_seed_and_the_number_of_the_episode() -> None:
+    """Not by how many others are played."""
+    found, starts = plan('human'), episode_starts(ROOMS, 0, 50)
+    all_of_them, some = play(found, starts, seed=5), play(found, starts[:20], seed=5)
+    assert (some.steps == all_of_them.steps[:20]).all()
+    assert (some.discounted == all_of_them.discounted[:20]).all()
+    assert (play(found, starts, seed=6).steps != all_of_them.steps).any()
+
+
+def test_play_stops_at_the_step_limit() -> None:
+    """Episodes that are cut off are no successes."""
+    returns = play(plan('primitive'), episode_starts(ROOMS, 0, 200), max_steps=5)
+    assert returns.steps.max() == 5
+    assert 0 < returns.successes.mean() < 0.5
