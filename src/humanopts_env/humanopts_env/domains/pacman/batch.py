@@ -1,0 +1,302 @@
+"""
+Many games of Pac-Man at once, by the rules in ``rules``.
+
+N games, G ghosts, K food, P pills; one array for each part of the state. A step changes the
+arrays in place. Games that are over stay as they are and earn nothing. What happens rarely
+(meeting a ghost, eating a pill, fruit) is done for the few games that it happens in.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from humanopts_env.domains.pacman.paths import STAY
+from humanopts_env.domains.pacman.rules import (
+    ATE_FOOD,
+    ATE_FRUIT,
+    ATE_GHOST,
+    ATE_PILL,
+    DRAWS,
+    FOOD_POINTS,
+    FRUIT_AFTER,
+    FRUIT_POINTS,
+    GHOST_POINTS,
+    PICKS,
+    PILL_POINTS,
+    Rules,
+)
+from humanopts_env.domains.pacman.state import FRUIT_STEPS, Ghost, PacManState, SCARED_STEPS
+from humanopts_env.domains.tabular import read_only
+import numpy as np
+from numpy.typing import NDArray
+
+Ints = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+Taken = NDArray[np.unsignedinteger]
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """The maze as flat arrays, for one look-up in each."""
+
+    step: Ints  # (C * 5,) cell after a move
+    allowed: NDArray[np.uint8]  # (C * 5,) moves of a ghost by cell and heading
+    towards: NDArray[np.uint8]  # (C * 5 * C,) and by Pac-Man's cell
+    away: NDArray[np.uint8]
+    picks: NDArray[np.intp]  # (16 * DRAWS,) move of a draw from a mask
+    food_at: Ints  # (C,) which food is in a cell; K: none
+    pill_at: Ints  # (C,) which pill; P: none
+    homes: Ints  # (G, 1)
+
+
+def make_tables(rules: Rules) -> Tables:
+    """Lay the maze out for steps of many games."""
+    maze, paths = rules.maze, rules.paths
+    places = []
+    for items in (maze.food, maze.pills):
+        at = np.full(len(maze.cells), len(items), dtype=np.intp)
+        at[list(items)] = range(len(items))
+        places.append(read_only(at))
+    return Tables(
+        step=paths.step.ravel(),
+        allowed=paths.allowed.ravel(),
+        towards=paths.towards.ravel(),
+        away=paths.away.ravel(),
+        picks=read_only(PICKS.astype(np.intp).ravel()),
+        food_at=places[0],
+        pill_at=places[1],
+        homes=read_only(np.array(maze.homes, dtype=np.intp).reshape(-1, 1)),
+    )
+
+
+class PacManBatch:
+    """
+    N games of the same rules.
+
+    What is taken is marked with ``Paths.far``, else 0, so that a bitwise or with distances leaves
+    those of what is still there. Both arrays have one more column for cells with nothing to take,
+    marked with ``far - 1``: nearer than all that is taken, and farther than all that is there.
+
+    :ivar pacman: (N,) cells.
+    :ivar ghosts: (G, N) cells.
+    :ivar headings: (G, N) last moves.
+    :ivar scared: (G, N) steps that are left.
+    :ivar food_taken: (N, K + 1).
+    :ivar pills_taken: (N, P + 1).
+    :ivar food_left: (N,) how many.
+    :ivar fruit: (N,) steps that it is still there.
+    :ivar lives: (N,).
+    :ivar score: (N,) points.
+    :ivar ate: (N,) masks of what the last step ate.
+    """
+
+    pacman: Ints
+    ghosts: Ints
+    headings: Ints
+    scared: Ints
+    food_taken: Taken
+    pills_taken: Taken
+    food_left: Ints
+    fruit: Ints
+    lives: Ints
+    score: Ints
+    ate: Ints
+
+    def __init__(self, rules: Rules, count: int = 1) -> None:
+        """
+        Begin games.
+
+        :param count: how many, N.
+        """
+        maze, groups = rules.maze, len(rules.maze.homes)
+        self.rules = rules
+        self.tables = make_tables(rules)
+        far = rules.paths.far
+        self.pacman = np.full(count, maze.start, dtype=np.intp)
+        self.ghosts = np.repeat(self.tables.homes, count, axis=1)
+        self.headings = np.full((groups, count), STAY, dtype=np.intp)
+        self.scared = np.zeros((groups, count), dtype=np.intp)
+        for name, items in (('food_taken', maze.food), ('pills_taken', maze.pills)):
+            taken = np.zeros((count, len(items) + 1), dtype=rules.paths.distance.dtype)
+            taken[:, -1] = far - 1
+            setattr(self, name, taken)
+        self.food_left = np.full(count, len(maze.food), dtype=np.intp)
+        self.fruit = np.zeros(count, dtype=np.intp)
+        self.lives = np.full(count, rules.lives, dtype=np.intp)
+        self.score = np.zeros(count, dtype=np.intp)
+        self.ate = np.zeros(count, dtype=np.intp)
+
+    @classmethod
+    def from_states(cls, rules: Rules, states: Sequence[PacManState]) -> 'PacManBatch':
+        """Return games that stand at given states."""
+        batch = cls(rules, len(states))
+        for name in ('pacman', 'fruit', 'lives', 'score', 'ate'):
+            getattr(batch, name)[:] = [getattr(state, name) for state in states]
+        for g in range(len(rules.maze.homes)):
+            batch.ghosts[g] = [state.ghosts[g].cell for state in states]
+            batch.headings[g] = [state.ghosts[g].heading for state in states]
+            batch.scared[g] = [state.ghosts[g].scared for state in states]
+        _set_bits(batch.food_taken, [state.food for state in states], rules.paths.far)
+        _set_bits(batch.pills_taken, [state.pills for state in states], rules.paths.far)
+        batch.food_left[:] = (batch.food_taken == 0).sum(axis=1)
+        return batch
+
+    def __len__(self) -> int:
+        """Return the number of games."""
+        return len(self.pacman)
+
+    @property
+    def over(self) -> Flags:
+        """(N,) whether each game is over."""
+        done: Flags = (self.food_left == 0) | (self.lives == 0)
+        return done
+
+    def states(self) -> list[PacManState]:
+        """Return the state of every game."""
+        ghosts = np.stack((self.ghosts, self.headings, self.scared), axis=2).swapaxes(0, 1)
+        parts = (self.fruit, self.lives, self.score, self.ate)
+        return [
+            PacManState(pacman, tuple(Ghost(*ghost) for ghost in row), food, pills, *rest)
+            for pacman, row, food, pills, rest in zip(
+                self.pacman.tolist(),
+                ghosts.tolist(),
+                _get_bits(self.food_taken),
+                _get_bits(self.pills_taken),
+                zip(*(part.tolist() for part in parts)),
+            )
+        ]
+
+    def take(self, games: NDArray[Any]) -> 'PacManBatch':
+        """Return copies of chosen games: their indices (M,), in any order and number."""
+        chosen = PacManBatch.__new__(PacManBatch)
+        chosen.rules, chosen.tables = self.rules, self.tables
+        for name in PacManBatch.__annotations__:
+            value = getattr(self, name)
+            by_ghost = name in ('ghosts', 'headings', 'scared')
+            setattr(chosen, name, value[:, games] if by_ghost else value[games])
+        return chosen
+
+    def put(self, games: NDArray[Any], source: 'PacManBatch') -> None:
+        """Set chosen games, by their indices (M,), each once, to the M games of another batch."""
+        for name in PacManBatch.__annotations__:
+            by_ghost = name in ('ghosts', 'headings', 'scared')
+            at = (slice(None), games) if by_ghost else games
+            getattr(self, name)[at] = getattr(source, name)
+
+    def restart(self, games: NDArray[Any]) -> None:
+        """Begin chosen games again, by their indices (M,)."""
+        self.put(games, PacManBatch(self.rules, len(games)))
+
+    def draws(self, rng: np.random.Generator) -> Ints:
+        """Draw the chance of one step, (G, N)."""
+        return rng.integers(DRAWS, size=self.ghosts.shape, dtype=np.uint8).astype(np.intp)
+
+    def step(self, moves: NDArray[np.integer], draws: NDArray[np.integer]) -> Ints:
+        """
+        Take one step in every game that is not over.
+
+        :param moves: (N,) of Pac-Man, 0..3.
+        :param draws: (G, N) from ``draws``.
+        :return: (N,) points earned.
+        """
+        before, lives = self.score.copy(), self.lives.copy()
+        live = ~self.over
+        fruit_there = self.fruit > 0
+        self.pacman = self.tables.step[self.pacman * 5 + np.where(live, moves, STAY)]
+        self.fruit -= fruit_there & live
+        self.ate *= ~live
+        self._meet(live)
+        going = live & (self.lives == lives)
+        self._eat(going, fruit_there)
+        going &= self.food_left > 0
+        self._move_ghosts(going, draws)
+        self._meet(going)
+        return self.score - before
+
+    def _meet(self, live: Flags) -> None:
+        """Eat scared ghosts where Pac-Man is; take a life where a dangerous one is."""
+        met = (self.ghosts == self.pacman) & live
+        games = met.any(axis=0).nonzero()[0]
+        if not games.size:
+            return
+        met = met[:, games]
+        prey = met & (self.scared[:, games] > 0)
+        caught = (met & ~prey).any(axis=0)
+        eaten = prey.sum(axis=0)
+        self.score[games] += GHOST_POINTS * eaten
+        self.ate[games] |= np.where(eaten, ATE_GHOST, 0)
+        self._send_home(games, prey | caught)
+        lost = games[caught]
+        self.pacman[lost] = self.rules.maze.start
+        self.lives[lost] -= 1
+
+    def _send_home(self, games: Ints, which: Flags) -> None:
+        """Put ghosts (G, M) of some games (M,) back where the maze put them."""
+        ghost, at = which.nonzero()
+        self.ghosts[ghost, games[at]] = self.tables.homes[ghost, 0]
+        self.headings[ghost, games[at]] = STAY
+        self.scared[ghost, games[at]] = 0
+
+    def _eat(self, going: Flags, fruit_there: Flags) -> None:
+        """Eat what is in Pac-Man's cell, where he goes on."""
+        self._eat_fruit(
+            (going & fruit_there & (self.pacman == self.rules.maze.fruit)).nonzero()[0]
+        )
+        fed = self._take(self.food_taken, self.tables.food_at, going)
+        self.food_left -= fed
+        self.score += FOOD_POINTS * fed
+        self.ate |= ATE_FOOD * fed
+        count = len(self.rules.maze.food)
+        for after in FRUIT_AFTER:
+            self.fruit[fed & (self.food_left == count - after)] = FRUIT_STEPS
+        games = self._take(self.pills_taken, self.tables.pill_at, going).nonzero()[0]
+        self.score[games] += PILL_POINTS
+        self.ate[games] |= ATE_PILL
+        self.scared[:, games] = SCARED_STEPS + 1
+        self.headings[:, games] = STAY
+
+    def _eat_fruit(self, games: Ints) -> None:
+        self.fruit[games] = 0
+        self.score[games] += FRUIT_POINTS
+        self.ate[games] |= ATE_FRUIT
+
+    def _take(self, taken: Taken, number_at: Ints, going: Flags) -> Flags:
+        """Take what is in Pac-Man's cell, and tell where something was."""
+        width = taken.shape[1]
+        place = number_at[self.pacman]
+        place += np.arange(0, taken.size, width)
+        flat = taken.reshape(-1)
+        found: Flags = (flat[place] == 0) & going
+        flat[place[found]] = self.rules.paths.far
+        return found
+
+    def _move_ghosts(self, going: Flags, draws: NDArray[np.integer]) -> None:
+        """Move ghosts where the game goes on, and count their fear down."""
+        tables, pacman = self.tables, self.pacman
+        where = self.ghosts * 5 + self.headings
+        masks = tables.allowed[where]
+        if self.rules.chase_draws:
+            ghost, game = (draws < self.rules.chase_draws).nonzero()
+            at = where[ghost, game] * len(self.rules.maze.cells) + pacman[game]
+            masks[ghost, game] = tables.towards[at]
+        ghost, game = self.scared.nonzero()
+        at = where[ghost, game] * len(self.rules.maze.cells) + pacman[game]
+        masks[ghost, game] = tables.away[at]
+        move = tables.picks[masks * np.intp(DRAWS) + draws]
+        moving = going & (self.scared & 1 == 0)
+        np.copyto(self.headings, move, where=moving)
+        self.ghosts = tables.step[self.ghosts * 5 + np.where(moving, move, STAY)]
+        self.scared -= (self.scared > 0) & going
+
+
+def _set_bits(taken: Taken, masks: Sequence[int], far: int) -> None:
+    count = taken.shape[1] - 1
+    width = (count + 7) // 8
+    packed = np.frombuffer(b''.join(m.to_bytes(width, 'little') for m in masks), dtype=np.uint8)
+    bits = np.unpackbits(packed.reshape(len(masks), width), axis=1, bitorder='little')
+    taken[:, :count] = np.where(bits[:, :count], 0, far)
+
+
+def _get_bits(taken: Taken) -> list[int]:
+    packed = np.packbits(taken[:, :-1] == 0, axis=1, bitorder='little')
+    return [int.from_bytes(row.tobytes(), 'little') for row in packed]

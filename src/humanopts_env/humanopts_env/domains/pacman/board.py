@@ -1,0 +1,179 @@
+"""The maze as text, two characters to a cell, revealing only the features that may be shown."""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+from humanopts_env.domains.base import Feature
+from humanopts_env.domains.pacman.maze import Cell, Maze
+from humanopts_env.domains.pacman.state import eaten_names, PacManState
+
+PACMAN, FOOD, PILL, FRUIT, LIFE, LOST = 'C', '·', '●', '♣', '♥', '♡'
+GHOSTS, SCARED = 'ΩΨΦΔ', 'ωψφδ'
+WALLS = '■╵╴╯╶╰─┴╷│╮┤╭├┬┼'  # by where a wall goes on: bits 0 north, 1 west, 2 east, 3 south
+GLYPH_STYLES = {
+    **dict.fromkeys(WALLS, 'blue'),
+    **dict(zip(GHOSTS, ('bold red', 'bold magenta', 'bold cyan', 'bold green'))),
+    **dict.fromkeys(SCARED, 'bold bright_blue'),
+    PACMAN: 'bold bright_yellow',
+    FOOD: 'white',
+    PILL: 'bold bright_white',
+    FRUIT: 'bold bright_red',
+    LIFE: 'bold bright_yellow',
+    LOST: 'dim',
+}
+Thing = tuple[str, str, Cell]  # glyph, name, where; the first in a cell are in front
+
+
+def draw_state(maze: Maze, state: PacManState, lives: int) -> str:
+    """
+    Draw everything.
+
+    :param lives: of a new game.
+    """
+    things = [(PACMAN, 'pac-man', maze.cells[state.pacman])]
+    for number, ghost in enumerate(state.ghosts):
+        glyph = (SCARED if ghost.scared else GHOSTS)[number]
+        things.append((glyph, f'ghost {number + 1}', maze.cells[ghost.cell]))
+    if state.fruit:
+        things.append((FRUIT, 'fruit', maze.cells[maze.fruit]))
+    for glyph, name, cells, mask in (
+        (FOOD, 'food', maze.food, state.food),
+        (PILL, 'power pill', maze.pills, state.pills),
+    ):
+        things += [(glyph, name, maze.cells[c]) for k, c in enumerate(cells) if mask >> k & 1]
+    fear = [
+        f'{SCARED[number]} ghost {number + 1} scared for {_steps(ghost.scared)}'
+        for number, ghost in enumerate(state.ghosts)
+        if ghost.scared
+    ]
+    ate = ' and '.join(eaten_names(state.ate)) or 'nothing'
+    hearts = LIFE * state.lives + LOST * (lives - state.lives)
+    score = [f'score {state.score}', f'lives {hearts}', f'food left {state.food.bit_count()}']
+    fruit = [f'{FRUIT} fruit for {_steps(state.fruit)}'] if state.fruit else []
+    return _join(_grid(maze, things), score, [*fear, *fruit, f'just ate {ate}'], _hidden(things))
+
+
+def draw_features(maze: Maze, shown: Sequence[tuple[Feature, int]]) -> str:
+    """
+    Draw the maze, a legend, and in words whatever of ``shown`` the drawing does not express.
+
+    :param shown: features that may be revealed, with their values; nothing else is used.
+    """
+    values = {feature.name: value for feature, value in shown}
+    things = []
+    for prefix, glyph, name in _movable(maze, values):
+        place = (values.get(f'{prefix}_row', maze.rows), values.get(f'{prefix}_col', maze.cols))
+        if place[0] < maze.rows and place[1] < maze.cols:
+            things.append((prefix, (glyph, name, place)))
+    drawn = {prefix for prefix, _ in things}
+    facts = [
+        f'{feature.name.replace("_", " ")}: {feature.values[value]}'
+        for feature, value in shown
+        if not _expressed_by(feature.name) <= drawn
+    ]
+    legend = [f'{glyph} {name}' for _, (glyph, name, _) in things]
+    placed = [thing for _, thing in things]
+    rows = [facts[at : at + 3] for at in range(0, len(facts), 3)]
+    return _join(_grid(maze, placed), legend, *rows, _hidden(placed))
+
+
+def _movable(maze: Maze, values: Mapping[str, int]) -> list[tuple[str, str, str]]:
+    """Return prefix of feature names, glyph and name of all that features give a place to."""
+    ghosts = []
+    for number in range(1, len(maze.homes) + 1):
+        scared = values.get(f'ghost_{number}_scared')
+        glyph = (SCARED if scared else GHOSTS)[number - 1]
+        doubt = ', scared or not' if scared is None else ''
+        ghosts.append((f'ghost_{number}', glyph, f'ghost {number}{doubt}'))
+    items = [('food', FOOD, 'nearest food'), ('pill', PILL, 'nearest power pill')]
+    return [('pacman', PACMAN, 'pac-man'), *ghosts, *items]
+
+
+def _expressed_by(feature: str) -> set[str]:
+    """Return what must be in the drawing for a feature to be read from it."""
+    if feature == 'legal_moves':
+        return {'pacman'}
+    prefix, _, part = feature.rpartition('_')
+    if part in ('row', 'col'):
+        return {prefix}
+    if part in ('direction', 'distance') and prefix not in ('danger', 'prey'):
+        return {'pacman', prefix}
+    return {''}  # nothing in the drawing
+
+
+def _grid(maze: Maze, things: Sequence[Thing]) -> list[str]:
+    """Draw the walls with what is in front in each cell, and what is behind it beside it."""
+    inside: dict[Cell, str] = {}
+    for glyph, _, cell in things:
+        inside[cell] = inside.get(cell, '') + glyph
+    walls = _walls(maze)
+    lines = []
+    for row in range(-1, maze.rows + 1):
+        cells = [
+            f'{inside.get((row, col), ""):2.2}' if (row, col) not in walls else walls[row, col]
+            for col in range(-1, maze.cols + 1)
+        ]
+        lines.append(''.join(cells)[:-1])
+    return lines
+
+
+@lru_cache(maxsize=16)
+def _walls(maze: Maze) -> dict[Cell, str]:
+    """Return the two characters of each wall: a line wherever one side of it is not all wall."""
+    lines = maze.text.split('\n')
+    solid = {
+        (row - 1, col - 1)
+        for row, line in enumerate(lines)
+        for col, character in enumerate(line)
+        if character == '%'
+    }
+
+    def joined(cell: Cell, down: int, east: int) -> bool:
+        row, col = cell
+        sides = [
+            [
+                (row + east * side, col + down * side),
+                (row + down + east * side, col + east + down * side),
+            ]
+            for side in (-1, 1)
+        ]
+        beside = [[place in solid or not _inside(maze, place) for place in side] for side in sides]
+        return (row + down, col + east) in solid and not all(map(all, beside))
+
+    drawn = {}
+    for cell in solid:
+        mask = sum(
+            joined(cell, *d) << bit for bit, d in enumerate(((-1, 0), (0, -1), (0, 1), (1, 0)))
+        )
+        buried = mask == 0 and _buried(maze, solid, cell)
+        drawn[cell] = '  ' if buried else WALLS[mask] + (WALLS[6] if mask & 4 else ' ')
+    return drawn
+
+
+def _inside(maze: Maze, cell: Cell) -> bool:
+    return -1 <= cell[0] <= maze.rows and -1 <= cell[1] <= maze.cols
+
+
+def _buried(maze: Maze, solid: set[Cell], cell: Cell) -> bool:
+    """Tell whether all around a wall is wall."""
+    around = [(cell[0] + down, cell[1] + east) for down in (-1, 0, 1) for east in (-1, 0, 1)]
+    return all(place in solid or not _inside(maze, place) for place in around)
+
+
+def _hidden(things: Sequence[Thing]) -> list[str]:
+    """Say what is in a cell behind two other things."""
+    seen: dict[Cell, int] = {}
+    hidden = []
+    for _, name, cell in things:
+        seen[cell] = seen.get(cell, 0) + 1
+        if seen[cell] > 2:
+            hidden.append(f'hidden: {name} in row {cell[0]}, column {cell[1]}')
+    return hidden
+
+
+def _steps(count: int) -> str:
+    return f'{count} step' if count == 1 else f'{count} steps'
+
+
+def _join(board: list[str], *rows: Sequence[str]) -> str:
+    return '\n'.join([*board, *('   '.join(row) for row in rows if row)])

@@ -1,0 +1,146 @@
+"""
+Pac-Man as a domain.
+
+Subramanian, Isbell and Thomaz (2011), section 3: a maze, food, two power pills, two ghosts, fruit
+and three lives. The rules are in ``rules``.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+
+from humanopts_env.domains.base import (
+    Action,
+    DomainError,
+    Feature,
+    Outcome,
+    Parameter,
+)
+from humanopts_env.domains.pacman import state as notation
+from humanopts_env.domains.pacman.board import draw_features, draw_state, GLYPH_STYLES
+from humanopts_env.domains.pacman.features import feature_values, pacman_features
+from humanopts_env.domains.pacman.maze import load_maze, maze_names
+from humanopts_env.domains.pacman.paths import MOVES
+from humanopts_env.domains.pacman.rules import DRAWS, GHOST_RULES, Rules
+from humanopts_env.domains.pacman.sampling import sample_games
+from humanopts_env.domains.pacman.state import PacManState
+import numpy as np
+from numpy.typing import NDArray
+
+KEYS = ('up', 'left', 'right', 'down')  # in the order of MOVES
+MOST_LIVES, MOST_STEPS = 9, 1_000_000
+
+
+class PacMan:
+    """
+    Pac-Man in any maze, a ``Domain``.
+
+    A move into a wall is allowed, and leaves Pac-Man where he is.
+    """
+
+    def __init__(
+        self, maze: str = 'gardens', ghosts: str = 'random', lives: int = 3, max_steps: int = 1000
+    ) -> None:
+        """
+        Set up a maze.
+
+        :param maze: the name of one of ours, the path of a file in Berkeley's notation, or its
+            text. Among ``parameters`` it is the name or the text, never a path, so that whoever
+            reads them elsewhere plays the same maze.
+        :param ghosts: 'random', where dangerous ghosts move at random, or 'chase', where they
+            come towards Pac-Man with probability 0.8.
+        :param lives: at the beginning, 1 to 9.
+        :param max_steps: an episode is cut off after so many.
+        :raises MazeError: there is no such maze, or it cannot be played.
+        :raises DomainError: another parameter is out of range.
+        """
+        for name, text in (('maze', maze), ('ghosts', ghosts)):
+            if not isinstance(text, str):
+                raise DomainError(f'{name} is {text!r}, and must be a text')
+        if ghosts not in GHOST_RULES:
+            raise DomainError(f'ghosts is {ghosts!r}, and must be {" or ".join(GHOST_RULES)}')
+        for name, value, most in (
+            ('lives', lives, MOST_LIVES),
+            ('max_steps', max_steps, MOST_STEPS),
+        ):
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            if not whole or not 1 <= value <= most:
+                raise DomainError(
+                    f'{name} is {value!r}, and must be a whole number from 1 to {most}'
+                )
+        self.rules = Rules(load_maze(maze), ghosts, lives)
+        self.name = 'pacman'
+        self.parameters: Mapping[str, Parameter] = {
+            'maze': maze if maze in maze_names() else self.rules.maze.text,
+            'ghosts': ghosts,
+            'lives': lives,
+            'max_steps': max_steps,
+        }
+        self.features: Sequence[Feature] = pacman_features(self.rules)
+        self.actions: Sequence[Action] = tuple(
+            Action(name, key, f'go one cell {name}') for name, key in zip(MOVES, KEYS)
+        )
+        self.gamma = 0.97
+        self.max_steps = max_steps
+        self.glyph_styles: Mapping[str, str] = GLYPH_STYLES
+
+    def reset(self, rng: np.random.Generator) -> PacManState:
+        """Return the one start state: everyone where the maze put them."""
+        return self.rules.start()
+
+    def step(
+        self, state: PacManState, action: int, rng: np.random.Generator
+    ) -> Outcome[PacManState]:
+        """
+        Take one primitive action; one number for each ghost is drawn.
+
+        :raises DomainError: the action is not in the domain, or the game is over in ``state``.
+        """
+        if not 0 <= action < len(MOVES):
+            raise DomainError(f'pacman has no action {action}; it has 0 to {len(MOVES) - 1}')
+        if self.is_over(state):
+            why = 'the maze is cleared' if state.lives else 'the last life is lost'
+            raise DomainError(f'{why}, so no step can be taken')
+        draws = rng.integers(DRAWS, size=len(state.ghosts)).tolist()
+        after = self.rules.advance(state, action, draws)
+        return Outcome(after, float(after.score - state.score), self.is_over(after))
+
+    def is_over(self, state: PacManState) -> bool:
+        """Tell whether the maze is cleared of food, or the last life lost."""
+        return self.rules.is_over(state)
+
+    def can_follow(self, state: PacManState, action: int, successor: PacManState) -> bool:
+        """Tell whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
+        if self.is_over(state) or not 0 <= action < len(MOVES):
+            return False
+        return self.rules.can_follow(state, action, successor)
+
+    def feature_values(self, state: PacManState) -> NDArray[np.int32]:
+        """Return the value of every feature, (F,), indices into ``Feature.values``."""
+        return feature_values(self.rules, state)
+
+    def encode(self, state: PacManState) -> str:
+        """Return the state as one line."""
+        return notation.encode(self.rules.maze, state)
+
+    def decode(self, text: str) -> PacManState:
+        """
+        Return the state that ``encode`` wrote.
+
+        :raises StateError: ``text`` is not a state of this domain.
+        """
+        return notation.decode(self.rules.maze, self.rules.lives, text)
+
+    def sample_states(self, rng: np.random.Generator, count: int) -> list[PacManState]:
+        """Draw states from the middle of games that are played in many ways, never over."""
+        return sample_games(self.rules, rng, count).states()
+
+    def render(self, state: PacManState, shown: Collection[str] | None = None) -> str:
+        """
+        Draw the state as text lines.
+
+        :param shown: names of the features that may be revealed; None: everything.
+        """
+        if shown is None:
+            return draw_state(self.rules.maze, state, self.rules.lives)
+        values = zip(self.features, self.feature_values(state).tolist())
+        visible = [(feature, value) for feature, value in values if feature.name in shown]
+        return draw_features(self.rules.maze, visible)

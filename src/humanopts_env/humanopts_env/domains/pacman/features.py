@@ -1,0 +1,236 @@
+"""
+The features of Pac-Man, of one state and of many games at once.
+
+"Nearest" is by steps of a shortest path; among several it is the first, row by row. A direction
+is the first move of a shortest path, the first in the order of moves where there are several.
+What is not there (no pill is left, no ghost is scared) is in the last row, column and distance,
+which read "none".
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from humanopts_env.domains.base import Feature, FeatureKind
+from humanopts_env.domains.pacman.batch import PacManBatch
+from humanopts_env.domains.pacman.paths import FIRST_MOVE, MOVES, STAY
+from humanopts_env.domains.pacman.rules import Rules
+from humanopts_env.domains.pacman.state import eaten_names, PacManState, SCARED_STEPS
+from humanopts_env.domains.tabular import read_only
+import numpy as np
+from numpy.typing import NDArray
+
+DIRECTIONS = (*MOVES, 'here', 'none')
+HERE, NOWHERE = STAY, STAY + 1  # indices of the last two
+THINGS = {  # prefix of feature names: what it is to a person
+    'food': 'the nearest food',
+    'pill': 'the nearest power pill',
+    'danger': 'the nearest dangerous ghost',
+    'prey': 'the nearest scared ghost',
+}
+
+
+def pacman_features(rules: Rules) -> tuple[Feature, ...]:
+    """Return all features, in the order of the columns of ``FeatureReader``."""
+    features = _place(rules, 'pacman', 'Pac-Man', can_miss=False)
+    for number in range(1, len(rules.maze.homes) + 1):
+        name, words = f'ghost_{number}', f'ghost {number}'
+        features += _place(rules, name, words, can_miss=False)
+        features += _way(rules, name, words)
+        features.append(
+            Feature(
+                f'{name}_scared',
+                f'whether and for how long {words} is scared',
+                FeatureKind.ORDINAL,
+                ('no', '1 step', *(f'{n} steps' for n in range(2, SCARED_STEPS + 1))),
+            )
+        )
+    for name in ('food', 'pill'):
+        features += _place(rules, name, THINGS[name], can_miss=True)
+        features += _way(rules, name, THINGS[name])
+    for name in ('danger', 'prey'):
+        features += _way(rules, name, THINGS[name])
+    return (
+        *features,
+        Feature(
+            'ate', 'what the last step ate', FeatureKind.NOMINAL, _sets(eaten_names, 'nothing')
+        ),
+        Feature(
+            'legal_moves',
+            'which moves no wall blocks',
+            FeatureKind.NOMINAL,
+            _sets(lambda mask: [m for bit, m in enumerate(MOVES) if mask >> bit & 1], 'none'),
+        ),
+    )
+
+
+def _place(rules: Rules, name: str, words: str, *, can_miss: bool) -> list[Feature]:
+    none = ('none',) if can_miss else ()
+    return [
+        Feature(
+            f'{name}_{axis}',
+            f'which {long} {words} is in',
+            FeatureKind.ORDINAL,
+            (*map(str, range(count)), *none),
+        )
+        for axis, long, count in (
+            ('row', 'row', rules.maze.rows),
+            ('col', 'column', rules.maze.cols),
+        )
+    ]
+
+
+def _way(rules: Rules, name: str, words: str) -> list[Feature]:
+    farthest = rules.paths.longest
+    return [
+        Feature(
+            f'{name}_direction',
+            f'which way a shortest path to {words} begins',
+            FeatureKind.NOMINAL,
+            DIRECTIONS,
+        ),
+        Feature(
+            f'{name}_distance',
+            f'how many steps away {words} is',
+            FeatureKind.ORDINAL,
+            (*map(str, range(farthest + 1)), 'none'),
+        ),
+    ]
+
+
+def _sets(names: Callable[[int], list[str]], empty: str) -> tuple[str, ...]:
+    return tuple(' and '.join(names(mask)) or empty for mask in range(16))
+
+
+def feature_values(rules: Rules, state: PacManState) -> NDArray[np.int32]:
+    """Return the features of one state, (F,), looked for one by one."""
+    paths, maze, ghosts = rules.paths, rules.maze, state.ghosts
+    distance = paths.distance[state.pacman].tolist()
+
+    def nearest(cells: Iterable[int]) -> int | None:
+        return min(cells, key=distance.__getitem__, default=None)
+
+    def place(cell: int | None) -> tuple[int, int]:
+        return (maze.rows, maze.cols) if cell is None else maze.cells[cell]
+
+    def way(cell: int | None) -> tuple[int, int]:
+        if cell is None:
+            return NOWHERE, paths.longest + 1
+        first = FIRST_MOVE[paths.shortest[state.pacman, cell]]
+        return int(first), distance[cell]
+
+    values = [*place(state.pacman)]
+    for ghost in ghosts:
+        values += [*place(ghost.cell), *way(ghost.cell), ghost.scared]
+    for cells, mask in ((maze.food, state.food), (maze.pills, state.pills)):
+        cell = nearest(cell for k, cell in enumerate(cells) if mask >> k & 1)
+        values += [*place(cell), *way(cell)]
+    for scared in (False, True):
+        values += way(nearest(ghost.cell for ghost in ghosts if (ghost.scared > 0) == scared))
+    values += [state.ate, int(paths.legal[state.pacman])]
+    return np.array(values, dtype=np.int32)
+
+
+@dataclass(frozen=True)
+class _Nearest:
+    """Distances from each cell to each of some things, and where they are."""
+
+    distance: NDArray[np.unsignedinteger]  # (C, K + 1), 0 in the last column
+    cells: NDArray[np.intp]  # (K + 1,), the last one stands for none: C
+
+
+class FeatureReader:
+    """
+    Computes all features of many games at once.
+
+    It keeps scratch arrays of the largest batch that it has seen, so use one in each thread.
+    """
+
+    def __init__(self, rules: Rules) -> None:
+        """Prepare the tables of a maze."""
+        self.rules = rules
+        maze, paths = rules.maze, rules.paths
+        self.far = paths.far
+        self.none = paths.longest + 1  # the value of a distance to nothing
+        count = len(maze.cells)
+        # One more cell, C, stands for nothing at all.
+        self._place = np.array([*maze.cells, (maze.rows, maze.cols)], dtype=np.int32)
+        first = np.full((count, count + 1), NOWHERE, dtype=np.int32)
+        first[:, :count] = FIRST_MOVE[paths.shortest]
+        steps = np.full((count, count + 1), self.none, dtype=np.int32)
+        steps[:, :count] = paths.distance
+        self._way = np.stack((first, steps), axis=2).reshape(-1, 2)  # (C * (C + 1), 2)
+        self._items = [self._nearest(items) for items in (maze.food, maze.pills)]
+        self._legal = paths.legal.astype(np.int32)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(feature.name for feature in pacman_features(self.rules))
+
+    def __call__(
+        self, batch: PacManBatch, out: NDArray[np.int32] | None = None
+    ) -> NDArray[np.int32]:
+        """
+        Return the features of every game.
+
+        :param out: (N, F) to write into; None: a new array.
+        :return: (N, F).
+        """
+        if out is None:
+            out = np.empty((len(batch), len(self.names)), dtype=np.int32)
+        groups, here = len(batch.ghosts), batch.pacman
+        out[:, :2] = self._place[here]
+        column = 2
+        for g in range(groups):
+            self._write(out[:, column : column + 4], here, batch.ghosts[g])
+            out[:, column + 4] = batch.scared[g]
+            column += 5
+        for items, taken in zip(self._items, (batch.food_taken, batch.pills_taken)):
+            self._write(out[:, column : column + 4], here, self._find(items, here, taken))
+            column += 4
+        for scared in (False, True):
+            out[:, column : column + 2] = self._way_to(here, self._ghost(batch, scared=scared))
+            column += 2
+        out[:, column] = batch.ate
+        out[:, column + 1] = self._legal[here]
+        return out
+
+    def _write(
+        self, out: NDArray[np.int32], here: NDArray[np.intp], cells: NDArray[np.intp]
+    ) -> None:
+        """Write row, column, direction and distance of a cell in each game."""
+        out[:, :2] = self._place[cells]
+        out[:, 2:] = self._way_to(here, cells)
+
+    def _way_to(self, here: NDArray[np.intp], cells: NDArray[np.intp]) -> NDArray[np.int32]:
+        way: NDArray[np.int32] = self._way[here * len(self._place) + cells]
+        return way
+
+    def _find(
+        self, items: _Nearest, here: NDArray[np.intp], taken: NDArray[np.unsignedinteger]
+    ) -> NDArray[np.intp]:
+        """Return the cell of the nearest thing that is not taken; C where there is none."""
+        distance = items.distance[here]
+        np.bitwise_or(distance, taken, out=distance)
+        found: NDArray[np.intp] = items.cells[distance.argmin(axis=1)]
+        return found
+
+    def _ghost(self, batch: PacManBatch, *, scared: bool) -> NDArray[np.intp]:
+        """Return the cell of the nearest dangerous or scared ghost; C where there is none."""
+        none = len(self._place) - 1
+        best = np.full(len(batch), none, dtype=np.intp)
+        least = np.full(len(batch), self.far, dtype=self.rules.paths.distance.dtype)
+        for cells, steps in zip(batch.ghosts, batch.scared):
+            distance = self.rules.paths.distance.ravel()[batch.pacman * none + cells]
+            nearer = ((steps > 0) == scared) & (distance < least)
+            np.copyto(best, cells, where=nearer)
+            np.copyto(least, distance, where=nearer)
+        return best
+
+    def _nearest(self, items: Sequence[int]) -> _Nearest:
+        """Prepare the search for the nearest of some things."""
+        count = len(self.rules.maze.cells)
+        distance = np.zeros((count, len(items) + 1), dtype=self.rules.paths.distance.dtype)
+        distance[:, :-1] = self.rules.paths.distance[:, list(items)]
+        return _Nearest(read_only(distance), np.array([*items, count], dtype=np.intp))

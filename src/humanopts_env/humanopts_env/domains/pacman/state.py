@@ -1,0 +1,130 @@
+"""One state of Pac-Man, and its notation as one line of text."""
+
+from dataclasses import dataclass
+import re
+
+from humanopts_env.domains.base import StateError
+from humanopts_env.domains.pacman.maze import Maze
+from humanopts_env.domains.pacman.paths import MOVES, STAY
+
+SCARED_STEPS = 40
+FRUIT_STEPS = 60
+EATEN = ('food', 'power pill', 'fruit', 'ghost')  # bits of ``PacManState.ate``
+HEADINGS = (*MOVES, 'none')
+MOST_POINTS = 10**9  # of a state that is read
+_GHOST = re.compile(rf'ghost (\d+),(\d+) heading ({"|".join(HEADINGS)}) scared (\d+)')
+_STATE = re.compile(
+    r'pacman (\d+),(\d+)((?: ghost \S+ heading \S+ scared \d+)*) food ([0-9a-f]+) '
+    r'pills ([01]+|none) fruit (\d+) lives (\d+) score (\d+) ate (nothing|[a-z+-]+)',
+    re.ASCII,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Ghost:
+    """One ghost."""
+
+    cell: int
+    heading: int = STAY  # its last move; STAY: none, it may go anywhere
+    scared: int = 0  # steps that are left in which Pac-Man can eat it
+
+
+@dataclass(frozen=True, slots=True)
+class PacManState:
+    """All that the rules look at; cells, food and pills are numbered as in the maze."""
+
+    pacman: int  # cell
+    ghosts: tuple[Ghost, ...]
+    food: int  # bit k: food k is there
+    pills: int  # bit k: pill k is there
+    fruit: int  # steps that it is there still; 0: there is none
+    lives: int
+    score: int  # points earned
+    ate: int  # bit k: the last step ate EATEN[k]
+
+
+def encode(maze: Maze, state: PacManState) -> str:
+    """Return the state as one line; food is a hexadecimal mask, pills a digit each, last first."""
+    ghosts = ''.join(
+        f' ghost {_place(maze, ghost.cell)} heading {HEADINGS[ghost.heading]} '
+        f'scared {ghost.scared}'
+        for ghost in state.ghosts
+    )
+    pills = f'{state.pills:0{len(maze.pills)}b}' if maze.pills else 'none'
+    ate = '+'.join(name.replace(' ', '-') for name in eaten_names(state.ate)) or 'nothing'
+    return (
+        f'pacman {_place(maze, state.pacman)}{ghosts} '
+        f'food {state.food:0{_digits(maze)}x} pills {pills} '
+        f'fruit {state.fruit} lives {state.lives} score {state.score} ate {ate}'
+    )
+
+
+def decode(maze: Maze, lives: int, text: str) -> PacManState:
+    """
+    Return the state that ``encode`` wrote.
+
+    :param lives: the most that there can be.
+    :raises StateError: the text is in another notation, or no state of this maze.
+    """
+    match = _STATE.fullmatch(text)
+    if match is None or len(text) > 2000:
+        raise StateError(
+            f'{text[:200]!r} is not a Pac-Man state; one reads "pacman 8,8 ghost 4,8 heading none '
+            'scared 0 ... food 3f pills 11 fruit 0 lives 3 score 0 ate nothing"'
+        )
+    row, col, ghosts, food, pills, fruit, life, score, ate = match.groups()
+    state = PacManState(
+        pacman=_cell(maze, row, col),
+        ghosts=tuple(
+            Ghost(_cell(maze, r, c), HEADINGS.index(heading), int(scared))
+            for r, c, heading, scared in _GHOST.findall(ghosts)
+        ),
+        food=int(food, 16),
+        pills=0 if pills == 'none' else int(pills, 2),
+        fruit=int(fruit),
+        lives=int(life),
+        score=int(score),
+        ate=sum(1 << k for k, e in enumerate(EATEN) if e.replace(' ', '-') in ate.split('+')),
+    )
+    _check(maze, lives, state)
+    if encode(maze, state) != text:
+        raise StateError(f'{text!r} is not written as {encode(maze, state)!r}')
+    return state
+
+
+def eaten_names(ate: int) -> list[str]:
+    """Return what a mask of ``PacManState.ate`` holds."""
+    return [name for bit, name in enumerate(EATEN) if ate >> bit & 1]
+
+
+def _check(maze: Maze, lives: int, state: PacManState) -> None:
+    """Refuse what no game in this maze can hold."""
+    if len(state.ghosts) != len(maze.homes):
+        raise StateError(f'{len(state.ghosts)} ghosts, and the maze has {len(maze.homes)}')
+    if any(ghost.scared > SCARED_STEPS for ghost in state.ghosts):
+        raise StateError(f'a ghost is scared for more than {SCARED_STEPS} steps')
+    if state.food >> len(maze.food) or state.pills >> len(maze.pills):
+        raise StateError(
+            f'more than the {len(maze.food)} food and {len(maze.pills)} pills of the maze'
+        )
+    limits = (('fruit', state.fruit, FRUIT_STEPS), ('lives', state.lives, lives))
+    for name, value, most in (*limits, ('score', state.score, MOST_POINTS)):
+        if value > most:
+            raise StateError(f'{name} is {value}, and may be at most {most}')
+
+
+def _cell(maze: Maze, row: str, col: str) -> int:
+    # A longer number is no row or column, and int() refuses very long ones.
+    place = (int(row[:4]), int(col[:4]))
+    if place not in maze.cells:
+        raise StateError(f'{row[:9]},{col[:9]} is not an open cell of the maze')
+    return maze.cells.index(place)
+
+
+def _place(maze: Maze, cell: int) -> str:
+    row, col = maze.cells[cell]
+    return f'{row},{col}'
+
+
+def _digits(maze: Maze) -> int:
+    return -(-len(maze.food) // 4)
