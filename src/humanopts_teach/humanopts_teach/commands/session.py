@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 import signal
+import sys
 from types import FrameType
 
 from humanopts_env.domains.base import DomainError
@@ -13,6 +14,8 @@ from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.lock import only_launch
 from humanopts_teach.launching.processes import processes, Setup
 from humanopts_teach.nodes.conductor import Conductor
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,7 @@ def session(
 
     :param progress: called about twenty times a second while something is waited for.
     :raises LaunchError: a node died or does not become ready, or another launch is in the way.
-    :raises KeyboardInterrupt: SIGINT or SIGTERM; a second one is ignored while stopping.
+    :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP; a second one is ignored while stopping.
     """
     launcher = Launcher(processes(setup), setup.directory / 'log', namespace)
     with only_launch(namespace), _interruptible():
@@ -73,10 +76,11 @@ def session(
                 conductor.wait_ready(launcher.node_names)
             yield Session(launcher, conductor)
         finally:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            for number in _SIGNALS:
+                signal.signal(number, signal.SIG_IGN)
             conductor.close()
-            launcher.stop()
+            for problem in launcher.stop():
+                print(f'humanopts: {problem}', file=sys.stderr)
 
 
 def _conduct(
@@ -97,8 +101,7 @@ def _interruptible() -> Iterator[None]:
     def interrupt(signum: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, interrupt) for number in signals}
+    before = {number: signal.signal(number, interrupt) for number in _SIGNALS}
     try:
         yield
     finally:
