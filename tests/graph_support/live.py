@@ -136,7 +136,7 @@ class Graph:
 
     def start(self, module: str, namespace: str = '/', /, **parameters: Any) -> NodeProcess:
         """Start a node in its own process."""
-        self._watch(namespace)
+        self.watch(namespace)
         return self.run(
             ['-m', module, '--ros-args', '-r', f'__ns:={namespace}'], module, parameters
         )
@@ -237,7 +237,7 @@ class Graph:
         self.context.try_shutdown()
         return problems
 
-    def _watch(self, namespace: str) -> None:
+    def watch(self, namespace: str) -> None:
         """Keep the statuses of the nodes of a namespace."""
         if namespace not in self._watched:
             self._watched.add(namespace)

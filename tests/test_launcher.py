@@ -1,0 +1,172 @@
+"""Launching: what dies is named, the recorder is the last to go, and places are kept apart."""
+
+from collections.abc import Callable, Iterator
+import os
+from pathlib import Path
+import signal
+import time
+
+from graph_support.command import Command
+from graph_support.live import GAME, Graph, RECORDER
+from humanopts_env.domains.base import Parameter
+from humanopts_interfaces.msg import NodeStatus
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.launching.launcher import Launcher, LaunchError
+from humanopts_teach.launching.lock import only_launch
+from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
+import pytest
+
+Launch = Callable[..., Launcher]
+
+
+def spec(name: str, module: str, **parameters: Parameter) -> ProcessSpec:
+    return ProcessSpec(name, module.split('.')[0], module, parameters)
+
+
+@pytest.fixture
+def launch(live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Launch]:
+    """Start processes on the graph of the test."""
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    launchers = []
+
+    def start(*specs: ProcessSpec) -> Launcher:
+        launchers.append(Launcher(specs, tmp_path / 'log'))
+        launchers[-1].start()
+        return launchers[-1]
+
+    live.watch('/')
+    yield start
+    for launcher in launchers:
+        launcher.stop()
+
+
+def children() -> list[int]:
+    """Return the processes that this one has started and that run still."""
+    folder = Path(f'/proc/{os.getpid()}/task')
+    return [int(n) for task in folder.iterdir() for n in (task / 'children').read_text().split()]
+
+
+def death(launcher: Launcher) -> str:
+    """Wait until a node is missed, and return what is said of it."""
+    deadline = time.monotonic() + 20.0
+    while time.monotonic() < deadline:
+        try:
+            launcher.check()
+        except LaunchError as error:
+            return str(error)
+        time.sleep(0.02)
+    raise AssertionError('no node ended')
+
+
+def test_a_node_that_ends_is_named_with_its_last_lines(launch: Launch) -> None:
+    launcher = launch(spec('game', GAME, domain='chess'))
+    first, last = death(launcher).splitlines()
+    assert first == ('the node game ended (exit status 2) while it was needed; its last lines:')
+    assert last.startswith("  humanopts: no domain 'chess'; there is")
+
+
+def test_a_node_that_was_killed_in_silence_is_named_with_the_signal(
+    launch: Launch, live: Graph
+) -> None:
+    launcher = launch(spec('game', GAME))
+    live.ready('/game')
+    (number,) = children()
+    os.kill(number, signal.SIGKILL)
+    assert death(launcher) == (
+        'the node game ended (by signal SIGKILL) while it was needed; it wrote nothing'
+    )
+
+
+def test_the_recorder_is_stopped_when_the_others_are_gone(
+    launch: Launch, live: Graph, tmp_path: Path
+) -> None:
+    launcher = launch(
+        spec('recorder', RECORDER, path=str(tmp_path / 'bag')),
+        spec('game', GAME, expect_recorder=True),
+    )
+    live.ready('/game')
+    assert launcher.stop() == []
+    bag = open_bag(tmp_path / 'bag')
+    assert bag.damage == ''
+    statuses = [r.message for r in bag.messages(['/node_status'])]
+    of_game = [s.state for s in statuses if s.node == '/game']
+    assert of_game == [
+        NodeStatus.STATE_STARTING,
+        NodeStatus.STATE_READY,
+        NodeStatus.STATE_STOPPING,
+    ]
+    assert launcher.node_names == []
+
+
+def test_a_log_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / 'log').write_text('')
+    with pytest.raises(LaunchError, match=r'cannot write logs in .*/log'):
+        Launcher([spec('game', GAME)], tmp_path / 'log').start()
+
+
+def test_a_place_is_free_again_after_its_launch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', '231')
+    with only_launch('/a'):
+        with only_launch('/b'):
+            pass
+        said = f'process {os.getpid()} runs humanopts already in ROS_DOMAIN_ID 231, namespace /a'
+        with pytest.raises(LaunchError, match=said), only_launch('/a'):
+            pass
+    with only_launch('/a'):
+        pass
+
+
+def test_a_run_waits_longer_for_a_game_that_takes_its_time() -> None:
+    patience = {
+        period: next(
+            s.parameters['no_progress_seconds']
+            for s in processes(Setup('taxi', Path(), step_period=period))
+            if s.name == 'option_server'
+        )
+        for period in (0.0, 60.0)
+    }
+    assert patience == {0.0: 5.0, 60.0: 65.0}
+
+
+Up = Callable[..., Command]
+
+
+@pytest.fixture
+def up(tmp_path: Path, live: Graph) -> Iterator[Up]:
+    """Run ``humanopts up taxi`` without a recorder in a namespace."""
+    commands = []
+
+    def start(namespace: str) -> Command:
+        folder = tmp_path / namespace.strip('/')
+        folder.mkdir()
+        words = ['up', 'taxi', '--no-record', '--out', folder / 'out', '--namespace', namespace]
+        commands.append(Command(words, folder, live.domain_id))
+        return commands[-1]
+
+    yield start
+    for command in commands:
+        command.close()
+
+
+def test_two_namespaces_work_side_by_side(up: Up, live: Graph) -> None:
+    both = {name: up(name) for name in ('/east', '/west')}
+    for name, command in both.items():
+        command.until(lambda n=name, c=command: f'ready: {n}/game' in c.output, 'the nodes')
+    names = {f'{space}/{node}' for node, space in live.node.get_node_names_and_namespaces()}
+    assert {'/east/game', '/west/game', '/east/planner', '/west/planner'} <= names
+    for command in both.values():
+        command.send(signal.SIGINT)
+    for command in both.values():
+        assert command.ended(15.0) == 0
+        assert (command.errors, command.running()) == ('', {})
+
+
+def test_a_game_that_somebody_else_started_there_is_noticed(up: Up, live: Graph) -> None:
+    live.start(GAME, '/shared')
+    live.ready('/shared/game')
+    command = up('/shared')
+    assert command.ended(30.0) == 1
+    (line,) = command.errors.splitlines()
+    assert '/shared/game runs already in this ROS_DOMAIN_ID and namespace' in line
+    assert command.running() == {}
+    assert live.started[0].process.poll() is None
