@@ -36,7 +36,8 @@ def _eval(arguments: argparse.Namespace) -> int:
     if arguments.html and not arguments.html.parent.is_dir():
         raise CommandError(f'cannot write {arguments.html}: there is no such folder')
     bag = open_bag(arguments.bag)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task('reading', total=None)
         evaluation = evaluate_bag(
             bag,
