@@ -1,0 +1,89 @@
+"""Pure code knows no ROS: neither what it imports nor what it needs at run time."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+import subprocess
+import sys
+
+from graph_support.command import DemoRun
+import pytest
+
+SOURCE = Path(__file__).parents[1] / 'src'
+PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach')
+LOWER = {'humanopts_env': (), 'humanopts_learner': PACKAGES[:1], 'humanopts_teach': PACKAGES[:2]}
+MODULES = sorted(
+    path for package in PACKAGES for path in (SOURCE / package / package).rglob('*.py')
+)
+PURE = [p for p in MODULES if 'nodes' not in p.parts and p.name != 'convert.py']
+ROS = ('rclpy', 'humanopts_interfaces', 'rcl_interfaces', 'builtin_interfaces', 'action_msgs')
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(SOURCE))
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Yield the full name of everything that a module imports, inside functions too."""
+    for node in ast.walk(ast.parse(path.read_text('utf-8'))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f'{path} imports by a relative name'
+            yield from (f'{node.module}.{alias.name}' for alias in node.names)
+
+
+def is_ros(name: str) -> bool:
+    top = name.partition('.')[0]
+    return top in ROS or top.endswith(('_msgs', '_srvs', '_interfaces'))
+
+
+def test_pure_code_imports_neither_ros_nor_messages() -> None:
+    found = {name_of(path): [n for n in imports(path) if is_ros(n)] for path in PURE}
+    assert {path: names for path, names in found.items() if names} == {}
+    assert len(found) > 50
+
+
+def test_each_package_has_one_conversion_module() -> None:
+    converting = [name_of(p) for p in MODULES if p.name == 'convert.py']
+    assert converting == [f'{name}/{name}/convert.py' for name in PACKAGES]
+
+
+def test_dependencies_run_one_way() -> None:
+    for path in MODULES:
+        package = path.relative_to(SOURCE).parts[0]
+        others = {name.partition('.')[0] for name in imports(path)} & set(PACKAGES)
+        assert others <= {package, *LOWER[package]}, path
+
+
+# What a machine without ROS has: nothing to import, and no libraries to load.
+WITHOUT_ROS = """
+import sys
+
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition('.')[0] in ('rclpy', 'humanopts_interfaces', 'std_msgs'):
+            raise ModuleNotFoundError(f'No module named {name!r}: there is no ROS here')
+
+sys.meta_path.insert(0, NoRos())
+try:
+    import rclpy
+except ModuleNotFoundError:
+    pass
+else:
+    sys.exit('rclpy was imported after all')
+from humanopts_teach.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize('command', ['info', 'eval'])
+def test_a_bag_is_read_where_there_is_no_ros(demo: DemoRun, command: str) -> None:
+    done = subprocess.run(
+        [sys.executable, '-c', WITHOUT_ROS, 'bag', command, str(demo.bag)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, '')
+    assert ('demonstrations' if command == 'info' else 'go to passenger and pickup') in done.stdout
