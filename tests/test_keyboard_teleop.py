@@ -29,45 +29,42 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-DOMAIN_ID = 141
 WIDTH, HEIGHT = 80, 24
 SIDE = 24  # column where the panel beside the board begins
 PICKUP = 'go to passenger and pickup'
 KEYS = {'down': '\x1b[B', 'up': '\x1b[A', 'right': '\x1b[C', 'left': '\x1b[D'}
 ENTER, ESCAPE, CTRL_C = '\r', '\x1b', '\x03'
 TELEOP = 'humanopts_teach.nodes.keyboard_teleop'
-ENVIRONMENT = {'ROS_DOMAIN_ID': str(DOMAIN_ID), 'TERM': 'xterm-256color'}
 TAXI = make_domain('taxi')
 
 
-def run_on(slave: int, *arguments: str) -> 'subprocess.Popen[bytes]':
+def environment(domain_id: int) -> dict[str, str]:
+    """Return the environment of a process on a graph."""
+    return {**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'TERM': 'xterm-256color'}
+
+
+def run_on(slave: int, domain_id: int, *arguments: str) -> 'subprocess.Popen[bytes]':
     """Start Python on a terminal, as its controlling one."""
-
-    def take() -> None:
-        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-
     return subprocess.Popen(
-        [sys.executable, *arguments],
+        ['setsid', '--ctty', sys.executable, *arguments],
         stdin=slave,
         stdout=slave,
         stderr=subprocess.PIPE,
-        start_new_session=True,
-        preexec_fn=take,
-        env={**os.environ, **ENVIRONMENT},
+        env=environment(domain_id),
     )
 
 
 class Terminal:
     """A terminal emulator with a process in it, and a person who reads and types."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self, domain_id: int, *arguments: str) -> None:
         self.master, self.slave = self._open = list(pty.openpty())
         fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack('HHHH', HEIGHT, WIDTH, 0, 0))
         self.before = termios.tcgetattr(self.slave)
         self.screen = pyte.Screen(WIDTH, HEIGHT)
         self.stream = pyte.ByteStream(self.screen)
         self.raw = b''
-        self.process = run_on(self.slave, *arguments)
+        self.process = run_on(self.slave, domain_id, *arguments)
 
     def text(self) -> str:
         """Return what is on the screen, line by line."""
@@ -127,26 +124,29 @@ class Terminal:
 class Graph:
     """The other nodes as processes, terminals on them, and a reader of the game's stream."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, domain_id: int) -> None:
         self.folder = folder
+        self.domain_id = domain_id
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self.terminals: list[Terminal] = []
         self.messages: list[Any] = []
         self.context = Context()
         rclpy.init(
             context=self.context,
-            domain_id=DOMAIN_ID,
+            domain_id=domain_id,
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self.node = Node('witness', context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        for kind, topic in (
-            (GameState, 'game_state'),
-            (ActionRefusal, 'action_refused'),
-            (OptionResult, 'option_results'),
-        ):
+        self.subscriptions = [
             self.node.create_subscription(kind, topic, self.messages.append, STREAM)
+            for kind, topic in (
+                (GameState, 'game_state'),
+                (ActionRefusal, 'action_refused'),
+                (OptionResult, 'option_results'),
+            )
+        ]
 
     def start(self, step_period: float = 0.0) -> None:
         """Start every node but the terminal."""
@@ -157,13 +157,17 @@ class Graph:
             'humanopts_teach.nodes.lesson_node', f'{data}/demonstrations', 'strategy:=failures'
         )
         self.run('humanopts_learner.nodes.option_server')
+        deadline = time.monotonic() + 30.0
+        while not all(s.get_publisher_count() for s in self.subscriptions):
+            assert time.monotonic() < deadline, 'the witness found no game or option server'
+            self.executor.spin_once(0.05)
 
     def run(self, module: str, *parameters: str) -> None:
         """Start a node."""
         options = [part for text in parameters for part in ('-p', text)]
         self.processes[module] = subprocess.Popen(
             [sys.executable, '-m', module, '--ros-args', *options],
-            env={**os.environ, **ENVIRONMENT},
+            env=environment(self.domain_id),
         )
 
     def kill(self, module: str) -> None:
@@ -172,10 +176,15 @@ class Graph:
         process.terminate()
         process.wait(20)
 
-    def sit_down(self) -> Terminal:
-        """Start a terminal on the graph, and come as p1."""
-        terminal = Terminal('-m', TELEOP)
+    def terminal(self) -> Terminal:
+        """Start a terminal on the graph."""
+        terminal = Terminal(self.domain_id, '-m', TELEOP)
         self.terminals.append(terminal)
+        return terminal
+
+    def sit_down(self) -> Terminal:
+        """Start a terminal, and come as p1."""
+        terminal = self.terminal()
         terminal.see('Who teaches? > p1')
         terminal.press(ENTER)
         terminal.see('What next?')
@@ -207,8 +216,8 @@ class Graph:
 
 
 @pytest.fixture
-def graph(tmp_path: Path) -> Iterator[Graph]:
-    opened = Graph(tmp_path)
+def graph(tmp_path: Path, domain_id: int) -> Iterator[Graph]:
+    opened = Graph(tmp_path, domain_id)
     yield opened
     opened.close()
 
@@ -366,8 +375,7 @@ def test_a_lesson_that_dies_is_named_and_the_terminal_still_quits(graph: Graph) 
 
 
 def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(graph: Graph) -> None:
-    terminal = Terminal('-m', TELEOP)
-    graph.terminals.append(terminal)
+    terminal = graph.terminal()
     terminal.see('Waiting for the game')
     terminal.see('game, lesson: not there.')
     terminal.press(CTRL_C)
@@ -377,8 +385,7 @@ def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(graph: Graph) -> N
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_signals_end_it_cleanly(graph: Graph, number: signal.Signals) -> None:
-    terminal = Terminal('-m', TELEOP)
-    graph.terminals.append(terminal)
+    terminal = graph.terminal()
     terminal.see('Waiting for the game')
     terminal.process.send_signal(number)
     assert terminal.ended() == 0
@@ -386,15 +393,15 @@ def test_signals_end_it_cleanly(graph: Graph, number: signal.Signals) -> None:
 
 
 def test_a_connection_that_is_cut_ends_it(graph: Graph) -> None:
-    terminal = Terminal('-m', TELEOP)
-    graph.terminals.append(terminal)
+    terminal = graph.terminal()
     terminal.see('Waiting for the game')
     terminal.hang_up()
     assert terminal.process.wait(15) == 0
 
 
-def test_an_exception_restores_the_terminal() -> None:
+def test_an_exception_restores_the_terminal(domain_id: int) -> None:
     terminal = Terminal(
+        domain_id,
         '-c',
         'from humanopts_teach.terminal.device import Device\n'
         'with Device() as device:\n'
@@ -407,14 +414,14 @@ def test_an_exception_restores_the_terminal() -> None:
     terminal.close()
 
 
-def test_without_a_terminal_it_says_so_in_one_line() -> None:
+def test_without_a_terminal_it_says_so_in_one_line(domain_id: int) -> None:
     done = subprocess.run(
         [sys.executable, '-m', TELEOP],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         check=False,
-        env={**os.environ, **ENVIRONMENT},
+        env=environment(domain_id),
     )
     assert done.returncode == 2
     assert done.stdout == ''

@@ -83,6 +83,12 @@ class StampedPublisher(Generic[M]):
         matched = self._publisher.get_subscription_count() >= len(readers)
         return matched and self._node.is_recorded(self.topic)
 
+    def heard_by(self, node_name: str) -> bool:
+        """Tell whether a node's subscription is matched, so that a message would arrive."""
+        readers = self._node.get_subscriptions_info_by_topic(self.topic)
+        matched = self._publisher.get_subscription_count() >= len(readers)
+        return matched and any(reader.node_name == node_name for reader in readers)
+
     def drain(self, seconds: float) -> None:
         """Wait for the readers to take what was sent."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))

@@ -59,14 +59,14 @@ class Calls:
         self._held = None
         if request is None or request is not self._app.waits_for:
             return
-        if isinstance(request, ask.Drive):
-            self._drive(request)
-        elif isinstance(request, ask.CancelRun):
+        if isinstance(request, ask.CancelRun):
             if self._handle is not None:
                 self._handle.cancel_goal_async()
             self._reply(ask.Reply(request, ok=True))
         elif not self._ready(request):
             self._held = request
+        elif isinstance(request, ask.Drive):
+            self._drive(request)
         elif type(request) in _ACTIONS:
             self._start(request)
         else:
@@ -88,6 +88,9 @@ class Calls:
             self._app.lost_server()
 
     def _ready(self, request: ask.Request) -> bool:
+        """Tell whether the server is matched: a request that is sent before would be lost."""
+        if isinstance(request, ask.Drive):
+            return self._action.heard_by('game')
         if type(request) in _ACTIONS:
             return self._actions[type(request)].server_is_ready()
         return self._services[type(request)].service_is_ready()
