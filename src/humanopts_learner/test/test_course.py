@@ -1,0 +1,159 @@
+"""The data set of a lesson, and what is learned from it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from humanopts_env.domains.taxi import Taxi
+from humanopts_learner.course import Course, CourseError, DATA_SET
+from humanopts_learner.demonstrations import Demonstration, DemonstrationError, Kind
+from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_learner.options.files import load_options, option_from_json
+from humanopts_learner.options.learn import learn_option
+import pytest
+
+TAXI = Taxi()
+SEED = 2
+DELIVER = 'go to destination and dropoff'
+Open = Callable[[], Course]
+
+
+@pytest.fixture
+def reopen(tmp_path: Path) -> Open:
+    """Open the course in the test's folder; every call is a new process's view of it."""
+    return lambda: Course(tmp_path / 'options', TAXI, Thresholds(), SEED)
+
+
+@pytest.fixture(scope='module')
+def few(fetching: list[Demonstration]) -> list[Demonstration]:
+    return fetching[:6]
+
+
+def test_a_demonstration_is_learned_from_once(reopen: Open, few: list[Demonstration]) -> None:
+    course = reopen()
+    assert [course.take(demo) for demo in few] == [True] * 6
+    assert course.take(few[3]) is False
+    (progress,) = course.progress()
+    assert progress.demonstrations == few
+    assert progress.option == learn_option(few, TAXI, SEED)
+    assert progress.judgement == judge(few, TAXI, Thresholds(), SEED)
+    assert option_from_json(progress.file) == (progress.option, [])
+
+
+def test_everything_is_known_again_when_it_is_opened_again(
+    reopen: Open, few: list[Demonstration]
+) -> None:
+    course = reopen()
+    for demo in few:
+        course.take(demo)
+    again = reopen()
+    assert again.progress() == course.progress()
+    assert again.problems == []
+    assert again.take(few[0]) is False
+
+
+def test_the_option_file_holds_the_demonstrations(
+    reopen: Open, few: list[Demonstration], tmp_path: Path
+) -> None:
+    course = reopen()
+    for demo in few:
+        course.take(demo)
+    options, problems = load_options(tmp_path / 'options')
+    assert options == [course.progress()[0].option]
+    assert problems == []
+
+
+def test_options_and_people_are_kept_apart(reopen: Open, person: Any) -> None:
+    course = reopen()
+    one, two = person(seed=1).show_random(3), person(seed=2).show_random(3)
+    other = person(DELIVER, seed=1).show_random(3)
+    for demos in zip(one, two, other):
+        for demo in demos:
+            course.take(demo)
+    found = {p.demonstrations[0].participant: p.demonstrations for p in course.progress()[:2]}
+    assert found == {'person 1': one, 'person 2': two}
+    assert [p.option for p in course.progress()] == [
+        learn_option(demos, TAXI, SEED) for demos in (one, two, other)
+    ]
+
+
+def test_not_here_alone_is_counted_but_is_no_option(
+    reopen: Open, few: list[Demonstration]
+) -> None:
+    course = reopen()
+    shown = few[0]
+    nothing = replace(
+        shown,
+        kind=Kind.NOT_HERE,
+        states=shown.states[:1],
+        features=shown.features[:1],
+        actions=(),
+        rewards=(),
+        terminated=False,
+    )
+    assert course.take(nothing)
+    (progress,) = course.progress()
+    assert (progress.demonstrations, progress.option, progress.file) == ([nothing], None, '')
+
+
+def test_what_cannot_be_used_is_not_kept(
+    reopen: Open, few: list[Demonstration], tmp_path: Path
+) -> None:
+    course = reopen()
+    course.take(few[0])
+    before = (tmp_path / 'options' / DATA_SET).read_bytes()
+    with pytest.raises(DemonstrationError, match='names no option'):
+        course.take(replace(few[1], option_name=''))
+    assert (tmp_path / 'options' / DATA_SET).read_bytes() == before
+    assert course.take(few[1])
+
+
+def test_a_line_that_cannot_be_used_is_named_and_the_others_are_kept(
+    reopen: Open, few: list[Demonstration], tmp_path: Path
+) -> None:
+    course = reopen()
+    for demo in few:
+        course.take(demo)
+    file = tmp_path / 'options' / DATA_SET
+    file.write_text('not JSON\n' + file.read_text() + '{"kind": "traj')
+    again = reopen()
+    assert again.progress() == course.progress()
+    torn, unusable = again.problems
+    assert 'was cut off' in torn
+    assert unusable.startswith(f'line 1 of {file} is left out: not a demonstration')
+    assert file.read_text().startswith('not JSON\n')
+
+
+def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
+    (tmp_path / 'file').touch()
+    with pytest.raises(CourseError, match=r'cannot use the folder .*file: '):
+        Course(tmp_path / 'file', TAXI, Thresholds(), SEED)
+
+
+def test_a_data_set_that_cannot_be_written_keeps_the_demonstration_out(
+    reopen: Open, few: list[Demonstration], tmp_path: Path
+) -> None:
+    course = reopen()
+    (tmp_path / 'options' / DATA_SET).mkdir()
+    with pytest.raises(CourseError, match=r'cannot write .*jsonl: Is a directory'):
+        course.take(few[0])
+    assert course.progress() == []
+    (tmp_path / 'options' / DATA_SET).rmdir()
+    assert course.take(few[0])
+
+
+def test_an_option_file_that_cannot_be_written_is_a_problem_but_no_loss(
+    reopen: Open, few: list[Demonstration], tmp_path: Path
+) -> None:
+    course = reopen()
+    course.take(few[0])
+    (file,) = (tmp_path / 'options').glob('*/*.json')
+    folder = file.parent
+    file.unlink()
+    folder.rmdir()
+    folder.touch()
+    assert course.take(few[1])
+    (problem,) = course.problems
+    assert 'cannot write the file of' in problem
+    assert reopen().progress()[0].demonstrations == few[:2]
