@@ -67,6 +67,17 @@ def test_not_here_alone_does_not_stop_the_choice(
     assert not TAXI.is_over(state)
 
 
+@pytest.mark.parametrize('strategy', STRATEGIES)
+def test_an_option_whose_demonstrations_are_gone_does_not_stop_the_choice(
+    person: Callable[..., Any], strategy: str
+) -> None:
+    ann = person()
+    ann.show(NEAR)
+    option = learn_option(ann.shown, TAXI, 0)
+    state = choose_start_state(strategy, TAXI, option, [], np.random.default_rng(0))
+    assert not TAXI.is_over(state)
+
+
 def test_coverage_asks_for_what_is_unlike_anything_shown(person: Callable[..., Any]) -> None:
     ann = person()
     ann.show(NEAR)

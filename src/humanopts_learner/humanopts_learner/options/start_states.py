@@ -12,7 +12,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is_enumerable
 from humanopts_env.domains.tabular import reachable
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.failures import (
     failing_samples,
     in_doubt,
@@ -53,6 +53,8 @@ def choose_start_state(
         raise UnknownStrategyError(
             f'no start-state strategy {strategy!r}; there is {", ".join(STRATEGIES)}'
         )
+    if not any(demo.kind is Kind.TRAJECTORY for demo in demonstrations):
+        option = None  # learned from others that are not here, such as an old option file
     return STRATEGIES[strategy](domain, option, demonstrations, rng)
 
 

@@ -70,6 +70,7 @@ class LearnedStarts:
     ) -> bool:
         """Tell whether there is nothing left to ask, once the criteria hold."""
         option = self._options.get((participant, option_name))
-        if not self._until_no_failures or self._strategy != FAILURES or option is None:
+        asks_failures = self._until_no_failures and self._strategy == FAILURES
+        if not asks_failures or option is None or not demonstrations:
             return True
         return count_failures(option, self._domain, demonstrations, rng) == 0
