@@ -1,15 +1,18 @@
 """Domains and their reference options by name, found through Python entry points."""
 
 from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
+from importlib.metadata import entry_points, EntryPoint
 import json
 from typing import Any, cast
 
+from humanopts_env.check import check_domain
 from humanopts_env.domains.base import Domain, DomainError, Parameter
 from humanopts_env.domains.reference import ReferenceOption
 
 DOMAINS = 'humanopts.domains'
 REFERENCE_OPTIONS = 'humanopts.reference_options'
+GYMNASIUM = 'gymnasium:'  # before the id of a Gymnasium environment
+OURS = 'humanopts_env.'
 
 
 def domain_names() -> list[str]:
@@ -19,18 +22,26 @@ def domain_names() -> list[str]:
 
 def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) -> Domain[Any]:
     """
-    Build a registered domain.
+    Build a registered domain, or that of a Gymnasium environment: ``gymnasium:ENV_ID``.
+
+    A domain of another package is looked at by ``check_domain`` before it is handed out.
 
     :param parameters: keyword arguments of the domain; its defaults where missing.
-    :raises DomainError: no such domain, or it refuses the parameters.
+    :raises DomainError: no such domain, it refuses the parameters, it cannot be loaded, or it
+        breaks the contract of domains.
     """
-    factory = _load(DOMAINS, name)
-    if factory is None:
-        raise DomainError(f'no domain {name!r}; there is {", ".join(domain_names())}')
+    factory, ours = _factory(name)
     try:
-        return cast(Domain[Any], factory(**(parameters or {})))
+        domain = cast(Domain[Any], factory(**(parameters or {})))
+    except DomainError:
+        raise
     except TypeError as error:
         raise DomainError(f'{name} does not take these parameters: {error}') from error
+    except Exception as error:  # whatever a plug-in raises
+        raise DomainError(f'{name} cannot be made: {_said(error)}') from error
+    if not ours:
+        check_domain(domain, name)
+    return domain
 
 
 def domain_from_json(name: str, parameters: str) -> Domain[Any]:
@@ -54,11 +65,48 @@ def parameters_json(domain: Domain[Any]) -> str:
 
 
 def reference_options(domain: Domain[Any]) -> dict[str, ReferenceOption]:
-    """Return the domain's scripted options by name; empty where it has none."""
-    factory = _load(REFERENCE_OPTIONS, domain.name)
-    return {} if factory is None else factory(domain)
+    """
+    Return the domain's scripted options by name; empty where it has none.
+
+    :raises DomainError: they cannot be loaded or made.
+    """
+    point = _entry_point(REFERENCE_OPTIONS, domain.name)
+    if point is None:
+        return {}
+    try:
+        return dict(_load(point)(domain))
+    except DomainError:
+        raise
+    except Exception as error:  # whatever a plug-in raises
+        text = f'the reference options of {domain.name} cannot be made: {_said(error)}'
+        raise DomainError(text) from error
 
 
-def _load(group: str, name: str) -> Callable[..., Any] | None:
-    points = entry_points(group=group, name=name)
-    return next(iter(points)).load() if points else None
+def _factory(name: str) -> tuple[Callable[..., Any], bool]:
+    """Return what makes a domain, and whether it is ours and needs no check."""
+    if name.startswith(GYMNASIUM):
+        from humanopts_env.domains.gymnasium_domain import gymnasium_domain  # imports Gymnasium
+
+        return gymnasium_domain(name.removeprefix(GYMNASIUM)), False
+    point = _entry_point(DOMAINS, name)
+    if point is None:
+        known = ', '.join([*domain_names(), f'{GYMNASIUM}ENV_ID'])
+        raise DomainError(f'no domain {name!r}; there is {known}')
+    return _load(point), point.value.startswith(OURS)
+
+
+def _entry_point(group: str, name: str) -> EntryPoint | None:
+    return next(iter(entry_points(group=group, name=name)), None)
+
+
+def _load(point: EntryPoint) -> Callable[..., Any]:
+    try:
+        return cast(Callable[..., Any], point.load())
+    except Exception as error:  # whatever a plug-in raises
+        package = point.dist.name if point.dist else 'an unknown package'
+        text = f'{point.name!r} of {package} cannot be loaded from {point.value}: {_said(error)}'
+        raise DomainError(text) from error
+
+
+def _said(error: Exception) -> str:
+    return f'{type(error).__name__}: {error}'

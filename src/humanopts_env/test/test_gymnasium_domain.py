@@ -1,0 +1,260 @@
+"""Gymnasium environments with a table as domains, against the environments themselves."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+from humanopts_env.contract import DomainContract
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.gymnasium_domain import gymnasium_domain, GymnasiumDomain
+from humanopts_env.domains.registry import domain_from_json, make_domain, parameters_json
+from humanopts_env.seeding import generator
+import numpy as np
+import pytest
+
+TABLES = ('Taxi-v4', 'FrozenLake-v1', 'FrozenLake8x8-v1', 'CliffWalking-v1')
+LAKE = gymnasium_domain('FrozenLake-v1')
+
+
+class TestTaxi(DomainContract):
+    """Gymnasium's own Taxi."""
+
+    def make(self) -> Domain[Any]:
+        """Return it."""
+        return gymnasium_domain('Taxi-v4')()
+
+
+class TestFrozenLake(DomainContract):
+    """The slippery lake."""
+
+    def make(self) -> Domain[Any]:
+        """Return it."""
+        return LAKE()
+
+
+class TestCliffWalking(DomainContract):
+    """The cliff."""
+
+    def make(self) -> Domain[Any]:
+        """Return it."""
+        return gymnasium_domain('CliffWalking-v1')()
+
+
+class TestDrawnLake(DomainContract):
+    """A lake of the user's own."""
+
+    def make(self) -> Domain[Any]:
+        """Return it, with arguments."""
+        return LAKE(desc=['SFFG', 'FHFF', 'SFFF'], is_slippery=False)
+
+
+class Chain(gymnasium.Env[Any, Any]):
+    """Three numbered states, as an environment that nobody knows; what is wrong is an argument."""
+
+    metadata: dict[str, Any] = {'render_modes': ['ansi']}
+
+    def __init__(self, wrong: str = '', render_mode: str | None = None) -> None:
+        """Build a table, or a broken one."""
+        self.observation_space = gymnasium.spaces.Discrete(3)
+        self.action_space = gymnasium.spaces.Discrete(80 if wrong == 'keys' else 2)
+        self.render_mode, self.s = render_mode, 0
+        end = [(1.0, 2, 1.0, True)]
+        forward = {
+            'sum': [(0.5, 1, 0.0, False)],
+            'state': [(1.0, 3, 0.0, False)],
+            'reward': [(1.0, 1, float('nan'), False)],
+            'form': [(1.0, 1)],
+            'both': [(0.5, 2, 1.0, True), (0.5, 2, 1.0, False)],
+            'start': [(1.0, 0, 0.0, True)],
+        }.get(wrong, [(0.5, 1, 0.0, False), (0.5, 0, 0.0, False)])
+        count = int(self.action_space.n)
+        self.P = {
+            0: dict.fromkeys(range(count), forward),
+            1: {0: end, 1: end},
+            2: {0: end, 1: end},
+        }
+        if wrong == 'keys':
+            self.P |= {s: dict.fromkeys(range(80), end) for s in (1, 2)}
+        if wrong == 'missing':
+            del self.P[2]
+        if wrong == 'box':
+            self.observation_space = gymnasium.spaces.Box(0, 1)  # type: ignore[assignment]
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[int, dict[str, Any]]:
+        """Begin in 0 or 1."""
+        super().reset(seed=seed)
+        self.s = int(self.np_random.integers(2))
+        return self.s, {}
+
+    def render(self) -> str:  # type: ignore[override]
+        """Mark the state as Gymnasium's toys do."""
+        cells = [gymnasium.utils.colorize(c, 'red', highlight=True) for c in 'abc']
+        return 'a chain\n' + ''.join(
+            cells[i] if i == self.s else gymnasium.utils.colorize(c, 'blue')
+            for i, c in enumerate('abc')
+        )
+
+
+@pytest.fixture(scope='module', autouse=True)
+def chain() -> Iterator[None]:
+    """Register the chain."""
+    gymnasium.register('test/Chain-v0', entry_point=Chain)
+    yield
+    del gymnasium.registry['test/Chain-v0']
+
+
+class TestChain(DomainContract):
+    """Numbered states."""
+
+    def make(self) -> Domain[Any]:
+        """Return it."""
+        return gymnasium_domain('test/Chain-v0')()
+
+
+@pytest.mark.parametrize('env_id', TABLES)
+def test_the_transitions_are_the_environments_own(env_id: str) -> None:
+    """State by state and action by action, outside states where the task is over."""
+    domain = gymnasium_domain(env_id)()
+    table, theirs = domain.transitions(), gymnasium.make(env_id).unwrapped.P  # type: ignore[attr-defined]
+    for state in np.flatnonzero(~domain.over()).tolist():
+        for action in range(len(domain.actions)):
+            at, expected, found = (state, action), {}, {}
+            for share, to, gain, _ in theirs[state][action]:
+                expected[int(to), float(gain)] = expected.get((int(to), float(gain)), 0.0) + share
+            for share, to, gain in zip(
+                table.probability[at], table.successor[at].tolist(), table.reward[at].tolist()
+            ):
+                if share > 0:
+                    found[to, gain] = found.get((to, gain), 0.0) + share
+            assert found == pytest.approx(expected)
+
+
+@pytest.mark.parametrize('env_id', TABLES)
+def test_a_game_of_the_environment_can_be_followed(env_id: str) -> None:
+    """Its own random walk is one of the domain's, ends included."""
+    domain, env = gymnasium_domain(env_id)(), gymnasium.make(env_id).unwrapped
+    rng = generator(0, 'test')
+    state = int(env.reset(seed=1)[0])
+    for _ in range(500):
+        assert state in domain.start_states() or not domain.is_over(state)
+        action = int(rng.integers(len(domain.actions)))
+        after, _, over, _, _ = env.step(action)
+        assert domain.can_follow(state, action, int(after))
+        assert domain.is_over(int(after)) == over
+        state = int(env.reset()[0]) if over else int(after)
+
+
+@pytest.mark.parametrize(
+    ('env_id', 'ends', 'limit'), [('FrozenLake-v1', 5, 100), ('CliffWalking-v1', 1, 1000)]
+)
+def test_ends_and_lengths(env_id: str, ends: int, limit: int) -> None:
+    """Four holes and a goal; a cliff has one end, and no limit of its own."""
+    domain = gymnasium_domain(env_id)()
+    assert domain.over().sum() == ends
+    assert domain.max_steps == limit
+
+
+def test_features_are_those_of_the_states_own_encoding() -> None:
+    """Taxi decodes its states; grids have rows and columns; others are numbered."""
+    taxi = gymnasium_domain('Taxi-v4')()
+    assert [f.name for f in taxi.features] == ['taxi_row', 'taxi_col', 'passenger', 'destination']
+    assert taxi.encode(328) == 'taxi_row 3, taxi_col 1, passenger Y, destination R'
+    assert taxi.decode('taxi_row 3, taxi_col 1, passenger Y, destination R') == 328
+    cliff = gymnasium_domain('CliffWalking-v1')()
+    assert cliff.encode(36) == 'row 3, col 0'
+    assert gymnasium_domain('test/Chain-v0')().encode(2) == 'state 2'
+
+
+@pytest.mark.parametrize(
+    ('env_id', 'keys'),
+    [
+        ('FrozenLake-v1', ['left', 'down', 'right', 'up']),
+        ('CliffWalking-v1', ['up', 'right', 'down', 'left']),
+        ('Taxi-v4', ['down', 'up', 'right', 'left', 'p', 'd']),
+        ('test/Chain-v0', ['0', '1']),
+    ],
+)
+def test_actions_have_arrows_where_they_are_known_and_digits_otherwise(
+    env_id: str, keys: list[str]
+) -> None:
+    """In the environment's order."""
+    domain = gymnasium_domain(env_id)()
+    assert [action.key for action in domain.actions] == keys
+
+
+@pytest.mark.parametrize(('env_id', 'start'), [('FrozenLake-v1', 5), ('CliffWalking-v1', 18)])
+def test_an_arrow_leads_where_it_points(env_id: str, start: int) -> None:
+    """The first outcome is the intended one, on slippery ice too."""
+    domain = gymnasium_domain(env_id)(**({'desc': ['SFFF'] * 4} if 'Lake' in env_id else {}))
+    moves = {'up': (-1, 0), 'down': (1, 0), 'left': (0, -1), 'right': (0, 1)}
+    for number, action in enumerate(domain.actions):
+        here = domain.feature_table()[start]
+        there = domain.feature_table()[domain.transitions().successor[start, number, 0]]
+        assert tuple((there - here).tolist()) == moves[action.key]
+
+
+def test_drawings_reveal_what_may_be_seen() -> None:
+    """A grid from its own letters, or from its table; taxi's board; the environment's text."""
+    assert LAKE().render(0) == '☻S F F F\n F H F H\n F F F H\n H F F G'
+    assert LAKE().render(0, {'row'}).endswith(' H F F G\nrow: 0')
+    assert '☻' not in LAKE().render(0, {'row'})
+    cliff = gymnasium_domain('CliffWalking-v1')().render(0).splitlines()
+    assert cliff[0].startswith('☻· ·')
+    assert cliff[3] == ' S' + ' ▒' * 10 + ' G'
+    taxi = gymnasium_domain('Taxi-v4')()
+    assert '□' in taxi.render(328)
+    assert '□' not in taxi.render(328, {'passenger', 'destination'})
+    chain = gymnasium_domain('test/Chain-v0')()
+    assert chain.render(1) == 'a chain\na█c\nstate: 1'
+    assert chain.render(1, ()) == ''
+
+
+def test_a_name_with_the_prefix_is_resolved() -> None:
+    """As messages and files carry it, with the environment's arguments."""
+    domain = make_domain('gymnasium:FrozenLake-v1', {'is_slippery': False, 'map_name': '8x8'})
+    assert domain.name == 'gymnasium:FrozenLake-v1'
+    assert isinstance(domain, GymnasiumDomain)
+    assert domain.n_states == 64
+    assert domain.transitions().deterministic
+    again = domain_from_json(domain.name, parameters_json(domain))
+    assert dict(again.parameters) == dict(domain.parameters)
+    drawn = domain_from_json('gymnasium:FrozenLake-v1', '{"desc": ["SF", "FG"]}')
+    assert drawn.render(drawn.decode('row 0, col 0')) == '☻S F\n F G'
+
+
+@pytest.mark.parametrize(
+    ('name', 'parameters', 'text'),
+    [
+        ('gymnasium:CartPole-v1', {}, 'CartPole-v1 has no table of transitions'),
+        ('gymnasium:Nope-v1', {}, r'Nope-v1 cannot be made: .*Nope'),
+        ('gymnasium:Taxi-v3', {}, 'Taxi-v4'),
+        ('gymnasium:', {}, 'gymnasium: cannot be made'),
+        ('gymnasium:FrozenLake-v1', {'map': 3}, "FrozenLake-v1 cannot be made: .*'map'"),
+        ('gymnasium:FrozenLake-v1', {'map_name': '9x9'}, '9x9'),
+        ('gymnasium:FrozenLake-v1', {'map_name': None}, 'another game each time'),
+        ('gymnasium:FrozenLake-v1', {'render_mode': 'ansi'}, 'leave render_mode out'),
+        ('gymnasium:FrozenLake-v1', {'desc': {1}}, 'cannot be made: TypeError'),
+        ('gymnasium:Taxi-v4', {'fickle_passenger': True}, 'outside its table'),
+        ('gymnasium:test/Chain-v0', {'wrong': 'sum'}, r'P\[0\]\[0\] has probabilities \[0\.5\]'),
+        ('gymnasium:test/Chain-v0', {'wrong': 'state'}, 'leads to state 3 of 3'),
+        ('gymnasium:test/Chain-v0', {'wrong': 'reward'}, 'reward nan'),
+        ('gymnasium:test/Chain-v0', {'wrong': 'form'}, 'a table that cannot be read'),
+        ('gymnasium:test/Chain-v0', {'wrong': 'missing'}, 'a table that cannot be read'),
+        ('gymnasium:test/Chain-v0', {'wrong': 'both'}, 'state 2 ends the task on one way'),
+        ('gymnasium:test/Chain-v0', {'wrong': 'start'}, 'state 0 ends the task on one way'),
+        ('gymnasium:test/Chain-v0', {'wrong': 'keys'}, '80 actions'),
+        ('gymnasium:test/Chain-v0', {'wrong': 'box'}, 'needs Discrete'),
+    ],
+)
+def test_what_cannot_be_a_domain_is_refused_by_name(
+    name: str, parameters: dict[str, Any], text: str
+) -> None:
+    """With the reason."""
+    with pytest.raises(DomainError, match=text) as refusal:
+        make_domain(name, parameters)
+    assert name in str(refusal.value)
+
+
+def test_without_a_distribution_of_starts_those_that_are_drawn_are_taken() -> None:
+    """The chain begins in 0 or 1."""
+    assert gymnasium_domain('test/Chain-v0')().start_states().tolist() == [0, 1]
