@@ -97,7 +97,7 @@ class StampedPublisher(Generic[M]):
         """Name the readers, since one of them that has stopped is the usual cause."""
         readers = self._node.get_subscriptions_info_by_topic(self.topic)
         names = ', '.join(sorted({reader.node_name for reader in readers})) or 'none'
-        cause = str(error).split(', at /')[0]  # without the place in the source of rmw
+        cause = _plain(error)
         return f'cannot publish on {self.topic}: {cause}; has a reader stopped? They are: {names}'
 
 
@@ -271,6 +271,11 @@ class _Stop:
         return self.requested or (self._launcher != 0 and os.getppid() != self._launcher)
 
 
+def _plain(error: Exception) -> str:
+    """Return the text of an error without the places in the source of rcl."""
+    return str(error).split(', at /')[0]
+
+
 def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> int:
     """
     Run a node until SIGINT, SIGTERM or SIGHUP.
@@ -280,7 +285,11 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     """
     stop = _Stop()
     prepare_discovery()
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # such as arguments that it cannot read
+        print(f'humanopts: ROS cannot start: {_plain(error)}', file=sys.stderr)
+        return 2
     executor = SingleThreadedExecutor()
     node: NodeBase | None = None
     try:
