@@ -17,7 +17,10 @@ from humanopts_env.domains.base import DomainError, is_enumerable, Parameter
 from humanopts_env.domains.registry import make_domain
 import numpy as np
 
-ENVIRONMENTS = {'humanopts/Taxi-v0': 'taxi'}  # Gymnasium id: domain
+ENVIRONMENTS = {  # Gymnasium id: domain
+    'humanopts/Rooms-v0': 'rooms',
+    'humanopts/Taxi-v0': 'taxi',
+}
 
 # P[state][action] lists (probability, successor, reward, terminated)
 Tabular = dict[int, dict[int, list[tuple[float, int, float, bool]]]]

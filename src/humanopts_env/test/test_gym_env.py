@@ -6,7 +6,8 @@ import warnings
 import gymnasium
 from gymnasium.utils.env_checker import check_env
 from humanopts_env.domains.base import DomainError
-from humanopts_env.gym_env import DomainEnv, register_all
+from humanopts_env.domains.registry import domain_names
+from humanopts_env.gym_env import DomainEnv, ENVIRONMENTS, register_all
 import numpy as np
 import pytest
 
@@ -16,11 +17,17 @@ def make(name: str = 'humanopts/Taxi-v0', **parameters: Any) -> Any:
     return gymnasium.make(name, **parameters)
 
 
-def test_gymnasiums_checker_is_satisfied() -> None:
-    """Without a single warning."""
+@pytest.mark.parametrize('name', [n for n, d in ENVIRONMENTS.items() if d in domain_names()])
+def test_gymnasiums_checker_is_satisfied(name: str) -> None:
+    """Without a single warning, by every environment whose domain is installed."""
     with warnings.catch_warnings():
         warnings.simplefilter('error')
-        check_env(make(render_mode='ansi').unwrapped)
+        check_env(make(name, render_mode='ansi').unwrapped)
+
+
+def test_the_rooms_are_registered() -> None:
+    """Under their own id."""
+    assert gymnasium.spec('humanopts/Rooms-v0').kwargs == {'domain': 'rooms'}
 
 
 def test_it_is_found_by_module_and_name_and_registered_once() -> None:
