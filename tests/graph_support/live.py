@@ -160,10 +160,9 @@ class Graph:
         with log.open('wb') as stderr:
             process = subprocess.Popen(
                 [sys.executable, *command],
-                stdin=subprocess.DEVNULL,
                 stderr=stderr,
                 env=environment,
-                **{'stdout': subprocess.DEVNULL, **options},
+                **{'stdin': subprocess.DEVNULL, 'stdout': subprocess.DEVNULL, **options},
             )
         self.started.append(NodeProcess(name, process, log))
         return self.started[-1]
