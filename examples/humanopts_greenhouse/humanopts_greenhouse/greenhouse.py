@@ -1,0 +1,161 @@
+"""
+Greenhouse: carry water from the tap until no bed is dry.
+
+Tomatoes, beans and basil grow in three corners of a square house, and the tap is in the fourth.
+One can of water is enough for one bed; water that is poured elsewhere is lost.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+import itertools
+
+from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, FeatureKind
+from humanopts_env.domains.table_domain import TableDomain
+import numpy as np
+
+SMALLEST, LARGEST = 3, 9  # cells along a side
+ACTIONS = (
+    Action('north', 'up', 'walk one cell north'),
+    Action('south', 'down', 'walk one cell south'),
+    Action('west', 'left', 'walk one cell west'),
+    Action('east', 'right', 'walk one cell east'),
+    Action('fill', 'f', 'fill the can at the tap'),
+    Action('pour', 'p', 'pour the can out'),
+)
+STEPS = {0: (-1, 0), 1: (1, 0), 2: (0, -1), 3: (0, 1)}  # rows and columns of each walk
+FILL, POUR = 4, 5
+BEDS = ('tomatoes', 'beans', 'basil')
+GARDENER, FLOOR, TAP, DRY, WET, UNKNOWN = '☻', '·', 'T', '*', '♣', '?'
+Cell = tuple[int, int]  # row, 0 = north; column, 0 = west
+
+
+@dataclass(frozen=True, slots=True)
+class GreenhouseState:
+    """Where the gardener is, and what has water."""
+
+    row: int
+    col: int
+    full: bool  # the can
+    dry: tuple[bool, bool, bool]  # each of BEDS
+
+
+class Greenhouse(TableDomain[GreenhouseState]):
+    """
+    A square house of ``size`` x ``size`` cells.
+
+    Every step costs 1, and watering a dry bed earns 10. The task is over when no bed is dry; it
+    begins with the can empty and every bed dry, the gardener anywhere.
+    """
+
+    glyph_styles = {GARDENER: 'bold bright_yellow', TAP: 'bold blue', DRY: 'red', WET: 'green'}
+
+    def __init__(self, size: int = 4) -> None:
+        """
+        Make a greenhouse.
+
+        :raises DomainError: size is not a whole number from 3 to 9.
+        """
+        if type(size) is not int or not SMALLEST <= size <= LARGEST:
+            raise DomainError(f'size is {size!r}, and must be a whole number from 3 to 9')
+        self.size = size
+        self.name = 'greenhouse'
+        self.parameters = {'size': size}
+        self.features = _features(size)
+        self.actions = ACTIONS
+        self.gamma = 0.95
+        self.max_steps = 200
+        last = size - 1
+        self.tap: Cell = (last, 0)
+        self.beds: dict[Cell, int] = {(0, 0): 0, (0, last): 1, (last, last): 2}  # index into BEDS
+        places, yes_no = range(size), (False, True)
+        super().__init__(
+            [
+                GreenhouseState(row, col, full, dry)
+                for row, col, full in itertools.product(places, places, yes_no)
+                for dry in itertools.product(yes_no, yes_no, yes_no)
+            ]
+        )
+
+    def outcomes(
+        self, state: GreenhouseState, action: int
+    ) -> Sequence[tuple[float, GreenhouseState, float]]:
+        """Return the one outcome: what follows, and its reward."""
+        after = self._after(state, action)
+        return [(1.0, after, 9.0 if sum(after.dry) < sum(state.dry) else -1.0)]
+
+    def is_over(self, state: GreenhouseState) -> bool:
+        """Tell whether every bed has water."""
+        return not any(state.dry)
+
+    def can_begin(self, state: GreenhouseState) -> bool:
+        """Tell whether the can is empty and every bed is dry."""
+        return all(state.dry) and not state.full
+
+    def values_of(self, state: GreenhouseState) -> Sequence[int]:
+        """Return row, column, whether the can is full and each bed is dry."""
+        return state.row, state.col, int(state.full), *map(int, state.dry)
+
+    def encode(self, state: GreenhouseState) -> str:
+        """Return the state as one line, such as ``cell 3,0 can full dry beans basil``."""
+        dry = ' '.join(bed for bed, is_dry in zip(BEDS, state.dry) if is_dry)
+        can = 'full' if state.full else 'empty'
+        return f'cell {state.row},{state.col} can {can} dry {dry or "none"}'
+
+    def render(self, state: GreenhouseState, shown: Collection[str] | None = None) -> str:
+        """
+        Draw the state as text lines.
+
+        :param shown: names of the features that may be revealed; None: all.
+        """
+        seen = self.shown_values(state, shown)
+        at = (state.row, state.col) if {'row', 'col'} <= seen.keys() else None
+        marks = {self.tap: TAP}
+        for cell, bed in self.beds.items():
+            marks[cell] = {'yes': DRY, 'no': WET}.get(seen.get(f'{BEDS[bed]}_dry', ''), UNKNOWN)
+        lines = [
+            ' '.join(
+                (GARDENER if (row, col) == at else ' ') + marks.get((row, col), FLOOR)
+                for col in range(self.size)
+            )
+            for row in range(self.size)
+        ]
+        told = [name for name in seen if name == 'can_full' or (name in ('row', 'col') and not at)]
+        facts = [f'{name.replace("_", " ")}: {seen[name]}' for name in told]
+        return '\n'.join([*lines, f'{TAP} tap   {DRY} dry   {WET} watered', *facts])
+
+    def board_slices(self) -> list[BoardSlice]:
+        """Return the layouts with the can empty and full, every bed dry."""
+        shape = self.size, self.size, 2, 2 ** len(BEDS)
+        states = np.arange(self.n_states, dtype=np.int32).reshape(shape)
+        return [
+            BoardSlice(f'can {text}, every bed dry', states[:, :, full, -1])
+            for full, text in enumerate(('empty', 'full'))
+        ]
+
+    def _after(self, state: GreenhouseState, action: int) -> GreenhouseState:
+        cell = state.row, state.col
+        if action == FILL:
+            return replace(state, full=True) if cell == self.tap else state
+        if action == POUR:
+            dry = tuple(
+                is_dry and not (state.full and self.beds.get(cell) == bed)
+                for bed, is_dry in enumerate(state.dry)
+            )
+            return GreenhouseState(*cell, False, (dry[0], dry[1], dry[2]))
+        row, col = (place + step for place, step in zip(cell, STEPS[action]))
+        inside = 0 <= row < self.size and 0 <= col < self.size
+        return replace(state, row=row, col=col) if inside else state
+
+
+def _features(size: int) -> tuple[Feature, ...]:
+    places = tuple(map(str, range(size)))
+    answers = ('no', 'yes')
+    return (
+        Feature('row', 'which row the gardener is in', FeatureKind.ORDINAL, places),
+        Feature('col', 'which column the gardener is in', FeatureKind.ORDINAL, places),
+        Feature('can_full', 'whether the can is full', FeatureKind.NOMINAL, answers),
+        *[
+            Feature(f'{bed}_dry', f'whether the {bed} are dry', FeatureKind.NOMINAL, answers)
+            for bed in BEDS
+        ],
+    )

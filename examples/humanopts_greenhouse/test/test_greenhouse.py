@@ -1,0 +1,99 @@
+"""The greenhouse keeps the contract of every domain, and plays as its rules say."""
+
+from typing import Any
+
+from humanopts_env.contract import DomainContract
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.seeding import generator
+from humanopts_greenhouse.greenhouse import Greenhouse, GreenhouseState
+from humanopts_greenhouse.reference import reference_options
+import numpy as np
+import pytest
+
+HOUSE = Greenhouse()
+NORTH, SOUTH, WEST, EAST, FILL, POUR = range(6)
+
+
+class TestGreenhouse(DomainContract):
+    """The usual house."""
+
+    def make(self) -> Domain[Any]:
+        """Return a new one."""
+        return Greenhouse()
+
+
+class TestSmallGreenhouse(DomainContract):
+    """The smallest house."""
+
+    def make(self) -> Domain[Any]:
+        """Return a new one."""
+        return Greenhouse(3)
+
+
+def after(text: str, action: int) -> tuple[str, float, bool]:
+    """Take one step from a state in words."""
+    outcome = HOUSE.step(HOUSE.decode(text), action, generator(0, 'test'))
+    return HOUSE.encode(outcome.state), outcome.reward, outcome.terminated
+
+
+@pytest.mark.parametrize(
+    ('state', 'action', 'expected'),
+    [
+        ('cell 3,0 can empty dry beans', FILL, ('cell 3,0 can full dry beans', -1, False)),
+        ('cell 2,0 can empty dry beans', FILL, ('cell 2,0 can empty dry beans', -1, False)),
+        ('cell 0,3 can full dry beans', POUR, ('cell 0,3 can empty dry none', 9, True)),
+        ('cell 0,0 can full dry beans', POUR, ('cell 0,0 can empty dry beans', -1, False)),
+        ('cell 0,3 can empty dry beans', POUR, ('cell 0,3 can empty dry beans', -1, False)),
+        ('cell 0,0 can full dry beans', NORTH, ('cell 0,0 can full dry beans', -1, False)),
+        ('cell 0,0 can full dry beans', EAST, ('cell 0,1 can full dry beans', -1, False)),
+    ],
+)
+def test_steps(state: str, action: int, expected: tuple[str, float, bool]) -> None:
+    """By hand."""
+    assert after(state, action) == expected
+
+
+def test_the_drawing() -> None:
+    """The gardener stands left of what is in the cell; what is not shown is unknown."""
+    state = HOUSE.decode('cell 3,0 can full dry tomatoes basil')
+    assert HOUSE.render(state).splitlines()[::3] == [' *  ·  ·  ♣', '☻T  ·  ·  *']
+    assert HOUSE.render(state, ['beans_dry']).splitlines()[0] == ' ?  ·  ·  ♣'
+
+
+@pytest.mark.parametrize(
+    ('name', 'state', 'distance', 'actions'),
+    [
+        ('fill the can', 'cell 3,0 can empty dry beans', 1, {'fill'}),
+        ('fill the can', 'cell 1,1 can empty dry beans', 4, {'south', 'west'}),
+        ('water the nearest dry bed', 'cell 3,0 can full dry beans', 7, {'north', 'east'}),
+        ('water the nearest dry bed', 'cell 3,0 can full dry tomatoes beans', 4, {'north'}),
+        ('water the nearest dry bed', 'cell 0,3 can full dry beans', 1, {'pour'}),
+    ],
+)
+def test_reference_options(name: str, state: str, distance: int, actions: set[str]) -> None:
+    """Counted on the board."""
+    option, start = reference_options(HOUSE)[name], HOUSE.decode(state)
+    assert option.distance[HOUSE.index(start)] == distance
+    assert {HOUSE.actions[a].name for a in option.optimal_actions(start)} == actions
+
+
+def test_options_alternate() -> None:
+    """Wherever the task is not over, exactly one of them can start."""
+    fill, water = reference_options(HOUSE).values()
+    visited = fill.judged & ~HOUSE.over()
+    assert (fill.initiation ^ water.initiation)[visited].all()
+    assert not (fill.initiation | water.initiation)[HOUSE.over()].any()
+
+
+@pytest.mark.parametrize('size', [2, 10, 4.0, True, '4'])
+def test_sizes_that_are_none_are_refused(size: Any) -> None:
+    """With what would be one."""
+    with pytest.raises(DomainError, match='from 3 to 9'):
+        Greenhouse(size)
+
+
+def test_start_states_are_every_cell() -> None:
+    """With everything dry and the can empty."""
+    starts = [HOUSE.state_at(int(index)) for index in HOUSE.start_states()]
+    dry = (True, True, True)
+    assert starts == [GreenhouseState(*divmod(c, 4), False, dry) for c in np.arange(16).tolist()]
