@@ -5,8 +5,10 @@ import os
 
 from graph_support.command import DemoRun, run_demo
 from graph_support.live import free_domain_id, Graph
+from humanopts_env.environment import prepare_discovery
 import pytest
 
+prepare_discovery()
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'  # a misspelt field is an error, here and in the nodes
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 

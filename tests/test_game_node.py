@@ -264,8 +264,17 @@ def test_a_person_watching_a_paced_game_sees_every_step(live: Graph) -> None:
     assert keyed.step == 4
 
 
+# A participant that is silent for its lease (20 s) is dropped, and then blocks nobody.
+PATIENT = """<profiles xmlns="http://www.eprosima.com">
+  <participant profile_name="patient" is_default_profile="true"><rtps><builtin><discovery_config>
+    <leaseDuration><sec>600</sec></leaseDuration>
+    <leaseAnnouncement><sec>1</sec></leaseAnnouncement>
+  </discovery_config></builtin></rtps></participant>
+</profiles>
+"""
 READER = """
-import signal, sys
+import os, signal, sys
+os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = sys.argv[2]
 from humanopts_env.nodes.qos import STREAM
 from humanopts_interfaces.msg import GameState
 import rclpy
@@ -285,15 +294,17 @@ while not ended:
 
 def flood_until_paused(graph: Graph, player: Player) -> str:
     """Have game publish as many states as it can; return why it pauses."""
-    for _ in range(40):
-        player.reset(START)
-        known = len(player.refusals)
+
+    def paused() -> bool:
+        return bool(graph.state('/game') == NodeStatus.STATE_PAUSED)
+
+    while not paused():
+        reply = graph.ask(ResetGame, 'reset_game', source=PERSON, start_state=START)
+        graph.until(lambda n=reply.episode: player.state.episode >= n or paused(), 'a start')
         for _ in range(199):
             player.send(player.command('pickup', PERSON))
-        graph.until(lambda n=known: player.state.step == 199 or player.refusals[n:], 'the steps')
-        if player.refusals[known:]:
-            break
-    graph.until(lambda: graph.state('/game') == NodeStatus.STATE_PAUSED, 'game to pause')
+        graph.until(lambda: player.state.step == 199 or paused(), 'the steps')
+        assert reply.episode < 40, 'game never paused'
     return str(graph.statuses['/game'][-1].text)
 
 
@@ -301,10 +312,19 @@ def test_a_stopped_reader_pauses_the_game_and_no_state_is_lost_or_doubled(live: 
     live.start(GAME)
     live.ready('/game')
     player, numbers = Player(live), live.folder / 'numbers'
-    reader = live.run(['-c', READER, str(numbers)], 'reader')
-    live.until(lambda: live.node.count_subscribers('game_state') == 2, 'the reader')
+    profile = live.folder / 'patient.xml'
+    profile.write_text(PATIENT)
+    reader = live.run(['-c', READER, str(numbers), str(profile)], 'reader')
+
+    def readers() -> set[str]:
+        return {r.node_name for r in live.node.get_subscriptions_info_by_topic('game_state')}
+
+    live.until(lambda: readers() >= {'person', 'slow_reader'}, 'the reader')
     player.reset(START)
     first = player.state.sequence
+    for _ in range(100):  # game and reader know each other well before it stops
+        player.do('pickup')
+    live.until(lambda: str(player.state.sequence) in numbers.read_text().split(), 'the reader')
     reader.pause()
     cause = flood_until_paused(live, player)
     assert 'cannot publish on /game_state' in cause
