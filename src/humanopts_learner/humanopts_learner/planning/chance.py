@@ -25,7 +25,7 @@ from scipy.sparse import csr_array, eye_array
 from scipy.sparse.linalg import splu
 
 NEGLIGIBLE = 1e-14  # discounted probability that is taken for 0
-COLUMNS = 256  # right-hand sides that are solved at once, which bounds the dense part
+BLOCK = 256  # columns that are dense at once
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
@@ -161,8 +161,8 @@ def _run_to_the_end(step: _Step) -> Rows:
     solve = splu((eye_array(len(rows)) - step.on[rows][:, rows]).tocsc()).solve
     columns = np.unique(step.end.indices)
     blocks = []
-    for begin in range(0, len(columns), COLUMNS):
-        block = columns[begin : begin + COLUMNS]
+    for begin in range(0, len(columns), BLOCK):
+        block = columns[begin : begin + BLOCK]
         found = solve(step.end[rows][:, block].toarray())
         row, col = np.nonzero(found > NEGLIGIBLE)
         blocks.append((found[row, col], rows[row], block[col]))
@@ -172,15 +172,22 @@ def _run_to_the_end(step: _Step) -> Rows:
 
 def _cut_off(step: _Step, successor: Rows, late: Mask, max_steps: int) -> Rows:
     """Return F + M**max_steps (I - F) in the late rows, and F in the others."""
+    count = len(late)
+    here = csr_array((np.ones(count), (np.arange(count), step.states)), shape=successor.shape)
+    back, rest = step.on.T.tocsr(), (here - successor).T.tocsr()
     rows = np.flatnonzero(late)
-    still = eye_array(len(late), format='csr')[rows]
-    for _ in range(max_steps):
-        still = still @ step.on
-    count = np.arange(len(late))
-    here = csr_array((np.ones(len(late)), (count, step.states)), shape=successor.shape)
-    change = still @ (here - successor)
-    place = csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), (len(late), len(rows)))
-    corrected = (successor + place @ change).tocsr()
+    parts = []
+    for begin in range(0, len(rows), BLOCK):
+        block = rows[begin : begin + BLOCK]
+        still = np.zeros((count, len(block)))  # columns of the transposed M**k
+        still[block, np.arange(len(block))] = 1.0
+        for _ in range(max_steps):
+            still = back @ still
+        change = rest @ still
+        col, row = np.nonzero(np.abs(change) > NEGLIGIBLE)
+        parts.append((change[col, row], block[row], col))
+    data, row, col = (np.concatenate(part) for part in zip(*parts))
+    corrected = (successor + csr_array((data, (row, col)), shape=successor.shape)).tocsr()
     corrected.data[corrected.data < NEGLIGIBLE] = 0.0  # differences that are rounding
     corrected.eliminate_zeros()
     return corrected
