@@ -11,6 +11,7 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.criteria import (
     Criterion,
+    FEWEST,
     fold_of,
     INITIATION,
     judge,
@@ -84,12 +85,12 @@ def test_a_held_out_demonstration_is_not_learned_from(person: Callable[..., Any]
 
 
 def test_coming_to_another_end_counts_as_not_coming_to_the_end(person: Callable[..., Any]) -> None:
-    """Three deliver to R, one to Y; without it the policy lets the passenger out at R for Y."""
+    """Nine deliver to R, one to Y; without it the policy lets the passenger out at R for Y."""
     bob = person('go to destination and dropoff')
-    shown = [bob.show(TaxiState(1, 0, 4, destination)) for destination in (0, 0, 0, 2)]
-    assert [demo.total_reward for demo in shown] == [0, 0, 0, -2]
+    shown = [bob.show(TaxiState(1, 0, 4, destination)) for destination in [0] * 9 + [2]]
+    assert [demo.total_reward for demo in shown] == [0] * 9 + [-2]
     value = judge(shown, TAXI, Thresholds(), 0).criteria[0].value
-    assert value == pytest.approx((8 - 2) / 4)  # twice the 4 steps at -1, though it ended after 2
+    assert value == pytest.approx((8 - 2) / 10)  # twice the 4 steps at -1, though it ended after 2
 
 
 def test_a_domain_that_cannot_be_enumerated_is_judged_alike(
@@ -124,7 +125,7 @@ def test_not_here_answers_leave_every_fold_something_to_learn_from(
 ) -> None:
     ann = person()
     refused = [ann.show(ABOARD) for _ in range(12)]
-    assert values([*refused, *ann.show_random(3)])[INITIATION] is not None
+    assert values([*refused, *ann.show_random(FEWEST)])[INITIATION] is not None
 
 
 def test_thresholds_decide_what_is_met(fetching: Shown) -> None:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FOLDS = 10
-FEWEST = 3  # trajectories without which nothing is measurable
+FEWEST = FOLDS  # trajectories without which nothing is measurable
 CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstration
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 
