@@ -214,7 +214,7 @@ class PlannerNode(NodeBase):
         if not request.evaluation_episodes:
             return None
         starts = episode_starts(plan.domain, request.seed, request.evaluation_episodes)
-        return play(plan, starts)
+        return play(plan, starts, seed=request.seed)
 
     async def _execute_policy(self, handle: ServerGoalHandle) -> RunPolicy.Result:
         result = await self._act(handle)

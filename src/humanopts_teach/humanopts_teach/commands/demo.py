@@ -7,6 +7,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
+from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
@@ -15,7 +16,7 @@ from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.commands.progress import DemoProgress
 from humanopts_teach.commands.session import check_setup, Session, session
-from humanopts_teach.commands.setup import new_name, setup_from
+from humanopts_teach.commands.setup import new_name, parameters_from, setup_from
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag, EvaluationError
 from humanopts_teach.evaluation.options_block import differences, option_block, OptionBlock
 from humanopts_teach.evaluation.planning import PlanningRow, row_of_result
@@ -51,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     setup = setup_from(
         arguments,
         Path('runs') / new_name('demo'),
-        taught=_taught_options(arguments.domain),
+        taught=_taught_options(arguments),
         teacher_error_rate=arguments.error_rate,
     )
     check_setup(setup, new=True)
@@ -81,13 +82,19 @@ def _evaluate(setup: Setup, progress: DemoProgress) -> tuple[Bag, BagEvaluation]
         raise LaunchError(f'the recording cannot be evaluated: {error}') from error
 
 
-def _taught_options(domain: str) -> tuple[str, ...]:
+def _taught_options(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """Return what the simulated teacher teaches: all that it knows, where nothing else is said."""
     try:
-        return TAUGHT[domain]
-    except KeyError:
+        domain = make_domain(arguments.domain, parameters_from(arguments))
+        known = tuple(reference_options(domain))
+    except DomainError as error:
+        raise CommandError(str(error)) from error
+    if not known:
         raise CommandError(
-            f'there is no demo for {domain!r}, only for {", ".join(sorted(TAUGHT))}'
-        ) from None
+            f'{arguments.domain} has no reference options, which the simulated teacher needs; '
+            f'teach it yourself: humanopts teach {arguments.domain}'
+        )
+    return TAUGHT.get(arguments.domain, known)
 
 
 def _teach_plan_play(
@@ -148,8 +155,6 @@ def _problems(setup: Setup, summary: Summary, topics: Sequence[TopicRow]) -> lis
     undelivered = summary.execution.episodes - summary.execution.successes
     if undelivered:
         found.append(f'{undelivered} episodes ended with the task not done')
-    if summary.execution.fallbacks:
-        found.append(f'no option was available {summary.execution.fallbacks} times')
     return found
 
 

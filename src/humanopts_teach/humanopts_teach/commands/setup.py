@@ -29,13 +29,22 @@ def setup_from(arguments: argparse.Namespace, default_out: Path, **own: Any) -> 
     return Setup(
         domain=arguments.domain,
         directory=Path(os.path.abspath(arguments.out or default_out)),
-        domain_parameters=dict(_parameter(text) for text in arguments.parameter),
+        domain_parameters=parameters_from(arguments),
         seed=arguments.seed,
         strategy=arguments.strategy,
         budget=arguments.budget,
         step_period=arguments.step_period,
         **own,
     )
+
+
+def parameters_from(arguments: argparse.Namespace) -> dict[str, Parameter]:
+    """
+    Return the domain's parameters.
+
+    :raises CommandError: one is not NAME=VALUE.
+    """
+    return dict(_parameter(text) for text in arguments.parameter)
 
 
 def new_name(prefix: str) -> str:

@@ -229,5 +229,5 @@ def _plans(
         except PlanError as error:
             refused.append(f'no plan with {action_set} actions: {error}')
             continue
-        plans.append(PlanEvaluation(person, plan, row_of_plan(plan, starts)))
+        plans.append(PlanEvaluation(person, plan, row_of_plan(plan, starts, settings.seed)))
     return plans, refused

@@ -61,13 +61,14 @@ def row_of_result(result: PlanNumbers) -> PlanningRow:
     )
 
 
-def row_of_plan(plan: Plan, starts: NDArray[np.integer]) -> PlanningRow:
+def row_of_plan(plan: Plan, starts: NDArray[np.integer], seed: int) -> PlanningRow:
     """
     Return the row of a plan, played from start states.
 
     :param starts: (E,) state indices; none: the returns are not measured.
+    :param seed: of the chance in the game.
     """
-    returns = play(plan, starts) if len(starts) else None
+    returns = play(plan, starts, seed=seed) if len(starts) else None
     return PlanningRow(
         action_set=plan.action_set,
         gamma=plan.gamma,
