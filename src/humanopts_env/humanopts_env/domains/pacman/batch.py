@@ -25,7 +25,13 @@ from humanopts_env.domains.pacman.rules import (
     PILL_POINTS,
     Rules,
 )
-from humanopts_env.domains.pacman.state import FRUIT_STEPS, Ghost, PacManState, SCARED_STEPS
+from humanopts_env.domains.pacman.state import (
+    FRUIT_STEPS,
+    Ghost,
+    NO_CELL,
+    PacManState,
+    SCARED_STEPS,
+)
 from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +91,7 @@ class PacManBatch:
     :ivar pills_taken: (N, P + 1).
     :ivar food_left: (N,) how many.
     :ivar fruit: (N,) steps that it is still there.
+    :ivar fruit_at: (N,) its cell; means nothing where there is none.
     :ivar lives: (N,).
     :ivar score: (N,) points.
     :ivar ate: (N,) masks of what the last step ate.
@@ -98,6 +105,7 @@ class PacManBatch:
     pills_taken: Taken
     food_left: Ints
     fruit: Ints
+    fruit_at: Ints
     lives: Ints
     score: Ints
     ate: Ints
@@ -122,6 +130,7 @@ class PacManBatch:
             setattr(self, name, taken)
         self.food_left = np.full(count, len(maze.food), dtype=np.intp)
         self.fruit = np.zeros(count, dtype=np.intp)
+        self.fruit_at = np.full(count, NO_CELL, dtype=np.intp)
         self.lives = np.full(count, rules.lives, dtype=np.intp)
         self.score = np.zeros(count, dtype=np.intp)
         self.ate = np.zeros(count, dtype=np.intp)
@@ -130,7 +139,7 @@ class PacManBatch:
     def from_states(cls, rules: Rules, states: Sequence[PacManState]) -> 'PacManBatch':
         """Return games that stand at given states."""
         batch = cls(rules, len(states))
-        for name in ('pacman', 'fruit', 'lives', 'score', 'ate'):
+        for name in ('pacman', 'fruit', 'fruit_at', 'lives', 'score', 'ate'):
             getattr(batch, name)[:] = [getattr(state, name) for state in states]
         for g in range(len(rules.maze.homes)):
             batch.ghosts[g] = [state.ghosts[g].cell for state in states]
@@ -154,7 +163,8 @@ class PacManBatch:
     def states(self) -> list[PacManState]:
         """Return the state of every game."""
         ghosts = np.stack((self.ghosts, self.headings, self.scared), axis=2).swapaxes(0, 1)
-        parts = (self.fruit, self.lives, self.score, self.ate)
+        fruit_at = np.where(self.fruit > 0, self.fruit_at, NO_CELL)
+        parts = (self.fruit, fruit_at, self.lives, self.score, self.ate)
         return [
             PacManState(pacman, tuple(Ghost(*ghost) for ghost in row), food, pills, *rest)
             for pacman, row, food, pills, rest in zip(
@@ -199,29 +209,28 @@ class PacManBatch:
         :param draws: (G, N) from ``draws``.
         :return: (N,) points earned.
         """
-        before, lives = self.score.copy(), self.lives.copy()
-        live = ~self.over
-        fruit_there = self.fruit > 0
-        self.pacman = self.tables.step[self.pacman * 5 + np.where(live, moves, STAY)]
-        self.fruit -= fruit_there & live
+        live, before = ~self.over, self.score.copy()
+        pacman, ghosts = self.pacman, self.ghosts
+        self.pacman = self.tables.step[pacman * 5 + np.where(live, moves, STAY)]
+        self._move_ghosts(pacman, live, draws)
         self.ate *= ~live
-        self._meet(live)
-        going = live & (self.lives == lives)
-        self._eat(going, fruit_there)
-        going &= self.food_left > 0
-        self._move_ghosts(going, draws)
-        self._meet(going)
+        self._eat(live)
+        met: Flags = self.ghosts == self.pacman
+        met |= (self.ghosts == pacman) & (ghosts == self.pacman)
+        met &= live
+        self._meet(met)
+        self.scared -= (self.scared > 0) & live
+        self.fruit -= (self.fruit > 0) & live
         return self.score - before
 
-    def _meet(self, live: Flags) -> None:
-        """Eat scared ghosts where Pac-Man is; take a life where a dangerous one is."""
-        met = (self.ghosts == self.pacman) & live
-        games = met.any(axis=0).nonzero()[0]
+    def _meet(self, met: Flags) -> None:
+        """Eat scared ghosts among those that Pac-Man meets (G, N); take lives for others."""
+        games = np.flatnonzero(met.any(axis=0))
         if not games.size:
             return
         met = met[:, games]
         prey = met & (self.scared[:, games] > 0)
-        caught = (met & ~prey).any(axis=0)
+        caught = (met & ~prey).any(axis=0) & (self.food_left[games] > 0)
         eaten = prey.sum(axis=0)
         self.score[games] += GHOST_POINTS * eaten
         self.ate[games] |= np.where(eaten, ATE_GHOST, 0)
@@ -237,56 +246,62 @@ class PacManBatch:
         self.headings[ghost, games[at]] = STAY
         self.scared[ghost, games[at]] = 0
 
-    def _eat(self, going: Flags, fruit_there: Flags) -> None:
-        """Eat what is in Pac-Man's cell, where he goes on."""
-        self._eat_fruit(
-            (going & fruit_there & (self.pacman == self.rules.maze.fruit)).nonzero()[0]
-        )
-        fed = self._take(self.food_taken, self.tables.food_at, going)
+    def _eat(self, live: Flags) -> None:
+        """Eat what is in Pac-Man's cell."""
+        at_fruit: Flags = (self.pacman == self.fruit_at) & (self.fruit > 0) & live
+        self._eat_fruit(at_fruit.nonzero()[0])
+        fed = self._take(self.food_taken, self.tables.food_at, live)
         self.food_left -= fed
         self.score += FOOD_POINTS * fed
         self.ate |= ATE_FOOD * fed
-        count = len(self.rules.maze.food)
         for after in FRUIT_AFTER:
-            self.fruit[fed & (self.food_left == count - after)] = FRUIT_STEPS
-        games = self._take(self.pills_taken, self.tables.pill_at, going).nonzero()[0]
+            left = len(self.rules.maze.food) - after
+            if left > 0:
+                reached: Flags = fed & (self.food_left == left)
+                self._lay_fruit(reached.nonzero()[0])
+        games = self._take(self.pills_taken, self.tables.pill_at, live).nonzero()[0]
         self.score[games] += PILL_POINTS
         self.ate[games] |= ATE_PILL
         self.scared[:, games] = SCARED_STEPS + 1
         self.headings[:, games] = STAY
+
+    def _lay_fruit(self, games: Ints) -> None:
+        """Lay fruit on the food that is left nearest to the middle."""
+        maze = self.rules.maze
+        there = self.food_taken[games][:, maze.from_middle] == 0
+        cells = np.array(maze.food)[list(maze.from_middle)]
+        self.fruit_at[games] = cells[there.argmax(axis=1)]
+        self.fruit[games] = FRUIT_STEPS + 1  # one is counted down in this step
 
     def _eat_fruit(self, games: Ints) -> None:
         self.fruit[games] = 0
         self.score[games] += FRUIT_POINTS
         self.ate[games] |= ATE_FRUIT
 
-    def _take(self, taken: Taken, number_at: Ints, going: Flags) -> Flags:
+    def _take(self, taken: Taken, number_at: Ints, live: Flags) -> Flags:
         """Take what is in Pac-Man's cell, and tell where something was."""
         width = taken.shape[1]
         place = number_at[self.pacman]
         place += np.arange(0, taken.size, width)
         flat = taken.reshape(-1)
-        found: Flags = (flat[place] == 0) & going
+        found: Flags = (flat[place] == 0) & live
         flat[place[found]] = self.rules.paths.far
         return found
 
-    def _move_ghosts(self, going: Flags, draws: NDArray[np.integer]) -> None:
-        """Move ghosts where the game goes on, and count their fear down."""
-        tables, pacman = self.tables, self.pacman
+    def _move_ghosts(self, pacman: Ints, live: Flags, draws: NDArray[np.integer]) -> None:
+        """Move ghosts by where Pac-Man was."""
+        tables, count = self.tables, len(self.rules.maze.cells)
         where = self.ghosts * 5 + self.headings
         masks = tables.allowed[where]
         if self.rules.chase_draws:
             ghost, game = (draws < self.rules.chase_draws).nonzero()
-            at = where[ghost, game] * len(self.rules.maze.cells) + pacman[game]
-            masks[ghost, game] = tables.towards[at]
+            masks[ghost, game] = tables.towards[where[ghost, game] * count + pacman[game]]
         ghost, game = self.scared.nonzero()
-        at = where[ghost, game] * len(self.rules.maze.cells) + pacman[game]
-        masks[ghost, game] = tables.away[at]
+        masks[ghost, game] = tables.away[where[ghost, game] * count + pacman[game]]
         move = tables.picks[masks * np.intp(DRAWS) + draws]
-        moving = going & (self.scared & 1 == 0)
+        moving = live & (self.scared & 1 == 0)
         np.copyto(self.headings, move, where=moving)
         self.ghosts = tables.step[self.ghosts * 5 + np.where(moving, move, STAY)]
-        self.scared -= (self.scared > 0) & going
 
 
 def _set_bits(taken: Taken, masks: Sequence[int], far: int) -> None:

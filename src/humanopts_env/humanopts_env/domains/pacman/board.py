@@ -35,7 +35,7 @@ def draw_state(maze: Maze, state: PacManState, lives: int) -> str:
         glyph = (SCARED if ghost.scared else GHOSTS)[number]
         things.append((glyph, f'ghost {number + 1}', maze.cells[ghost.cell]))
     if state.fruit:
-        things.append((FRUIT, 'fruit', maze.cells[maze.fruit]))
+        things.append((FRUIT, 'fruit', maze.cells[state.fruit_at]))
     for glyph, name, cells, mask in (
         (FOOD, 'food', maze.food, state.food),
         (PILL, 'power pill', maze.pills, state.pills),

@@ -39,7 +39,7 @@ class Maze:
     homes: tuple[int, ...] = field(compare=False)  # of the ghosts
     food: tuple[int, ...] = field(compare=False)
     pills: tuple[int, ...] = field(compare=False)
-    fruit: int = field(compare=False)  # where fruit appears: the food nearest to the middle
+    from_middle: tuple[int, ...] = field(compare=False)  # indices of food, the nearest first
 
 
 def maze_names() -> list[str]:
@@ -101,8 +101,10 @@ def parse_maze(text: str) -> Maze:
     def all_of(characters: str) -> tuple[int, ...]:
         return tuple(number[cell] for cell in cells if found[cell] in characters)
 
+    food = all_of(FOOD)
+
     def from_middle(index: int) -> int:
-        row, col = cells[index]
+        row, col = cells[food[index]]
         return (2 * row - rows + 1) ** 2 + (2 * col - cols + 1) ** 2
 
     ghosts = sorted(
@@ -115,9 +117,9 @@ def parse_maze(text: str) -> Maze:
         cells=cells,
         start=number[pacmen[0]],
         homes=tuple(ghosts),
-        food=all_of(FOOD),
+        food=food,
         pills=all_of(PILL),
-        fruit=min(all_of(FOOD), key=from_middle),
+        from_middle=tuple(sorted(range(len(food)), key=from_middle)),
     )
 
 

@@ -3,16 +3,16 @@ Pac-Man's rules, one game at a time; ``batch`` plays many at once by the same ru
 
 A step, in this order:
 
-1. Pac-Man moves; into a wall he stays. He meets the ghosts in his cell.
-2. Unless that cost a life, he eats what is in his cell. With the last food the game is won.
-3. Ghosts move: dangerous ones at every step, scared ones when the steps that are left to them are
-   even. They meet Pac-Man if they come to his cell. Since he moves first, nobody slips past.
+1. Pac-Man and the ghosts move at once; ghosts go by where he was. A move into a wall goes nowhere.
+2. Pac-Man eats what is in his cell.
+3. He meets the ghosts that are now in his cell, or have changed places with him. He eats the
+   scared ones; they are home at once, and dangerous. A dangerous one costs him a life, unless the
+   last food was just eaten: everyone goes back to where the maze put them; the rest stays.
+4. Fear and fruit are one step nearer to their end.
 
-Meeting a scared ghost eats it: it is home at once, and dangerous. Meeting a dangerous one costs a
-life, and everyone goes back to where the maze put them; food, pills and fruit stay.
-
-A pill scares all ghosts: they hold still for the step in which it is eaten, may then turn, and
-move away from Pac-Man for 40 steps. Fruit is there for 60 steps after the 30th and the 65th food.
+A pill scares all ghosts for 40 steps. They may turn back once, then move away from Pac-Man, at
+half speed: while the steps that are left to them are even. After the 30th and the 65th food, fruit
+is for 60 steps where food is left that is nearest to the middle.
 
 All chance is in one draw for each ghost and step, a whole number below DRAWS, whether it moves or
 not. A chasing ghost goes a shortest way towards Pac-Man with draws below CHASE_DRAWS, else as a
@@ -26,7 +26,13 @@ from itertools import product
 
 from humanopts_env.domains.pacman.maze import Maze
 from humanopts_env.domains.pacman.paths import HAS_MOVE, maze_paths, Paths, STAY
-from humanopts_env.domains.pacman.state import FRUIT_STEPS, Ghost, PacManState, SCARED_STEPS
+from humanopts_env.domains.pacman.state import (
+    FRUIT_STEPS,
+    Ghost,
+    NO_CELL,
+    PacManState,
+    SCARED_STEPS,
+)
 from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +85,7 @@ class Rules:
             food=(1 << len(maze.food)) - 1,
             pills=(1 << len(maze.pills)) - 1,
             fruit=0,
+            fruit_at=NO_CELL,
             lives=self.lives,
             score=0,
             ate=0,
@@ -94,82 +101,77 @@ class Rules:
 
         :param draws: (G,) one number below DRAWS for each ghost.
         """
-        fed, done = self._move_pacman(state, move)
-        return fed if done else self._move_ghosts(fed, draws)
+        pacman = int(self.paths.step[state.pacman, move])
+        moved = map(self._move, state.ghosts, [state.pacman] * len(draws), draws)
+        fed = replace(state, pacman=pacman, ghosts=tuple(moved), ate=0)
+        for eat in (self._eat_fruit, self._eat_food, self._eat_pill):
+            fed = eat(fed)
+        met, caught = self._meet(state, fed)
+        return self._lose(met) if caught and met.food else _count_down(met)
 
     def can_follow(self, state: PacManState, move: int, successor: PacManState) -> bool:
         """Tell whether some draws lead from a state that is not over to another."""
-        fed, done = self._move_pacman(state, move)
-        if done:
-            return fed == successor
         choices = [
-            {self._move(ghost, fed.pacman, draw): draw for draw in range(DRAWS)}.values()
-            for ghost in fed.ghosts
+            {self._move(ghost, state.pacman, draw): draw for draw in range(DRAWS)}.values()
+            for ghost in state.ghosts
         ]
-        return any(self._move_ghosts(fed, draws) == successor for draws in product(*choices))
+        return any(self.advance(state, move, draws) == successor for draws in product(*choices))
 
-    def _move_pacman(self, state: PacManState, move: int) -> tuple[PacManState, bool]:
-        """Do parts 1 and 2 of a step, and tell whether it is done with that."""
-        pacman = int(self.paths.step[state.pacman, move])
-        moved = replace(state, pacman=pacman, fruit=max(state.fruit - 1, 0), ate=0)
-        met, caught = self._meet(moved)
-        if caught:
-            return self._lose(met), True
-        fed = self._eat(met, fruit_here=state.fruit > 0 and pacman == self.maze.fruit)
-        return fed, not fed.food
-
-    def _move_ghosts(self, state: PacManState, draws: Sequence[int]) -> PacManState:
-        """Do part 3 of a step."""
-        pacman = [state.pacman] * len(draws)
-        moved = replace(state, ghosts=tuple(map(self._move, state.ghosts, pacman, draws)))
-        met, caught = self._meet(moved)
-        return self._lose(met) if caught else met
-
-    def _meet(self, state: PacManState) -> tuple[PacManState, bool]:
-        """Eat the scared ghosts in Pac-Man's cell, and tell whether a dangerous one is there."""
-        here = [ghost.cell == state.pacman for ghost in state.ghosts]
+    def _meet(self, before: PacManState, state: PacManState) -> tuple[PacManState, bool]:
+        """Eat the scared ghosts that Pac-Man meets, and tell whether he meets a dangerous one."""
+        here = [
+            ghost.cell == state.pacman
+            or (ghost.cell == before.pacman and was.cell == state.pacman)
+            for was, ghost in zip(before.ghosts, state.ghosts)
+        ]
         prey = [met and ghost.scared > 0 for met, ghost in zip(here, state.ghosts)]
-        caught = any(met and not eaten for met, eaten in zip(here, prey))
-        if not any(prey):
-            return state, caught
         ghosts = tuple(
             Ghost(home) if eaten else ghost
             for eaten, ghost, home in zip(prey, state.ghosts, self.maze.homes)
         )
         score = state.score + GHOST_POINTS * sum(prey)
-        return replace(state, ghosts=ghosts, score=score, ate=state.ate | ATE_GHOST), caught
+        ate = state.ate | (ATE_GHOST if any(prey) else 0)
+        return replace(state, ghosts=ghosts, score=score, ate=ate), here != prey
 
     def _lose(self, state: PacManState) -> PacManState:
         """Take a life, and put everyone back."""
         ghosts = tuple(Ghost(home) for home in self.maze.homes)
-        return replace(state, pacman=self.maze.start, ghosts=ghosts, lives=state.lives - 1)
+        lost = replace(state, pacman=self.maze.start, ghosts=ghosts, lives=state.lives - 1)
+        return _count_down(lost)
 
-    def _eat(self, state: PacManState, *, fruit_here: bool) -> PacManState:
-        """Eat what is in Pac-Man's cell."""
+    def _eat_fruit(self, state: PacManState) -> PacManState:
+        if state.pacman != state.fruit_at:
+            return state
+        score, ate = state.score + FRUIT_POINTS, state.ate | ATE_FRUIT
+        return replace(state, fruit=0, fruit_at=NO_CELL, score=score, ate=ate)
+
+    def _eat_food(self, state: PacManState) -> PacManState:
         maze = self.maze
-        food, pills, fruit, ghosts = state.food, state.pills, state.fruit, state.ghosts
-        score, ate = state.score, state.ate
-        if fruit_here:
-            fruit, score, ate = 0, score + FRUIT_POINTS, ate | ATE_FRUIT
-        food &= ~_bit(maze.food, state.pacman)
-        if food != state.food:
-            score, ate = score + FOOD_POINTS, ate | ATE_FOOD
-            if len(maze.food) - food.bit_count() in FRUIT_AFTER:
-                fruit = FRUIT_STEPS
-        pills &= ~_bit(maze.pills, state.pacman)
-        if pills != state.pills:
-            score, ate = score + PILL_POINTS, ate | ATE_PILL
-            ghosts = tuple(Ghost(ghost.cell, STAY, SCARED_STEPS + 1) for ghost in ghosts)
+        food = state.food & ~_bit(maze.food, state.pacman)
+        if food == state.food:
+            return state
+        score, ate = state.score + FOOD_POINTS, state.ate | ATE_FOOD
+        fed = replace(state, food=food, score=score, ate=ate)
+        if not food or len(maze.food) - food.bit_count() not in FRUIT_AFTER:
+            return fed
+        middle = next(k for k in maze.from_middle if food >> k & 1)
         return replace(
-            state, food=food, pills=pills, fruit=fruit, ghosts=ghosts, score=score, ate=ate
-        )
+            fed, fruit=FRUIT_STEPS + 1, fruit_at=maze.food[middle]
+        )  # one is counted now
+
+    def _eat_pill(self, state: PacManState) -> PacManState:
+        pills = state.pills & ~_bit(self.maze.pills, state.pacman)
+        if pills == state.pills:
+            return state
+        score, ate = state.score + PILL_POINTS, state.ate | ATE_PILL
+        ghosts = tuple(Ghost(ghost.cell, STAY, SCARED_STEPS + 1) for ghost in state.ghosts)
+        return replace(state, pills=pills, ghosts=ghosts, score=score, ate=ate)
 
     def _move(self, ghost: Ghost, pacman: int, draw: int) -> Ghost:
-        """Move one ghost, or let it hold still, and count its fear down."""
-        scared = max(ghost.scared - 1, 0)
-        if ghost.scared % 2:
-            return replace(ghost, scared=scared)
+        """Move one ghost, or let it hold still."""
         where = (ghost.cell, ghost.heading)
+        if ghost.scared % 2:
+            return ghost
         if ghost.scared:
             mask = self.paths.away[(*where, pacman)]
         elif draw < self.chase_draws:
@@ -177,7 +179,16 @@ class Rules:
         else:
             mask = self.paths.allowed[where]
         move = int(PICKS[mask, draw])
-        return Ghost(int(self.paths.step[ghost.cell, move]), move, scared)
+        return replace(ghost, cell=int(self.paths.step[ghost.cell, move]), heading=move)
+
+
+def _count_down(state: PacManState) -> PacManState:
+    """Bring fear and fruit one step nearer to their end."""
+    ghosts = tuple(replace(ghost, scared=max(ghost.scared - 1, 0)) for ghost in state.ghosts)
+    fruit = max(state.fruit - 1, 0)
+    return replace(
+        state, ghosts=ghosts, fruit=fruit, fruit_at=state.fruit_at if fruit else NO_CELL
+    )
 
 
 def _bit(cells: tuple[int, ...], cell: int) -> int:

@@ -11,11 +11,13 @@ SCARED_STEPS = 40
 FRUIT_STEPS = 60
 EATEN = ('food', 'power pill', 'fruit', 'ghost')  # bits of ``PacManState.ate``
 HEADINGS = (*MOVES, 'none')
+NO_CELL = -1
 MOST_POINTS = 10**9  # of a state that is read
 _GHOST = re.compile(rf'ghost (\d+),(\d+) heading ({"|".join(HEADINGS)}) scared (\d+)')
 _STATE = re.compile(
     r'pacman (\d+),(\d+)((?: ghost \S+ heading \S+ scared \d+)*) food ([0-9a-f]+) '
-    r'pills ([01]+|none) fruit (\d+) lives (\d+) score (\d+) ate (nothing|[a-z+-]+)',
+    r'pills ([01]+|none) fruit (none|\d+,\d+ for \d+) lives (\d+) score (\d+) '
+    r'ate (nothing|[a-z+-]+)',
     re.ASCII,
 )
 
@@ -38,6 +40,7 @@ class PacManState:
     food: int  # bit k: food k is there
     pills: int  # bit k: pill k is there
     fruit: int  # steps that it is there still; 0: there is none
+    fruit_at: int  # its cell; NO_CELL: there is none
     lives: int
     score: int  # points earned
     ate: int  # bit k: the last step ate EATEN[k]
@@ -51,11 +54,12 @@ def encode(maze: Maze, state: PacManState) -> str:
         for ghost in state.ghosts
     )
     pills = f'{state.pills:0{len(maze.pills)}b}' if maze.pills else 'none'
+    fruit = f'{_place(maze, state.fruit_at)} for {state.fruit}' if state.fruit else 'none'
     ate = '+'.join(name.replace(' ', '-') for name in eaten_names(state.ate)) or 'nothing'
     return (
         f'pacman {_place(maze, state.pacman)}{ghosts} '
         f'food {state.food:0{_digits(maze)}x} pills {pills} '
-        f'fruit {state.fruit} lives {state.lives} score {state.score} ate {ate}'
+        f'fruit {fruit} lives {state.lives} score {state.score} ate {ate}'
     )
 
 
@@ -70,9 +74,10 @@ def decode(maze: Maze, lives: int, text: str) -> PacManState:
     if match is None or len(text) > 2000:
         raise StateError(
             f'{text[:200]!r} is not a Pac-Man state; one reads "pacman 8,8 ghost 4,8 heading none '
-            'scared 0 ... food 3f pills 11 fruit 0 lives 3 score 0 ate nothing"'
+            'scared 0 ... food 3f pills 11 fruit none lives 3 score 0 ate nothing"'
         )
     row, col, ghosts, food, pills, fruit, life, score, ate = match.groups()
+    place, _, steps = ('', '', '0') if fruit == 'none' else fruit.partition(' for ')
     state = PacManState(
         pacman=_cell(maze, row, col),
         ghosts=tuple(
@@ -81,7 +86,8 @@ def decode(maze: Maze, lives: int, text: str) -> PacManState:
         ),
         food=int(food, 16),
         pills=0 if pills == 'none' else int(pills, 2),
-        fruit=int(fruit),
+        fruit=int(steps),
+        fruit_at=_cell(maze, *place.split(',')) if place else NO_CELL,
         lives=int(life),
         score=int(score),
         ate=sum(1 << k for k, e in enumerate(EATEN) if e.replace(' ', '-') in ate.split('+')),

@@ -1,0 +1,137 @@
+"""
+The Pac-Man buttons that people named, as exact options.
+
+Subramanian, Isbell and Thomaz (2011), table 1. They are judged for many games at once; one state
+is a batch of one. Where the game is over, none can start and all have ended.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import cast
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.pacman.batch import Flags, PacManBatch
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.pacman.paths import HAS_MOVE
+from humanopts_env.domains.pacman.rules import ATE_FOOD, ATE_GHOST, ATE_PILL, Rules
+from humanopts_env.domains.pacman.state import PacManState
+from humanopts_env.domains.pacman.surroundings import look_around, Surroundings
+import numpy as np
+
+CLOSEST_FOOD = 'go to the closest food'
+AVOID_GHOST = 'avoid ghost'
+NEAREST_PILL = 'go to the nearest power pellet'
+EAT_GHOST = 'eat the ghost'
+DANGER = 6  # a dangerous ghost is avoided from so many steps away on
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What an option says of N states."""
+
+    initiation: Flags  # (N,)
+    termination: Flags  # (N,)
+    optimal: Flags  # (N, 4) False outside the initiation set
+
+
+def _flight(batch: PacManBatch) -> Flags:
+    """Return (N, 4): the legal moves to where the nearest dangerous ghost is farthest."""
+    paths = batch.rules.paths
+    after = paths.step[batch.pacman, :4]  # (N, 4)
+    steps = paths.distance[batch.ghosts[:, :, None], after].astype(np.intp)  # (G, N, 4)
+    steps = np.where(batch.scared[:, :, None] > 0, paths.far, steps)
+    least = steps.min(axis=0, initial=paths.far)
+    least = np.where(HAS_MOVE[paths.legal[batch.pacman]], least, -1)
+    best: Flags = least == least.max(axis=1, keepdims=True)
+    return best
+
+
+def _closest_food(batch: PacManBatch, seen: Surroundings) -> Judgement:
+    return _judge(batch, seen.food < seen.far, ATE_FOOD, HAS_MOVE[seen.to_food])
+
+
+def _avoid_ghost(batch: PacManBatch, seen: Surroundings) -> Judgement:
+    return _judge(batch, seen.danger <= DANGER, 0, _flight(batch))
+
+
+def _nearest_pill(batch: PacManBatch, seen: Surroundings) -> Judgement:
+    return _judge(batch, seen.pill < seen.far, ATE_PILL, HAS_MOVE[seen.to_pill])
+
+
+def _eat_ghost(batch: PacManBatch, seen: Surroundings) -> Judgement:
+    return _judge(batch, seen.prey < seen.far, ATE_GHOST, HAS_MOVE[seen.to_prey])
+
+
+def _judge(batch: PacManBatch, can_start: Flags, meal: int, best: Flags) -> Judgement:
+    """Say of an option that it ends where it cannot start, and where its meal was eaten."""
+    initiation = can_start & ~batch.over
+    return Judgement(initiation, ~initiation | (batch.ate & meal > 0), best & initiation[:, None])
+
+
+Judge = Callable[[PacManBatch, Surroundings], Judgement]
+
+
+@dataclass(frozen=True, eq=False)
+class PacManOption:
+    """A ``ReferenceOption`` of Pac-Man."""
+
+    rules: Rules
+    name: str
+    features: tuple[str, ...]
+    definition: str
+    judge: Judge  # of many games at once
+
+    def can_start(self, state: PacManState) -> bool:
+        """Tell whether the state is in the initiation set."""
+        return bool(self._of(state).initiation[0])
+
+    def ends(self, state: PacManState) -> bool:
+        """Tell whether the termination condition holds."""
+        return bool(self._of(state).termination[0])
+
+    def optimal_actions(self, state: PacManState) -> tuple[int, ...]:
+        """Return every best action; empty outside the initiation set."""
+        return tuple(np.flatnonzero(self._of(state).optimal[0]).tolist())
+
+    def _of(self, state: PacManState) -> Judgement:
+        batch = PacManBatch.from_states(self.rules, [state])
+        return self.judge(batch, look_around(batch))
+
+
+def reference_options(domain: Domain[PacManState]) -> Mapping[str, PacManOption]:
+    """Return every Pac-Man button of the paper's table 1 by name."""
+    rules = cast(PacMan, domain).rules
+    options = [
+        PacManOption(
+            rules,
+            CLOSEST_FOOD,
+            ('food_direction', 'ate'),
+            'Starts anywhere; goes a shortest way to a nearest food; ends when food was eaten.',
+            _closest_food,
+        ),
+        PacManOption(
+            rules,
+            AVOID_GHOST,
+            ('danger_direction', 'danger_distance', 'legal_moves'),
+            f'Starts where a dangerous ghost is at most {DANGER} steps away; goes where the '
+            'nearest one is then farthest; ends when none is so near any more.',
+            _avoid_ghost,
+        ),
+        PacManOption(
+            rules,
+            NEAREST_PILL,
+            ('pill_direction', 'ate'),
+            'Starts where a power pill is left; goes a shortest way to a nearest one; ends when '
+            'one was eaten.',
+            _nearest_pill,
+        ),
+        PacManOption(
+            rules,
+            EAT_GHOST,
+            ('prey_direction', 'ate'),
+            'Starts where a ghost is scared; goes a shortest way to where a nearest such one is; '
+            'ends when one was eaten, or when none is scared any more.',
+            _eat_ghost,
+        ),
+    ]
+    return {option.name: option for option in options}
