@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points, EntryPoint
+import inspect
 import json
 from typing import Any, cast
 
@@ -36,7 +37,10 @@ def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) ->
     except DomainError:
         raise
     except TypeError as error:
-        raise DomainError(f'{name} does not take these parameters: {error}') from error
+        known = ', '.join(inspect.signature(factory).parameters) or 'none'
+        raise DomainError(
+            f'{name} does not take the parameters {parameters}; it takes {known}'
+        ) from error
     except Exception as error:  # whatever a plug-in raises
         raise DomainError(f'{name} cannot be made: {_said(error)}') from error
     if not ours:

@@ -211,6 +211,8 @@ def result_text(result: Any, i_drive: bool) -> tuple[bool, str]:
         return True, f'You took over{what}.'
     if status == kind.STATUS_CANCELED:
         return True, f'Stopped{what}.'
+    if status == getattr(kind, 'STATUS_NOT_AVAILABLE', None):
+        return False, f'{result.detail}. A new start may suit it.'
     if status not in well:
         return False, f'{result.detail}.'
     if isinstance(result, OptionResult):
