@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from graph_support.command import DemoRun, run_demo, shown_on_disk
+from graph_support.command import DemoRun, run_demo, shown_in_bag, shown_on_disk
 from graph_support.rewriting import without
 from humanopts_env.domains.base import action_index
 from humanopts_env.domains.taxi import Taxi
@@ -17,7 +17,6 @@ from humanopts_learner.options.files import option_from_json
 from humanopts_teach.bags.demonstrations import (
     DEMONSTRATION,
     Episode,
-    read_demonstrations,
     read_episodes,
 )
 from humanopts_teach.bags.info import count_loss
@@ -270,7 +269,7 @@ def test_metadata_of_the_bag_counts_what_is_there(demo: DemoRun, bag: Bag) -> No
 
 
 def test_demonstrations_in_the_bag_are_those_on_disk(demo: DemoRun, bag: Bag) -> None:
-    on_disk, in_bag = shown_on_disk(demo.folder), read_demonstrations(bag)
+    on_disk, in_bag = shown_on_disk(demo.folder), shown_in_bag(bag)
     assert in_bag == on_disk
     shown = [d.option_name for d in on_disk if d.kind is Kind.TRAJECTORY]
     for option in demo.summary['options']:
@@ -284,7 +283,7 @@ def test_option_files_load_again_and_are_the_taught_options(demo: DemoRun, bag: 
     assert set(loaded) == set(taught) == {PICKUP, DROPOFF}
     for name, (option, demonstrations) in loaded.items():
         assert list(option.features) == taught[name]['features']
-        assert demonstrations == [d for d in read_demonstrations(bag) if d.option_name == name]
+        assert demonstrations == [d for d in shown_in_bag(bag) if d.option_name == name]
 
 
 def test_offline_numbers_equal_the_live_ones_exactly(demo: DemoRun) -> None:
@@ -315,7 +314,7 @@ def test_bag_info_names_what_is_there(
 def test_a_demonstration_less_changes_the_offline_numbers(
     demo: DemoRun, bag: Bag, tmp_path: Path, option: str
 ) -> None:
-    shown = [d for d in read_demonstrations(bag) if d.option_name == option]
+    shown = [d for d in shown_in_bag(bag) if d.option_name == option]
     last = [d for d in shown if d.kind is Kind.TRAJECTORY][-1]
     cut = without(demo.bag, tmp_path / 'cut.mcap', DEMONSTRATION, lambda m: m.uuid == last.uuid)
     assert open_bag(cut).n_messages == bag.n_messages - 1
@@ -334,7 +333,7 @@ def test_same_seed_teaches_the_same_again(
     again = run_demo(tmp_path, domain_id, '--seed', 1, '--episodes', 1)
     assert (again.status, again.errors) == (0, '')
     assert again.summary['options'] == demo.summary['options']
-    first, second = read_demonstrations(bag), read_demonstrations(open_bag(again.bag))
+    first, second = shown_in_bag(bag), shown_in_bag(open_bag(again.bag))
     assert [(d.uuid, d.states, d.actions) for d in first] == [
         (d.uuid, d.states, d.actions) for d in second
     ]

@@ -7,8 +7,7 @@ import signal
 from signal import SIGINT, SIGKILL, SIGTERM
 import subprocess
 
-from graph_support.command import Command, shown_on_disk
-from humanopts_teach.bags.demonstrations import read_demonstrations
+from graph_support.command import Command, shown_in_bag, shown_on_disk
 from humanopts_teach.bags.reader import Bag, open_bag
 import pytest
 
@@ -65,7 +64,7 @@ def test_a_node_that_ends_while_it_teaches_ends_the_demo(
     check_end(command, f'the node {node} ended (exit status 0) while it was needed')
     bag = bag_of(tmp_path)
     assert bag.damage == ''
-    on_disk, in_bag = shown_on_disk(tmp_path / 'out'), read_demonstrations(bag)
+    on_disk, in_bag = shown_on_disk(tmp_path / 'out'), shown_in_bag(bag)
     assert len(in_bag) >= SHOWN
     assert in_bag == on_disk[: len(in_bag)]
 
@@ -80,7 +79,7 @@ def test_a_node_that_ends_while_it_plays_ends_the_demo(
     check_end(command, node)  # the planner may say itself that it stops
     bag = bag_of(tmp_path)
     assert bag.damage == ''
-    assert read_demonstrations(bag) == shown_on_disk(tmp_path / 'out')
+    assert shown_in_bag(bag) == shown_on_disk(tmp_path / 'out')
 
 
 def test_a_killed_recorder_leaves_what_it_had_written(start: Start, tmp_path: Path) -> None:
@@ -90,7 +89,7 @@ def test_a_killed_recorder_leaves_what_it_had_written(start: Start, tmp_path: Pa
     check_end(command, 'the node recorder ended (by signal SIGKILL) while it was needed')
     bag = bag_of(tmp_path)
     assert 'not closed' in bag.damage or 'cut short' in bag.damage
-    in_bag = read_demonstrations(bag)
+    in_bag = shown_in_bag(bag)
     assert in_bag == shown_on_disk(tmp_path / 'out')[: len(in_bag)]
     assert bag.n_messages > 50
 
@@ -108,7 +107,7 @@ def test_a_demo_that_is_interrupted_stops_everything(
     assert command.running() == {}
     bag = bag_of(tmp_path)
     assert bag.damage == ''
-    assert read_demonstrations(bag) == shown_on_disk(tmp_path / 'out')
+    assert shown_in_bag(bag) == shown_on_disk(tmp_path / 'out')
 
 
 @pytest.fixture
@@ -138,7 +137,7 @@ def test_a_full_disk_ends_the_demo_and_the_bag_stays_readable(
     assert message.startswith('humanopts demo: ')
     assert any(cause in message for cause in CAUSES)
     assert command.running() == {}
-    in_bag = read_demonstrations(bag_of(tmp_path))
+    in_bag = shown_in_bag(bag_of(tmp_path))
     on_disk = shown_on_disk(tmp_path / 'out')
     assert len(in_bag) >= SHOWN
     assert in_bag == on_disk[: len(in_bag)]
@@ -152,4 +151,4 @@ def test_nodes_whose_launcher_was_killed_end_by_themselves(start: Start, tmp_pat
     command.gone(PATIENCE)
     bag = bag_of(tmp_path)
     assert bag.damage == ''
-    assert len(read_demonstrations(bag)) >= SHOWN
+    assert len(shown_in_bag(bag)) >= SHOWN

@@ -13,6 +13,8 @@ import time
 from typing import Any
 
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_teach.bags.demonstrations import read_demonstrations
+from humanopts_teach.bags.reader import Bag
 from humanopts_teach.demos.entries import entry_from_line
 
 
@@ -136,6 +138,11 @@ def run_demo(folder: Path, domain_id: int, *arguments: Any) -> DemoRun:
         )
     finally:
         command.close()
+
+
+def shown_in_bag(bag: Bag) -> list[Demonstration]:
+    """Return the demonstrations in a bag, each once: a learner that comes late gets them again."""
+    return list(dict.fromkeys(read_demonstrations(bag)))
 
 
 def shown_on_disk(folder: Path) -> list[Demonstration]:
