@@ -14,10 +14,12 @@ setup(
     entry_points={
         'console_scripts': ['game = humanopts_env.nodes.game_node:main'],
         'humanopts.domains': [
+            'pacman = humanopts_env.domains.pacman.domain:PacMan',
             'rooms = humanopts_env.domains.rooms:Rooms',
             'taxi = humanopts_env.domains.taxi:Taxi',
         ],
         'humanopts.reference_options': [
+            'pacman = humanopts_env.domains.pacman.reference:reference_options',
             'rooms = humanopts_env.domains.rooms_reference:reference_options',
             'taxi = humanopts_env.domains.taxi_reference:reference_options',
         ],

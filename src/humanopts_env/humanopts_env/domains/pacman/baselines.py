@@ -22,7 +22,7 @@ from humanopts_env.domains.pacman.surroundings import look_around, Surroundings
 from humanopts_env.seeding import generator
 import numpy as np
 
-TOO_NEAR = 4  # steps to a dangerous ghost at which the hand-written rule takes to flight
+TOO_NEAR = 3  # steps to a dangerous ghost at which the hand-written rule takes to flight
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ CLOSEST_FOOD = 'go to the closest food'
 AVOID_GHOST = 'avoid ghost'
 NEAREST_PILL = 'go to the nearest power pellet'
 EAT_GHOST = 'eat the ghost'
-DANGER = 6  # a dangerous ghost is avoided from so many steps away on
+DANGER = 4  # a dangerous ghost is avoided from so many steps away on
 
 
 @dataclass(frozen=True, slots=True)
