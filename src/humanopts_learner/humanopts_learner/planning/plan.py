@@ -36,6 +36,7 @@ __all__ = [
     'Decision',
     'Plan',
     'Progress',
+    'SweepProgress',
     'TabledOption',
     'check_request',
     'make_plan',
@@ -150,7 +151,7 @@ def plan_with_tables(
     began = clock()
     model = build_model(domain, action_set, used, gamma, tell)
     modelled = clock()
-    solution = solve_smdp(model, tol, max_sweeps, _SweepProgress(tell, tol, max_sweeps))
+    solution = solve_smdp(model, tol, max_sweeps, SweepProgress(tell, tol, max_sweeps))
     return Plan(
         domain=domain,
         action_set=action_set,
@@ -186,7 +187,7 @@ def check_request(
     return domain
 
 
-class _SweepProgress:
+class SweepProgress:
     """Turns the residual into a share of the sweeps: its logarithm falls about linearly."""
 
     def __init__(self, tell: Progress, tol: float, max_sweeps: int) -> None:

@@ -1,0 +1,1 @@
+"""Planning from samples, in domains whose states cannot all be listed."""

@@ -1,0 +1,125 @@
+"""Playing a policy in the real game, many games at once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from humanopts_env.seeding import generator
+from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.sampled.columns import Columns
+from humanopts_learner.planning.sampled.games import Flags, Ints, Watcher
+from humanopts_learner.planning.sampled.policies import Policy
+from humanopts_learner.planning.sampled.runs import Runs
+import numpy as np
+from numpy.typing import NDArray
+
+NORMAL_95 = 1.959963984540054  # standard errors on each side of a 95 % interval
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and its 95 % confidence interval, by the normal distribution."""
+
+    mean: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: NDArray[Any]) -> 'Interval':
+        """Return the interval of the mean of independent values (E,), two or more."""
+        mean = float(values.mean())
+        half = NORMAL_95 * float(values.std(ddof=1)) / float(np.sqrt(len(values)))
+        return cls(mean, mean - half, mean + half)
+
+
+@dataclass(frozen=True)
+class GameReturns:
+    """What each of E games came to; the first six fields are those of exact planning."""
+
+    total: NDArray[np.float64]  # (E,) undiscounted: the score
+    discounted: NDArray[np.float64]  # (E,)
+    steps: Ints  # (E,) primitive steps
+    successes: Flags  # (E,) the task is over, not cut off
+    decisions: Ints  # (E,) options begun
+    fallbacks: Ints  # (E,) of these, primitive actions because no option could start
+    unknown: Ints  # (E,) of these, by preference because no option was sampled enough
+    outcomes: Mapping[str, NDArray[Any]]  # (E,) each, what else the domain tells of its games
+
+
+def play_games(
+    watch: Watcher, columns: Columns, policy: Policy, gamma: float, seed: int, episodes: int
+) -> GameReturns:
+    """
+    Play games from the start of the task, each option run to its end.
+
+    :param episodes: how many, E, all side by side; games do not affect each other, but which
+        chance each meets depends on how many there are.
+    :raises PlanError: the domain never cuts an episode off, or ``episodes`` is below 1.
+    """
+    limit = watch.games.domain.max_steps
+    if limit < 1 or episodes < 1:
+        raise PlanError(f'cannot play {episodes} episodes of at most {limit} steps')
+    rng = generator(seed, 'play_games')
+    batch = watch.games.batch_reset(episodes, rng)
+    result = _Result(watch, columns, batch, gamma)
+    runs, at = Runs(watch, columns, batch, rng), np.arange(episodes)
+    over = watch.games.batch_over(batch)
+    for _ in range(limit):
+        if not over.all():
+            result.step(runs, policy, at, over)
+            over = watch.games.batch_over(runs.batch)
+        if over.mean() >= 0.3:
+            result.finish(runs, at, over)
+            at, over = at[~over], over[~over]
+            runs.keep(np.flatnonzero(~watch.games.batch_over(runs.batch)))
+        if not len(at):
+            break
+    result.finish(runs, at, np.ones(len(at), dtype=np.bool_))
+    return result.returns
+
+
+class _Result:
+    """Adds up what happens in E games."""
+
+    def __init__(self, watch: Watcher, columns: Columns, batch: Any, gamma: float) -> None:
+        self._watch, self._columns, self._gamma = watch, columns, gamma
+        self._outcomes = {
+            name: values.copy() for name, values in watch.games.batch_outcome(batch).items()
+        }
+        count = len(watch.games.batch_over(batch))
+        self.returns = GameReturns(
+            np.zeros(count),
+            np.zeros(count),
+            np.zeros(count, dtype=np.intp),
+            watch.games.batch_over(batch),
+            np.zeros(count, dtype=np.intp),
+            np.zeros(count, dtype=np.intp),
+            np.zeros(count, dtype=np.intp),
+            self._outcomes,
+        )
+
+    def step(self, runs: Runs, policy: Policy, at: Ints, over: Flags) -> None:
+        """
+        Take one step in games that go on.
+
+        :param at: (M,) which of the E games are still looked at.
+        :param over: (M,) which of those are over; they are not counted any more.
+        """
+        returns, live = self.returns, at[~over]
+        free, choice = runs.decide(policy)
+        going = ~over[free]
+        returns.decisions[at[free[going]]] += 1
+        fallback = choice.column >= self._columns.first_fallback
+        returns.fallbacks[at[free[going]]] += fallback[going]
+        returns.unknown[at[free[going]]] += choice.unknown[going]
+        reward, ended, now_over = runs.step()
+        runs.column[ended] = -1
+        returns.total[live] += reward[~over]
+        returns.discounted[live] += self._gamma ** returns.steps[live] * reward[~over]
+        returns.steps[live] += 1
+        returns.successes[at] = now_over
+
+    def finish(self, runs: Runs, at: Ints, which: Flags) -> None:
+        """Note how games (M,) stand that are not looked at any more."""
+        for name, values in self._watch.games.batch_outcome(runs.batch).items():
+            self._outcomes[name][at[which]] = values[which]
