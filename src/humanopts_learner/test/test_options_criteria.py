@@ -36,7 +36,7 @@ def values(shown: Shown) -> dict[str, float | None]:
     return {c.name: c.value for c in judge(shown, TAXI, Thresholds(), 0).criteria}
 
 
-@pytest.mark.parametrize('count', [1, 2])
+@pytest.mark.parametrize('count', [1, FEWEST - 1])
 def test_too_few_demonstrations_are_not_measurable_and_not_met(
     fetching: Shown, count: int
 ) -> None:
@@ -52,12 +52,11 @@ def test_without_a_trajectory_nothing_is_judged(person: Callable[..., Any]) -> N
         judge([person().show(ABOARD)], TAXI, Thresholds(), 0)
 
 
-def test_one_class_alone_makes_the_error_of_i_unmeasurable(fetching: Shown) -> None:
+def test_an_option_that_starts_wherever_it_ends_has_no_error_of_i(fetching: Shown) -> None:
     always = [replace(demo, can_start_at_end=True) for demo in fetching]
-    found = values(always)
-    assert found[INITIATION] is None
-    assert found[TERMINATION] is not None
-    assert found[RETURN] is not None
+    assert values(always)[INITIATION] == 0.0
+    assert values(always[: FEWEST - 1])[INITIATION] is None
+    assert values([*always[1:], fetching[0]])[INITIATION] not in (None, 0.0)
 
 
 def test_in_sample_return_equals_a_consistent_persons_and_held_out_return_does_not(

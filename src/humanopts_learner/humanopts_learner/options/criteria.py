@@ -170,12 +170,18 @@ def _criteria(
         termination = [option.ends for option in options]
         values = (
             _shortfall(data, domain, options, folds, seed),
-            _balanced_error(data.initiation, initiation, folds),
+            _balanced_error(data.initiation, initiation, folds, starts_anywhere(data)),
             _balanced_error(data.termination, termination, folds),
         )
     limits = thresholds.return_delta, thresholds.initiation_error, thresholds.termination_error
     names = RETURN, INITIATION, TERMINATION
     return tuple(Criterion(n, v, limit) for n, v, limit in zip(names, values, limits))
+
+
+def starts_anywhere(data: Dataset) -> bool:
+    """Tell whether the person always said that the option could start again where it ended."""
+    told = all(demo.can_start_at_end for demo in data.trajectories)
+    return told and bool((data.initiation.labels == MEMBER).all())
 
 
 def _shortfall(
@@ -233,13 +239,20 @@ def _balanced_error(
     examples: Examples,
     predict: Sequence[Callable[..., NDArray[np.bool_]]],
     folds: NDArray[np.int64],
+    members_only: bool = False,
 ) -> float | None:
-    """Return the mean of the error among members and among others; None: one class only."""
+    """
+    Return the mean of the error among members and among others; None: one class only.
+
+    :param members_only: there are no others to be shown; the error is that among members.
+    """
     said = np.empty(len(examples.labels), dtype=np.bool_)
     of_fold = folds[examples.source]
     for fold, answer in enumerate(predict):
         said[of_fold == fold] = answer(examples.rows[of_fold == fold])
     member = examples.labels == MEMBER
+    if members_only:
+        return float((~said).mean())
     if member.all() or not member.any():
         return None
     return float(((~said[member]).mean() + said[~member].mean()) / 2)
