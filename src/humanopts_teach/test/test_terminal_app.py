@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_learner.options.criteria import FEWEST
 from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
 from humanopts_teach.terminal.app import App, REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.terminal.drawing import frame
@@ -249,7 +250,7 @@ def criteria(values: Iterable[tuple[str, float, float, bool, bool]]) -> Progress
         NAME,
         'p1',
         CHOSEN,
-        7,
+        FEWEST,
         criteria=tuple(CriterionView(*value) for value in values),
         more_needed=6,
     )
@@ -281,6 +282,13 @@ def test_an_estimate_that_cannot_be_made_is_not_made(shower: Person) -> None:
     progress = criteria([('return', 0.0, 1.0, True, True)])
     shower.world.progress = [replace(progress, more_needed=-1)]
     assert 'How many more it takes cannot be told yet.' in shower.sees()
+
+
+def test_a_person_is_told_when_the_criteria_will_be_measured(shower: Person) -> None:
+    progress = criteria([('return', float('nan'), 1.0, False, False)])
+    few = replace(progress, n_demonstrations=FEWEST - 1, more_needed=-1)
+    shower.world.progress = [few]
+    assert f'Measured from {FEWEST} demonstrations on.' in shower.sees()
 
 
 def test_conflicts_come_with_the_feature_that_would_tell_them_apart(shower: Person) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from functools import singledispatch
 import math
 
+from humanopts_learner.options.criteria import FEWEST
 from humanopts_teach.dialogue.answers import LessonView, Phase
 from humanopts_teach.terminal.app import App, Screen
 from humanopts_teach.terminal.driving import PlayScreen
@@ -183,6 +184,8 @@ def _estimate(progress: ProgressView) -> Text:
     more = progress.more_needed
     if progress.criteria_met:
         return Text('All criteria hold.', 'bold green')
+    if progress.n_demonstrations < FEWEST:
+        return Text(f'Measured from {FEWEST} demonstrations on.')
     if more < 0:
         return Text('How many more it takes cannot be told yet.')
     return Text(f'About {more} more {"is" if more == 1 else "are"} needed (an estimate).')
