@@ -30,27 +30,27 @@ def draw_state(maze: Maze, state: PacManState, lives: int) -> str:
 
     :param lives: of a new game.
     """
-    things = [(PACMAN, 'pac-man', maze.cells[state.pacman])]
+    things, legend = [(PACMAN, 'pac-man', maze.cells[state.pacman])], []
     for number, ghost in enumerate(state.ghosts):
-        glyph = (SCARED if ghost.scared else GHOSTS)[number]
-        things.append((glyph, f'ghost {number + 1}', maze.cells[ghost.cell]))
+        glyph, name = (SCARED if ghost.scared else GHOSTS)[number], f'ghost {number + 1}'
+        things.append((glyph, name, maze.cells[ghost.cell]))
+        fear = f' scared {_steps(ghost.scared)}' if ghost.scared else ''
+        legend.append(f'{glyph} {name}{fear}')
     if state.fruit:
         things.append((FRUIT, 'fruit', maze.cells[state.fruit_at]))
+        legend.append(f'{FRUIT} fruit {_steps(state.fruit)}')
     for glyph, name, cells, mask in (
         (FOOD, 'food', maze.food, state.food),
         (PILL, 'power pill', maze.pills, state.pills),
     ):
         things += [(glyph, name, maze.cells[c]) for k, c in enumerate(cells) if mask >> k & 1]
-    fear = [
-        f'{SCARED[number]} ghost {number + 1} scared for {_steps(ghost.scared)}'
-        for number, ghost in enumerate(state.ghosts)
-        if ghost.scared
+    score = [
+        f'score {state.score}',
+        f'lives {LIFE * state.lives}{LOST * (lives - state.lives)}',
+        f'food left {state.food.bit_count()}',
+        f'ate {" and ".join(eaten_names(state.ate)) or "nothing"}',
     ]
-    ate = ' and '.join(eaten_names(state.ate)) or 'nothing'
-    hearts = LIFE * state.lives + LOST * (lives - state.lives)
-    score = [f'score {state.score}', f'lives {hearts}', f'food left {state.food.bit_count()}']
-    fruit = [f'{FRUIT} fruit for {_steps(state.fruit)}'] if state.fruit else []
-    return _join(_grid(maze, things), score, [*fear, *fruit, f'just ate {ate}'], _hidden(things))
+    return _join(_grid(maze, things), score, *_threes(legend), _hidden(things))
 
 
 def draw_features(maze: Maze, shown: Sequence[tuple[Feature, int]]) -> str:
@@ -73,8 +73,7 @@ def draw_features(maze: Maze, shown: Sequence[tuple[Feature, int]]) -> str:
     ]
     legend = [f'{glyph} {name}' for _, (glyph, name, _) in things]
     placed = [thing for _, thing in things]
-    rows = [facts[at : at + 3] for at in range(0, len(facts), 3)]
-    return _join(_grid(maze, placed), legend, *rows, _hidden(placed))
+    return _join(_grid(maze, placed), *_threes(legend), *_threes(facts), _hidden(placed))
 
 
 def _movable(maze: Maze, values: Mapping[str, int]) -> list[tuple[str, str, str]]:
@@ -106,18 +105,22 @@ def _grid(maze: Maze, things: Sequence[Thing]) -> list[str]:
     inside: dict[Cell, str] = {}
     for glyph, _, cell in things:
         inside[cell] = inside.get(cell, '') + glyph
-    walls = _walls(maze)
-    lines = []
-    for row in range(-1, maze.rows + 1):
-        cells = [
-            f'{inside.get((row, col), ""):2.2}' if (row, col) not in walls else walls[row, col]
-            for col in range(-1, maze.cols + 1)
-        ]
-        lines.append(''.join(cells)[:-1])
-    return lines
+    rows = [list(row) for row in _empty(maze)]
+    for (row, col), glyphs in inside.items():
+        rows[row + 1][col + 1] = f'{glyphs:2.2}'
+    return [''.join(row)[:-1] for row in rows]
 
 
 @lru_cache(maxsize=16)
+def _empty(maze: Maze) -> tuple[tuple[str, ...], ...]:
+    """Return the two characters of each cell where nothing is in the maze, border included."""
+    walls = _walls(maze)
+    return tuple(
+        tuple(walls.get((row, col), '  ') for col in range(-1, maze.cols + 1))
+        for row in range(-1, maze.rows + 1)
+    )
+
+
 def _walls(maze: Maze) -> dict[Cell, str]:
     """Return the two characters of each wall: a line wherever one side of it is not all wall."""
     lines = maze.text.split('\n')
@@ -169,6 +172,10 @@ def _hidden(things: Sequence[Thing]) -> list[str]:
         if seen[cell] > 2:
             hidden.append(f'hidden: {name} in row {cell[0]}, column {cell[1]}')
     return hidden
+
+
+def _threes(texts: list[str]) -> list[list[str]]:
+    return [texts[at : at + 3] for at in range(0, len(texts), 3)]
 
 
 def _steps(count: int) -> str:

@@ -140,11 +140,7 @@ class _Nearest:
 
 
 class FeatureReader:
-    """
-    Computes all features of many games at once.
-
-    It keeps scratch arrays of the largest batch that it has seen, so use one in each thread.
-    """
+    """Computes all features of many games at once, with tables that it prepares for a maze."""
 
     def __init__(self, rules: Rules) -> None:
         """Prepare the tables of a maze."""

@@ -113,6 +113,12 @@ def _check(maze: Maze, lives: int, state: PacManState) -> None:
         raise StateError(
             f'more than the {len(maze.food)} food and {len(maze.pills)} pills of the maze'
         )
+    for items, mask, name in (
+        (maze.food, state.food, 'food'),
+        (maze.pills, state.pills, 'a pill'),
+    ):
+        if any(mask >> k & 1 and cell == state.pacman for k, cell in enumerate(items)):
+            raise StateError(f'Pac-Man is where {name} is, and would have eaten it')
     limits = (('fruit', state.fruit, FRUIT_STEPS), ('lives', state.lives, lives))
     for name, value, most in (*limits, ('score', state.score, MOST_POINTS)):
         if value > most:

@@ -1,0 +1,198 @@
+"""Pac-Man's features and drawing, by hand."""
+
+from humanopts_env.domains.base import FeatureKind
+from humanopts_env.domains.pacman.batch import PacManBatch
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.pacman.planning_features import (
+    PLANNING_FEATURES,
+    planning_features,
+    planning_keys,
+)
+from humanopts_env.domains.pacman.sampling import sample_games
+from humanopts_env.seeding import generator
+import numpy as np
+import pytest
+from rich.cells import cell_len
+
+MAZE = """\
+%%%%%%%
+%P...o%
+%.%%%.%
+%.G  G%
+%%%%%%%"""
+DOMAIN = PacMan(MAZE)
+START = DOMAIN.encode(DOMAIN.reset(generator(0, 'start')))
+LATER = (
+    'pacman 2,0 ghost 2,3 heading west scared 7 ghost 0,3 heading east scared 0 food 0d '
+    'pills 0 fruit 0,1 for 3 lives 2 score 360 ate food+ghost'
+)
+
+
+def features_of(text: str) -> dict[str, str]:
+    """Return how each feature of a state reads to a person."""
+    values = DOMAIN.feature_values(DOMAIN.decode(text))
+    return {f.name: f.values[value] for f, value in zip(DOMAIN.features, values)}
+
+
+def test_features_of_the_start() -> None:
+    """Both food beside Pac-Man are nearest: the one in the row above comes first."""
+    assert features_of(START) == {
+        'pacman_row': '0',
+        'pacman_col': '0',
+        'ghost_1_row': '2',
+        'ghost_1_col': '1',
+        'ghost_1_direction': 'south',
+        'ghost_1_distance': '3',
+        'ghost_1_scared': 'no',
+        'ghost_2_row': '2',
+        'ghost_2_col': '4',
+        'ghost_2_direction': 'east',
+        'ghost_2_distance': '6',
+        'ghost_2_scared': 'no',
+        'food_row': '0',
+        'food_col': '1',
+        'food_direction': 'east',
+        'food_distance': '1',
+        'pill_row': '0',
+        'pill_col': '4',
+        'pill_direction': 'east',
+        'pill_distance': '4',
+        'danger_direction': 'south',
+        'danger_distance': '3',
+        'prey_direction': 'none',
+        'prey_distance': 'none',
+        'ate': 'nothing',
+        'legal_moves': 'east and south',
+    }
+
+
+def test_features_of_a_later_state() -> None:
+    """No pill is left, one ghost is scared, and the last step ate two things."""
+    values = features_of(LATER)
+    assert (values['ghost_1_scared'], values['ghost_2_scared']) == ('7 steps', 'no')
+    assert (values['prey_direction'], values['prey_distance']) == ('east', '3')
+    assert (values['danger_direction'], values['danger_distance']) == ('north', '5')
+    assert {values[f'pill_{part}'] for part in ('row', 'col', 'direction', 'distance')} == {'none'}
+    assert [values[f'food_{part}'] for part in ('row', 'col', 'direction')] == ['1', '0', 'north']
+    assert values['ate'] == 'food and ghost'
+
+
+def test_questions_complete_the_sentence() -> None:
+    """'Does OPTION depend on ...?'."""
+    starts = ('which ', 'whether ', 'how many ', 'what ')
+    assert all(feature.question.startswith(starts) for feature in PacMan().features)
+
+
+def test_masks_and_directions_have_no_order() -> None:
+    """Rows, columns, distances and times have one."""
+    nominal = {f.name for f in PacMan().features if f.kind is FeatureKind.NOMINAL}
+    things = ('ghost_1', 'ghost_2', 'food', 'pill', 'danger', 'prey')
+    assert nominal == {*(f'{thing}_direction' for thing in things), 'ate', 'legal_moves'}
+
+
+def test_the_drawing_of_the_start() -> None:
+    """Walls as lines, with score, lives and food below."""
+    assert DOMAIN.render(DOMAIN.decode(START)).splitlines() == [
+        '╭───────────╮',
+        '│ C · · · ● │',
+        '│ · ╶───╴ · │',
+        '│ · Ω     Ψ │',
+        '╰───────────╯',
+        'score 0   lives ♥♥♥   food left 6   ate nothing',
+        'Ω ghost 1   Ψ ghost 2',
+    ]
+
+
+def test_the_drawing_of_a_later_state() -> None:
+    """A scared ghost is small; what is behind something is beside it."""
+    assert DOMAIN.render(DOMAIN.decode(LATER)).splitlines() == [
+        '╭───────────╮',
+        '│   ♣·  Ψ·  │',
+        '│ · ╶───╴   │',
+        '│ C     ω   │',
+        '╰───────────╯',
+        'score 360   lives ♥♥♡   food left 3   ate food and ghost',
+        'ω ghost 1 scared 7 steps   Ψ ghost 2   ♣ fruit 3 steps',
+    ]
+
+
+def test_only_what_is_shown_is_drawn() -> None:
+    """The rest of what is shown is said in words."""
+    shown = {'pacman_row', 'pacman_col', 'food_row', 'food_col', 'food_direction', 'prey_distance'}
+    assert DOMAIN.render(DOMAIN.decode(LATER), shown).splitlines() == [
+        '╭───────────╮',
+        '│           │',
+        '│ · ╶───╴   │',
+        '│ C         │',
+        '╰───────────╯',
+        'C pac-man   · nearest food',
+        'prey distance: 3',
+    ]
+
+
+def test_whether_a_ghost_is_scared_is_drawn_only_where_it_may_be_seen() -> None:
+    """Else it looks like a dangerous one, and the legend says so."""
+    place, state = {'ghost_1_row', 'ghost_1_col'}, DOMAIN.decode(LATER)
+    hidden = DOMAIN.render(state, place)
+    assert 'Ω ghost 1, scared or not' in hidden
+    assert 'ω' not in hidden
+    assert 'ω ghost 1' in DOMAIN.render(state, place | {'ghost_1_scared'})
+
+
+def test_what_is_behind_two_things_is_named() -> None:
+    """Nothing is lost from the drawing."""
+    text = LATER.replace('ghost 2,3', 'ghost 0,3')
+    assert 'hidden: food in row 0, column 3' in DOMAIN.render(DOMAIN.decode(text))
+
+
+def test_all_lines_are_narrow_and_the_board_is_a_rectangle() -> None:
+    """No glyph takes two columns of a terminal."""
+    domain = PacMan()
+    for state in domain.sample_states(generator(0, 'lines'), 30):
+        lines = domain.render(state).splitlines()
+        assert {cell_len(line) for line in lines[:11]} == {39}
+        assert all(cell_len(line) == len(line) < 80 for line in lines)
+    assert all(cell_len(glyph) == 1 for glyph in domain.glyph_styles)
+
+
+def test_words_are_not_coloured() -> None:
+    """Letters that stand for things are in no feature's words."""
+    domain = PacMan()
+    for feature in domain.features:
+        assert not set(feature.name + ''.join(feature.values)) & domain.glyph_styles.keys()
+
+
+def buckets_of(text: str) -> dict[str, int]:
+    """Return the planning features of one state."""
+    batch = PacManBatch.from_states(DOMAIN.rules, [DOMAIN.decode(text)])
+    values = planning_features(batch)[0].tolist()
+    return {feature.name: value for feature, value in zip(PLANNING_FEATURES, values)}
+
+
+def test_planning_features_by_hand() -> None:
+    """Distances 3 and 6; the pill is 4 away and 2 from a ghost; food is 1 away and 4 from one."""
+    assert buckets_of(START) == {
+        'danger_distance': 2,  # 3
+        'second_danger_distance': 2,  # 5 to 7
+        'prey_distance': 5,  # none
+        'fear_left': 0,
+        'pill_distance': 2,  # 4 to 6
+        'pill_margin': 0,  # negative
+        'food_distance': 0,  # 1
+        'food_margin': 2,  # 2 or 3
+        'food_left': 2,  # 6 to 15
+        'lives': 3,
+    }
+    later = buckets_of(LATER)
+    assert (later['danger_distance'], later['second_danger_distance']) == (4, 4)  # 5 to 6; none
+    assert (later['prey_distance'], later['fear_left']) == (1, 2)  # 2 to 3; 6 to 12
+    assert (later['pill_distance'], later['pill_margin']) == (5, 1)  # none; 0
+
+
+@pytest.mark.parametrize('maze', ['gardens', 'yard', '%%%%%\n%P..%\n%%%%%'])
+def test_planning_keys_tell_rows_apart(maze: str) -> None:
+    """One key for each row that differs, whatever the number of ghosts."""
+    batch = sample_games(PacMan(maze).rules, generator(0, 'keys'), 500)
+    values = planning_features(batch)
+    assert ((values >= 0) & (values < [f.count for f in PLANNING_FEATURES])).all()
+    assert len(np.unique(planning_keys(values))) == len(np.unique(values, axis=0))

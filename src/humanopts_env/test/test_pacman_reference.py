@@ -1,0 +1,148 @@
+"""Pac-Man's reference options by hand, and ways to play with them."""
+
+from humanopts_env.domains.pacman.baselines import (
+    hand_rule,
+    play_moves,
+    play_options,
+    random_choice,
+)
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.pacman.reference import reference_options
+from humanopts_env.domains.pacman.sampling import sample_games
+from humanopts_env.domains.pacman.surroundings import look_around
+from humanopts_env.seeding import generator
+import numpy as np
+import pytest
+
+FOOD, AVOID = 'go to the closest food', 'avoid ghost'
+PILL, EAT = 'go to the nearest power pellet', 'eat the ghost'
+DOMAIN = PacMan(
+    """\
+%%%%%%%%%%%%
+%...P....o.%
+%.%%.%%.%%.%
+%........G.%
+%%%%%%%%%%%%"""
+)
+OPTIONS = reference_options(DOMAIN)
+
+
+def state_text(
+    pacman: str, ghost: str, scared: int = 0, food: str = '000001', ate: str = 'nothing'
+) -> str:
+    """Return a state; by default the food in the north-west corner is left."""
+    pills = '1' if ate != 'power-pill' else '0'
+    return (
+        f'pacman {pacman} ghost {ghost} heading none scared {scared} food {food} pills {pills} '
+        f'fruit none lives 3 score 0 ate {ate}'
+    )
+
+
+def test_they_are_the_buttons_of_table_1() -> None:
+    """Each with words for a person and features in the domain's order."""
+    assert list(OPTIONS) == [FOOD, AVOID, PILL, EAT]
+    order = [feature.name for feature in DOMAIN.features]
+    for name, option in OPTIONS.items():
+        assert option.name == name
+        assert option.definition.endswith('.')
+        assert list(option.features) == sorted(option.features, key=order.index)
+
+
+@pytest.mark.parametrize(
+    ('name', 'state', 'moves'),
+    [
+        (FOOD, state_text('0,3', '2,8', food='000005'), ['west']),  # in columns 0 and 2
+        (FOOD, state_text('0,3', '2,8', food='00000c'), ['west', 'east']),  # both beside him
+        (FOOD, state_text('0,3', '2,8', food='000200'), ['south']),
+        (PILL, state_text('0,3', '2,8'), ['east']),
+        (PILL, state_text('2,7', '0,0'), ['west', 'east']),
+        (AVOID, state_text('0,3', '0,5'), ['west', 'south']),
+        (AVOID, state_text('0,3', '2,3'), ['west', 'east']),  # one step to either side
+        (AVOID, state_text('2,9', '2,7'), ['north']),
+        (EAT, state_text('0,3', '0,5', scared=9), ['east']),
+        (EAT, state_text('0,6', '2,3', scared=1), ['west', 'south']),
+    ],
+)
+def test_optimal_moves_on_the_board(name: str, state: str, moves: list[str]) -> None:
+    """All first moves of shortest ways, and for avoiding those that lead farthest."""
+    option, start = OPTIONS[name], DOMAIN.decode(state)
+    assert option.can_start(start)
+    assert not option.ends(start)
+    found = [DOMAIN.actions[action].name for action in option.optimal_actions(start)]
+    assert found == moves
+
+
+@pytest.mark.parametrize(
+    ('name', 'state', 'again'),
+    [
+        (FOOD, state_text('0,3', '2,8', ate='food'), True),
+        (PILL, state_text('0,8', '2,8', ate='power-pill'), False),
+        (AVOID, state_text('0,3', '2,8'), False),  # 7 steps away
+        (AVOID, state_text('0,3', '0,5', scared=9), False),
+        (EAT, state_text('0,3', '0,5', ate='ghost'), False),
+        (EAT, state_text('0,3', '0,5'), False),
+        (FOOD, state_text('0,3', '0,5', food='000000'), False),  # the game is over
+        (AVOID, state_text('0,3', '0,5', food='000000'), False),
+    ],
+)
+def test_where_options_end_and_whether_they_can_start_again(
+    name: str, state: str, again: bool
+) -> None:
+    """Outside the initiation set there is no best move."""
+    option, end = OPTIONS[name], DOMAIN.decode(state)
+    assert option.ends(end)
+    assert option.can_start(end) == again
+    assert bool(option.optimal_actions(end)) == again
+
+
+def test_an_option_ends_wherever_it_has_left_its_initiation_set() -> None:
+    """So a run always knows what to do; one state is judged as many are."""
+    domain = PacMan()
+    batch = sample_games(domain.rules, generator(0, 'leave'), 300)
+    seen, states = look_around(batch), batch.states()
+    for option in reference_options(domain).values():
+        said = option.judge(batch, seen)
+        assert (said.termination | said.initiation).all()
+        assert np.array_equal(said.optimal.any(axis=1), said.initiation)
+        assert 0.02 < said.initiation.mean() <= 1
+        for row in range(0, 300, 30):
+            assert option.can_start(states[row]) == said.initiation[row]
+            assert option.ends(states[row]) == said.termination[row]
+            moves = tuple(np.flatnonzero(said.optimal[row]).tolist())
+            assert option.optimal_actions(states[row]) == moves
+
+
+def test_closest_food_is_eaten_in_as_many_steps_as_it_is_away() -> None:
+    """Where no ghost comes in between."""
+    domain = PacMan('%%%%%%%\n%P   .%\n%   % %\n%.    %\n%%%%%%%')
+    option, rng = reference_options(domain)[FOOD], generator(0, 'food')
+    state = domain.reset(rng)
+    for steps in (2, 6):
+        for step in range(steps):
+            assert step == 0 or not option.ends(state)
+            state = domain.step(state, option.optimal_actions(state)[-1], rng).state
+        assert option.ends(state)
+    assert domain.is_over(state)
+
+
+def test_better_players_score_more() -> None:
+    """Random moves, random options, and a rule over the options, at both speeds of ghosts."""
+    for ghosts in ('random', 'chase'):
+        domain = PacMan(ghosts=ghosts)
+        options = list(reference_options(domain).values())
+        by_chance = play_options(options, random_choice, 60, 1000, seed=1)
+        by_rule = play_options(options, hand_rule(options), 60, 1000, seed=1)
+        every_step = play_options(options, hand_rule(options), 60, 1000, seed=1, to_end=False)
+        moves = play_moves(domain.rules, 60, 1000, seed=1)
+        means = [s.score.mean() for s in (moves, by_chance, by_rule, every_step)]
+        assert means == sorted(means)
+        assert max(by_rule.score) <= 2080
+        assert (every_step.lives[every_step.cleared] > 0).all()
+
+
+def test_the_same_seed_plays_the_same_baseline_games() -> None:
+    """And another seed plays others."""
+    options = list(reference_options(PacMan('yard')).values())
+    runs = [play_options(options, random_choice, 20, 200, seed).score for seed in (1, 1, 2)]
+    assert np.array_equal(runs[0], runs[1])
+    assert not np.array_equal(runs[0], runs[2])
