@@ -12,6 +12,7 @@ PACKAGES := $(shell find src -type f -not -path 'src/humanopts_interfaces/*' \
   -not -path '*/test/*' -not -name '*.pyc')
 PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*' \
   -not -path '*/nodes/*' -not -name convert.py)
+CHECKED := src tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
 SHELL := /bin/bash
 
@@ -61,14 +62,14 @@ test: setup
 	@$(WITH_ROS) $(VENV)/bin/python -m pytest $(ARGS)
 
 lint: setup
-	@$(VENV)/bin/ruff check src tests tools
-	@$(VENV)/bin/ruff format --check --quiet src tests tools
+	@$(VENV)/bin/ruff check $(CHECKED)
+	@$(VENV)/bin/ruff format --check --quiet $(CHECKED)
 	@$(VENV)/bin/mypy $(PURE)
 	@$(VENV)/bin/python tools/check_packages.py
 
 format: setup
-	@$(VENV)/bin/ruff check --fix --quiet src tests tools
-	@$(VENV)/bin/ruff format src tests tools
+	@$(VENV)/bin/ruff check --fix --quiet $(CHECKED)
+	@$(VENV)/bin/ruff format $(CHECKED)
 
 lock:
 	@$(PYTHON) -m venv build/lock && build/lock/bin/pip install --quiet uv
@@ -77,4 +78,4 @@ lock:
 
 clean:
 	@rm -rf $(VENV) build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis
-	@find src tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
+	@find $(CHECKED) -name __pycache__ -type d -prune -exec rm -rf {} +
