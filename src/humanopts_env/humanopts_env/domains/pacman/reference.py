@@ -5,7 +5,7 @@ Subramanian, Isbell and Thomaz (2011), table 1. They are judged for many games a
 is a batch of one. Where the game is over, none can start and all have ended.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -98,7 +98,7 @@ class PacManOption:
         return self.judge(batch, look_around(batch))
 
 
-def reference_options(domain: Domain[PacManState]) -> Mapping[str, PacManOption]:
+def reference_options(domain: Domain[PacManState]) -> dict[str, PacManOption]:
     """Return every Pac-Man button of the paper's table 1 by name."""
     rules = cast(PacMan, domain).rules
     options = [
