@@ -20,11 +20,11 @@ export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
 export CMAKE_PREFIX_PATH := $(CURDIR)/$(VENV)
 unexport PYTHONPATH
 
-.PHONY: help setup demo test lint format lock clean
+.PHONY: help setup demo test test-slow lint format lock clean
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
-	@echo 'make test    run the tests'
+	@echo 'make test    run the tests (ARGS=); make test-slow runs the long ones'
 	@echo 'make lint    ruff, mypy --strict on pure code, package.xml checks'
 	@echo 'make setup   only the set-up that the others do when it is needed'
 	@echo 'make format  reformat the Python code'
@@ -59,7 +59,10 @@ demo: setup
 	@./humanopts demo --domain taxi --out $(OUT) --seed $(SEED)
 
 test: setup
-	@$(WITH_ROS) $(VENV)/bin/python -m pytest $(ARGS)
+	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m 'not slow' $(ARGS)
+
+test-slow: setup
+	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m slow $(ARGS)
 
 lint: setup
 	@$(VENV)/bin/ruff check $(CHECKED)
