@@ -108,7 +108,7 @@ def test_progress_is_printed_where_there_is_no_terminal(demo: DemoRun) -> None:
     stages = ['teaching', 'planning', 'playing 100 episodes', 'evaluating the bag', 'writing']
     places = [demo.output.index(f'\n{stage}') for stage in stages]
     assert places == sorted(places)
-    assert re.search(rf'^{PICKUP}: \d+ demonstrations, .* criteria met$', demo.output, re.M)
+    assert re.search(rf'^{PICKUP}: \d+ shown, .* criteria met$', demo.output, re.M)
     assert '\x1b' not in demo.output
 
 

@@ -114,7 +114,7 @@ def _criteria_words(option: Any) -> str:
         f'{c.name} {c.value:.3g} (target {c.threshold:g})' for c in option.criteria if c.measurable
     ]
     met = 'criteria met' if option.criteria_met else 'criteria not met yet'
-    shown = f'{option.n_demonstrations} demonstrations, {option.n_not_here} not here'
+    shown = f'{option.n_demonstrations} shown, {option.n_not_here} not here'
     return '; '.join([shown, ', '.join(measured) or 'nothing measurable yet', met])
 
 
