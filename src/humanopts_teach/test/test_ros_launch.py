@@ -63,7 +63,8 @@ def test_every_argument_reaches_a_parameter() -> None:
     assert specs['game']['step_period'] == 2.0
     assert isinstance(specs['game']['step_period'], float)
     assert (specs['lesson']['strategy'], specs['lesson']['budget']) == ('coverage', 9)
-    assert [specs[n]['seed'] for n in ('learner', 'lesson', 'option_server')] == [12, 12, 12]
+    seeded = ('game', 'learner', 'lesson', 'option_server', 'simulated_teacher')
+    assert [specs[name]['seed'] for name in seeded] == [12] * len(seeded)
     assert specs['learner']['directory'] == '/data/study/options'
     assert str(specs['recorder']['path']).startswith('/data/study/bags/launch-')
     assert specs['simulated_teacher']['options'] == ['go up', 'go down']

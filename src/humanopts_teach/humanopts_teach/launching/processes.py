@@ -120,6 +120,7 @@ def _game(setup: Setup) -> ProcessSpec:
         setup,
         domain=setup.domain,
         domain_parameters=json.dumps(dict(setup.domain_parameters)),
+        seed=setup.seed,
         step_period=setup.step_period,
     )
 
@@ -186,4 +187,5 @@ def _keyboard_teleop(setup: Setup) -> ProcessSpec:
         setup,
         terminal=True,
         participant=setup.participant,
+        seed=setup.seed,
     )
