@@ -419,6 +419,16 @@ def test_nodes_that_are_gone_are_named(shower: Person) -> None:
     assert shower.sees_words('lesson: not there. Everything taught is saved; Ctrl-C quits.')
 
 
+def test_a_recording_that_stopped_is_said_once_and_stays_in_sight(shower: Person) -> None:
+    for _ in range(2):
+        shower.app.recording_stopped('recording stopped: the disk is full')
+    assert shower.sees_words('recording stopped: the disk is full')
+    shower.press('?')
+    assert 'NOT RECORDED' in shower.sees()
+    shower.app.recording_stopped('recording stopped: the disk is full')
+    assert not shower.app.message.text
+
+
 def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:
     values = [(name, 0.125, 0.05, True, False) for name in ('return', 'initiation', 'termination')]
     situation = ', '.join(f'{name.replace("_", " ")} 4' for name in CHOSEN)

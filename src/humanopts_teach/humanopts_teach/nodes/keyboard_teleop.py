@@ -18,8 +18,9 @@ from humanopts_interfaces.msg import (
     LearningStatus,
     LessonState,
     OptionStatus,
+    RecorderStatus,
 )
-from humanopts_teach.dialogue.answers import LessonView, Phase
+from humanopts_teach.convert import view_from_message
 from humanopts_teach.nodes.terminal_calls import Calls
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.device import Device, why_not
@@ -37,9 +38,6 @@ _PRESENCE_SECONDS = 0.5  # between looks who is on the graph
 _START_SECONDS = 5.0  # before a node that has not come is called missing
 _PARTING_SECONDS = 1.0  # for the last requests
 _NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # and what shows that they are there
-_PHASES = {getattr(LessonState, f'PHASE_{phase.name}'): phase for phase in Phase}
-
-_SAME_IN_LESSON = {f.name for f in fields(LessonView)} - {'phase', 'chosen_features'}
 _SAME_IN_PROGRESS = {f.name for f in fields(ProgressView)} - {'features', 'criteria', 'conflicts'}
 
 
@@ -64,6 +62,7 @@ class KeyboardTeleopNode(NodeBase):
             (LessonState, 'lesson_state', self._on_lesson),
             (LearningStatus, 'learning_status', self._on_learning),
             (ControlState, 'control', self._on_control),
+            (RecorderStatus, 'recorder_status', self._on_recorder),
         ):
             self.create_subscription(kind, topic, callback, CURRENT)
         self.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, DISPLAY)
@@ -137,11 +136,7 @@ class KeyboardTeleopNode(NodeBase):
         self._news = True
 
     def _on_lesson(self, message: LessonState) -> None:
-        self.app.world.lesson = LessonView(
-            phase=_PHASES[message.phase],
-            chosen_features=tuple(message.chosen_features),
-            **{name: getattr(message, name) for name in _SAME_IN_LESSON},
-        )
+        self.app.world.lesson = view_from_message(message)
         self._news = True
 
     def _on_learning(self, message: LearningStatus) -> None:
@@ -151,6 +146,11 @@ class KeyboardTeleopNode(NodeBase):
     def _on_control(self, message: ControlState) -> None:
         self.app.world.holder = message.holder_id
         self._news = True
+
+    def _on_recorder(self, message: RecorderStatus) -> None:
+        if message.stopped:
+            self.app.recording_stopped(message.text)
+            self._news = True
 
     def _on_refusal(self, message: ActionRefusal) -> None:
         request, last = self.app.waits_for, (self.publisher_id, self._calls.drive_sequence)

@@ -7,18 +7,13 @@ from humanopts_env.nodes.node_base import NodeBase, PublishError
 from humanopts_interfaces import action as actions
 from humanopts_interfaces import srv
 from humanopts_interfaces.msg import ActionCommand, OptionResult, PlanResult
-from humanopts_teach.dialogue.answers import Verdict
+from humanopts_teach.convert import verdict_to_number
 from humanopts_teach.terminal import requests as ask
 from humanopts_teach.terminal.app import App
 from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.task import Future
 
-_VERDICTS = {
-    Verdict.DONE: srv.EndDemonstration.Request.VERDICT_DONE,
-    Verdict.NOT_HERE: srv.EndDemonstration.Request.VERDICT_NOT_HERE,
-    Verdict.DISCARD: srv.EndDemonstration.Request.VERDICT_DISCARD,
-}
 _SERVICES = {
     ask.OpenSession: (srv.OpenSession, 'lesson/open_session'),
     ask.DefineOption: (srv.DefineOption, 'lesson/define_option'),
@@ -121,7 +116,7 @@ class Calls:
                 return srv.BeginDemonstration.Request()
             case ask.End(verdict, (episode, step), can_start_at_end):
                 return srv.EndDemonstration.Request(
-                    verdict=_VERDICTS[verdict],
+                    verdict=verdict_to_number(verdict),
                     episode=episode,
                     step=step,
                     can_start_at_end=can_start_at_end,

@@ -77,6 +77,8 @@ def _head(app: App, width: int) -> Text:
             parts.append(f'session {world.lesson.session}')
     if world.holder:
         parts.append('you drive' if world.i_drive else 'another person drives')
+    if world.unrecorded:
+        parts.append('NOT RECORDED')
     return Text(set_cell_size(f' {" · ".join(parts)}', width), 'reverse')
 
 

@@ -70,6 +70,7 @@ class World:
     progress: Sequence[ProgressView] = ()
     holder: str = ''  # publisher_id of the terminal that drives; empty: nobody
     me: str = ''  # our own publisher_id
+    unrecorded: str = ''  # why the recorder has stopped; empty: it has not
     missing: Sequence[str] = field(default_factory=tuple)  # nodes that are gone or have not come
 
     @property
