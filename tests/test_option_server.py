@@ -368,6 +368,18 @@ def alone(live: Graph) -> Iterator[Graph]:
     return live
 
 
+def test_who_waits_for_a_state_is_answered_when_the_option_server_ends(alone: Graph) -> None:
+    server = alone.start(OPTION_SERVER)
+    alone.ready('/option_server')
+    goal = alone.act(ExecuteOption, 'execute_option', option_name='action:south', episode=99)
+    second = alone.ask(RunOption, 'run_option', option_name='action:south').result
+    assert second.status == OptionResult.STATUS_BUSY
+    server.process.send_signal(signal.SIGTERM)
+    _, result = goal.result()
+    assert result.status == OptionResult.STATUS_NO_EPISODE
+    assert server.ended(5.0) == 0
+
+
 def test_options_that_the_learner_published_before_are_served(alone: Graph) -> None:
     good = OptionModel(name=FETCH, participant='p1', model=option_to_json(OPTIONS[FETCH]))
     bad = OptionModel(name='spoilt', participant='p1', model='{}')

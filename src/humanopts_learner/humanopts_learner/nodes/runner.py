@@ -100,7 +100,10 @@ class Runner:
         return bool(self._taken_by)
 
     def stop(self) -> None:
-        """End the run under way, because the node ends."""
+        """End the run under way, or the wait for its first state, because the node ends."""
+        for _, _, arrival, _ in self._arrivals:
+            arrival.set_result(None)
+        self._arrivals = []
         if self._active is not None:
             self._finish(self._active.run.end(Status.FAILED, 'the option server stops'))
 
