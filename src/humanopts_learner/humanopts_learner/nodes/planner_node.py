@@ -28,7 +28,7 @@ from humanopts_learner.convert import plan_to_message
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
-from humanopts_learner.planning.evaluate import episode_starts, play
+from humanopts_learner.planning.evaluate import episode_start, episode_starts, play
 from humanopts_learner.planning.plan import check_request, make_plan, Plan, PRIMITIVE
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -54,7 +54,8 @@ class PlannerNode(NodeBase):
         self._domain: Any = None
         self._options: list[LearnedOption] = []
         self._version = 0  # sequence of the LearnedOptions that they came with
-        self._plans: dict[tuple[str, str], tuple[Plan, int]] = {}
+        # by action set and participant, with the options as they were when it was made
+        self._plans: dict[tuple[str, str], tuple[Plan, list[LearnedOption]]] = {}
         self._waiting: list[tuple[int, Future]] = []
         self._planning = self._playing = self.stopping = False
         self._thread = threading.Thread()  # that plans
@@ -144,7 +145,7 @@ class PlannerNode(NodeBase):
     async def _plan_in_thread(
         self, handle: ServerGoalHandle, plan_id: str, options: list[LearnedOption]
     ) -> PlanResult:
-        request, version = handle.request, self._version
+        request, learned = handle.request, self._options
         gamma = self._gamma(request)
         self._plan_goals.publish(
             PlanGoal(
@@ -181,7 +182,7 @@ class PlannerNode(NodeBase):
             plan, returns = await done
         finally:
             self._thread.join()
-        self._plans[request.action_set, request.participant] = plan, version
+        self._plans[request.action_set, request.participant] = plan, learned
         return plan_to_message(plan, plan_id, returns)
 
     async def _options_arrive(self, sequence: int) -> None:
@@ -228,17 +229,20 @@ class PlannerNode(NodeBase):
         result = PolicyResult(
             action_set=request.action_set, mean_return=math.nan, mean_discounted_return=math.nan
         )
-        plan, version = self._plans.get((request.action_set, request.participant), (None, 0))
+        plan, learned = self._plans.get((request.action_set, request.participant), (None, []))
         if self._playing:
             result.status, result.detail = result.STATUS_BUSY, 'a policy is running already'
         elif plan is None:
             result.status = result.STATUS_NO_PLAN
             result.detail = f'there is no {request.action_set!r} plan yet: plan it first'
-        elif version != self._version and request.action_set != PRIMITIVE:
+        elif learned is not self._options and request.action_set != PRIMITIVE:
             result.status = result.STATUS_NO_PLAN
             result.detail = 'the options changed since they were planned with: plan again'
         elif request.episodes == 0:
             result.status, result.detail = result.STATUS_BAD_REQUEST, 'episodes is 0'
+        elif not (request.max_decisions or plan.domain.max_steps):
+            result.status = result.STATUS_BAD_REQUEST
+            result.detail = f'{plan.domain.name} never cuts an episode off: give max_decisions'
         else:
             self._playing = True
             try:
@@ -261,12 +265,12 @@ class PlannerNode(NodeBase):
                 max_decisions=limit,
             )
         )
-        starts = episode_starts(domain, request.seed, request.episodes)
         totals, discounted = [], []
-        for number, start in enumerate(starts):
+        for number in range(request.episodes):
+            start = episode_start(domain, request.seed, number)
             episode = _Episode(self, plan, result, handle)
             seed = (request.seed + number) % 2**64
-            if not await episode.play(int(start), seed, limit):
+            if not await episode.play(start, seed, limit):
                 return
             totals.append(episode.total)
             discounted.append(episode.discounted)

@@ -33,13 +33,12 @@ def episode_starts(domain: EnumerableDomain[Any], seed: int, episodes: int) -> N
 
     Each draw has its own generator, so start i is the same however many are asked for.
     """
-    return np.array(
-        [
-            domain.index(domain.reset(generator(seed, 'episode_start', episode)))
-            for episode in range(episodes)
-        ],
-        dtype=np.int32,
-    )
+    return np.array([episode_start(domain, seed, e) for e in range(episodes)], dtype=np.int32)
+
+
+def episode_start(domain: EnumerableDomain[Any], seed: int, episode: int) -> int:
+    """Draw the start state of one episode, a state index."""
+    return domain.index(domain.reset(generator(seed, 'episode_start', episode)))
 
 
 def play(plan: Plan, starts: NDArray[np.integer], max_steps: int = 0, seed: int = 0) -> Returns:
