@@ -57,7 +57,7 @@ def status_to_message(option: LearnedOption, judgement: Judgement) -> msg.Option
         criteria_met=judgement.criteria_met,
         mean_return_demonstrations=judgement.mean_return_demonstrations,
         mean_return_policy=judgement.mean_return_policy,
-        more_needed=-1 if judgement.more_needed is None else judgement.more_needed,
+        more_needed=judgement.more_needed,
         conflicts=list(judgement.conflicts),
         suggested_feature=judgement.suggested_feature or '',
     )

@@ -78,9 +78,11 @@ def session(
         finally:
             for number in _SIGNALS:
                 signal.signal(number, signal.SIG_IGN)
-            conductor.close()
-            for problem in launcher.stop():
-                print(f'humanopts: {problem}', file=sys.stderr)
+            try:
+                conductor.close()
+            finally:
+                for problem in launcher.stop():
+                    print(f'humanopts: {problem}', file=sys.stderr)
 
 
 def _conduct(
