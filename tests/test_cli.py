@@ -70,6 +70,8 @@ def test_help_of_every_command_names_its_options(
         (('demo', '--error-rate', 'nan'), ['--error-rate']),
         (('demo', '--strategy', 'luck'), ["'luck'", 'random', 'coverage', 'failures']),
         (('demo', '--domain', 'chess'), ["'chess'", 'taxi']),
+        (('demo', '--domain', 'pacman'), ['pacman cannot all be listed', 'teach pacman']),
+        (('demo', '--domain', 'gymnasium:FrozenLake-v1'), ['no reference options']),
         (('up', 'chess'), ["'chess'", 'taxi']),
         (('up',), ['DOMAIN']),
         (('up', 'taxi', '--step-period', -1), ['--step-period']),

@@ -7,7 +7,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from humanopts_env.domains.base import DomainError
+from humanopts_env.domains.base import DomainError, is_enumerable
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
@@ -89,6 +89,11 @@ def _taught_options(arguments: argparse.Namespace) -> tuple[str, ...]:
         known = tuple(reference_options(domain))
     except DomainError as error:
         raise CommandError(str(error)) from error
+    if not is_enumerable(domain):
+        raise CommandError(
+            f'the demo plans, and the states of {arguments.domain} cannot all be listed; '
+            f'teach it yourself: humanopts teach {arguments.domain}'
+        )
     if not known:
         raise CommandError(
             f'{arguments.domain} has no reference options, which the simulated teacher needs; '
