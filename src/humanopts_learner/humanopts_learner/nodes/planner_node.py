@@ -17,14 +17,13 @@ from humanopts_interfaces.action import RunPolicy
 from humanopts_interfaces.msg import (
     DomainInfo,
     LearnedOptions,
-    OptionResult,
     PlanGoal,
     PlanResult,
     PolicyGoal,
     PolicyResult,
 )
-from humanopts_interfaces.srv import ResetGame, RunOption
 from humanopts_learner.convert import plan_to_message
+from humanopts_learner.nodes.player import Episode, Player, STOPS
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
@@ -36,14 +35,8 @@ from rclpy.task import Future
 
 _TOLERANCE, _MAX_SWEEPS = 1e-8, 10_000
 _FEEDBACK_PERIOD = 0.1  # s
-_RESET_SECONDS, _OPTION_SECONDS, _OPTIONS_SECONDS = 5.0, 120.0, 5.0
+_OPTIONS_SECONDS = 5.0  # to wait for the options that a request wants
 _FAREWELL = 1.0  # s to answer who asked for what is under way, when the node ends
-_STOPS = 'the planner stops'
-_GO_ON = (
-    OptionResult.STATUS_REACHED,
-    OptionResult.STATUS_EPISODE_OVER,
-    OptionResult.STATUS_MAX_STEPS,
-)
 
 
 class PlannerNode(NodeBase):
@@ -57,7 +50,7 @@ class PlannerNode(NodeBase):
         # by action set and participant, with the options as they were when it was made
         self._plans: dict[tuple[str, str], tuple[Plan, list[LearnedOption]]] = {}
         self._waiting: list[tuple[int, Future]] = []
-        self._planning = self._playing = self.stopping = False
+        self._planning = self._playing = False
         self._thread = threading.Thread()  # that plans
         self._plan_goals = self.stamped_publisher(PlanGoal, 'plan_goals')
         self._plan_results = self.stamped_publisher(PlanResult, 'plan_results')
@@ -66,8 +59,7 @@ class PlannerNode(NodeBase):
         self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
         self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
         group = ReentrantCallbackGroup()
-        self._reset = self.recorded_client(ResetGame, 'reset_game', group)
-        self._run = self.recorded_client(RunOption, 'run_option', group)
+        self._player = Player(self, group)
         self.recorded_action(PlanAction, 'plan', self._execute_plan, group)
         self.recorded_action(RunPolicy, 'run_policy', self._execute_policy, group)
 
@@ -77,7 +69,7 @@ class PlannerNode(NodeBase):
 
     def close(self) -> None:
         """End what is under way, and answer who asked for it."""
-        self.stopping = True
+        self._player.stopping = True
         self.finish(lambda: self._planning or self._playing, _FAREWELL)
         if self._thread.is_alive():
             self._thread.join()
@@ -109,7 +101,9 @@ class PlannerNode(NodeBase):
 
     async def _plan(self, handle: ServerGoalHandle) -> PlanResult:
         request = handle.request
-        refused = PlanResult(action_set=request.action_set)
+        refused = PlanResult(
+            action_set=request.action_set, mean_return=math.nan, mean_discounted_return=math.nan
+        )
         if self._planning:
             refused.status = PlanResult.STATUS_BUSY
             refused.detail = 'the planner is at work on another plan'
@@ -131,8 +125,8 @@ class PlannerNode(NodeBase):
             refused.status, refused.detail = PlanResult.STATUS_BAD_REQUEST, str(error)
         except PlanCanceled:
             refused.status, refused.detail = PlanResult.STATUS_CANCELED, 'canceled by the client'
-            if self.stopping:
-                refused.status, refused.detail = PlanResult.STATUS_FAILED, _STOPS
+            if self._player.stopping:
+                refused.status, refused.detail = PlanResult.STATUS_FAILED, STOPS
         except Exception as error:  # such as no memory for the tables of so many states
             refused.status, refused.detail = PlanResult.STATUS_FAILED, repr(error)
         finally:
@@ -157,7 +151,7 @@ class PlannerNode(NodeBase):
                 max_sweeps=request.max_sweeps or _MAX_SWEEPS,
             )
         )
-        progress = _Feedback(handle, lambda: self.stopping)
+        progress = _Feedback(handle, lambda: self._player.stopping)
         done: Future = Future(executor=self.executor)
 
         def work() -> None:
@@ -268,7 +262,7 @@ class PlannerNode(NodeBase):
         totals, discounted = [], []
         for number in range(request.episodes):
             start = episode_start(domain, request.seed, number)
-            episode = _Episode(self, plan, result, handle)
+            episode = Episode(self._player, plan, result, handle)
             seed = (request.seed + number) % 2**64
             if not await episode.play(start, seed, limit):
                 return
@@ -286,73 +280,6 @@ class PlannerNode(NodeBase):
                 )
             )
         result.status = PolicyResult.STATUS_DONE
-
-    async def reset(self, state: str, seed: int) -> Any:
-        """Begin an episode; None when game does not answer."""
-        request = ResetGame.Request(
-            source=ResetGame.Request.SOURCE_MACHINE, start_state=state, seed=seed
-        )
-        return await self.answer(self._reset, request, _RESET_SECONDS)
-
-    async def run_option(self, name: str, participant: str, episode: int, step: int) -> Any:
-        """Run an option to its end; None when option_server does not answer."""
-        request = RunOption.Request(
-            option_name=name, participant=participant, episode=episode, step=step
-        )
-        response = await self.answer(self._run, request, _OPTION_SECONDS)
-        return None if response is None else response.result
-
-
-class _Episode:
-    """One episode by a plan; its counts go into the result of the whole run."""
-
-    def __init__(
-        self, node: PlannerNode, plan: Plan, result: PolicyResult, handle: ServerGoalHandle
-    ) -> None:
-        self._node, self._plan, self._result, self._handle = node, plan, result, handle
-        self.total = self.discounted = 0.0
-
-    async def play(self, start: int, seed: int, limit: int) -> bool:
-        """Play to the end; False: the run is over, and the result says why."""
-        domain, state, step = self._plan.domain, start, 0
-        reset = await self._node.reset(domain.encode(domain.state_at(start)), seed)
-        if reset is None:
-            return self._fail('game did not answer reset_game')
-        if reset.status == ResetGame.Response.STATUS_HELD_BY_PERSON:
-            return self._stop(PolicyResult.STATUS_INTERRUPTED, reset.detail)
-        if reset.status != ResetGame.Response.STATUS_OK:
-            return self._fail(f'game refused to begin an episode: {reset.detail}')
-        for _ in range(limit):
-            if self._handle.is_cancel_requested:
-                return self._stop(PolicyResult.STATUS_CANCELED, 'canceled by the client')
-            if self._node.stopping:
-                return self._fail(_STOPS)
-            decision = self._plan.choose(state)
-            self._result.decisions += 1
-            self._result.fallbacks += decision.fallback
-            participant = self._handle.request.participant
-            run = await self._node.run_option(decision.name, participant, reset.episode, step)
-            if run is None:
-                return self._fail('option_server did not answer run_option')
-            self.total += run.total_reward
-            self.discounted += self._plan.gamma**step * run.discounted_return
-            step += run.step_count
-            if run.status == OptionResult.STATUS_INTERRUPTED:
-                return self._stop(PolicyResult.STATUS_INTERRUPTED, run.detail)
-            if run.status not in _GO_ON:
-                return self._fail(f'{decision.name!r} in {run.final_state!r}: {run.detail}')
-            if run.terminated or run.truncated:
-                self._result.successes += run.terminated
-                return True
-            state = domain.index(domain.decode(run.final_state))
-        return True
-
-    def _fail(self, detail: str) -> bool:
-        return self._stop(PolicyResult.STATUS_FAILED, detail)
-
-    def _stop(self, status: int, detail: str) -> bool:
-        self._result.status, self._result.detail = status, detail
-        return False
 
 
 class _Feedback:
