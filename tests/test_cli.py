@@ -8,6 +8,8 @@ import sys
 from typing import Any
 
 from graph_support.command import Command, DemoRun
+from humanopts_learner.options.start_states import STRATEGIES
+from humanopts_teach import cli
 from humanopts_teach.cli import main
 from mcap.writer import Writer
 import pytest
@@ -51,6 +53,10 @@ def test_help_of_every_command_names_its_options(
     out, err = capsys.readouterr()
     assert err == ''
     assert [word for word in words if word not in out] == []
+
+
+def test_strategies_on_offer_are_those_of_the_learner() -> None:
+    assert tuple(STRATEGIES) == cli.STRATEGIES  # named twice, so that help needs no NumPy
 
 
 @pytest.mark.parametrize(

@@ -27,16 +27,11 @@ class OptionFileError(OptionError):
     """An option file cannot be used; the text names the file and what is wrong with it."""
 
 
-def option_to_json(
-    option: LearnedOption,
-    demonstrations: Sequence[Demonstration] = (),
-    thresholds: Mapping[str, float] | None = None,
-) -> str:
+def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration] = ()) -> str:
     """
     Return the option as JSON, one node of a tree and one demonstration on each line.
 
     :param demonstrations: those that it was learned from, or none.
-    :param thresholds: the targets of its criteria, for a reader's information.
     """
     columns = [column.to_dict() for column in option.columns]
     trees = {part: getattr(option, part).to_dict() for part in TREES}
@@ -46,7 +41,6 @@ def option_to_json(
         **{key: getattr(option, key) for key in TEXTS},
         'domain_parameters': json.loads(option.domain_parameters),
         **{key: getattr(option, key) for key in COUNTS},
-        **({'thresholds': dict(thresholds)} if thresholds else {}),
         **{key: list(getattr(option, key)) for key in NAMES},
         'columns': columns,
         **trees,
@@ -94,10 +88,7 @@ def option_path(directory: Path, option: LearnedOption) -> Path:
 
 
 def save_option(
-    directory: Path,
-    option: LearnedOption,
-    demonstrations: Sequence[Demonstration],
-    thresholds: Mapping[str, float] | None = None,
+    directory: Path, option: LearnedOption, demonstrations: Sequence[Demonstration]
 ) -> Path:
     """
     Write the file of an option, whole or not at all.
@@ -112,7 +103,7 @@ def save_option(
     temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:
         with temporary.open('w', encoding='utf-8') as file:
-            file.write(option_to_json(option, demonstrations, thresholds))
+            file.write(option_to_json(option, demonstrations))
             file.flush()
             os.fsync(file.fileno())
         if path.exists() and not _is_of(path, option):
