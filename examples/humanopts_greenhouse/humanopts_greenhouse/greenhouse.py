@@ -2,7 +2,7 @@
 Greenhouse: carry water from the tap until no bed is dry.
 
 Tomatoes, beans and basil grow in three corners of a square house, and the tap is in the fourth.
-One can of water is enough for one bed; water that is poured elsewhere is lost.
+One can of water is enough for one bed; it can be poured at a dry bed only.
 """
 
 from collections.abc import Collection, Sequence
@@ -20,7 +20,7 @@ ACTIONS = (
     Action('west', 'left', 'walk one cell west'),
     Action('east', 'right', 'walk one cell east'),
     Action('fill', 'f', 'fill the can at the tap'),
-    Action('pour', 'p', 'pour the can out'),
+    Action('pour', 'p', 'water the dry bed here'),
 )
 STEPS = {0: (-1, 0), 1: (1, 0), 2: (0, -1), 3: (0, 1)}  # rows and columns of each walk
 FILL, POUR = 4, 5
@@ -137,10 +137,10 @@ class Greenhouse(TableDomain[GreenhouseState]):
         if action == FILL:
             return replace(state, full=True) if cell == self.tap else state
         if action == POUR:
-            dry = tuple(
-                is_dry and not (state.full and self.beds.get(cell) == bed)
-                for bed, is_dry in enumerate(state.dry)
-            )
+            here = self.beds.get(cell)
+            if not state.full or here is None or not state.dry[here]:
+                return state
+            dry = tuple(is_dry and bed != here for bed, is_dry in enumerate(state.dry))
             return GreenhouseState(*cell, False, (dry[0], dry[1], dry[2]))
         row, col = (place + step for place, step in zip(cell, STEPS[action]))
         inside = 0 <= row < self.size and 0 <= col < self.size
