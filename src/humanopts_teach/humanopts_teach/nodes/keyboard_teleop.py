@@ -28,6 +28,7 @@ from humanopts_teach.terminal.drawing import frame
 from humanopts_teach.terminal.menu import opening
 from humanopts_teach.terminal.requests import Drive, Reply
 from humanopts_teach.terminal.world import CriterionView, GameView, ProgressView
+from rcl_interfaces.msg import IntegerRange
 from rclpy.executors import Executor
 
 _FAREWELL = 'Everything taught is saved; the same command takes it up again.'
@@ -47,7 +48,9 @@ class KeyboardTeleopNode(NodeBase):
     def __init__(self) -> None:
         super().__init__('keyboard_teleop')
         participant = self.setting('participant', 'p1', 'code that is proposed to the person')
-        seed = self.setting('seed', 0, 'of the start states of free play and of plans')
+        natural = IntegerRange(from_value=0, to_value=2**62, step=1)
+        what = 'of the start states of free play and of plans'
+        seed = self.setting('seed', 0, what, integer_range=[natural])
         self.app = App(opening(participant), seed=seed)
         self.app.world.me = self.publisher_id
         self._calls = Calls(self, self.app)
