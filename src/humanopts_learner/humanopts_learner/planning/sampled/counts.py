@@ -1,5 +1,6 @@
 """Samples of runs, counted into a multi-time model over the planning states that were visited."""
 
+from copy import copy
 from dataclasses import dataclass
 
 from humanopts_learner.planning.model import RowModel, Rows
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 Ints = NDArray[np.intp]
+Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,10 @@ class StateIndex:
     def __len__(self) -> int:
         """Return how many there are."""
         return len(self._sorted)
+
+    def snapshot(self) -> 'StateIndex':
+        """Return a copy that does not grow with this one."""
+        return copy(self)  # the arrays are never changed in place
 
     def find(self, codes: NDArray[np.int64]) -> tuple[Ints, NDArray[np.bool_]]:
         """Return the number of each (N,), 0 where it has none, and whether it has one (N,)."""
@@ -96,16 +102,31 @@ class Counts:
         """
         Return the mean of the samples.
 
-        Pairs of state and column with fewer than ``min_samples`` are not available.
+        Pairs of state and column with fewer than ``min_samples`` are not available. Nothing is
+        known of states without an available pair: samples that end there count as if they had
+        ended as the other samples of their pair did, and pairs with no others are not available.
 
         :param penalty: reward units that a pair with one sample is worth less; with n samples it
             is this by the square root of n.
         """
-        enough = self._count >= max(min_samples, 1)
+        enough, rows = self._known(self._count >= max(min_samples, 1))
         count = np.where(enough, self._count, 1.0)
         reward = np.where(enough, self._reward / count - penalty / np.sqrt(count), 0.0)
-        scale = np.where(enough, 1.0 / count, 0.0).ravel()
-        rows = self._rows.copy()
-        rows.data *= np.repeat(scale, np.diff(rows.indptr))
-        rows.eliminate_zeros()
         return RowModel(self.names, reward.T, enough.T, rows)
+
+    def _known(self, enough: Flags) -> tuple[Flags, Rows]:
+        """Return the pairs (O, S) that lead to states with such pairs, and where they lead."""
+        total = self._rows.sum(axis=1)
+        while True:
+            known = np.asarray(enough.any(axis=0))
+            kept = self._rows @ known
+            more = enough & ((kept > 0) | (total == 0)).reshape(enough.shape)
+            if (more == enough).all():
+                break
+            enough = more
+        scale = np.where(enough.ravel() & (kept > 0), total, 0.0)
+        scale /= np.where(kept > 0, kept, 1.0) * np.maximum(self._count.ravel(), 1.0)
+        rows = self._rows.copy()
+        rows.data *= np.repeat(scale, np.diff(rows.indptr)) * known[rows.indices]
+        rows.eliminate_zeros()
+        return enough, rows

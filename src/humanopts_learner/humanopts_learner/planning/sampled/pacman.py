@@ -22,6 +22,7 @@ FAR = 1000  # more than any bucket of a distance that is one
 # For primitive actions: the first distance of each bucket but the nearest. In the last one, the
 # direction is left out.
 NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL = (2, 3, 4, 5, 7), (3, 5), (3, 6, 13), (3, 9)
+NEAR_FOOD = (2, 3, 5, 9)
 
 
 class PacManGames:
@@ -74,7 +75,7 @@ class PacManGames:
             len(near) * N_DIRECTIONS + 1
             for near in (NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL)
         ]
-        return (16, N_DIRECTIONS, *ways)
+        return (16, N_DIRECTIONS, len(NEAR_FOOD) + 1, *ways)
 
     def planning_features(
         self, batch: PacManBatch, rows: NDArray[np.int32], *, fine: bool
@@ -82,11 +83,12 @@ class PacManGames:
         """Return (N, P): the values, from 0."""
         if not fine:
             return planning_features(batch)
-        values = [
+        values: list[NDArray[Any]] = [
             self._of(rows, 'legal_moves'),
             self._of(rows, 'food_direction'),
+            np.searchsorted(NEAR_FOOD, self._of(rows, 'food_distance'), side='right'),
             *self._dangers(batch, rows),
-            self._way(rows, 'prey', NEAR_PREY),
+            self._prey(batch, rows),
             self._way(rows, 'pill', NEAR_PILL),
         ]
         return np.stack(values, axis=1).astype(np.int32)
@@ -98,6 +100,12 @@ class PacManGames:
         """Return the direction of a thing and the bucket of its distance as one number (N,)."""
         direction = self._of(rows, f'{thing}_direction')
         return _near(direction, self._of(rows, f'{thing}_distance'), near)
+
+    def _prey(self, batch: PacManBatch, rows: NDArray[np.int32]) -> Ints:
+        """Return the way to the nearest scared ghost, while there is time to come to it."""
+        away = self._of(rows, 'prey_distance')
+        fear = batch.scared.max(axis=0, initial=0)
+        return _near(self._of(rows, 'prey_direction'), np.where(away > fear, FAR, away), NEAR_PREY)
 
     def _dangers(self, batch: PacManBatch, rows: NDArray[np.int32]) -> tuple[Ints, Ints]:
         """Return the ways to the nearest dangerous ghost and to the one after that."""

@@ -39,9 +39,9 @@ class Sampling:
 
     rounds: int = 4  # of play; every one but the first by the policy so far
     n_games: int = 500  # side by side, at most
-    game_steps: int = 1000  # that each of them is played in all, at least
+    game_steps: int = 400  # that each of them is played in all, at least
     explore: float = 0.2  # share of decisions that are drawn, from the second round on
-    min_samples: int = 5  # pairs of state and column with fewer are not available
+    min_samples: int = 2  # pairs of state and column with fewer are not available
     penalty: float = 30.0  # reward units, by the square root of the number of samples
 
     def __post_init__(self) -> None:
@@ -204,7 +204,7 @@ class _Planning:
         expected = np.empty(model.reward.T.shape)
         model.expectation()(self._solution.values, expected)
         values = np.where(model.available, model.reward + expected.T, -np.inf)
-        self._policy = GreedyPolicy(self._columns, self._counts.index, values)
+        self._policy = GreedyPolicy(self._columns, self._counts.index.snapshot(), values)
         self._model_seconds += modelled - began
         self._sweep_seconds += self._clock() - modelled
 

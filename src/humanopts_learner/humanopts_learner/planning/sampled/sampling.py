@@ -20,7 +20,7 @@ BLOCK = 1_000_000  # game steps that are kept before they are counted
 Tell = Callable[[int], object]  # told the game steps so far
 
 
-class _Trace:
+class Trace:
     """T steps of N games."""
 
     def __init__(self, length: int, count: int) -> None:
@@ -82,7 +82,7 @@ class Sampler:
         n_games = len(self._age)
         left, done = steps // n_games, 0
         while left:
-            trace = _Trace(min(left, max(BLOCK // n_games, 1)), n_games)
+            trace = Trace(min(left, max(BLOCK // n_games, 1)), n_games)
             self._runs.column[:] = -1
             for t in range(len(trace.reward)):
                 self._step(policy, trace, t)
@@ -92,7 +92,7 @@ class Sampler:
             left -= len(trace.reward)
         return done
 
-    def _step(self, policy: Policy, trace: _Trace, t: int) -> None:
+    def _step(self, policy: Policy, trace: Trace, t: int) -> None:
         runs = self._runs
         runs.decide(policy)
         trace.code[t], trace.column[t] = runs.view.codes, runs.column

@@ -1,0 +1,312 @@
+"""Sampled models and plans against exact ones, in domains small enough to have both."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from humanopts_env.domains.base import Domain, EnumerableDomain
+from humanopts_env.domains.chance import draw_outcomes, outcome_limits
+from humanopts_env.domains.rooms import Rooms
+from humanopts_env.domains.rooms_reference import reference_options
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.seeding import generator
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.ready import ready_options
+from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
+from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.sampled.columns import Columns
+from humanopts_learner.planning.sampled.counts import Counts, Samples, StateIndex
+from humanopts_learner.planning.sampled.curve import (
+    Budgets,
+    CurveRow,
+    planning_curve,
+    seconds_to_reach,
+)
+from humanopts_learner.planning.sampled.games import batch_domain, Watcher
+from humanopts_learner.planning.sampled.judging import Interval, play_games
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
+from humanopts_learner.planning.sampled.policies import UniformPolicy
+from humanopts_learner.planning.sampled.sampling import Sampler, Trace
+from humanopts_learner.planning.value_iteration import solve_smdp
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+
+GAMMA = 0.9
+EXACT = Sampling(n_games=2000, game_steps=100, penalty=0.0, explore=0.5)
+
+
+class TabularGames:
+    """Many games of an enumerable domain: a batch is one row of state indices."""
+
+    def __init__(self, domain: EnumerableDomain[Any]) -> None:
+        """Lay out the tables."""
+        self.domain: Domain[Any] = domain
+        self._listed, self._limits = domain, outcome_limits(domain.transitions())
+
+    def batch_reset(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Begin games."""
+        return rng.choice(self._listed.start_states().astype(np.int64), (1, count))
+
+    def batch_of(self, states: Sequence[Any]) -> NDArray[np.int64]:
+        """Return games that stand at given states."""
+        return np.array([[self._listed.index(state) for state in states]], dtype=np.int64)
+
+    def batch_take(self, batch: NDArray[np.int64], games: NDArray[np.intp]) -> NDArray[np.int64]:
+        """Return copies of chosen games."""
+        return batch[:, games]
+
+    def batch_put(
+        self, batch: NDArray[np.int64], games: NDArray[np.intp], source: NDArray[np.int64]
+    ) -> None:
+        """Set chosen games."""
+        batch[:, games] = source
+
+    def batch_step(
+        self, batch: NDArray[np.int64], actions: NDArray[np.intp], rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Take one step in every game that is not over."""
+        live = ~self.batch_over(batch)
+        outcome = draw_outcomes(self._limits, batch[0], actions, rng.random(len(actions)))
+        at = batch[0], actions, outcome
+        rules = self._listed.transitions()
+        reward: NDArray[np.float64] = np.where(live, rules.reward[at], 0.0)
+        batch[0] = np.where(live, rules.successor[at], batch[0])
+        return reward
+
+    def batch_over(self, batch: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return where the task is over."""
+        return self._listed.over()[batch[0]]
+
+    def batch_features(self, batch: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Return all features."""
+        return self._listed.feature_table()[batch[0]]
+
+    def batch_outcome(self, batch: NDArray[np.int64]) -> Mapping[str, NDArray[Any]]:
+        """Return where each game is."""
+        return {'state': batch[0]}
+
+    def planning_sizes(self, *, fine: bool) -> tuple[int, ...]:
+        """Tell every state apart."""
+        return (self._listed.n_states,)
+
+    def planning_features(
+        self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
+    ) -> NDArray[np.int32]:
+        """Tell every state apart."""
+        return batch.T.astype(np.int32)
+
+
+class BatchRooms(Rooms):
+    """Rooms that brings its batched form."""
+
+    def batch_domain(self) -> TabularGames:
+        """Return it."""
+        return TabularGames(self)
+
+
+def rooms_options(domain: Rooms) -> list[LearnedOption]:
+    """Return the eight hallway options."""
+    return ready_options(domain, reference_options(domain).values())
+
+
+def rooms_plan(action_set: str, steps: int = 200_000, **kwargs: Any) -> SampledPlan:
+    """Plan in the rooms from samples."""
+    domain = BatchRooms()
+    kwargs = {'seed': 1, 'how': EXACT} | kwargs
+    return make_sampled_plan(domain, action_set, rooms_options(domain), steps, **kwargs)
+
+
+@pytest.mark.parametrize('action_set', ['human', 'primitive', 'human+primitive'])
+def test_values_come_near_those_of_exact_models(action_set: str) -> None:
+    """Where starts are drawn from, after 400,000 steps; Rooms has chance and eight options."""
+    plan = rooms_plan(action_set, 400_000)
+    domain = BatchRooms()
+    exact = make_plan(domain, action_set, rooms_options(domain)).solution.values
+    starts = domain.start_states()
+    number, seen = plan.policy.index.find(starts.astype(np.int64))
+    assert seen.all()
+    assert plan.solution.values[number] == pytest.approx(exact[starts], abs=0.03)
+
+
+def samples(*rows: tuple[int, int, float, float, int]) -> Samples:
+    """Return samples: code, column, reward, discount, successor."""
+    code, column, reward, discount, successor = (np.array(part) for part in zip(*rows))
+    return Samples(code, column, reward.astype(float), discount.astype(float), successor)
+
+
+def test_a_model_is_the_mean_of_its_samples_less_the_penalty() -> None:
+    """By hand: pair (7, a) has rewards 1 and 3, and ends in 9 after one step and after two."""
+    counts = Counts(('a', 'b'))
+    counts.add(samples((7, 0, 1.0, 0.9, 9), (9, 1, 5.0, 0.0, 9)))
+    counts.add(samples((7, 0, 3.0, 0.81, 9), (9, 1, 5.0, 0.0, 9)))
+    model = counts.model(min_samples=2, penalty=1.0)
+    (seven, nine), _ = counts.index.find(np.array([7, 9]))
+    assert model.available[[seven, nine]].tolist() == [[True, False], [False, True]]
+    assert model.reward[seven, 0] == pytest.approx(2.0 - 1.0 / np.sqrt(2))
+    assert model.rows.toarray()[seven, nine] == pytest.approx((0.9 + 0.81) / 2)
+    assert model.rows.toarray()[2 + nine].sum() == 0.0
+    assert solve_smdp(model).values[nine] == pytest.approx(5.0 - 1.0 / np.sqrt(2))
+
+
+def test_pairs_with_too_few_samples_and_pairs_that_lead_to_nothing_else_are_not_available() -> (
+    None
+):
+    """State 3 was left once only; what leads to it alone cannot be valued."""
+    counts = Counts(('a',))
+    counts.add(
+        samples(*[(1, 0, 0.0, 0.9, 2)] * 2, *[(2, 0, 0.0, 0.9, 3)] * 2, (3, 0, 9.0, 0.0, 3))
+    )
+    model = counts.model(min_samples=2, penalty=0.0)
+    assert not model.available.any()
+    assert counts.model(min_samples=1, penalty=0.0).available.all()
+
+
+def test_successors_that_nothing_is_known_of_count_as_the_known_ones() -> None:
+    """Of three samples one ended in an unknown state: the others' mean discount stays."""
+    counts = Counts(('a',))
+    counts.add(samples((1, 0, 0.0, 0.9, 2), (1, 0, 0.0, 0.9, 2), (1, 0, 0.0, 0.6, 3)))
+    counts.add(samples(*[(2, 0, 1.0, 0.0, 2)] * 2))
+    model = counts.model(min_samples=2, penalty=0.0)
+    (one, two, three), _ = counts.index.find(np.array([1, 2, 3]))
+    assert model.rows.toarray()[one, two] == pytest.approx(0.8)
+    assert model.rows.toarray()[one, three] == 0.0
+
+
+def test_numbers_of_states_stay_when_more_come() -> None:
+    """And a snapshot does not know those that came later."""
+    index = StateIndex()
+    first = index.add(np.array([50, 10, 50]))
+    old = index.snapshot()
+    index.add(np.array([5, 70]))
+    assert index.find(np.array([50, 10]))[0].tolist() == first[:2].tolist()
+    assert sorted(index.find(np.array([5, 10, 50, 70]))[0].tolist()) == [0, 1, 2, 3]
+    assert old.find(np.array([5, 10, 50, 70]))[1].tolist() == [False, True, True, False]
+
+
+def test_every_end_of_a_run_is_a_sample_of_its_own() -> None:
+    """By hand: one game, a run of three steps and one of two that ends the task."""
+    trace = Trace(5, 1)
+    trace.code[:, 0] = [1, 2, 3, 4, 5]
+    trace.successor[:, 0] = [2, 3, 4, 5, 6]
+    trace.column[:, 0] = [0, 0, 0, 1, 1]
+    trace.counts[:, 0] = [True, False, True, True, True]  # column 0 could not start in 2
+    trace.reward[:, 0] = [1.0, 2.0, 4.0, 0.0, 10.0]
+    trace.ended[:, 0] = [False, False, True, False, True]
+    trace.over[:, 0] = [False, False, False, False, True]
+    found = trace.samples(0.5)
+    assert found.code.tolist() == [1, 3, 4, 5]
+    assert found.column.tolist() == [0, 0, 1, 1]
+    assert found.reward.tolist() == [3.0, 4.0, 5.0, 10.0]
+    assert found.discount.tolist() == [0.125, 0.5, 0.0, 0.0]
+    assert found.successor.tolist() == [4, 4, 6, 6]
+
+
+def test_sampling_keeps_to_its_budget() -> None:
+    """Rounded down to whole steps of all games."""
+    games = TabularGames(BatchRooms())
+    columns = Columns(games, 'primitive', [])
+    counts = Counts(columns.names)
+    watch = Watcher(games, fine=True)
+    sampler = Sampler(watch, columns, counts, 50, GAMMA, generator(1, 'test'))
+    told: list[int] = []
+    assert sampler.play(UniformPolicy(columns), 5_049, told.append) == 5_000
+    assert told[-1] == 5_000
+
+
+def test_the_same_seed_gives_the_same_plan_and_another_another() -> None:
+    """Values and states alike."""
+    first, again = rooms_plan('human', 20_000), rooms_plan('human', 20_000)
+    other = rooms_plan('human', 20_000, seed=2)
+    assert np.array_equal(first.solution.values, again.solution.values)
+    assert not np.array_equal(first.solution.values, other.solution.values)
+
+
+def test_a_plan_chooses_as_it_plays() -> None:
+    """One state at a time, an available option, and a fallback only where no option can start."""
+    plan = rooms_plan('human')
+    domain = BatchRooms()
+    for state in domain.sample_states(generator(1, 'states'), 20):
+        decision = plan.choose(state)
+        row = domain.feature_values(state)[None]
+        startable = {o.name for o in rooms_options(domain) if o.can_start(row)[0]}
+        assert (decision.name in startable) is not decision.fallback
+        assert decision.fallback is not bool(startable)
+    over = next(domain.state_at(s) for s in range(domain.n_states) if domain.over()[s])
+    with pytest.raises(PlanError, match='over'):
+        plan.choose(over)
+
+
+def test_play_counts_what_happens() -> None:
+    """Rooms pays 1 at the goal, so return is success, and discounted return falls with steps."""
+    returns = rooms_plan('human').play(3, 200)
+    assert np.array_equal(returns.total, returns.successes)
+    assert returns.successes.mean() > 0.99
+    won = returns.successes
+    assert returns.discounted[won] == pytest.approx(GAMMA ** (returns.steps[won] - 1.0))
+    assert (returns.decisions >= returns.fallbacks).all()
+    assert (returns.steps >= returns.decisions).all()
+    assert set(returns.outcomes['state'][won]) == set(np.flatnonzero(BatchRooms().over()))
+
+
+def test_a_plan_plays_better_than_chance() -> None:
+    """In fewer steps than options drawn at random."""
+    plan = rooms_plan('human')
+    chance = play_games(plan.watch, plan.columns, UniformPolicy(plan.columns), GAMMA, 3, 200)
+    assert plan.play(3, 200).steps.mean() < 0.5 * chance.steps.mean()
+
+
+def test_progress_rises_and_can_cancel() -> None:
+    """Over all rounds; what it raises passes through."""
+    seen: list[float] = []
+
+    def note(stage: str, fraction: float, sweeps: int, residual: float) -> None:
+        if stage == 'models':
+            seen.append(fraction)
+
+    def stop(stage: str, fraction: float, sweeps: int, residual: float) -> None:
+        if fraction > 0.3:
+            raise PlanCanceled
+
+    rooms_plan('human', 20_000, progress=note)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+    with pytest.raises(PlanCanceled):
+        rooms_plan('human', 20_000, progress=stop)
+
+
+def test_a_curve_ends_where_the_target_is_reached_and_shows_what_is_not() -> None:
+    """Budgets are doubled; a return above 1 is not to be had."""
+    domain, options = BatchRooms(), rooms_options(BatchRooms())
+    budgets = Budgets(5_000, 20_000)
+
+    def curve(target: float) -> list[CurveRow]:
+        return planning_curve(
+            domain, 'human', options, target, 1, budgets, episodes=100, how=EXACT
+        )
+
+    assert [row.budget_steps for row in curve(1.5)] == [5_000, 10_000, 20_000]
+    assert seconds_to_reach(curve(1.5), 1.5) is None
+    rows = curve(0.0)
+    assert len(rows) == 1
+    assert seconds_to_reach(rows, 0.0) == rows[0].seconds > 0.0
+
+
+def test_an_interval_covers_the_mean_about_as_often_as_it_says() -> None:
+    """Of 1000 intervals of 50 numbers."""
+    rng = generator(1, 'interval')
+    found = [Interval.of(rng.random(50)) for _ in range(1000)]
+    assert sum(i.low <= 0.5 <= i.high for i in found) == pytest.approx(945, abs=25)
+
+
+def test_what_makes_no_sense_is_refused_by_name() -> None:
+    """Domains without a batched form, budgets below one game, and numbers out of range."""
+    with pytest.raises(NotEnumerableError, match='batch_domain'):
+        batch_domain(Taxi())
+    with pytest.raises(PlanError, match='fewer than'):
+        rooms_plan('human', 99)
+    with pytest.raises(PlanError, match='two rounds'):
+        Sampling(rounds=1)
+    with pytest.raises(PlanError, match='share'):
+        Sampling(explore=1.5)
+    with pytest.raises(PlanError, match='needs options'):
+        make_sampled_plan(BatchRooms(), 'human', [], 10_000, 1)
