@@ -38,7 +38,7 @@ $(VENV)/.locked: requirements.lock
 	@echo 'Installing the locked packages into $(VENV) ...'
 	@rm -rf $(VENV) && $(PYTHON) -m venv $(VENV)
 	@$(VENV)/bin/pip install --quiet --disable-pip-version-check --require-hashes \
-	  -r requirements.lock 2> >(grep -v '^WARNING: Location' >&2)
+	  -r requirements.lock 2> >(grep -v -e '^WARNING: Location' -e DEPRECATION >&2)
 	@touch $@
 
 build/.interfaces: $(VENV)/.locked $(INTERFACES)

@@ -335,7 +335,10 @@ def test_the_list_is_what_can_be_run(runs: Runs) -> None:
         OPTIONS[name].n_demonstrations for name in sorted(OPTIONS)
     ]
     assert listed.primitive_actions == [f'action:{action.name}' for action in TAXI.actions]
-    assert runs.graph.ask(ListOptions, 'list_options', participant='p2').option_names == []
+    assert listed.status == listed.STATUS_OK
+    unknown = runs.graph.ask(ListOptions, 'list_options', participant='p2')
+    assert (unknown.status, unknown.option_names) == (unknown.STATUS_UNKNOWN_PARTICIPANT, [])
+    assert "'p2' taught no option" in unknown.detail
 
 
 def test_a_file_that_cannot_be_used_is_reported_and_left_alone(

@@ -6,7 +6,7 @@ The values mirror the messages of humanopts_interfaces: the enums have the numbe
 ``SetControl``, and the dataclasses their fields.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any
 
@@ -88,6 +88,18 @@ class Moment:
     def open(self) -> bool:
         """Whether a step can be taken."""
         return self.episode > 0 and not self.terminated and not self.truncated
+
+
+def moment_from_message(message: Any) -> Moment:
+    """
+    Decode a ``GameState``, from rclpy or from a bag reader.
+
+    :raises ValueError: its source is unknown.
+    """
+    values = {field.name: getattr(message, field.name) for field in fields(Moment)}
+    values['features'] = tuple(map(int, message.features))
+    values['action_source'] = Source(message.action_source)
+    return Moment(**values)
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,8 +112,8 @@ def rooms_options(domain: Rooms) -> list[LearnedOption]:
 def rooms_plan(action_set: str, steps: int = 200_000, **kwargs: Any) -> SampledPlan:
     """Plan in the rooms from samples."""
     domain = BatchRooms()
-    kwargs = {'seed': 1, 'how': EXACT} | kwargs
-    return make_sampled_plan(domain, action_set, rooms_options(domain), steps, **kwargs)
+    given: dict[str, Any] = {'seed': 1, 'how': EXACT, **kwargs}
+    return make_sampled_plan(domain, action_set, rooms_options(domain), steps, **given)
 
 
 @pytest.mark.parametrize('action_set', ['human', 'primitive', 'human+primitive'])

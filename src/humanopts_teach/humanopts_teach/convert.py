@@ -3,8 +3,7 @@
 from dataclasses import asdict, fields
 from typing import Any
 
-from humanopts_env.game import Moment, Source
-from humanopts_interfaces.msg import GameState, LessonState, OptionStatus
+from humanopts_interfaces.msg import LessonState, OptionStatus
 from humanopts_interfaces.srv import EndDemonstration
 from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Progress, Verdict
 
@@ -13,14 +12,6 @@ _VERDICTS = {
     verdict: int(getattr(EndDemonstration.Request, f'VERDICT_{verdict.name}'))
     for verdict in Verdict
 }
-
-
-def moment_from_message(message: GameState) -> Moment:
-    """Decode where the game is."""
-    values = {field.name: getattr(message, field.name) for field in fields(Moment)}
-    values['features'] = tuple(map(int, message.features))
-    values['action_source'] = Source(message.action_source)
-    return Moment(**values)
 
 
 def view_to_message(view: LessonView) -> LessonState:

@@ -6,7 +6,7 @@ from typing import Any
 
 from humanopts_env.convert import domain_to_info, moment_to_message
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.game import Moment, Source
+from humanopts_env.game import Moment, moment_from_message, Source
 from humanopts_env.nodes.node_base import PublishError
 from humanopts_interfaces.msg import LessonState, NodeStatus, OptionStatus
 from humanopts_interfaces.srv import (
@@ -18,7 +18,6 @@ from humanopts_interfaces.srv import (
 )
 from humanopts_teach.convert import (
     answered,
-    moment_from_message,
     progress_from_message,
     verdict_from_number,
     verdict_to_number,

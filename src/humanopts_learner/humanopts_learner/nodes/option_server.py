@@ -147,11 +147,23 @@ class OptionServerNode(NodeBase):
         self, request: ListOptions.Request, response: ListOptions.Response
     ) -> ListOptions.Response:
         library = self._runner.library
-        options = library.options(request.participant) if library else []
+        if library is None:
+            response.status = response.STATUS_NO_GAME
+            response.detail = 'game has not announced itself'
+            return response
+        options = library.options(request.participant)
+        response.status = response.STATUS_OK
+        if request.participant and not options:
+            people = sorted({option.participant for option in library.options()})
+            response.status = response.STATUS_UNKNOWN_PARTICIPANT
+            response.detail = (
+                f'{request.participant!r} taught no option; those who did: '
+                f'{", ".join(people) or "nobody"}'
+            )
         response.option_names = [option.name for option in options]
         response.participants = [option.participant for option in options]
         response.n_demonstrations = [option.n_demonstrations for option in options]
-        response.primitive_actions = library.primitive_names if library else []
+        response.primitive_actions = library.primitive_names
         return response
 
     def _on_query(

@@ -10,7 +10,10 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 
 STOPS = 'the planner stops'
-_RESET_SECONDS, _OPTION_SECONDS = 5.0, 120.0  # to wait for an answer
+_RESET_SECONDS, _OPTION_SECONDS = (
+    5.0,
+    600.0,
+)  # to wait for an answer; the server's own deadline is shorter
 _GO_ON = (
     OptionResult.STATUS_REACHED,
     OptionResult.STATUS_EPISODE_OVER,

@@ -154,7 +154,8 @@ class Runner:
             return state
         if state is not None and (state.episode, state.step) == (episode, step) != (0, 0):
             return state
-        if episode == 0:
+        past = state is not None and state.episode == episode and step < state.step
+        if episode == 0 or past:
             return None
         arrival: Future = Future()
         self._arrivals.append((episode, step, arrival, time.monotonic() + self._patience))

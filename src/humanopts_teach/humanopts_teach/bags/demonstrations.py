@@ -6,7 +6,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
-from humanopts_env.game import Moment, Source
+from humanopts_env.game import Moment, moment_from_message
 from humanopts_learner.demonstrations import (
     Demonstration,
     demonstration_from_message,
@@ -100,15 +100,3 @@ def read_episodes(bag: Bag) -> list[Episode]:
     return [
         Episode(*key, tuple(by[step] for step in sorted(by))) for key, by in found.items() if by
     ]
-
-
-def moment_from_message(message: Any) -> Moment:
-    """
-    Return the moment in a decoded GameState.
-
-    :raises ValueError: its source is unknown.
-    """
-    values = {name: getattr(message, name) for name in Moment.__dataclass_fields__}
-    values['features'] = tuple(message.features)
-    values['action_source'] = Source(message.action_source)
-    return Moment(**values)

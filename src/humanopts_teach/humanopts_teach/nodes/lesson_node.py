@@ -10,6 +10,7 @@ from typing import Any
 
 from humanopts_env.convert import domain_from_info
 from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.game import moment_from_message
 from humanopts_env.nodes.node_base import NodeBase, PublishError, run_node, StartError
 from humanopts_env.nodes.qos import CURRENT, LATCHED, STREAM
 from humanopts_interfaces.msg import (
@@ -38,7 +39,6 @@ from humanopts_learner.options.option import OptionError
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach.convert import (
     answered,
-    moment_from_message,
     progress_from_message,
     verdict_from_number,
     view_to_message,

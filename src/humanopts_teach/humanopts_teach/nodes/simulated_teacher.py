@@ -7,7 +7,7 @@ from typing import Any
 from humanopts_env.convert import domain_from_info
 from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.registry import reference_options
-from humanopts_env.game import Moment
+from humanopts_env.game import Moment, moment_from_message
 from humanopts_env.nodes.node_base import NodeBase, PublishError, run_node, StartError
 from humanopts_env.nodes.qos import CURRENT, STREAM
 from humanopts_interfaces.msg import (
@@ -26,7 +26,7 @@ from humanopts_interfaces.srv import (
     OpenSession,
     SetControl,
 )
-from humanopts_teach.convert import moment_from_message, verdict_to_number, view_from_message
+from humanopts_teach.convert import verdict_to_number, view_from_message
 from humanopts_teach.dialogue.answers import LessonView
 from humanopts_teach.teacher.acts import (
     Act,
