@@ -75,11 +75,13 @@ class TabularGames:
 
     def batch_over(self, batch: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return where the task is over."""
-        return self._listed.over()[batch[0]]
+        found: NDArray[np.bool_] = self._listed.over()[batch[0]]
+        return found
 
     def batch_features(self, batch: NDArray[np.int64]) -> NDArray[np.int32]:
         """Return all features."""
-        return self._listed.feature_table()[batch[0]]
+        found: NDArray[np.int32] = self._listed.feature_table()[batch[0]]
+        return found
 
     def batch_outcome(self, batch: NDArray[np.int64]) -> Mapping[str, NDArray[Any]]:
         """Return where each game is."""

@@ -86,7 +86,10 @@ def _distances(step: NDArray[np.intp], passable: NDArray[np.bool_]) -> NDArray[n
     here, move = np.nonzero(passable)
     graph = coo_array((np.ones(len(here)), (here, step[here, move])), shape=(count, count))
     exact = shortest_path(graph.tocsr(), unweighted=True)
-    return exact.astype(np.uint8 if float(exact.max()) < 254 else np.uint16)
+    steps: NDArray[np.unsignedinteger] = exact.astype(
+        np.uint8 if float(exact.max()) < 254 else np.uint16
+    )
+    return steps
 
 
 def _allowed(passable: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -37,7 +37,7 @@ class Budgets:
     """Budgets of game steps: the first, doubled while they are at most the largest."""
 
     first: int = 12_500
-    largest: int = 6_400_000
+    largest: int = 25_600_000
 
     def __iter__(self) -> Iterator[int]:
         """Go through them."""

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 Ints = NDArray[np.intp]
 N_DIRECTIONS = len(DIRECTIONS)
 FAR = 1000  # more than any bucket of a distance that is one
-# For primitive actions: the first distance of each bucket but the nearest. In the last one, the
-# direction is left out.
+# For primitive actions: the first distance of each bucket but the nearest. In the last one the
+# direction is left out, but for food.
 NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL = (2, 3, 4, 5, 7), (3, 5), (3, 6, 13), (3, 9)
 NEAR_FOOD = (2, 3, 5, 9)
 

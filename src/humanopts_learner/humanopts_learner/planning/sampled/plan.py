@@ -38,11 +38,11 @@ class Sampling:
     """How samples are drawn, and what is made of them."""
 
     rounds: int = 4  # of play; every one but the first by the policy so far
-    n_games: int = 500  # side by side, at most
+    n_games: int = 1000  # side by side, at most
     game_steps: int = 400  # that each of them is played in all, at least
     explore: float = 0.2  # share of decisions that are drawn, from the second round on
     min_samples: int = 2  # pairs of state and column with fewer are not available
-    penalty: float = 30.0  # reward units, by the square root of the number of samples
+    penalty: float = 5.0  # reward units, by the square root of the number of samples
 
     def __post_init__(self) -> None:
         """
