@@ -25,6 +25,7 @@ from humanopts_learner.planning.sampled.games import batch_domain, Watcher
 from humanopts_learner.planning.sampled.judging import Interval, play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from humanopts_learner.planning.sampled.policies import UniformPolicy
+from humanopts_learner.planning.sampled.runs import Runs
 from humanopts_learner.planning.sampled.sampling import Sampler, Trace
 from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
@@ -312,3 +313,20 @@ def test_what_makes_no_sense_is_refused_by_name() -> None:
         Sampling(explore=1.5)
     with pytest.raises(PlanError, match='needs options'):
         make_sampled_plan(BatchRooms(), 'human', [], 10_000, 1)
+
+
+def test_games_that_begin_again_are_seen_as_they_are() -> None:
+    """The others stay where they were."""
+    games = TabularGames(BatchRooms())
+    watch, columns = Watcher(games, fine=True), Columns(games, 'primitive', [])
+    runs = Runs(watch, columns, games.batch_reset(50, generator(1, 'begin')), generator(1, 'play'))
+    for _ in range(5):
+        runs.decide(UniformPolicy(columns))
+        runs.step()
+    before = runs.batch.copy()
+    runs.restart(np.array([3, 40]))
+    seen = watch(runs.batch)
+    assert np.array_equal(runs.view.codes, seen.codes)
+    assert np.array_equal(runs.view.rows, seen.rows)
+    changed = np.flatnonzero(before[0] != runs.batch[0])
+    assert set(changed) <= {3, 40}

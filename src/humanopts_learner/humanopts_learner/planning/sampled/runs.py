@@ -47,9 +47,10 @@ class Runs:
     def restart(self, chosen: Ints) -> None:
         """Begin chosen games (M,) again."""
         games = self._watch.games
-        games.batch_put(self.batch, chosen, games.batch_reset(len(chosen), self._rng))
+        fresh = self._watch(games.batch_reset(len(chosen), self._rng))
+        games.batch_put(self.batch, chosen, fresh.batch)
+        self.view.rows[chosen], self.view.codes[chosen] = fresh.rows, fresh.codes
         self.column[chosen] = -1
-        self.view = self._watch(self.batch)
 
     def keep(self, chosen: Ints) -> None:
         """Go on with chosen games (M,) only."""
