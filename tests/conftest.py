@@ -11,6 +11,7 @@ import pytest
 prepare_discovery()
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'  # a misspelt field is an error, here and in the nodes
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+os.environ['TERM'] = 'xterm-256color'  # what the pseudo-terminals of the tests understand
 
 
 def _graph(folder: object) -> Iterator[Graph]:
