@@ -358,7 +358,7 @@ def test_an_option_server_that_is_ended_answers_who_waits(runs: Runs, server: No
     assert status == GoalStatus.STATUS_ABORTED
     assert (result.status, result.detail) == (
         OptionResult.STATUS_FAILED,
-        'it failed: the option server stops',
+        'it failed: option_server stops',
     )
     assert (server.ended(5.0), 'Traceback' in server.said()) == (0, False)
 

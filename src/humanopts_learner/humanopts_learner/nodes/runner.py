@@ -105,7 +105,7 @@ class Runner:
             arrival.set_result(None)
         self._arrivals = []
         if self._active is not None:
-            self._finish(self._active.run.end(Status.FAILED, 'the option server stops'))
+            self._finish(self._active.run.end(Status.FAILED, 'option_server stops'))
 
     async def _drive(self, request: RunRequest, option: RunnableOption) -> Any:
         """Wait for the state to start from, and run the option from there."""
