@@ -302,7 +302,7 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(graph: Graph) -
     again.see('Enter shows start 4.')
     again.press(ENTER)
     assert person.show(60)
-    assert 'All criteria hold.' in again.words()
+    again.see('All criteria hold.')  # the lesson's end and the criteria come as two messages
 
     again.press('r')
     again.see(f'Run: {PICKUP}')
