@@ -6,8 +6,9 @@ import warnings
 import gymnasium
 from gymnasium.utils.env_checker import check_env
 from humanopts_env.domains.base import DomainError
-from humanopts_env.domains.registry import domain_names
-from humanopts_env.gym_env import DomainEnv, ENVIRONMENTS, register_all
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.gym_env import DomainEnv, ENVIRONMENTS, register_all, TableEnv
+from humanopts_env.seeding import generator
 import numpy as np
 import pytest
 
@@ -17,17 +18,52 @@ def make(name: str = 'humanopts/Taxi-v0', **parameters: Any) -> Any:
     return gymnasium.make(name, **parameters)
 
 
-@pytest.mark.parametrize('name', [n for n, d in ENVIRONMENTS.items() if d in domain_names()])
+@pytest.mark.parametrize('name', ENVIRONMENTS)
 def test_gymnasiums_checker_is_satisfied(name: str) -> None:
-    """Without a single warning, by every environment whose domain is installed."""
+    """Without a single warning, by every environment."""
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         check_env(make(name, render_mode='ansi').unwrapped)
 
 
-def test_the_rooms_are_registered() -> None:
-    """Under their own id."""
-    assert gymnasium.spec('humanopts/Rooms-v0').kwargs == {'domain': 'rooms'}
+@pytest.mark.parametrize('name', ENVIRONMENTS)
+def test_nothing_is_done_before_the_first_reset(name: str) -> None:
+    """With Gymnasium's own error, whether or not its wrappers are around."""
+    env = make(name, render_mode='ansi').unwrapped
+    for call in (lambda: env.step(0), env.render):
+        with pytest.raises(gymnasium.error.ResetNeeded, match='reset'):
+            call()
+
+
+@pytest.mark.parametrize('name', ENVIRONMENTS)
+def test_an_episode_depends_on_its_seed_alone(name: str) -> None:
+    """The same one with the same seed, in another environment too; others with others."""
+
+    def played(seed: int) -> list[Any]:
+        env, rng = make(name), generator(0, 'gymnasium')
+        seen = [env.reset(seed=seed)[0]]
+        while len(seen) < 40:
+            observation, reward, terminated, truncated, _ = env.step(int(rng.integers(4)))
+            seen.append((np.array(observation).tolist(), reward))
+            if terminated or truncated:
+                seen.append(env.reset()[0])
+        return [str(entry) for entry in seen]
+
+    assert played(1) == played(1)
+    assert played(1) != played(2)
+
+
+@pytest.mark.parametrize('name', ENVIRONMENTS)
+def test_actions_are_drawn_by_the_mask(name: str) -> None:
+    """In the form that Gymnasium's spaces take, after every reset and step."""
+    env = make(name)
+    _, info = env.reset(seed=3)
+    for _ in range(30):
+        action = env.action_space.sample(info['action_mask'])
+        assert info['action_mask'][action] == 1
+        *_, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            _, info = env.reset()
 
 
 def test_it_is_found_by_module_and_name_and_registered_once() -> None:
@@ -91,4 +127,47 @@ def test_the_same_seed_begins_in_the_same_state() -> None:
 def test_only_domains_whose_states_can_be_listed_are_made() -> None:
     """An unknown one is refused by name."""
     with pytest.raises(DomainError, match='no domain'):
-        DomainEnv('chess')
+        TableEnv('chess')
+    with pytest.raises(DomainError, match='cannot be listed'):
+        TableEnv('pacman')
+
+
+def test_the_action_mask_of_taxi_is_gymnasiums_own() -> None:
+    """In all 400 states in which a task is under way."""
+    ours, theirs = make().unwrapped, make('Taxi-v4').unwrapped
+    for number in np.flatnonzero(~ours.domain.over()).tolist():
+        state = ours.domain.state_at(number)
+        assert ours.action_mask(state).tolist() == theirs.action_mask(number).tolist()
+
+
+def test_pacman_is_observed_by_its_features() -> None:
+    """In the order of the domain's features, and with the maze and the ghosts that are asked."""
+    env = make('humanopts/PacMan-v0', ghosts='chase', maze='yard', lives=1)
+    domain = env.unwrapped.domain
+    assert dict(domain.parameters) == dict(PacMan('yard', 'chase', lives=1).parameters)
+    observation, info = env.reset(seed=0)
+    assert observation.tolist() == domain.feature_values(domain.rules.start()).tolist()
+    assert env.observation_space.nvec.tolist() == [len(f.values) for f in domain.features]
+    legal = domain.features[-1].values[observation[-1]].split(' and ')
+    names = [action.name for action in domain.actions]
+    assert [names[move] for move in np.flatnonzero(info['action_mask'])] == legal
+    with pytest.raises(DomainError, match='ghosts'):
+        make('humanopts/PacMan-v0', ghosts='slow')
+
+
+def test_pacman_is_cut_off_after_a_thousand_steps() -> None:
+    """Into a wall, where no ghost is."""
+    maze = '%%%%%\n%P .%\n%%%%%'
+    env = make('humanopts/PacMan-v0', maze=maze)
+    env.reset(seed=0)
+    flags = [env.step(1)[2:4] for _ in range(1000)]
+    assert flags == [(False, False)] * 999 + [(False, True)]
+
+
+def test_games_of_pacman_are_played_side_by_side() -> None:
+    """Gymnasium's vector environments take it as it is."""
+    envs = gymnasium.make_vec('humanopts/PacMan-v0', num_envs=3, vectorization_mode='sync')
+    observations, _ = envs.reset(seed=4)
+    after, rewards, *_ = envs.step(np.array([1, 2, 1]))
+    assert observations.shape == after.shape == (3, len(envs.get_attr('domain')[0].features))
+    assert rewards.shape == (3,)
