@@ -5,7 +5,7 @@ from typing import Any
 from humanopts_env.nodes.node_base import NodeBase
 from humanopts_interfaces.msg import OptionResult, PolicyResult
 from humanopts_interfaces.srv import ResetGame, RunOption
-from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.any_domain import AnyPlan
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 
@@ -50,15 +50,15 @@ class Episode:
     """One episode by a plan; its counts go into the result of the whole run."""
 
     def __init__(
-        self, player: Player, plan: Plan, result: PolicyResult, handle: ServerGoalHandle
+        self, player: Player, plan: AnyPlan, result: PolicyResult, handle: ServerGoalHandle
     ) -> None:
         self._player, self._plan, self._result, self._handle = player, plan, result, handle
         self.total = self.discounted = 0.0
 
-    async def play(self, start: int, seed: int, limit: int) -> bool:
+    async def play(self, start: Any, seed: int, limit: int) -> bool:
         """Play to the end; False: the run is over, and the result says why."""
         domain, state, step = self._plan.domain, start, 0
-        reset = await self._player.reset(domain.encode(domain.state_at(start)), seed)
+        reset = await self._player.reset(domain.encode(start), seed)
         if reset is None:
             return self._fail('game did not answer reset_game')
         if reset.status == ResetGame.Response.STATUS_HELD_BY_PERSON:
@@ -87,7 +87,7 @@ class Episode:
             if run.terminated or run.truncated:
                 self._result.successes += run.terminated
                 return True
-            state = domain.index(domain.decode(run.final_state))
+            state = domain.decode(run.final_state)
         return True
 
     def _fail(self, detail: str) -> bool:

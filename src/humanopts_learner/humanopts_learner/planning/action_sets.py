@@ -36,7 +36,7 @@ class Progress(Protocol):
         """
         Take note.
 
-        :param stage: tables, models or sweeps.
+        :param stage: tables, models, sweeps or evaluation.
         :param fraction: of the stage, 0..1.
         :param residual: of the last sweep, reward units; NaN before the first.
         """

@@ -49,3 +49,13 @@ def check_gamma(gamma: float) -> None:
     """
     if not 0.0 < gamma <= 1.0:
         raise GammaError(f'gamma is {gamma}, and must be above 0 and at most 1')
+
+
+def check_limits(tol: float, max_sweeps: int) -> None:
+    """
+    Check where sweeps are to end.
+
+    :raises ModelError: tol is negative or no number, or max_sweeps is below 1.
+    """
+    if not tol >= 0.0 or max_sweeps < 1:
+        raise ModelError(f'tol is {tol} and max_sweeps {max_sweeps}: need tol >= 0 and a sweep')

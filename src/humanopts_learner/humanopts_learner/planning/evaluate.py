@@ -1,11 +1,13 @@
 """Playing a plan in the rules of its domain, all episodes at once."""
 
 from dataclasses import dataclass
+import math
 from typing import Any
 
-from humanopts_env.domains.base import EnumerableDomain
+from humanopts_env.domains.base import Domain, EnumerableDomain, S
 from humanopts_env.domains.chance import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
+from humanopts_learner.planning.action_sets import Progress, say_nothing
 from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.planning.plan import Plan
 import numpy as np
@@ -27,21 +29,36 @@ class Returns:
     fallbacks: Ints  # (E,) of these, primitive actions because no option was available
 
 
-def episode_starts(domain: EnumerableDomain[Any], seed: int, episodes: int) -> NDArray[np.int32]:
+def episode_starts(
+    domain: EnumerableDomain[Any], seed: int, episodes: int, progress: Progress | None = None
+) -> NDArray[np.int32]:
     """
     Draw the start states of episodes, (E,) state indices.
 
     Each draw has its own generator, so start i is the same however many are asked for.
+
+    :param progress: told the stage evaluation, which begins with this.
     """
-    return np.array([episode_start(domain, seed, e) for e in range(episodes)], dtype=np.int32)
+    tell = progress or say_nothing
+    starts = np.empty(episodes, dtype=np.int32)
+    for episode in range(episodes):
+        tell('evaluation', 0.0, 0, math.nan)
+        starts[episode] = domain.index(episode_start(domain, seed, episode))
+    return starts
 
 
-def episode_start(domain: EnumerableDomain[Any], seed: int, episode: int) -> int:
-    """Draw the start state of one episode, a state index."""
-    return domain.index(domain.reset(generator(seed, 'episode_start', episode)))
+def episode_start(domain: Domain[S], seed: int, episode: int) -> S:
+    """Draw the start state of one episode."""
+    return domain.reset(generator(seed, 'episode_start', episode))
 
 
-def play(plan: Plan, starts: NDArray[np.integer], max_steps: int = 0, seed: int = 0) -> Returns:
+def play(
+    plan: Plan,
+    starts: NDArray[np.integer],
+    max_steps: int = 0,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Returns:
     """
     Run each option of the policy to its end, as the runner does, until the episode ends.
 
@@ -50,6 +67,7 @@ def play(plan: Plan, starts: NDArray[np.integer], max_steps: int = 0, seed: int 
     :param starts: (E,) state indices.
     :param seed: of the outcomes; not used where every action has one.
     :param max_steps: episodes are cut off after so many steps; 0: the domain's own limit.
+    :param progress: told the stage evaluation; what it raises passes through.
     :raises PlanError: neither limits the episodes, or a start is not a state.
     """
     limit = max_steps or plan.domain.max_steps
@@ -57,11 +75,12 @@ def play(plan: Plan, starts: NDArray[np.integer], max_steps: int = 0, seed: int 
         raise PlanError(f'{plan.domain.name} never cuts an episode off: give max_steps')
     if len(starts) and not 0 <= starts.min() <= starts.max() < plan.domain.n_states:
         raise PlanError(f'a start is not within 0..{plan.domain.n_states - 1}')
-    game = _Games(plan, starts)
+    game, tell = _Games(plan, starts), progress or say_nothing
     chance = not plan.domain.transitions().deterministic
     for step in range(limit):
         if not len(game.live):
             break
+        tell('evaluation', step / limit, 0, math.nan)
         game.decide()
         game.step(generator(seed, 'play', step).random(len(starts)) if chance else None)
     return game.returns

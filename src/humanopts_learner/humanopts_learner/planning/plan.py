@@ -75,23 +75,31 @@ class Plan:
     model_seconds: float
     sweep_seconds: float
 
-    def choose(self, state: int) -> Decision:
+    def choose(self, state: Any) -> Decision:
         """
-        Return what the policy runs in a state.
+        Return what the policy runs in a state of the domain.
 
-        :raises PlanError: there is no such state, or the task is over in it.
+        :raises PlanError: the task is over in it.
         """
-        if not 0 <= state < len(self.solution.best):
-            raise PlanError(f'state {state} is not within 0..{len(self.solution.best) - 1}')
-        column = int(self.solution.best[state])
+        column = int(self.solution.best[self.domain.index(state)])
         if column < 0:
-            raise PlanError(f'there is nothing to do in state {state}: the task is over')
+            raise PlanError('there is nothing to do: the task is over')
         return Decision(self.names[column], column >= self.first_fallback)
 
     @property
     def first_fallback(self) -> int:
         """Column from which on a choice is a fallback; the number of columns where none is."""
         return len(self.options) if self.action_set == HUMAN else len(self.names)
+
+    @property
+    def game_steps(self) -> int:
+        """Game steps that were sampled: none."""
+        return 0
+
+    @property
+    def seconds(self) -> float:
+        """What planning took, all counted."""
+        return self.table_seconds + self.model_seconds + self.sweep_seconds
 
 
 def make_plan(
@@ -115,17 +123,21 @@ def make_plan(
     """
     gamma = domain.gamma if gamma is None else gamma
     used = () if action_set == PRIMITIVE else tuple(options)
-    listed = check_request(domain, action_set, used, gamma)
+    check_request(domain, action_set, used, gamma)
+    if not is_enumerable(domain):
+        raise NotEnumerableError(
+            f'the states of {domain.name} cannot all be listed, so it has no exact models'
+        )
     tell = progress or say_nothing
-    listed.feature_table()  # built once for all plans, so no part of this one's time
+    domain.feature_table()  # built once for all plans, so no part of this one's time
     began = clock()
     tabled = []
     for done, option in enumerate(used):
         tell('tables', done / len(used), 0, math.nan)
-        tabled.append(TabledOption(option.name, option.max_steps, option_tables(option, listed)))
+        tabled.append(TabledOption(option.name, option.max_steps, option_tables(option, domain)))
     table_seconds = clock() - began
     return plan_with_tables(
-        listed, action_set, tabled, gamma, tol, max_sweeps, tell, clock, table_seconds
+        domain, action_set, tabled, gamma, tol, max_sweeps, tell, clock, table_seconds
     )
 
 
@@ -167,9 +179,9 @@ def plan_with_tables(
 
 def check_request(
     domain: Domain[Any], action_set: str, options: Sequence[LearnedOption], gamma: float
-) -> EnumerableDomain[Any]:
+) -> None:
     """
-    Check what ``make_plan`` is asked for, without planning.
+    Check what any planning is asked for, without planning.
 
     :raises PlanError: the request makes no sense; its subclasses say which part.
     """
@@ -180,11 +192,6 @@ def check_request(
             option.check_domain(domain)
         except OptionError as error:
             raise ForeignOptionError(str(error)) from error
-    if not is_enumerable(domain):
-        raise NotEnumerableError(
-            f'the states of {domain.name} cannot all be listed, so it has no exact models'
-        )
-    return domain
 
 
 class SweepProgress:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from humanopts_learner.planning.errors import ModelError
+from humanopts_learner.planning.errors import check_limits
 from humanopts_learner.planning.model import Model
 import numpy as np
 from numpy.typing import NDArray
@@ -72,8 +72,7 @@ def solve_smdp(
     :param on_values: called with the values (S,) after each sweep; they must be copied to be kept.
     :raises ModelError: tol is negative or no number, or max_sweeps is below 1.
     """
-    if not tol >= 0.0 or max_sweeps < 1:
-        raise ModelError(f'tol is {tol} and max_sweeps {max_sweeps}: need tol >= 0 and a sweep')
+    check_limits(tol, max_sweeps)
     backup = _Backup(model)
     old, new = np.zeros(model.n_states), np.empty(model.n_states)
     for sweeps in range(1, max_sweeps + 1):

@@ -1,0 +1,197 @@
+"""
+Planning in any domain: exact where its states can all be listed, from samples elsewhere.
+
+``check_plan_request``, ``plan_in`` and ``judge_plan`` take domains and plans of both kinds. The
+same request, options and seed always give the same numbers, seconds apart.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from itertools import count
+import math
+import time
+from typing import Any
+
+from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.action_sets import PRIMITIVE, Progress, say_nothing
+from humanopts_learner.planning.errors import check_limits, PlanError
+from humanopts_learner.planning.evaluate import episode_starts, play, Returns
+from humanopts_learner.planning.plan import check_request, Clock, make_plan, Plan
+from humanopts_learner.planning.sampled.games import batch_domain, View
+from humanopts_learner.planning.sampled.judging import GameReturns, Interval
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
+from humanopts_learner.planning.sampled.policies import Choice, GreedyPolicy
+from numpy.typing import NDArray
+
+TOLERANCE, SAMPLED_TOLERANCE = 1e-8, 1e-3  # reward units
+MAX_SWEEPS, GAME_STEPS = 10_000, 800_000
+
+AnyPlan = Plan | SampledPlan
+"""
+Both have domain, action_set, gamma, names, first_fallback, solution, game_steps (0: exact),
+table_seconds, model_seconds, sweep_seconds, seconds, and ``choose(state)``.
+"""
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """What a plan shall be; for a number of 0 there is a default."""
+
+    action_set: str  # human, primitive or human+primitive
+    gamma: float = 0.0  # discount per primitive step; the domain's own
+    tol: float = 0.0  # of the last sweep, reward units; 1e-8 with exact models, 1e-3 with sampled
+    max_sweeps: int = 0  # 10,000
+    game_steps: int = 0  # to be sampled in all; 800,000. Exact models need none: always 0
+    seed: int = 0  # of the samples; it has no default
+
+    def in_force(self, domain: Domain[Any]) -> 'PlanRequest':
+        """Return the request with defaults filled in."""
+        exact = is_enumerable(domain)
+        return replace(
+            self,
+            gamma=self.gamma or domain.gamma,
+            tol=self.tol or (TOLERANCE if exact else SAMPLED_TOLERANCE),
+            max_sweeps=self.max_sweeps or MAX_SWEEPS,
+            game_steps=0 if exact else self.game_steps or GAME_STEPS,
+        )
+
+
+@dataclass(frozen=True)
+class Performance:
+    """How a plan did in the episodes that it was judged by; intervals of one have no bounds."""
+
+    episodes: int
+    total: Interval  # undiscounted return
+    discounted: Interval
+    fallbacks: int  # primitive actions because no option could start
+    outcomes: Mapping[str, Interval]  # what else the domain tells of its games; exact: nothing
+
+
+def select_options(
+    options: Sequence[LearnedOption],
+    action_set: str,
+    participant: str = '',
+    names: Sequence[str] = (),
+) -> list[LearnedOption]:
+    """
+    Return the options to plan with, in the order given; none for the set ``primitive``.
+
+    :param participant: whose; empty: the only one there is.
+    :param names: those to plan with; empty: all.
+    :raises PlanError: there are several participants and none is named, or a name is unknown.
+    """
+    if action_set == PRIMITIVE:
+        return []
+    people = sorted({option.participant for option in options})
+    if not participant and len(people) > 1:
+        raise PlanError(f'several people taught options: name one of {", ".join(people)}')
+    theirs = [option for option in options if participant in ('', option.participant)]
+    known = [option.name for option in theirs]
+    unknown = [repr(name) for name in names if name not in known]
+    if known and unknown:
+        raise PlanError(f'no option {", ".join(unknown)}; there is {", ".join(map(repr, known))}')
+    return [option for option in theirs if not names or option.name in names]
+
+
+def check_plan_request(
+    domain: Domain[Any], options: Sequence[LearnedOption], request: PlanRequest
+) -> PlanRequest:
+    """
+    Check what ``plan_in`` is asked for, without planning; return the request in force.
+
+    :raises PlanError: it makes no sense; its subclasses say which part.
+    """
+    asked = request.in_force(domain)
+    used = () if asked.action_set == PRIMITIVE else options
+    check_request(domain, asked.action_set, used, asked.gamma)
+    check_limits(asked.tol, asked.max_sweeps)
+    if not is_enumerable(domain):
+        batch_domain(domain)
+        if asked.game_steps < (fewest := Sampling().game_steps):
+            raise PlanError(f'game_steps is {asked.game_steps}, and must be at least {fewest}')
+    return asked
+
+
+def plan_in(
+    domain: Domain[Any],
+    options: Sequence[LearnedOption],
+    request: PlanRequest,
+    progress: Progress | None = None,
+    clock: Clock = time.perf_counter,
+) -> AnyPlan:
+    """
+    Plan with exact models where all states can be listed, and with sampled ones elsewhere.
+
+    :param options: not looked at in the set ``primitive``.
+    :param progress: told the stages tables, models and sweeps; models and sweeps alternate where
+        they are sampled.
+    :raises PlanError: as ``check_plan_request``.
+    :raises PlanCanceled: from ``progress``.
+    """
+    asked = check_plan_request(domain, options, request)
+    limits: Any = {'gamma': asked.gamma, 'tol': asked.tol, 'max_sweeps': asked.max_sweeps}
+    told: Any = {'progress': progress, 'clock': clock}
+    if is_enumerable(domain):
+        return make_plan(domain, asked.action_set, options, **limits, **told)
+    return make_sampled_plan(
+        domain, asked.action_set, options, asked.game_steps, asked.seed, **limits, **told
+    )
+
+
+def judge_plan(
+    plan: AnyPlan, seed: int, episodes: int, progress: Progress | None = None
+) -> Performance:
+    """
+    Play episodes by a plan in the real rules, each option run to its end.
+
+    :param seed: of start states and chance.
+    :param episodes: 1 or more.
+    :param progress: told the stage evaluation.
+    :raises PlanError: the domain never cuts an episode off, or ``episodes`` is below 1.
+    :raises PlanCanceled: from ``progress``.
+    """
+    if episodes < 1:
+        raise PlanError(f'cannot play {episodes} episodes')
+    tell = progress or say_nothing
+    returns: Returns | GameReturns
+    if isinstance(plan, Plan):
+        starts = episode_starts(plan.domain, seed, episodes, tell)
+        returns = play(plan, starts, seed=seed, progress=tell)
+    else:
+        returns = replace(plan, policy=_told(plan, tell)).play(seed, episodes)
+    tell('evaluation', 1.0, 0, math.nan)
+    outcomes = returns.outcomes if isinstance(returns, GameReturns) else {}
+    return Performance(
+        episodes=episodes,
+        total=_interval(returns.total),
+        discounted=_interval(returns.discounted),
+        fallbacks=int(returns.fallbacks.sum()),
+        outcomes={name: _interval(values) for name, values in outcomes.items()},
+    )
+
+
+@dataclass(frozen=True)
+class _ToldPolicy(GreedyPolicy):
+    """A policy that tells, at each step of the games, how far they are."""
+
+    tell: Progress
+    limit: int  # of steps
+    steps: Iterator[int] = field(default_factory=count)
+
+    def choose(self, view: View) -> Choice:
+        """Return what to run next in each game."""
+        self.tell('evaluation', min(next(self.steps) / self.limit, 1.0), 0, math.nan)
+        return super().choose(view)
+
+
+def _told(plan: SampledPlan, tell: Progress) -> _ToldPolicy:
+    same = {part.name: getattr(plan.policy, part.name) for part in fields(plan.policy)}
+    return _ToldPolicy(**same, tell=tell, limit=plan.domain.max_steps)
+
+
+def _interval(values: NDArray[Any]) -> Interval:
+    """Return the mean of one or more values, with NaN for the bounds of one."""
+    if len(values) > 1:
+        return Interval.of(values)
+    return Interval(float(values.mean()), math.nan, math.nan)
