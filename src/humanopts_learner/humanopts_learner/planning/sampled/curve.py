@@ -2,12 +2,14 @@
 Score against planning time: the same protocol for every action set.
 
 A plan is made from a budget of game steps and judged in new games. The budget is doubled until the
-95 % interval of the mean score lies at or above the target, or the largest budget is spent.
+95 % interval of the mean score lies at or above the target, or the largest budget is spent, or
+planning has taken as long as anyone wants to wait.
 Planning seconds are those of one plan made from scratch, models counted; judging is not.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+import math
 import time
 from typing import Any
 
@@ -58,6 +60,7 @@ def planning_curve(
     how: Sampling = Sampling(),  # noqa: B008
     progress: Progress | None = None,
     on_row: OnRow | None = None,
+    enough_seconds: float = math.inf,
     clock: Clock = time.perf_counter,
 ) -> list[CurveRow]:
     """
@@ -65,8 +68,9 @@ def planning_curve(
 
     :param options: not looked at in the set ``primitive``.
     :param target: mean score.
-    :param seed: of the plans; they are judged in games of the next seed.
+    :param seed: of the plans, and of the games, which are drawn apart from them.
     :param on_row: told each row as it comes.
+    :param enough_seconds: no larger budget is tried once a plan took so long.
     :raises PlanError: as ``make_sampled_plan``.
     :raises PlanCanceled: from ``progress``.
     """
@@ -75,12 +79,12 @@ def planning_curve(
         plan = make_sampled_plan(
             domain, action_set, options, budget, seed, how=how, progress=progress, clock=clock
         )
-        score = Interval.of(plan.play(seed + 1, episodes).total)
+        score = Interval.of(plan.play(seed, episodes).total)
         row = CurveRow(action_set, budget, plan.seconds, score, len(plan.solution.values))
         rows.append(row)
         if on_row is not None:
             on_row(row)
-        if score.low >= target:
+        if score.low >= target or plan.seconds >= enough_seconds:
             break
     return rows
 
