@@ -11,7 +11,7 @@ from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.trees.encoding import Column, encode_rows, encoding
 from humanopts_learner.trees.fitting import fit_tree
-from humanopts_learner.trees.tree import Tree, TreeError
+from humanopts_learner.trees.tree import MANY, Tree, TreeError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -70,6 +70,20 @@ def test_fitting_refuses_no_rows_and_unknown_labels() -> None:
         fit_tree(np.zeros((0, 1), dtype=np.float32), np.zeros(0, dtype=int), (0, 1), 0)
     with pytest.raises(ValueError, match='labelled with its classes'):
         fit_tree(np.zeros((1, 1), dtype=np.float32), np.array([7]), (0, 1), 0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**31 - 1))
+def test_many_rows_end_in_the_leaves_that_each_alone_ends_in(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    X = rng.integers(0, 4, (20, 3)).astype(np.float32)
+    tree = fit_tree(X, rng.integers(0, 3, 20), (0, 1, 2), 0)
+    rows = rng.integers(0, 4, (MANY * len(tree.left) + 1, 3)).astype(np.float32)
+    together, halves = tree.leaves(rows), np.array_split(rows, 8)
+    assert together.tolist() == np.concatenate([tree.leaves(half) for half in halves]).tolist()
+    shares = tree.probabilities(rows)
+    assert tree.likeliest(rows).tolist() == shares.argmax(axis=1).tolist()
+    assert tree.share_of(1, rows).tolist() == shares[:, 1].tolist()
 
 
 def test_rows_of_another_width_are_refused() -> None:

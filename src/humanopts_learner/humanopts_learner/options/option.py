@@ -90,16 +90,15 @@ class LearnedOption:
 
     def initiation_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return (N,): the share of members of I among examples like each state."""
-        return self.initiation.probabilities(encode_rows(self.columns, rows))[:, MEMBER]
+        return self.initiation.share_of(MEMBER, encode_rows(self.columns, rows))
 
     def termination_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return (N,): beta of each state."""
-        return self.termination.probabilities(encode_rows(self.columns, rows))[:, MEMBER]
+        return self.termination.share_of(MEMBER, encode_rows(self.columns, rows))
 
     def greedy_action(self, rows: NDArray[np.int32]) -> NDArray[np.intp]:
         """Return (N,): the likeliest action, the lowest index among equals."""
-        best: NDArray[np.intp] = self.action_probabilities(rows).argmax(axis=1)
-        return best
+        return self.policy.likeliest(encode_rows(self.columns, rows))
 
     def can_start(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Return (N,): whether each state is in the initiation set."""
@@ -146,8 +145,12 @@ def option_tables(option: LearnedOption, domain: EnumerableDomain[Any]) -> Optio
     :raises OptionError: it was not learned in this domain.
     """
     option.check_domain(domain)
-    rows = domain.feature_table()
-    return OptionTables(option.greedy_action(rows), option.can_start(rows), option.ends(rows))
+    X = encode_rows(option.columns, domain.feature_table())
+    return OptionTables(
+        option.policy.likeliest(X),
+        option.initiation.share_of(MEMBER, X) >= HALF,
+        option.termination.share_of(MEMBER, X) >= HALF,
+    )
 
 
 def option_distributions(

@@ -5,9 +5,9 @@ Axes: S states, O options (columns). A choice that takes k primitive steps count
 with gamma**k. ``SmdpModel`` has one successor for each choice, ``RowModel`` a sparse row of them.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from humanopts_env.domains.base import Transitions
 from humanopts_learner.planning.errors import check_gamma, ModelError, NotDeterministicError
@@ -16,9 +16,26 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 Rows = Any  # csr_array of float64; SciPy has no types
-# Writes the expected discounted value of every choice, (O, S), from values (S,)
-Expectation = Callable[[NDArray[np.float64], NDArray[np.float64]], None]
 ROUNDING = 1e-9  # how far above 1 the entries of one row may sum up
+
+
+class Expectation(Protocol):
+    """The expected discounted value of what follows a choice."""
+
+    def prepare(self, values: NDArray[np.float64], /) -> object:
+        """Take the values (S,) that the columns are asked about next."""
+
+    def column(self, option: int, out: NDArray[np.float64], /) -> object:
+        """Write (S,): what follows one choice in every state."""
+
+
+def expected_values(model: 'Model', values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (O, S): the expected discounted value of what follows every choice."""
+    expected, result = model.expectation(), np.empty(model.reward.T.shape)
+    expected.prepare(values)
+    for option, out in enumerate(result):
+        expected.column(option, out)
+    return result
 
 
 @dataclass(frozen=True)
@@ -65,14 +82,34 @@ class SmdpModel:
 
     def expectation(self) -> Expectation:
         """Return what a sweep takes of the successors; it allocates nothing."""
-        successor = np.ascontiguousarray(self.successor.T, dtype=np.intp)
-        discount = np.where(self.available.T, self.discount.T, 0.0)
+        return _Successors(self)
 
-        def expect(values: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-            np.take(values, successor, out=out, mode='clip')
-            np.multiply(out, discount, out=out)
 
-        return expect
+class _Successors:
+    """
+    Expectation by gathers.
+
+    Where all choices are discounted alike, as primitive actions are, the values are discounted
+    before they are gathered, and what follows the end of the task is one more value, of 0.
+    """
+
+    def __init__(self, model: SmdpModel) -> None:
+        self._successor = np.ascontiguousarray(model.successor.T, dtype=np.intp)
+        self._discount = np.where(model.available.T, model.discount.T, 0.0)
+        self._alike = float(self._discount.max())
+        nothing = self._discount == 0.0
+        self._gathers = bool((nothing | (self._discount == self._alike)).all())
+        self._values = np.zeros(model.n_states + 1)
+        if self._gathers:
+            self._successor[nothing] = model.n_states
+
+    def prepare(self, values: NDArray[np.float64]) -> None:
+        np.multiply(values, self._alike if self._gathers else 1.0, out=self._values[:-1])
+
+    def column(self, option: int, out: NDArray[np.float64]) -> None:
+        np.take(self._values, self._successor[option], out=out, mode='clip')
+        if not self._gathers:
+            np.multiply(out, self._discount[option], out=out)
 
 
 @dataclass(frozen=True)
@@ -109,11 +146,21 @@ class RowModel:
 
     def expectation(self) -> Expectation:
         """Return what a sweep takes of the successors; it allocates one array (O*S,)."""
+        return _Products(self)
 
-        def expect(values: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-            np.copyto(out, (self.rows @ values).reshape(out.shape))
 
-        return expect
+class _Products:
+    """Expectation by one sparse product."""
+
+    def __init__(self, model: RowModel) -> None:
+        self._rows, self._shape = model.rows, model.reward.T.shape
+        self._expected = np.zeros(self._shape)
+
+    def prepare(self, values: NDArray[np.float64]) -> None:
+        self._expected = (self._rows @ values).reshape(self._shape)
+
+    def column(self, option: int, out: NDArray[np.float64]) -> None:
+        np.copyto(out, self._expected[option])
 
 
 Model = SmdpModel | RowModel

@@ -24,35 +24,40 @@ class Solution:
 
 
 class _Backup:
-    """One sweep over a model, in place: no loop over states."""
+    """One sweep over a model, in place: no loop over states, and one column in cache at a time."""
 
     def __init__(self, model: Model) -> None:
         self.dead = ~model.available.any(axis=1)
-        self._expect = model.expectation()
+        self._expected = model.expectation()
         self._reward = np.where(model.available.T, model.reward.T, -np.inf)
         self._reward[0, self.dead] = 0.0  # nothing follows there, so their value stays 0
-        self._choices = np.empty(self._reward.shape)
+        self._choice = np.empty(model.n_states)
 
     def sweep(self, old: NDArray[np.float64], new: NDArray[np.float64]) -> float:
         """Write the next values to ``new`` and the changes to ``old``; return the largest."""
-        np.max(self.choices(old), axis=0, out=new)
+        self._expected.prepare(old)
+        self._value(0, new)
+        for column in range(1, len(self._reward)):
+            np.maximum(new, self._value(column, self._choice), out=new)
         np.subtract(new, old, out=old)
         return max(float(old.max()), -float(old.min()))
 
-    def choices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the value of every choice (O, S), in space that the next call uses again."""
-        self._expect(values, self._choices)
-        return np.add(self._choices, self._reward, out=self._choices)
-
     def best(self, values: NDArray[np.float64]) -> NDArray[np.int32]:
         """Return the greedy column of every state, the lowest among equals; -1: none."""
-        choices = self.choices(values)
+        self._expected.prepare(values)
+        greatest = self._value(0, np.empty_like(values))
         best = np.zeros(len(values), dtype=np.int32)
-        for column in range(1, len(choices)):  # argmax over the first axis is slower
-            best[choices[column] > choices[0]] = column
-            np.maximum(choices[0], choices[column], out=choices[0])
+        for column in range(1, len(self._reward)):
+            best[self._value(column, self._choice) > greatest] = column
+            np.maximum(greatest, self._choice, out=greatest)
         best[self.dead] = -1
         return best
+
+    def _value(self, column: int, out: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Write the value of one choice in every state to ``out``, and return it."""
+        self._expected.column(column, out)
+        out += self._reward[column]
+        return out
 
 
 def solve_smdp(

@@ -61,9 +61,12 @@ def encode_rows(columns: Sequence[Column], rows: NDArray[np.int32]) -> NDArray[n
     Return what the trees see.
 
     :param rows: (N, F), all features of the domain.
-    :return: (N, C).
+    :return: (N, C), one column after the other in memory, as large trees are walked.
     """
-    picked = rows[:, [column.index for column in columns]]
-    one_hot = np.array([column.value is not None for column in columns], dtype=np.bool_)
-    wanted = np.array([column.value or 0 for column in columns], dtype=np.int32)
-    return np.where(one_hot, picked == wanted, picked).astype(np.float32)
+    picked = rows.T[[column.index for column in columns]]
+    values = [column.value for column in columns]
+    if any(value is not None for value in values):
+        one_hot = np.array([value is not None for value in values], dtype=np.bool_)
+        wanted = np.array([value or 0 for value in values], dtype=np.int32)
+        picked = np.where(one_hot[:, None], picked == wanted[:, None], picked)
+    return picked.astype(np.float32).T

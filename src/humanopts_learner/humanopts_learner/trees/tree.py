@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEAF = -1  # left, right and column of a leaf
+MANY = 100  # rows for each node, from which on it is quicker to go node by node
 
 
 class TreeError(ValueError):
@@ -49,6 +50,8 @@ class Tree:
         if X.ndim != 2 or X.shape[1] != self.n_columns:
             raise TreeError(f'the tree takes rows of {self.n_columns} columns, not {X.shape}')
         values = X.astype(np.float32, copy=False)
+        if len(X) > MANY * len(self.left):
+            return self._part(np.ascontiguousarray(values.T))
         rows, node = np.arange(len(X)), np.zeros(len(X), dtype=np.intp)
         column, children = self._walk
         for _ in range(self.depth):
@@ -56,9 +59,33 @@ class Tree:
             node = children[goes_right.astype(np.intp), node]
         return node
 
+    def _part(self, values: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return what ``leaves`` does, for columns (C, N): node by node, with all rows in it."""
+        result = np.zeros(values.shape[1], dtype=np.intp)
+        inside = {0: np.arange(len(result))}
+        for node in range(len(self.left)):  # a child comes after its parent
+            rows = inside.pop(node)
+            if self.left[node] == LEAF:
+                result[rows] = node
+                continue
+            right = values[self.column[node]][rows] > self.threshold[node]
+            inside[int(self.left[node])] = rows[~right]
+            inside[int(self.right[node])] = rows[right]
+        return result
+
     def probabilities(self, X: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return (N, K): the share of each class in the leaf of each row of X (N, C)."""
         return self._shares[self.leaves(X)]
+
+    def share_of(self, number: int, X: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return (N,): one column of ``probabilities``."""
+        share: NDArray[np.float64] = self._shares[:, number].take(self.leaves(X))
+        return share
+
+    def likeliest(self, X: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return (N,): the number of the greatest of ``probabilities``, the first of equals."""
+        best: NDArray[np.intp] = self._shares.argmax(axis=1).take(self.leaves(X))
+        return best
 
     @cached_property
     def depth(self) -> int:

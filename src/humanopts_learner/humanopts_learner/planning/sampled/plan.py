@@ -17,6 +17,7 @@ from humanopts_learner.planning.action_sets import (
     say_nothing,
 )
 from humanopts_learner.planning.errors import check_gamma, ForeignOptionError, PlanError
+from humanopts_learner.planning.model import expected_values
 from humanopts_learner.planning.plan import Clock, Decision, SweepProgress
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns, LearnedBatchOption
 from humanopts_learner.planning.sampled.counts import Counts
@@ -201,8 +202,7 @@ class _Planning:
         modelled = self._clock()
         on_sweep = SweepProgress(self._tell, tol, max_sweeps)
         self._solution = solve_smdp(model, tol, max_sweeps, on_sweep)
-        expected = np.empty(model.reward.T.shape)
-        model.expectation()(self._solution.values, expected)
+        expected = expected_values(model, self._solution.values)
         values = np.where(model.available, model.reward + expected.T, -np.inf)
         self._policy = GreedyPolicy(self._columns, self._counts.index.snapshot(), values)
         self._model_seconds += modelled - began

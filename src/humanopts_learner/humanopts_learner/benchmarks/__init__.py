@@ -1,0 +1,1 @@
+"""Benchmarks of planning and learning, each beside a yardstick measured in the same run."""
