@@ -64,3 +64,9 @@ def taxi() -> Domain[Any]:
 def taxi_lesson(taxi: Domain[Any]) -> list[Demonstration]:
     """A short lesson of two options."""
     return [demo for option in TAUGHT for demo in demonstrate(taxi, option, 12)]
+
+
+@pytest.fixture(scope='session')
+def pacman_lesson() -> list[Demonstration]:
+    """A short lesson of one option of Pac-Man."""
+    return demonstrate(make_domain('pacman'), 'go to the nearest power pellet', 12)

@@ -5,8 +5,9 @@ They are the yardstick of accuracy and the knowledge of the simulated teacher. L
 them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.domains.base import EnumerableDomain
 import numpy as np
@@ -44,6 +45,38 @@ class ReferenceOption(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What a reference option says of N states."""
+
+    initiation: NDArray[np.bool_]  # (N,)
+    termination: NDArray[np.bool_]  # (N,)
+    optimal: NDArray[np.bool_]  # (N, A), False outside the initiation set
+
+
+@runtime_checkable
+class ManyStates(Protocol):
+    """A reference option that can be asked about many states at once."""
+
+    def judge_states(self, states: Sequence[Any]) -> Judgement:
+        """Judge N states."""
+        ...
+
+
+def judge_states(option: ReferenceOption, states: Sequence[Any], n_actions: int) -> Judgement:
+    """Ask a reference option about N states: at once where it can, else one by one."""
+    if isinstance(option, ManyStates):
+        return option.judge_states(states)
+    optimal = np.zeros((len(states), n_actions), dtype=np.bool_)
+    for row, state in zip(optimal, states):
+        row[list(option.optimal_actions(state))] = True
+    return Judgement(
+        np.array([option.can_start(state) for state in states], dtype=np.bool_),
+        np.array([option.ends(state) for state in states], dtype=np.bool_),
+        optimal,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class TabularReferenceOption:
     """A reference option of an enumerable domain, as arrays over its S states and A actions."""
@@ -55,7 +88,9 @@ class TabularReferenceOption:
     termination: NDArray[np.bool_]  # (S,)
     optimal: NDArray[np.bool_]  # (S, A), False outside the initiation set
     distance: NDArray[np.int32]  # (S,) steps to the end; -1 outside the initiation set
-    judged: NDArray[np.bool_]  # (S,) states over which learned I and beta are compared with these
+    judged: NDArray[
+        np.bool_
+    ]  # (S,) states that can be come to: learned I and beta are judged here
     definition: str = ''  # in words
 
     def can_start(self, state: Any) -> bool:

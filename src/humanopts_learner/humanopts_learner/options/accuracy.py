@@ -1,43 +1,157 @@
-"""How close a learned option is to what an expert means by it (paper, section 7.1, figure 2)."""
+"""
+How close a learned option is to what an expert means by it (paper, section 7.1, figure 2).
 
+Over all states where they can be listed, else over a fixed sample of them. Each part is judged
+where it is asked:
+
+- pi in the open states of the reference's initiation set;
+- I in all open states that can be come to;
+- beta where the option can be after a step: in its initiation set, and in the states outside it
+  that one of its own optimal actions leads to from there. What it says of a room that it never
+  enters is no error.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
-from humanopts_env.domains.base import EnumerableDomain
-from humanopts_env.domains.reference import TabularReferenceOption
-from humanopts_learner.options.option import LearnedOption, option_tables
+from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
+from humanopts_env.domains.reference import (
+    judge_states,
+    ReferenceOption,
+    TabularReferenceOption,
+)
+from humanopts_env.domains.registry import parameters_json
+from humanopts_env.seeding import generator
+from humanopts_learner.options.option import LearnedOption
 import numpy as np
+from numpy.typing import NDArray
+
+SAMPLE = 2000  # states, where they cannot be listed
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """What is right, by features (., F) of the states in which each part is asked."""
+
+    acting: NDArray[np.int32]  # (N, F)
+    optimal: NDArray[np.bool_]  # (N, A)
+    starting: NDArray[np.int32]  # (M, F)
+    initiation: NDArray[np.bool_]  # (M,)
+    ending: NDArray[np.int32]  # (K, F)
+    termination: NDArray[np.bool_]  # (K,)
 
 
 def policy_accuracy(
-    option: LearnedOption, domain: EnumerableDomain[Any], reference: TabularReferenceOption
+    option: LearnedOption, domain: Domain[Any], reference: ReferenceOption
 ) -> float:
     """
-    Return the share of open states of the reference's initiation set that are acted in optimally.
+    Return the share of states in which the likeliest action is among all optimal ones.
 
     :return: 0..1; NaN where the reference can start nowhere.
     :raises OptionError: the option was not learned in this domain.
     """
-    states = np.flatnonzero(reference.initiation & ~domain.over())
-    if not states.size:
+    option.check_domain(domain)
+    yardstick = _yardstick(domain, reference)
+    if not len(yardstick.acting):
         return float('nan')
-    action = option_tables(option, domain).action
-    return float(reference.optimal[states, action[states]].mean())
+    action = option.greedy_action(yardstick.acting)
+    return float(yardstick.optimal[np.arange(len(action)), action].mean())
 
 
 def classification_accuracy(
-    option: LearnedOption, domain: EnumerableDomain[Any], reference: TabularReferenceOption
+    option: LearnedOption, domain: Domain[Any], reference: ReferenceOption
 ) -> tuple[float, float]:
     """
-    Return the shares of judged states that I and beta classify as the reference does.
+    Return the shares of states that I and beta classify as the reference does.
 
-    Whether an option can start is asked only while the task is not over.
-
+    :return: 0..1; NaN for beta where the reference can start nowhere.
     :raises OptionError: the option was not learned in this domain.
     """
-    tables, judged = option_tables(option, domain), reference.judged
-    same_initiation = tables.initiation == reference.initiation
-    same_termination = tables.termination == reference.termination
-    return (
-        float(same_initiation[judged & ~domain.over()].mean()),
-        float(same_termination[judged].mean()),
+    option.check_domain(domain)
+    yardstick = _yardstick(domain, reference)
+    initiation = float((option.can_start(yardstick.starting) == yardstick.initiation).mean())
+    if not len(yardstick.ending):
+        return initiation, float('nan')
+    return initiation, float((option.ends(yardstick.ending) == yardstick.termination).mean())
+
+
+def _yardstick(domain: Domain[Any], reference: ReferenceOption) -> Yardstick:
+    if is_enumerable(domain) and isinstance(reference, TabularReferenceOption):
+        return _of_all_states(domain, reference)
+    game = _Game(domain.name, parameters_json(domain), domain)
+    return _of_a_sample(game, _Meaning(id(reference), reference))
+
+
+def _of_all_states(domain: EnumerableDomain[Any], reference: TabularReferenceOption) -> Yardstick:
+    rows, table, going = domain.feature_table(), domain.transitions(), ~domain.over()
+    ways = reference.optimal[:, :, None] & (table.probability > 0)  # (S, A, B)
+    can_be = reference.initiation.copy()
+    can_be[table.successor[ways]] = True
+    acts, starts, ends = reference.initiation & going, reference.judged & going, reference.judged
+    ends = ends & can_be
+    return Yardstick(
+        rows[acts],
+        reference.optimal[acts],
+        rows[starts],
+        reference.initiation[starts],
+        rows[ends],
+        reference.termination[ends],
     )
+
+
+@dataclass(frozen=True)
+class _Game:
+    """A domain, the same wherever its name and parameters are."""
+
+    name: str
+    parameters: str
+    domain: Domain[Any] = field(compare=False)
+
+
+@dataclass(frozen=True)
+class _Meaning:
+    """A reference option, the same only as itself."""
+
+    number: int  # id() of the option, which cannot be another's while this holds it
+    option: ReferenceOption = field(compare=False)
+
+
+@lru_cache(maxsize=4)
+def _sample(game: _Game, count: int) -> tuple[list[Any], NDArray[np.int32]]:
+    """Return states from all parts of the game, never over, and their features (count, F)."""
+    domain = game.domain
+    states = domain.sample_states(generator(0, 'accuracy', 'states', game.name), count)
+    return states, _features(domain, states)
+
+
+@lru_cache(maxsize=32)
+def _of_a_sample(game: _Game, meaning: _Meaning) -> Yardstick:
+    """Take a step by the first optimal action wherever the option acts: some lead to its end."""
+    domain, reference, count = game.domain, meaning.option, len(game.domain.actions)
+    states, rows = _sample(game, SAMPLE)
+    said = judge_states(reference, states, count)
+    acts = said.initiation
+    rng = generator(0, 'accuracy', 'steps', game.name, reference.name)
+    after = [
+        domain.step(states[number], int(said.optimal[number].argmax()), rng).state
+        for number in np.flatnonzero(acts)
+    ]
+    then = judge_states(reference, after, count)
+    left = ~then.initiation
+    ends = [state for state, is_out in zip(after, left) if is_out]
+    return Yardstick(
+        rows[acts],
+        said.optimal[acts],
+        rows,
+        said.initiation,
+        np.concatenate((rows[acts], _features(domain, ends))),
+        np.concatenate((said.termination[acts], then.termination[left])),
+    )
+
+
+def _features(domain: Domain[Any], states: Sequence[Any]) -> NDArray[np.int32]:
+    """Return the features of N states (N, F)."""
+    values = [domain.feature_values(state) for state in states]
+    return np.array(values, dtype=np.int32).reshape(len(states), len(domain.features))

@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 import math
-from typing import Any, cast, Protocol
+from typing import Any, Protocol
 
-from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.base import Domain
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
 from humanopts_learner.options.criteria import INITIATION, TERMINATION
@@ -110,11 +110,11 @@ def accuracies(
     option: LearnedOption, domain: Domain[Any], reference: ReferenceOption | None
 ) -> tuple[float | None, float | None, float | None]:
     """Return the accuracies of policy, I and beta; None where they cannot be measured."""
-    if reference is None or not is_enumerable(domain):
+    if reference is None:
         return None, None, None
-    exact = cast(Any, reference)
-    initiation, termination = classification_accuracy(option, domain, exact)
-    return finite(policy_accuracy(option, domain, exact)), finite(initiation), finite(termination)
+    initiation, termination = classification_accuracy(option, domain, reference)
+    policy = policy_accuracy(option, domain, reference)
+    return finite(policy), finite(initiation), finite(termination)
 
 
 def finite(value: float | None) -> float | None:

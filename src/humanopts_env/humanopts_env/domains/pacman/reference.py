@@ -5,7 +5,7 @@ Subramanian, Isbell and Thomaz (2011), table 1. They are judged for many games a
 is a batch of one. Where the game is over, none can start and all have ended.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -16,6 +16,7 @@ from humanopts_env.domains.pacman.paths import HAS_MOVE
 from humanopts_env.domains.pacman.rules import ATE_FOOD, ATE_GHOST, ATE_PILL, Rules
 from humanopts_env.domains.pacman.state import PacManState
 from humanopts_env.domains.pacman.surroundings import look_around, Surroundings
+from humanopts_env.domains.reference import Judgement
 import numpy as np
 
 CLOSEST_FOOD = 'go to the closest food'
@@ -23,15 +24,6 @@ AVOID_GHOST = 'avoid ghost'
 NEAREST_PILL = 'go to the nearest power pellet'
 EAT_GHOST = 'eat the ghost'
 DANGER = 4  # a dangerous ghost is avoided from so many steps away on
-
-
-@dataclass(frozen=True, slots=True)
-class Judgement:
-    """What an option says of N states."""
-
-    initiation: Flags  # (N,)
-    termination: Flags  # (N,)
-    optimal: Flags  # (N, 4) False outside the initiation set
 
 
 def _flight(batch: PacManBatch) -> Flags:
@@ -83,18 +75,19 @@ class PacManOption:
 
     def can_start(self, state: PacManState) -> bool:
         """Tell whether the state is in the initiation set."""
-        return bool(self._of(state).initiation[0])
+        return bool(self.judge_states([state]).initiation[0])
 
     def ends(self, state: PacManState) -> bool:
         """Tell whether the termination condition holds."""
-        return bool(self._of(state).termination[0])
+        return bool(self.judge_states([state]).termination[0])
 
     def optimal_actions(self, state: PacManState) -> tuple[int, ...]:
         """Return every best action; empty outside the initiation set."""
-        return tuple(np.flatnonzero(self._of(state).optimal[0]).tolist())
+        return tuple(np.flatnonzero(self.judge_states([state]).optimal[0]).tolist())
 
-    def _of(self, state: PacManState) -> Judgement:
-        batch = PacManBatch.from_states(self.rules, [state])
+    def judge_states(self, states: Sequence[PacManState]) -> Judgement:
+        """Judge N states at once."""
+        batch = PacManBatch.from_states(self.rules, states)
         return self.judge(batch, look_around(batch))
 
 

@@ -1,0 +1,113 @@
+"""Accuracies over all states, and over a sample where they cannot be listed."""
+
+from dataclasses import replace
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.reference import judge_states, ReferenceOption
+from humanopts_env.domains.registry import parameters_json, reference_options
+from humanopts_env.domains.rooms import Rooms
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption, MEMBERSHIP, OptionError
+from humanopts_learner.options.ready import ready_options
+from humanopts_learner.trees.encoding import encode_rows, encoding
+from humanopts_learner.trees.fitting import fit_tree
+import numpy as np
+import pytest
+
+TAXI, ROOMS, PACMAN = Taxi(), Rooms(), PacMan()
+FETCH, FOOD, AVOID = 'go to passenger and pickup', 'go to the closest food', 'avoid ghost'
+
+
+def fitted(domain: Domain[Any], reference: ReferenceOption, count: int = 3000) -> LearnedOption:
+    """Return an option whose trees are fitted to what the reference says of sampled states."""
+    states = domain.sample_states(generator(9, 'fitted'), count)
+    said = judge_states(reference, states, len(domain.actions))
+    columns = encoding(domain, reference.features)
+    X = encode_rows(columns, np.array([domain.feature_values(state) for state in states]))
+    acts = said.initiation
+    return LearnedOption(
+        name=reference.name,
+        participant='p',
+        domain=domain.name,
+        domain_parameters=parameters_json(domain),
+        actions=tuple(action.name for action in domain.actions),
+        features=tuple(reference.features),
+        columns=columns,
+        policy=fit_tree(X[acts], said.optimal[acts].argmax(axis=1), range(4), 0),
+        initiation=fit_tree(X, said.initiation.astype(np.intp), MEMBERSHIP, 0),
+        termination=fit_tree(X, said.termination.astype(np.intp), MEMBERSHIP, 0),
+        n_demonstrations=1,
+        n_not_here=0,
+        max_steps=100,
+        uuids=('u',),
+    )
+
+
+def test_a_sample_measures_what_all_states_do(
+    fetching: list[Demonstration], plain_taxi: Domain[Any]
+) -> None:
+    """Taxi with and without its tables, within four standard errors of a share of 1,500."""
+    reference = reference_options(TAXI)[FETCH]
+    option = learn_option(fetching[:12], TAXI, 0)
+    exact = policy_accuracy(option, TAXI, reference)
+    assert 0.5 < exact < 0.95
+    assert policy_accuracy(option, plain_taxi, reference) == pytest.approx(exact, abs=0.05)
+    careless = replace(option, initiation=option.termination)
+    assert classification_accuracy(option, plain_taxi, reference) == (1.0, 1.0)
+    assert classification_accuracy(careless, plain_taxi, reference)[0] == 0.0
+
+
+def test_where_an_option_ends_is_judged_only_where_it_can_be() -> None:
+    """
+    Counted on the board, for the north-west room's way to its north doorway.
+
+    It can be in 25 cells of the room, in the room's other doorway, in the north doorway, and,
+    slipping out of the other doorway, in one cell beyond: it ends in the last three.
+    """
+    name = 'north-west room to north doorway'
+    reference = reference_options(ROOMS)[name]
+    (option,) = ready_options(ROOMS, [reference])
+    assert classification_accuracy(option, ROOMS, reference) == (1.0, 1.0)
+    X = encode_rows(option.columns, ROOMS.feature_table())
+    endless = replace(
+        option, termination=fit_tree(X, np.zeros(len(X), dtype=np.intp), MEMBERSHIP, 0)
+    )
+    assert classification_accuracy(endless, ROOMS, reference)[1] == pytest.approx(25 / 28)
+
+
+@pytest.mark.parametrize('name', reference_options(PACMAN))
+def test_an_option_that_follows_the_reference_is_accurate(name: str) -> None:
+    """In Pac-Man, each by its own features; one that goes the other way is not."""
+    reference = reference_options(PACMAN)[name]
+    option = fitted(PACMAN, reference)
+    assert policy_accuracy(option, PACMAN, reference) >= 0.9
+    assert min(classification_accuracy(option, PACMAN, reference)) >= 0.98
+    wrong = replace(option, policy=replace(option.policy, counts=option.policy.counts[:, ::-1]))
+    assert policy_accuracy(wrong, PACMAN, reference) <= 0.4
+
+
+def test_equal_games_are_measured_alike() -> None:
+    """The sample depends on the game's name and parameters alone."""
+    option = fitted(PACMAN, reference_options(PACMAN)[AVOID])
+    again = PacMan()
+    assert policy_accuracy(option, PACMAN, reference_options(PACMAN)[AVOID]) == policy_accuracy(
+        option, again, reference_options(again)[AVOID]
+    )
+    with pytest.raises(OptionError, match='was learned in'):
+        policy_accuracy(option, PacMan('yard'), reference_options(PacMan('yard'))[AVOID])
+
+
+def test_an_option_that_can_start_nowhere_has_no_policy_accuracy() -> None:
+    """There is no ghost to avoid."""
+    domain = PacMan('%%%%%\n%P..%\n%%%%%')
+    options = reference_options(domain)
+    option = fitted(domain, options[FOOD], 50)
+    assert policy_accuracy(option, domain, options[FOOD]) == 1.0
+    assert np.isnan(policy_accuracy(option, domain, options[AVOID]))
+    assert np.isnan(classification_accuracy(option, domain, options[AVOID])[1])
