@@ -5,21 +5,13 @@ import signal
 from typing import Any
 
 from action_msgs.msg import GoalStatus
-from graph_support.live import GAME, Goal, Graph, OPTION_SERVER, PLANNER
-from graph_support.player import PERSON, Player
+from graph_support.live import GAME, Goal, Graph, PLANNER
+from graph_support.planning import Planning, start_planning
+from graph_support.player import PERSON
 from graph_support.scripted import FETCH, taught, TAXI
-from humanopts_env.nodes.qos import LATCHED
 from humanopts_interfaces.action import Plan, RunPolicy
-from humanopts_interfaces.msg import (
-    LearnedOptions,
-    OptionModel,
-    PlanGoal,
-    PlanResult,
-    PolicyGoal,
-    PolicyResult,
-)
-from humanopts_learner.options.files import option_to_json
-from humanopts_learner.options.option import LearnedOption
+from humanopts_interfaces.msg import PlanResult, PolicyResult
+from humanopts_learner.planning.any_domain import judge_plan
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.plan import make_plan
 import pytest
@@ -30,52 +22,9 @@ EPISODES, SEED = 10, 11
 HUGE = '{"rows": 130, "cols": 130}'  # 338,000 states: sweeps take some ten seconds
 
 
-class Planning:
-    """A game with everything that plays it, and the test in the learner's place."""
-
-    def __init__(self, graph: Graph) -> None:
-        self.graph, self._sequence = graph, 0
-        self._options = graph.node.create_publisher(LearnedOptions, 'learned_options', LATCHED)
-        self.plan_goals = graph.listen(PlanGoal, 'plan_goals')
-        self.plan_results = graph.listen(PlanResult, 'plan_results')
-        self.policy_goals = graph.listen(PolicyGoal, 'policy_goals')
-        self.policy_results = graph.listen(PolicyResult, 'policy_results')
-        self.player = Player(graph)
-
-    def teach(self, options: list[LearnedOption]) -> int:
-        """Publish what was learned; return the sequence to plan with."""
-        self._sequence += 1
-        models = [
-            OptionModel(name=o.name, participant=o.participant, model=option_to_json(o))
-            for o in options
-        ]
-        self._options.publish(LearnedOptions(sequence=self._sequence, options=models))
-        return self._sequence
-
-    def plan(self, action_set: str, **fields: Any) -> PlanResult:
-        """Plan with the newest options."""
-        fields = {'options_sequence': self._sequence, 'seed': SEED, **fields}
-        _, result = self.graph.act(Plan, 'plan', action_set=action_set, **fields).result()
-        return result
-
-    def begin(self, action_set: str, **fields: Any) -> Goal:
-        """Begin to play by a plan; nobody holds control."""
-        self.player.fresh()
-        fields = {'episodes': EPISODES, 'seed': SEED, **fields}
-        return self.graph.act(RunPolicy, 'run_policy', action_set=action_set, **fields)
-
-    def play(self, action_set: str, **fields: Any) -> PolicyResult:
-        """Play by a plan."""
-        _, result = self.begin(action_set, **fields).result()
-        return result
-
-
 @pytest.fixture(scope='module')
 def at_work(shared: Graph) -> Planning:
-    for module in (GAME, OPTION_SERVER, PLANNER):
-        shared.start(module)
-    shared.ready('/game', '/option_server', '/planner')
-    return Planning(shared)
+    return start_planning(shared, episodes=EPISODES, seed=SEED)
 
 
 @pytest.fixture
@@ -97,6 +46,10 @@ def test_a_plan_is_the_plan_of_the_pure_code(planning: Planning, action_set: str
     assert result.evaluation_episodes == EPISODES
     assert result.mean_return == returns.total.mean()
     assert result.mean_discounted_return == returns.discounted.mean()
+    found = judge_plan(plan, SEED, EPISODES).total
+    assert (result.mean_return_low, result.mean_return_high) == (found.low, found.high)
+    assert found.low < found.mean < found.high
+    assert (result.game_steps, result.fallbacks, result.outcome_names) == (0, 0, [])
     assert result.sweep_seconds > 0
 
 
@@ -104,6 +57,14 @@ def test_a_plan_that_is_not_judged_has_no_mean(planning: Planning) -> None:
     result = planning.plan('primitive', gamma=0.5)
     assert (result.gamma, result.evaluation_episodes) == (0.5, 0)
     assert math.isnan(result.mean_return)
+    assert math.isnan(result.mean_return_low)
+
+
+def test_a_mean_of_one_episode_has_no_interval(planning: Planning) -> None:
+    result = planning.plan('primitive', evaluation_episodes=1)
+    assert math.isfinite(result.mean_return)
+    assert math.isnan(result.mean_return_low)
+    assert math.isnan(result.mean_return_high)
 
 
 def test_sweeps_can_be_limited(planning: Planning) -> None:
@@ -121,7 +82,34 @@ def test_goals_and_results_of_plans_are_on_the_graph(planning: Planning) -> None
     )
     (goal,) = [goal for goal in planning.plan_goals if goal.plan_id == result.plan_id]
     assert (goal.action_set, goal.gamma, goal.tolerance) == ('human', 0.99, 1e-8)
-    assert goal.max_sweeps == 10_000
+    assert (goal.max_sweeps, goal.game_steps, goal.seed) == (10_000, 0, SEED)
+    assert list(goal.options) == [option.name for option in OPTIONS]
+
+
+def test_some_of_the_options_can_be_planned_with(planning: Planning) -> None:
+    result = planning.plan('human', options=[FETCH], evaluation_episodes=3)
+    alone = make_plan(TAXI, 'human', FIRST_ONLY)
+    assert tuple(result.option_names) == alone.names
+    returns = play(alone, episode_starts(TAXI, SEED, 3))
+    assert result.fallbacks == returns.fallbacks.sum() > 0
+
+
+def test_an_option_that_cannot_be_read_does_not_hide_the_others(planning: Planning) -> None:
+    planning.teach(OPTIONS, spoilt=['spoilt'])
+    result = planning.plan('human')
+    assert tuple(result.option_names) == make_plan(TAXI, 'human', OPTIONS).names
+    said = planning.graph.started[-1].said
+    planning.graph.until(lambda: "'spoilt' in learned_options" in said(), 'the error')
+
+
+def test_judging_is_canceled_at_once(planning: Planning) -> None:
+    goal = planning.begin_plan('primitive', evaluation_episodes=500_000)
+    planning.graph.until(
+        lambda: any(f.stage == 'evaluation' for f in goal.feedback), 'the evaluation'
+    )
+    goal.cancel()
+    status, result = goal.result(5.0)
+    assert (status, result.status) == (GoalStatus.STATUS_CANCELED, PlanResult.STATUS_CANCELED)
 
 
 @pytest.mark.parametrize(
@@ -130,14 +118,15 @@ def test_goals_and_results_of_plans_are_on_the_graph(planning: Planning) -> None
         ('robot', {}, "no action set 'robot'; there is human, primitive, human+primitive"),
         ('primitive', {'gamma': 2.0}, 'gamma is 2.0'),
         ('primitive', {'gamma': math.nan}, 'gamma is nan'),
-        ('primitive', {'tolerance': -1.0}, 'tol'),
+        ('primitive', {'tolerance': -1.0}, 'tol is -1.0'),
+        ('human', {'options': [FETCH, 'fly']}, f"no option 'fly'; there is {FETCH!r}"),
     ],
 )
 def test_a_request_that_makes_no_sense_is_refused_in_words(
-    planning: Planning, action_set: str, fields: dict[str, float], says: str
+    planning: Planning, action_set: str, fields: dict[str, Any], says: str
 ) -> None:
     result = planning.plan(action_set, **fields)
-    assert result.status == PlanResult.STATUS_BAD_REQUEST
+    assert (result.status, result.plan_id) == (PlanResult.STATUS_BAD_REQUEST, '')
     assert says in result.detail
 
 
@@ -165,7 +154,7 @@ def test_options_of_two_people_are_not_mixed(planning: Planning) -> None:
 
 
 def test_playing_by_a_plan_is_what_the_pure_code_says(planning: Planning) -> None:
-    planning.plan('human')
+    planned = planning.plan('human')
     runs = [planning.play('human') for _ in range(2)]
     plan = make_plan(TAXI, 'human', OPTIONS)
     returns = play(plan, episode_starts(TAXI, SEED, EPISODES))
@@ -175,8 +164,9 @@ def test_playing_by_a_plan_is_what_the_pure_code_says(planning: Planning) -> Non
         assert (result.decisions, result.fallbacks) == (returns.decisions.sum(), 0)
         assert result.mean_return == returns.total.mean()
         assert result.mean_discounted_return == pytest.approx(returns.discounted.mean(), abs=1e-9)
-    goals = [goal.run_id for goal in planning.policy_goals]
-    assert goals[-2:] == [result.run_id for result in runs]
+    goals = planning.policy_goals[-2:]
+    assert [goal.run_id for goal in goals] == [result.run_id for result in runs]
+    assert {goal.plan_id for goal in goals} == {planned.plan_id}
 
 
 def test_fallbacks_are_counted(planning: Planning) -> None:

@@ -1,10 +1,12 @@
 """Demonstrations by rule, and options learned from them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 import uuid
 
 from humanopts_env.domains.base import action_index, Domain
+from humanopts_env.domains.pacman.reference import AVOID_GHOST, CLOSEST_FOOD, NEAREST_PILL
 from humanopts_env.domains.registry import make_domain, parameters_json, reference_options
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
@@ -13,26 +15,30 @@ from humanopts_learner.options.option import LearnedOption
 
 FETCH, DELIVER = 'go to passenger and pickup', 'go to destination and dropoff'
 TAXI = make_domain('taxi')
+Chooser = Callable[[int, Any], str | None]  # (actions taken, state) to the next; None: done
 
 
 def walk(
     start: str,
-    actions: Sequence[str],
+    actions: Sequence[str] | Chooser,
     option: str,
     features: Sequence[str],
     domain: Domain[Any] = TAXI,
     **fields: Any,
 ) -> Demonstration:
-    """Show an option from a state by a list of actions; "not here" where it is empty."""
-    rng = generator(0, 'scripted', option, start, *actions, str(sorted(fields.items())))
-    states, rewards, terminated = [domain.decode(start)], [], False
-    for action in actions:
+    """Show an option from a state by actions; "not here" where there are none."""
+    names = () if callable(actions) else actions
+    choose = actions if callable(actions) else lambda taken, _: next(iter(names[taken:]), None)
+    rng = generator(0, 'scripted', option, start, *names, str(sorted(fields.items())))
+    states, done, rewards, terminated = [domain.decode(start)], [], [], False
+    while (action := choose(len(done), states[-1])) is not None:
         outcome = domain.step(states[-1], action_index(domain, action), rng)
+        done.append(action)
         states.append(outcome.state)
         rewards.append(outcome.reward)
         terminated = outcome.terminated
     values: dict[str, Any] = {
-        'kind': Kind.TRAJECTORY if actions else Kind.NOT_HERE,
+        'kind': Kind.TRAJECTORY if done else Kind.NOT_HERE,
         'uuid': str(uuid.UUID(bytes=rng.bytes(16), version=4)),
         'domain': domain.name,
         'domain_parameters': parameters_json(domain),
@@ -44,7 +50,7 @@ def walk(
         'feature_names': tuple(feature.name for feature in domain.features),
         'features': tuple(tuple(domain.feature_values(s).tolist()) for s in states),
         'states': tuple(domain.encode(state) for state in states),
-        'actions': tuple(actions),
+        'actions': tuple(done),
         'rewards': tuple(rewards),
         'terminated': terminated,
     }
@@ -54,17 +60,20 @@ def walk(
 def expert(option: str, count: int, domain: Domain[Any] = TAXI, **fields: Any) -> list[Any]:
     """Show an option of the reference by shortest ways from random states."""
     reference = reference_options(domain)[option]
+
+    def choose(taken: int, state: Any) -> str | None:
+        if not reference.can_start(state) or (taken and reference.ends(state)):
+            return None
+        return domain.actions[reference.optimal_actions(state)[0]].name
+
     rng = generator(7, 'scripted expert', option)
     demos = []
     for number, start in enumerate(domain.sample_states(rng, count), start=1):
-        actions, state = [], start
-        while reference.can_start(state):
-            action = reference.optimal_actions(state)[0]
-            actions.append(domain.actions[action].name)
-            state = domain.step(state, action, rng).state
         text = domain.encode(start)
         numbered = {'number': number, **fields}
-        demos.append(walk(text, actions, option, reference.features, domain, **numbered))
+        demo = walk(text, choose, option, reference.features, domain, **numbered)
+        again = bool(demo.actions) and reference.can_start(domain.decode(demo.states[-1]))
+        demos.append(replace(demo, can_start_at_end=again))
     return demos
 
 
@@ -73,4 +82,12 @@ def taught(participant: str = 'p1') -> list[LearnedOption]:
     return [
         learn_option(expert(name, 60, participant=participant), TAXI, 0)
         for name in (FETCH, DELIVER)
+    ]
+
+
+def taught_pacman(domain: Domain[Any]) -> list[LearnedOption]:
+    """Return three options of the paper in a maze, learned well enough to play."""
+    return [
+        learn_option(expert(name, 40, domain), domain, 0)
+        for name in (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)
     ]

@@ -1,15 +1,17 @@
 """Messages to learning and planning values and back: the one module here that knows both."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 import math
+from typing import Any
 
 from humanopts_interfaces import msg
 from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
 from humanopts_learner.execution import End
 from humanopts_learner.options.criteria import Judgement
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.evaluate import Returns
-from humanopts_learner.planning.plan import Plan
+from humanopts_learner.options.files import option_from_json
+from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.planning.any_domain import AnyPlan, Performance, PlanRequest
 
 
 def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
@@ -78,7 +80,61 @@ def not_learnable_status(demos: list[Demonstration]) -> msg.OptionStatus:
     )
 
 
-def plan_to_message(plan: Plan, plan_id: str, returns: Returns | None) -> msg.PlanResult:
+def options_from_message(message: msg.LearnedOptions) -> tuple[list[LearnedOption], list[str]]:
+    """Return the options that can be read, and what is wrong with the others."""
+    options, problems = [], []
+    for entry in message.options:
+        try:
+            options.append(option_from_json(entry.model)[0])
+        except OptionError as error:
+            problems.append(f'{entry.name!r} in learned_options: {error}')
+    return options, problems
+
+
+def plan_request_from_goal(goal: Any) -> PlanRequest:
+    """Decode what a plan shall be from a goal of the action plan, or from a ``PlanGoal``."""
+    return PlanRequest(
+        action_set=goal.action_set,
+        gamma=goal.gamma,
+        tol=goal.tolerance,
+        max_sweeps=goal.max_sweeps,
+        game_steps=goal.game_steps,
+        seed=goal.seed,
+    )
+
+
+def plan_goal_to_message(
+    goal: Any, plan_id: str, request: PlanRequest, options: Sequence[LearnedOption]
+) -> msg.PlanGoal:
+    """
+    Say what is being planned.
+
+    :param goal: of the action plan.
+    :param request: in force.
+    :param options: to plan with.
+    """
+    return msg.PlanGoal(
+        plan_id=plan_id,
+        action_set=request.action_set,
+        participant=goal.participant,
+        options=[option.name for option in options],
+        gamma=request.gamma,
+        tolerance=request.tol,
+        max_sweeps=request.max_sweeps,
+        game_steps=request.game_steps,
+        evaluation_episodes=goal.evaluation_episodes,
+        seed=request.seed,
+    )
+
+
+def refused_plan(action_set: str) -> msg.PlanResult:
+    """Return a result without a plan; status and detail are left to the caller."""
+    return msg.PlanResult(action_set=action_set, **_performance_fields(None))
+
+
+def plan_to_message(
+    plan: AnyPlan, plan_id: str, performance: Performance | None
+) -> msg.PlanResult:
     """Say what planning came to, and how the plan did in the episodes it was judged by."""
     solution, result = plan.solution, msg.PlanResult
     return msg.PlanResult(
@@ -89,16 +145,35 @@ def plan_to_message(plan: Plan, plan_id: str, returns: Returns | None) -> msg.Pl
         option_names=list(plan.names),
         gamma=plan.gamma,
         n_states=len(solution.values),
+        game_steps=plan.game_steps,
         table_seconds=plan.table_seconds,
         model_seconds=plan.model_seconds,
         sweep_seconds=plan.sweep_seconds,
         sweeps=solution.sweeps,
         residual=solution.residual,
         converged=solution.converged,
-        evaluation_episodes=0 if returns is None else len(returns.total),
-        mean_return=math.nan if returns is None else float(returns.total.mean()),
-        mean_discounted_return=math.nan if returns is None else float(returns.discounted.mean()),
+        **_performance_fields(performance),
     )
+
+
+def _performance_fields(found: Performance | None) -> dict[str, Any]:
+    """Return the fields of ``PlanResult`` that say how a plan did."""
+    if found is None:
+        names = ('mean_return', 'mean_return_low', 'mean_return_high', 'mean_discounted_return')
+        return dict.fromkeys(names, math.nan)
+    outcomes = found.outcomes.values()
+    return {
+        'evaluation_episodes': found.episodes,
+        'mean_return': found.total.mean,
+        'mean_return_low': found.total.low,
+        'mean_return_high': found.total.high,
+        'mean_discounted_return': found.discounted.mean,
+        'fallbacks': found.fallbacks,
+        'outcome_names': list(found.outcomes),
+        'outcome_means': [interval.mean for interval in outcomes],
+        'outcome_low': [interval.low for interval in outcomes],
+        'outcome_high': [interval.high for interval in outcomes],
+    }
 
 
 def end_to_message(end: End, run_id: str) -> msg.OptionResult:

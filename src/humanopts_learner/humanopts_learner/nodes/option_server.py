@@ -11,10 +11,11 @@ from humanopts_env.nodes.qos import CURRENT
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import DomainInfo, LearnedOptions, OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
+from humanopts_learner.convert import options_from_message
 from humanopts_learner.execution import OptionRun
 from humanopts_learner.library import UnknownOptionError
 from humanopts_learner.nodes.runner import Runner, RunRequest
-from humanopts_learner.options.files import load_options, option_from_json
+from humanopts_learner.options.files import load_options
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.action.server import ServerGoalHandle
@@ -83,12 +84,9 @@ class OptionServerNode(NodeBase):
         return options
 
     def _on_options(self, message: LearnedOptions) -> None:
-        self._learned = []
-        for entry in message.options:
-            try:
-                self._learned.append(option_from_json(entry.model)[0])
-            except OptionError as error:
-                self.get_logger().error(f'{entry.name!r} in learned_options: {error}')
+        self._learned, problems = options_from_message(message)
+        for problem in problems:
+            self.get_logger().error(problem)
         self._serve(self._learned)
 
     def _serve(self, options: list[LearnedOption]) -> None:

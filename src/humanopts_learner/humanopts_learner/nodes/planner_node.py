@@ -1,6 +1,7 @@
 """The node ``planner``: SMDP value iteration, and acting by the policy over options it gives."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 import math
 import sys
 import threading
@@ -22,21 +23,42 @@ from humanopts_interfaces.msg import (
     PolicyGoal,
     PolicyResult,
 )
-from humanopts_learner.convert import plan_to_message
+from humanopts_learner.convert import (
+    options_from_message,
+    plan_goal_to_message,
+    plan_request_from_goal,
+    plan_to_message,
+    refused_plan,
+)
 from humanopts_learner.nodes.player import Episode, Player, STOPS
-from humanopts_learner.options.files import option_from_json
-from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.any_domain import (
+    AnyPlan,
+    check_plan_request,
+    judge_plan,
+    plan_in,
+    PlanRequest,
+    select_options,
+)
 from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
-from humanopts_learner.planning.evaluate import episode_start, episode_starts, play
-from humanopts_learner.planning.plan import check_request, make_plan, Plan, PRIMITIVE
+from humanopts_learner.planning.evaluate import episode_start
+from humanopts_learner.planning.plan import PRIMITIVE
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
-_TOLERANCE, _MAX_SWEEPS = 1e-8, 10_000
 _FEEDBACK_PERIOD = 0.1  # s
 _OPTIONS_SECONDS = 5.0  # to wait for the options that a request wants
 _FAREWELL = 1.0  # s to answer who asked for what is under way, when the node ends
+
+
+@dataclass(frozen=True)
+class _Made:
+    """A plan, and the options that were known when it was made."""
+
+    plan: AnyPlan
+    plan_id: str
+    learned: list[LearnedOption]
 
 
 class PlannerNode(NodeBase):
@@ -47,8 +69,7 @@ class PlannerNode(NodeBase):
         self._domain: Any = None
         self._options: list[LearnedOption] = []
         self._version = 0  # sequence of the LearnedOptions that they came with
-        # by action set and participant, with the options as they were when it was made
-        self._plans: dict[tuple[str, str], tuple[Plan, list[LearnedOption]]] = {}
+        self._plans: dict[tuple[str, str], _Made] = {}  # newest by action set and participant
         self._waiting: list[tuple[int, Future]] = []
         self._planning = self._playing = False
         self._thread = threading.Thread()  # that plans
@@ -81,12 +102,10 @@ class PlannerNode(NodeBase):
             raise StartError(str(error)) from error
 
     def _on_options(self, message: LearnedOptions) -> None:
-        try:
-            self._options = [option_from_json(entry.model)[0] for entry in message.options]
-            self._version = message.sequence
-        except OptionError as error:
-            self.get_logger().error(f'learned_options cannot be read: {error}')
-            return
+        self._options, problems = options_from_message(message)
+        self._version = message.sequence
+        for problem in problems:
+            self.get_logger().error(problem)
         for sequence, arrival in self._waiting:
             if sequence <= self._version and not arrival.done():
                 arrival.set_result(None)
@@ -101,9 +120,7 @@ class PlannerNode(NodeBase):
 
     async def _plan(self, handle: ServerGoalHandle) -> PlanResult:
         request = handle.request
-        refused = PlanResult(
-            action_set=request.action_set, mean_return=math.nan, mean_discounted_return=math.nan
-        )
+        refused = refused_plan(request.action_set)
         if self._planning:
             refused.status = PlanResult.STATUS_BUSY
             refused.detail = 'the planner is at work on another plan'
@@ -115,13 +132,15 @@ class PlannerNode(NodeBase):
         self._planning = True
         try:
             await self._options_arrive(request.options_sequence)
-            options = self._options_of(request)
-            check_request(self._domain, request.action_set, options, self._gamma(request))
+            options = select_options(
+                self._options, request.action_set, request.participant, request.options
+            )
+            asked = check_plan_request(self._domain, options, plan_request_from_goal(request))
             refused.plan_id = str(uuid.uuid4())  # from here on it is accepted
-            return await self._plan_in_thread(handle, refused.plan_id, options)
+            return await self._plan_in_thread(handle, refused.plan_id, options, asked)
         except NoOptionsError as error:
             refused.status, refused.detail = PlanResult.STATUS_NO_OPTIONS, str(error)
-        except (PlanError, OptionError) as error:
+        except PlanError as error:
             refused.status, refused.detail = PlanResult.STATUS_BAD_REQUEST, str(error)
         except PlanCanceled:
             refused.status, refused.detail = PlanResult.STATUS_CANCELED, 'canceled by the client'
@@ -133,39 +152,24 @@ class PlannerNode(NodeBase):
             self._planning = False
         return refused
 
-    def _gamma(self, request: Any) -> float:
-        return request.gamma or self._domain.gamma
-
     async def _plan_in_thread(
-        self, handle: ServerGoalHandle, plan_id: str, options: list[LearnedOption]
+        self,
+        handle: ServerGoalHandle,
+        plan_id: str,
+        options: list[LearnedOption],
+        asked: PlanRequest,
     ) -> PlanResult:
-        request, learned = handle.request, self._options
-        gamma = self._gamma(request)
-        self._plan_goals.publish(
-            PlanGoal(
-                plan_id=plan_id,
-                action_set=request.action_set,
-                participant=request.participant,
-                gamma=gamma,
-                tolerance=request.tolerance or _TOLERANCE,
-                max_sweeps=request.max_sweeps or _MAX_SWEEPS,
-            )
-        )
+        request, domain, learned = handle.request, self._domain, self._options
+        self._plan_goals.publish(plan_goal_to_message(request, plan_id, asked, options))
         progress = _Feedback(handle, lambda: self._player.stopping)
         done: Future = Future(executor=self.executor)
 
         def work() -> None:
             try:
-                plan = make_plan(
-                    self._domain,
-                    request.action_set,
-                    options,
-                    gamma,
-                    request.tolerance or _TOLERANCE,
-                    request.max_sweeps or _MAX_SWEEPS,
-                    progress,
-                )
-                done.set_result((plan, self._judge(plan, request)))
+                plan, performance = plan_in(domain, options, asked, progress), None
+                if episodes := request.evaluation_episodes:
+                    performance = judge_plan(plan, request.seed, episodes, progress)
+                done.set_result((plan, performance))
             except Exception as error:
                 done.set_exception(error)
             self.executor.wake()
@@ -173,11 +177,11 @@ class PlannerNode(NodeBase):
         self._thread = threading.Thread(target=work, name='plan')
         self._thread.start()
         try:
-            plan, returns = await done
+            plan, performance = await done
         finally:
             self._thread.join()
-        self._plans[request.action_set, request.participant] = plan, learned
-        return plan_to_message(plan, plan_id, returns)
+        self._plans[request.action_set, request.participant] = _Made(plan, plan_id, learned)
+        return plan_to_message(plan, plan_id, performance)
 
     async def _options_arrive(self, sequence: int) -> None:
         """Wait until the options are at least as new as the request wants."""
@@ -194,23 +198,6 @@ class PlannerNode(NodeBase):
         if self._version < sequence:
             raise PlanError(f'learned_options {sequence} did not come, only {self._version}')
 
-    def _options_of(self, request: Any) -> list[LearnedOption]:
-        if request.action_set == PRIMITIVE:
-            return []
-        people = {option.participant for option in self._options}
-        if not request.participant and len(people) > 1:
-            raise PlanError(
-                f'several people taught options: name one of {", ".join(sorted(people))}'
-            )
-        wanted = request.participant
-        return [o for o in self._options if not wanted or o.participant == wanted]
-
-    def _judge(self, plan: Plan, request: Any) -> Any:
-        if not request.evaluation_episodes:
-            return None
-        starts = episode_starts(plan.domain, request.seed, request.evaluation_episodes)
-        return play(plan, starts, seed=request.seed)
-
     async def _execute_policy(self, handle: ServerGoalHandle) -> RunPolicy.Result:
         result = await self._act(handle)
         self._policy_results.publish(result)
@@ -223,35 +210,38 @@ class PlannerNode(NodeBase):
         result = PolicyResult(
             action_set=request.action_set, mean_return=math.nan, mean_discounted_return=math.nan
         )
-        plan, learned = self._plans.get((request.action_set, request.participant), (None, []))
+        made = self._plans.get((request.action_set, request.participant))
         if self._playing:
             result.status, result.detail = result.STATUS_BUSY, 'a policy is running already'
-        elif plan is None:
+        elif made is None:
             result.status = result.STATUS_NO_PLAN
             result.detail = f'there is no {request.action_set!r} plan yet: plan it first'
-        elif learned is not self._options and request.action_set != PRIMITIVE:
+        elif made.learned is not self._options and request.action_set != PRIMITIVE:
             result.status = result.STATUS_NO_PLAN
             result.detail = 'the options changed since they were planned with: plan again'
         elif request.episodes == 0:
             result.status, result.detail = result.STATUS_BAD_REQUEST, 'episodes is 0'
-        elif not (request.max_decisions or plan.domain.max_steps):
+        elif not (request.max_decisions or made.plan.domain.max_steps):
             result.status = result.STATUS_BAD_REQUEST
-            result.detail = f'{plan.domain.name} never cuts an episode off: give max_decisions'
+            result.detail = (
+                f'{made.plan.domain.name} never cuts an episode off: give max_decisions'
+            )
         else:
             self._playing = True
             try:
-                await self._play(handle, plan, result)
+                await self._play(handle, made, result)
             finally:
                 self._playing = False
         return result
 
-    async def _play(self, handle: ServerGoalHandle, plan: Plan, result: PolicyResult) -> None:
-        request, domain = handle.request, plan.domain
+    async def _play(self, handle: ServerGoalHandle, made: '_Made', result: PolicyResult) -> None:
+        request, domain = handle.request, made.plan.domain
         result.run_id = str(uuid.uuid4())
         limit = request.max_decisions or domain.max_steps
         self._policy_goals.publish(
             PolicyGoal(
                 run_id=result.run_id,
+                plan_id=made.plan_id,
                 action_set=request.action_set,
                 participant=request.participant,
                 episodes=request.episodes,
@@ -262,7 +252,7 @@ class PlannerNode(NodeBase):
         totals, discounted = [], []
         for number in range(request.episodes):
             start = episode_start(domain, request.seed, number)
-            episode = Episode(self._player, plan, result, handle)
+            episode = Episode(self._player, made.plan, result, handle)
             seed = (request.seed + number) % 2**64
             if not await episode.play(start, seed, limit):
                 return

@@ -1,6 +1,6 @@
 """The command line's own node: sees that the graph is ready, and asks it for work."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import time
 from typing import Any, Generic, TypeVar
 
@@ -130,16 +130,28 @@ class Conductor:
                 raise
             raise LaunchError(f'{error}; not ready: {", ".join(missing)}') from error
 
-    def plan(self, action_set: str, episodes: int, seed: int) -> PlanResult:
+    def plan(
+        self,
+        action_set: str,
+        episodes: int,
+        seed: int,
+        names: Sequence[str] = (),
+        game_steps: int = 0,
+    ) -> PlanResult:
         """
         Have the planner plan with the newest options, and judge the plan.
 
-        :param episodes: to judge it by, from start states drawn by ``seed``.
+        :param episodes: to judge it by; 0: it is not judged.
+        :param seed: of what is drawn, for the plan and to judge it.
+        :param names: of the options to plan with; empty: all.
+        :param game_steps: to sample models from, where they are not exact; 0: the planner's own.
         :raises LaunchError: it refused, failed or did not answer.
         """
         options = self.node.options.message
         goal = Plan.Goal(
             action_set=action_set,
+            options=list(names),
+            game_steps=game_steps,
             evaluation_episodes=episodes,
             seed=seed,
             options_sequence=options.sequence if options else 0,
