@@ -57,6 +57,10 @@ def test_features_of_the_start() -> None:
         'pill_col': '4',
         'pill_direction': 'east',
         'pill_distance': '4',
+        'fruit_row': 'none',
+        'fruit_col': 'none',
+        'fruit_direction': 'none',
+        'fruit_distance': 'none',
         'danger_direction': 'south',
         'danger_distance': '3',
         'prey_direction': 'none',
@@ -74,6 +78,8 @@ def test_features_of_a_later_state() -> None:
     assert (values['danger_direction'], values['danger_distance']) == ('north', '5')
     assert {values[f'pill_{part}'] for part in ('row', 'col', 'direction', 'distance')} == {'none'}
     assert [values[f'food_{part}'] for part in ('row', 'col', 'direction')] == ['1', '0', 'north']
+    fruit = [values[f'fruit_{part}'] for part in ('row', 'col', 'direction', 'distance')]
+    assert fruit == ['0', '1', 'north', '3']
     assert values['ate'] == 'food and ghost'
 
 
@@ -86,7 +92,7 @@ def test_questions_complete_the_sentence() -> None:
 def test_masks_and_directions_have_no_order() -> None:
     """Rows, columns, distances and times have one."""
     nominal = {f.name for f in PacMan().features if f.kind is FeatureKind.NOMINAL}
-    things = ('ghost_1', 'ghost_2', 'food', 'pill', 'danger', 'prey')
+    things = ('ghost_1', 'ghost_2', 'food', 'pill', 'fruit', 'danger', 'prey')
     assert nominal == {*(f'{thing}_direction' for thing in things), 'ate', 'legal_moves'}
 
 

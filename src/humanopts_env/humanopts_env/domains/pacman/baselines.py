@@ -49,7 +49,7 @@ def random_choice(
 
 def hand_rule(options: Sequence[PacManOption]) -> Chooser:
     """
-    Return the hand-written rule over the four reference options, in any order.
+    Return the hand-written rule over the four buttons of table 1, in any order, among others.
 
     Eat a scared ghost that can be caught in time, unless a dangerous one is beside; else, where a
     dangerous ghost is too near, go to a power pill that is nearer, or avoid the ghost; else go to

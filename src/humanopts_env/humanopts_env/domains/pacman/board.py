@@ -84,7 +84,11 @@ def _movable(maze: Maze, values: Mapping[str, int]) -> list[tuple[str, str, str]
         glyph = (SCARED if scared else GHOSTS)[number - 1]
         doubt = ', scared or not' if scared is None else ''
         ghosts.append((f'ghost_{number}', glyph, f'ghost {number}{doubt}'))
-    items = [('food', FOOD, 'nearest food'), ('pill', PILL, 'nearest power pill')]
+    items = [
+        ('food', FOOD, 'nearest food'),
+        ('pill', PILL, 'nearest power pill'),
+        ('fruit', FRUIT, 'fruit'),
+    ]
     return [('pacman', PACMAN, 'pac-man'), *ghosts, *items]
 
 

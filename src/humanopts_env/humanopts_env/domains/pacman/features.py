@@ -25,6 +25,7 @@ HERE, NOWHERE = STAY, STAY + 1  # indices of the last two
 THINGS = {  # prefix of feature names: what it is to a person
     'food': 'the nearest food',
     'pill': 'the nearest power pill',
+    'fruit': 'the fruit',
     'danger': 'the nearest dangerous ghost',
     'prey': 'the nearest scared ghost',
 }
@@ -45,7 +46,7 @@ def pacman_features(rules: Rules) -> tuple[Feature, ...]:
                 ('no', '1 step', *(f'{n} steps' for n in range(2, SCARED_STEPS + 1))),
             )
         )
-    for name in ('food', 'pill'):
+    for name in ('food', 'pill', 'fruit'):
         features += _place(rules, name, THINGS[name], can_miss=True)
         features += _way(rules, name, THINGS[name])
     for name in ('danger', 'prey'):
@@ -125,6 +126,8 @@ def feature_values(rules: Rules, state: PacManState) -> NDArray[np.int32]:
     for cells, mask in ((maze.food, state.food), (maze.pills, state.pills)):
         cell = nearest(cell for k, cell in enumerate(cells) if mask >> k & 1)
         values += [*place(cell), *way(cell)]
+    fruit = state.fruit_at if state.fruit else None
+    values += [*place(fruit), *way(fruit)]
     for scared in (False, True):
         values += way(nearest(ghost.cell for ghost in ghosts if (ghost.scared > 0) == scared))
     values += [state.ate, int(paths.legal[state.pacman])]
@@ -185,6 +188,9 @@ class FeatureReader:
         for items, taken in zip(self._items, (batch.food_taken, batch.pills_taken)):
             self._write(out[:, column : column + 4], here, self._find(items, here, taken))
             column += 4
+        fruit = np.where(batch.fruit > 0, batch.fruit_at, len(self._place) - 1)
+        self._write(out[:, column : column + 4], here, fruit)
+        column += 4
         for scared in (False, True):
             out[:, column : column + 2] = self._way_to(here, self._ghost(batch, scared=scared))
             column += 2

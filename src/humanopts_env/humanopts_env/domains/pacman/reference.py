@@ -1,8 +1,9 @@
 """
-The Pac-Man buttons that people named, as exact options.
+The Pac-Man buttons that people named, and one for the fruit, as exact options.
 
-Subramanian, Isbell and Thomaz (2011), table 1. They are judged for many games at once; one state
-is a batch of one. Where the game is over, none can start and all have ended.
+Subramanian, Isbell and Thomaz (2011), table 1; nobody there named the fruit. They
+are judged for many games at once; one state is a batch of one. Where the game is over, none can
+start and all have ended.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,7 +14,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.pacman.batch import Flags, PacManBatch
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.paths import HAS_MOVE
-from humanopts_env.domains.pacman.rules import ATE_FOOD, ATE_GHOST, ATE_PILL, Rules
+from humanopts_env.domains.pacman.rules import ATE_FOOD, ATE_FRUIT, ATE_GHOST, ATE_PILL, Rules
 from humanopts_env.domains.pacman.state import PacManState
 from humanopts_env.domains.pacman.surroundings import look_around, Surroundings
 from humanopts_env.domains.reference import Judgement
@@ -23,6 +24,7 @@ CLOSEST_FOOD = 'go to the closest food'
 AVOID_GHOST = 'avoid ghost'
 NEAREST_PILL = 'go to the nearest power pellet'
 EAT_GHOST = 'eat the ghost'
+TO_FRUIT = 'go to the fruit'
 DANGER = 4  # a dangerous ghost is avoided from so many steps away on
 
 
@@ -52,6 +54,11 @@ def _nearest_pill(batch: PacManBatch, seen: Surroundings) -> Judgement:
 
 def _eat_ghost(batch: PacManBatch, seen: Surroundings) -> Judgement:
     return _judge(batch, seen.prey < seen.far, ATE_GHOST, HAS_MOVE[seen.to_prey])
+
+
+def _to_fruit(batch: PacManBatch, seen: Surroundings) -> Judgement:
+    ways = batch.rules.paths.shortest[batch.pacman, batch.fruit_at]  # any where there is no fruit
+    return _judge(batch, batch.fruit > 0, ATE_FRUIT, HAS_MOVE[ways])
 
 
 def _judge(batch: PacManBatch, can_start: Flags, meal: int, best: Flags) -> Judgement:
@@ -92,7 +99,7 @@ class PacManOption:
 
 
 def reference_options(domain: Domain[PacManState]) -> dict[str, PacManOption]:
-    """Return every Pac-Man button of the paper's table 1 by name."""
+    """Return every Pac-Man button of the paper's table 1 by name, and the one for the fruit."""
     rules = cast(PacMan, domain).rules
     options = [
         PacManOption(
@@ -125,6 +132,14 @@ def reference_options(domain: Domain[PacManState]) -> dict[str, PacManOption]:
             'Starts where a ghost is scared; goes a shortest way to where a nearest such one is; '
             'ends when one was eaten, or when none is scared any more.',
             _eat_ghost,
+        ),
+        PacManOption(
+            rules,
+            TO_FRUIT,
+            ('fruit_direction', 'ate'),
+            'Starts while there is fruit; goes a shortest way to it; ends when it was eaten, or '
+            'when it is gone.',
+            _to_fruit,
         ),
     ]
     return {option.name: option for option in options}

@@ -1,0 +1,137 @@
+"""
+What the reference options of every domain must satisfy, as a test class for pytest.
+
+In the tests of a package that adds some::
+
+    class TestMyOptions(ReferenceContract):
+        def make(self) -> Domain[Any]:
+            return MyDomain()
+"""
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+from humanopts_env.domains.base import Domain, feature_columns, is_enumerable
+from humanopts_env.domains.reference import judge_states, Judgement, ReferenceOption
+from humanopts_env.domains.registry import reference_options
+from humanopts_env.seeding import generator
+import numpy as np
+
+ALL = 2000  # a domain with more states is looked at in sampled ones
+SAMPLE = 600
+ONE_BY_ONE = 40  # states that are asked about one by one, and runs that are played
+LONGEST = 1000  # steps of a run, where the domain has no limit of its own
+
+
+class ReferenceContract:
+    """Tests that reference options keep the promises of ``humanopts_env.domains.reference``."""
+
+    def make(self) -> Domain[Any]:
+        """Return the domain whose options are tested."""
+        raise NotImplementedError('make() must return the domain whose options are tested')
+
+    def options(self, domain: Domain[Any]) -> Mapping[str, ReferenceOption]:
+        """Return its options by name: those that are registered, where nothing else is said."""
+        return reference_options(domain)
+
+    def test_a_person_can_be_told_what_each_means(self) -> None:
+        """By a lower-case name, a sentence, and features in the domain's order."""
+        seen = self._seen
+        names = [feature.name for feature in seen.domain.features]
+        assert seen.options
+        for name, option in seen.options.items():
+            assert option.name == name == name.strip().lower() != ''
+            assert option.definition.endswith('.'), name
+            chosen = [names[column] for column in feature_columns(seen.domain, option.features)]
+            assert list(option.features) == chosen != [], name
+
+    def test_each_can_start_somewhere(self) -> None:
+        """An option that cannot is not taught."""
+        for name in self._seen.options:
+            assert self._seen.of(name).initiation.any(), name
+
+    def test_it_acts_where_it_can_start_and_has_ended_elsewhere(self) -> None:
+        """So that a run knows at every step what to do, or that it is done."""
+        for name in self._seen.options:
+            said = self._seen.of(name)
+            assert np.array_equal(said.optimal.any(axis=1), said.initiation), name
+            assert (said.initiation | said.termination).all(), name
+
+    def test_its_features_tell_where_it_starts_and_ends(self) -> None:
+        """States alike in them are alike in I and beta, which can thus be learned from them."""
+        seen = self._seen
+        for name, option in seen.options.items():
+            columns = feature_columns(seen.domain, option.features)
+            answers: dict[tuple[int, ...], tuple[bool, bool]] = {}
+            said = seen.of(name)
+            pairs = zip(said.initiation.tolist(), said.termination.tolist())
+            for row, answer in zip(seen.rows[:, columns].tolist(), pairs):
+                assert answers.setdefault(tuple(row), answer) == answer, name
+
+    def test_every_run_comes_to_its_end(self) -> None:
+        """
+        By the first of its optimal actions and by the last, before the episode is cut off.
+
+        Where the task is over, the option has ended and cannot start.
+        """
+        seen = self._seen
+        for name, option in seen.options.items():
+            starts = np.flatnonzero(seen.of(name).initiation)
+            for number in starts[:: max(1, len(starts) // ONE_BY_ONE)]:
+                for which in (0, -1):
+                    assert seen.run_ends(option, seen.states[number], which), name
+
+    def test_one_state_is_judged_as_many_are(self) -> None:
+        """Where an option can be asked about many at once."""
+        seen = self._seen
+        for name, option in seen.options.items():
+            said = seen.of(name)
+            for number in range(0, len(seen.states), max(1, len(seen.states) // ONE_BY_ONE)):
+                state = seen.states[number]
+                assert option.can_start(state) == said.initiation[number], name
+                assert option.ends(state) == said.termination[number], name
+                actions = tuple(np.flatnonzero(said.optimal[number]).tolist())
+                assert option.optimal_actions(state) == actions, name
+
+    @cached_property
+    def _seen(self) -> '_Seen':
+        domain = self.make()
+        return _Seen(domain, self.options(domain))
+
+
+class _Seen:
+    """The options of a domain, and what they say of its open states or of a sample of them."""
+
+    def __init__(self, domain: Domain[Any], options: Mapping[str, ReferenceOption]) -> None:
+        self.domain, self.options = domain, options
+        self.states = self._states()
+        self.rows = np.array([domain.feature_values(state) for state in self.states])
+        self._said: dict[str, Judgement] = {}
+
+    def of(self, name: str) -> Judgement:
+        """Return what an option says of the states."""
+        if name not in self._said:
+            option = self.options[name]
+            self._said[name] = judge_states(option, self.states, len(self.domain.actions))
+        return self._said[name]
+
+    def run_ends(self, option: ReferenceOption, state: Any, which: int) -> bool:
+        """Tell whether a run by the first or the last optimal actions comes to its end."""
+        rng = generator(0, 'reference contract', option.name, which)
+        for _ in range(self.domain.max_steps or LONGEST):
+            outcome = self.domain.step(state, option.optimal_actions(state)[which], rng)
+            state = outcome.state
+            if outcome.terminated:
+                return option.ends(state) and not option.can_start(state)
+            if option.ends(state):
+                return True
+        return False
+
+    def _states(self) -> list[Any]:
+        domain = self.domain
+        rng = generator(0, 'reference contract', 'states')
+        if is_enumerable(domain) and domain.n_states <= ALL:
+            drawn = domain.sample_states(rng, 20 * domain.n_states)
+            return list(dict.fromkeys(drawn))
+        return domain.sample_states(rng, SAMPLE)

@@ -1,0 +1,87 @@
+"""The reference options of every domain of ours keep their contract."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.domains.rooms import Rooms
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_env.reference_contract import ReferenceContract
+import numpy as np
+import pytest
+
+PICKUP = reference_options(Taxi())['go to passenger and pickup']
+ONLY_SOUTH = np.arange(6) == 0
+
+
+class TestTaxi(ReferenceContract):
+    """On Dietterich's grid."""
+
+    def make(self) -> Domain[Any]:
+        """Return the default."""
+        return Taxi()
+
+
+class TestLargerTaxi(ReferenceContract):
+    """On a grid that is not square."""
+
+    def make(self) -> Domain[Any]:
+        """Return one with 2,520 states."""
+        return Taxi(14, 9)
+
+
+class TestRooms(ReferenceContract):
+    """With chance."""
+
+    def make(self) -> Domain[Any]:
+        """Return the one whose goal is in a room."""
+        return Rooms('G2')
+
+
+class TestPacMan(ReferenceContract):
+    """In our own maze."""
+
+    def make(self) -> Domain[Any]:
+        """Return the default."""
+        return PacMan()
+
+
+class TestChasedPacMan(ReferenceContract):
+    """With ghosts that come after him."""
+
+    def make(self) -> Domain[Any]:
+        """Return the same maze."""
+        return PacMan(ghosts='chase')
+
+
+@pytest.mark.parametrize(
+    ('test', 'change'),
+    [
+        ('test_a_person_can_be_told_what_each_means', {'definition': ''}),
+        ('test_a_person_can_be_told_what_each_means', {'features': PICKUP.features[::-1]}),
+        ('test_a_person_can_be_told_what_each_means', {'name': 'Pickup'}),
+        ('test_each_can_start_somewhere', {'initiation': np.zeros(500, dtype=np.bool_)}),
+        ('test_it_acts_where_it_can_start', {'optimal': np.zeros((500, 6), dtype=np.bool_)}),
+        ('test_it_acts_where_it_can_start', {'termination': np.zeros(500, dtype=np.bool_)}),
+        ('test_its_features_tell_where', {'features': ('taxi_row',)}),
+        ('test_every_run_comes_to_its_end', {'optimal': PICKUP.initiation[:, None] & ONLY_SOUTH}),
+    ],
+)
+def test_what_breaks_the_contract_is_found(test: str, change: dict[str, Any]) -> None:
+    """By the test that is meant to."""
+    broken = replace(PICKUP, **change)
+
+    class Suite(ReferenceContract):
+        def make(self) -> Domain[Any]:
+            return Taxi()
+
+        def options(self, domain: Domain[Any]) -> Mapping[str, ReferenceOption]:
+            return {broken.name: broken}
+
+    (name,) = [name for name in dir(Suite) if name.startswith(test)]
+    with pytest.raises(AssertionError):
+        getattr(Suite(), name)()
