@@ -95,7 +95,7 @@ class RowComposer:
 
     def _step(self, action: NDArray[np.integer], ends: Mask, starts: Mask | None) -> _Step:
         rules = self._rules
-        states = self._visited(action, ends, starts)
+        states = np.arange(len(ends)) if starts is None else visited(rules, action, ends, starts)
         at = states, action[states]
         successor, share = rules.successor[at], rules.probability[at]  # (n, B)
         over = rules.terminated[at]
@@ -119,21 +119,20 @@ class RowComposer:
             (last & (share > 0)).any(axis=1),
         )
 
-    def _visited(
-        self, action: NDArray[np.integer], ends: Mask, starts: Mask | None
-    ) -> NDArray[np.intp]:
-        """Return the starts and all states that runs from them can go on from."""
-        if starts is None:
-            return np.arange(len(ends))
-        found = starts.copy()
-        fresh = np.flatnonzero(found)
-        while fresh.size:
-            at = fresh, action[fresh]
-            onward = (self._rules.probability[at] > 0) & ~self._rules.terminated[at]
-            reached = np.unique(self._rules.successor[at][onward])
-            fresh = reached[~ends[reached] & ~found[reached]]
-            found[fresh] = True
-        return np.flatnonzero(found)
+
+def visited(
+    rules: Transitions, action: NDArray[np.integer], ends: Mask, starts: Mask
+) -> NDArray[np.intp]:
+    """Return the starts of an option and all states that runs from them can go on from."""
+    found = starts.copy()
+    fresh = np.flatnonzero(found)
+    while fresh.size:
+        at = fresh, action[fresh]
+        onward = (rules.probability[at] > 0) & ~rules.terminated[at]
+        reached = np.unique(rules.successor[at][onward])
+        fresh = reached[~ends[reached] & ~found[reached]]
+        found[fresh] = True
+    return np.flatnonzero(found)
 
 
 def _count(step: _Step, max_steps: int) -> tuple[Floats, Floats]:

@@ -1,0 +1,197 @@
+"""
+What going on with an option is worth, exactly, and a policy over options carried out by it.
+
+Sutton, Precup and Singh (1999), section 4 and theorem 2: a policy over Markov options that stops
+an option wherever going on is worth less than choosing anew, by the policy's own values, is worth
+at least as much in every state. An option with ``max_steps`` is Markov only together with the
+number of steps that it has left. Where no run is cut off this makes no difference. Where one may
+be, going on counts as the best that it can be worth with any number of steps left, so a run is
+stopped only where that is right whatever is left, and the theorem holds.
+"""
+
+from dataclasses import replace
+
+from humanopts_env.domains.base import Transitions
+from humanopts_learner.planning.action_sets import build_model, TabledOption
+from humanopts_learner.planning.arbitration import (
+    Execution,
+    greatest_mass,
+    OptionValues,
+    SLACK,
+    stops,
+    strongest,
+)
+from humanopts_learner.planning.chance import RowComposer, visited
+from humanopts_learner.planning.composition import Composer
+from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.plan import Plan
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import eye_array
+from scipy.sparse.linalg import splu
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Ints = NDArray[np.intp]
+
+
+def option_values(plan: Plan) -> OptionValues:
+    """
+    Return the values that arbitration decides by, for every state.
+
+    An option's policy is defined in every state where the task is not over, so going on is
+    modelled there; primitive actions are options of one step.
+    """
+    domain, values = plan.domain, plan.solution.values
+    model = build_model(domain, plan.action_set, plan.options, plan.gamma)
+    ahead = (model.rows @ values).reshape(model.reward.T.shape)
+    choosing = np.where(model.available.T, model.reward.T + ahead, -np.inf)
+    going_on = choosing.copy()
+    for column, option in enumerate(plan.options):
+        going_on[column] = _going_on(plan, option)
+    going_on[:, domain.over()] = -np.inf
+    return OptionValues(
+        action_set=plan.action_set,
+        names=model.names,
+        situations=np.arange(len(values)),
+        choosing=choosing.T,
+        going_on=going_on.T,
+        slack=_slack(plan),
+        sampled=False,
+    )
+
+
+def carried_out(plan: Plan, execution: Execution) -> Plan:
+    """
+    Return a plan that, with each option run to its end, does what ``plan`` does by ``execution``.
+
+    Interrupted options are those that end also where they are stopped; modules are options of one
+    step that can start where they win. The values are still those of ``plan``; ``policy_values``
+    tells what the new one is worth.
+    """
+    if execution is Execution.RUN_TO_END:
+        return plan
+    table = option_values(plan)
+    if execution is Execution.INTERRUPTED:
+        stop = stop_table(table)
+        return replace(
+            plan, options=tuple(_ending(o, stop[:, c]) for c, o in enumerate(plan.options))
+        )
+    winner = winners(plan, table, execution)
+    modules = tuple(_module(o, winner == c) for c, o in enumerate(plan.options))
+    return replace(plan, options=modules, solution=replace(plan.solution, best=winner))
+
+
+def stop_table(table: OptionValues) -> Flags:
+    """Return (S, O): where each column is stopped if it runs."""
+    anew, found = table.choosing.max(axis=1), np.empty(table.going_on.shape, dtype=np.bool_)
+    for column in range(len(table.names)):
+        running = np.full(len(anew), column)
+        found[:, column] = stops(table.going_on, anew, running, table.slack)
+    return found
+
+
+def winners(plan: Plan, table: OptionValues, execution: Execution) -> NDArray[np.int32]:
+    """Return (S,): the column whose action is taken in each state; -1: the task is over."""
+    if execution is Execution.MODULAR_STRONGEST:
+        column = strongest(table.going_on)
+    else:
+        n_options, n_actions = len(plan.options), len(plan.domain.actions)
+        action = np.empty(table.going_on.shape, dtype=np.intp)
+        action[:, n_options:] = np.arange(len(table.names) - n_options)
+        for number, option in enumerate(plan.options):
+            action[:, number] = option.tables.action
+        column = greatest_mass(table.choosing, action, n_actions)
+    return np.where(plan.domain.over(), -1, column).astype(np.int32)
+
+
+def policy_values(plan: Plan) -> Floats:
+    """
+    Return what a plan is worth in every state, (S,), each option run to its end.
+
+    The solution of V = R + P V, with R and P the model of the column chosen in each state.
+
+    :raises PlanError: gamma is 1 and the policy does not end from everywhere.
+    """
+    model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
+    best = plan.solution.best
+    live = np.flatnonzero(best >= 0)
+    chosen = best[live]
+    rows = model.rows[chosen * model.n_states + live][:, live]
+    values = np.zeros(model.n_states)
+    try:
+        values[live] = splu((eye_array(len(live)) - rows).tocsc()).solve(
+            model.reward[live, chosen]
+        )
+    except RuntimeError as error:
+        raise PlanError(
+            'the policy does not end from everywhere: evaluate it with a gamma below 1'
+        ) from error
+    return values
+
+
+def _ending(option: TabledOption, stop: Flags) -> TabledOption:
+    """Return an option that ends also where it is stopped."""
+    tables = replace(option.tables, termination=option.tables.termination | stop)
+    return replace(option, tables=tables)
+
+
+def _module(option: TabledOption, wins: Flags) -> TabledOption:
+    """Return an option of one step that can start where it wins."""
+    return replace(option, max_steps=1, tables=replace(option.tables, initiation=wins))
+
+
+def _slack(plan: Plan) -> float:
+    """Return how far apart values can be that would be equal if the sweeps had not been ended."""
+    solution = plan.solution
+    rounding = SLACK * max(1.0, float(np.abs(solution.values).max()))
+    left = max(1.0 - plan.gamma, SLACK)
+    return rounding + 8.0 * solution.residual / left
+
+
+def _going_on(plan: Plan, option: TabledOption) -> Floats:
+    """Return what running an option from each state is worth, (S,), started there or not."""
+    domain, values, tables = plan.domain, plan.solution.values, option.tables
+    rules, over = domain.transitions(), domain.over()
+    run = tables.action, tables.termination, option.max_steps
+    if rules.deterministic:
+        walk = Composer(rules, over, plan.gamma).outcome(*run)
+        worth = walk.reward + walk.discount * values[walk.successor]
+        cut_off = ~walk.reached
+    else:
+        rows = RowComposer(rules, over, plan.gamma).outcome(*run)
+        worth = rows.reward + rows.successor @ values
+        cut_off = rows.cut_off > 0
+    late = cut_off & tables.initiation & ~over
+    if late.any():
+        ends = tables.termination | over
+        states = visited(rules, tables.action, ends, late)
+        worth[states] = _best_of_any_steps(rules, option, ends, states, values, plan.gamma)
+    return worth
+
+
+def _best_of_any_steps(
+    rules: Transitions,
+    option: TabledOption,
+    ends: Flags,
+    states: Ints,
+    values: Floats,
+    gamma: float,
+) -> Floats:
+    """
+    Return the most that going on is worth with 1 to max_steps steps left, (n,).
+
+    :param states: (n,) state indices; runs from these go on from no others.
+    """
+    at = states, option.tables.action[states]
+    after, share = rules.successor[at], gamma * rules.probability[at]
+    share[rules.terminated[at]] = 0.0
+    last = ends[after]
+    fixed = (rules.probability[at] * rules.reward[at]).sum(axis=1)
+    fixed += (share * last * values[after]).sum(axis=1)
+    onward = share * ~last
+    worth, best = values.copy(), np.full(len(states), -np.inf)
+    for _ in range(option.max_steps):
+        worth[states] = fixed + (onward * worth[after]).sum(axis=1)
+        np.maximum(best, worth[states], out=best)
+    return best

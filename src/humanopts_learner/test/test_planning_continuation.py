@@ -1,0 +1,289 @@
+"""Carrying out a policy over options: the interruption theorem, modules, and step limits."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from humanopts_env.domains.base import Action, Feature, FeatureKind
+from humanopts_env.domains.registry import reference_options
+from humanopts_env.domains.rooms import Rooms
+from humanopts_env.domains.table_domain import TableDomain
+from humanopts_env.domains.taxi import Taxi
+from humanopts_learner.options.option import OptionTables
+from humanopts_learner.planning.action_sets import TabledOption
+from humanopts_learner.planning.arbitration import (
+    Execution,
+    greatest_mass,
+    OptionValues,
+    strongest,
+)
+from humanopts_learner.planning.continuation import carried_out, option_values, policy_values
+from humanopts_learner.planning.errors import ModelError, PlanError
+from humanopts_learner.planning.evaluate import play
+from humanopts_learner.planning.plan import Plan, plan_with_tables
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+
+EXAMPLE = Path(__file__).parents[3] / 'examples' / 'humanopts_greenhouse'
+ROUNDING = 1e-8
+PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
+NEVER_WORSE = (Execution.INTERRUPTED, Execution.MODULAR_STRONGEST)
+
+
+def tabled(domain: Any, max_steps: int = 200, names: Sequence[str] = ()) -> list[TabledOption]:
+    """Return the reference options of a domain as tables."""
+    return [
+        TabledOption(
+            name,
+            max_steps,
+            OptionTables(option.optimal.argmax(axis=1), option.initiation, option.termination),
+        )
+        for name, option in reference_options(domain).items()
+        if not names or name in names
+    ]
+
+
+@cache
+def rooms_plan(action_set: str, goal: str, max_steps: int = 200) -> Plan:
+    """Return a plan over the hallway options."""
+    domain = Rooms(goal)
+    return plan_with_tables(domain, action_set, tabled(domain, max_steps), domain.gamma)
+
+
+def assert_never_worse(plan: Plan) -> None:
+    """Compare with running to the end, state by state."""
+    to_end = policy_values(plan)
+    assert to_end == pytest.approx(plan.solution.values, abs=1e-5)
+    scale = 1.0 + np.abs(to_end).max()
+    for execution in NEVER_WORSE:
+        gain = policy_values(carried_out(plan, execution)) - to_end
+        assert gain.min() >= -ROUNDING * scale, execution
+
+
+@pytest.mark.parametrize('max_steps', [1, 3, 200])
+@pytest.mark.parametrize('action_set', ['human', 'human+primitive'])
+def test_it_is_never_worse_on_taxi(action_set: str, max_steps: int) -> None:
+    taxi = Taxi()
+    assert_never_worse(plan_with_tables(taxi, action_set, tabled(taxi, max_steps), taxi.gamma))
+
+
+@pytest.mark.parametrize('max_steps', [2, 6, 200])
+@pytest.mark.parametrize('goal', ['G1', 'G2'])
+@pytest.mark.parametrize('action_set', ['human', 'human+primitive'])
+def test_it_is_never_worse_in_the_rooms(action_set: str, goal: str, max_steps: int) -> None:
+    assert_never_worse(rooms_plan(action_set, goal, max_steps))
+
+
+def test_it_is_never_worse_in_the_greenhouse(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLE))
+    from humanopts_greenhouse.greenhouse import Greenhouse
+    from humanopts_greenhouse.reference import reference_options as greenhouse_options
+
+    house = Greenhouse()
+    options = [
+        TabledOption(
+            name, 200, OptionTables(o.optimal.argmax(axis=1), o.initiation, o.termination)
+        )
+        for name, o in greenhouse_options(house).items()
+    ]
+    assert_never_worse(plan_with_tables(house, 'human', options, house.gamma))
+
+
+class RandomWorld(TableDomain[int]):
+    """Random rules over a few states."""
+
+    features: Sequence[Feature]
+
+    def __init__(self, seed: int, n_states: int, outcomes: int) -> None:
+        """Draw the rules."""
+        rng = np.random.default_rng(seed)
+        self.name, self.parameters, self.max_steps, self.gamma = 'random', {}, 50, 0.9
+        self.actions = [Action(f'a{n}', str(n), '') for n in range(3)]
+        numbers = tuple(map(str, range(n_states)))
+        self.features = [Feature('number', 'which it is', FeatureKind.ORDINAL, numbers)]
+        shape = (n_states, 3, outcomes)
+        share = rng.random(shape) + 0.1
+        self._share = share / share.sum(axis=2, keepdims=True)
+        self._after, self._reward = rng.integers(0, n_states, shape), rng.normal(size=shape)
+        self._last = rng.random(n_states) < 0.15
+        self._last[0] = False
+        super().__init__(range(n_states))
+
+    def outcomes(self, state: int, action: int) -> Sequence[tuple[float, int, float]]:
+        """Return what was drawn."""
+        at = state, action
+        parts = (self._share[at], self._after[at], self._reward[at])
+        return list(zip(*(part.tolist() for part in parts)))
+
+    def is_over(self, state: int) -> bool:
+        """Return what was drawn."""
+        return bool(self._last[state])
+
+    def can_begin(self, state: int) -> bool:
+        """Begin anywhere."""
+        return not self._last[state]
+
+    def values_of(self, state: int) -> Sequence[int]:
+        """Return the number."""
+        return [state]
+
+    def encode(self, state: int) -> str:
+        """Return the number."""
+        return str(state)
+
+    def render(self, state: int, shown: Collection[str] | None = None) -> str:
+        """Return the number."""
+        return str(state)
+
+
+def random_plan(
+    seed: int, n_states: int, outcomes: int, action_set: str, limits: Sequence[int]
+) -> Plan:
+    """Plan with random options, some of which can start nowhere or end nowhere."""
+    world, rng = RandomWorld(seed, n_states, outcomes), np.random.default_rng(seed + 1)
+    options = [
+        TabledOption(
+            f'option {number}',
+            limit,
+            OptionTables(
+                rng.integers(0, 3, n_states),
+                rng.random(n_states) < 0.6,
+                rng.random(n_states) < rng.choice([0.0, 0.3]),
+            ),
+        )
+        for number, limit in enumerate(limits)
+    ]
+    return plan_with_tables(world, action_set, options, world.gamma, tol=1e-10)
+
+
+random_plans = st.builds(
+    random_plan,
+    st.integers(0, 2**32 - 1),
+    st.integers(2, 12),
+    st.integers(1, 3),
+    st.sampled_from(['human', 'human+primitive']),
+    st.lists(st.sampled_from([1, 2, 3, 5, 400]), min_size=1, max_size=3),
+)
+
+
+@settings(deadline=None, max_examples=100)
+@given(random_plans)
+def test_it_is_never_worse_in_random_worlds_whatever_the_step_limits(plan: Plan) -> None:
+    assert_never_worse(plan)
+
+
+@settings(deadline=None, max_examples=30)
+@given(random_plans)
+def test_going_on_is_worth_a_run_from_there_or_with_fewer_steps_left_the_best(plan: Plan) -> None:
+    """One step at a time; where no run is cut off, both are the same."""
+    table = option_values(plan)
+    live = ~plan.domain.over()
+    for column, option in enumerate(plan.options):
+        worth, best = plan.solution.values, np.full(len(live), -np.inf)
+        for _ in range(option.max_steps):
+            worth = one_step_more(plan, option.tables, worth)
+            best = np.maximum(best, worth)
+        found = table.going_on[:, column]
+        whole, any_left = (np.isclose(found, expected, atol=1e-7) for expected in (worth, best))
+        assert (whole | any_left)[live].all()
+    both = np.isfinite(table.choosing)
+    assert (table.going_on[both] >= table.choosing[both] - 1e-9).all()
+    assert np.isneginf(table.going_on[~live]).all()
+
+
+def one_step_more(
+    plan: Plan, tables: OptionTables, ahead: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what going on is worth with one step more left, in every state, one by one."""
+    rules, over, values = plan.domain.transitions(), plan.domain.over(), plan.solution.values
+    found = np.zeros(len(over))
+    for state, action in enumerate(tables.action.tolist()):
+        for b in range(rules.successor.shape[2]):
+            at = state, action, b
+            to = rules.successor[at]
+            follows = values[to] if tables.termination[to] else ahead[to]
+            follows = 0.0 if rules.terminated[at] or over[to] else follows
+            found[state] += rules.probability[at] * (rules.reward[at] + plan.gamma * follows)
+    return found
+
+
+def test_interruption_gains_where_an_option_passes_by_the_goal() -> None:
+    """In the rooms with G2, a cell that hallway options come to by chance only."""
+    plan, starts = rooms_plan('human', 'G2'), Rooms('G2').start_states()
+    to_end = policy_values(plan)[starts]
+    for execution in (*NEVER_WORSE, Execution.MODULAR_MASS):
+        gain = policy_values(carried_out(plan, execution))[starts] - to_end
+        assert gain.min() > 0.003, execution
+        assert gain.mean() > 0.2 * to_end.mean(), execution
+
+
+@pytest.mark.parametrize('execution', Execution)
+def test_play_earns_what_the_linear_solve_says(execution: Execution) -> None:
+    """Without chance exactly; with chance within five standard errors."""
+    taxi = Taxi()
+    plan = plan_with_tables(taxi, 'human', tabled(taxi, 4), taxi.gamma)
+    acting, starts = carried_out(plan, execution), taxi.start_states()
+    returns, values = play(acting, starts, max_steps=2000), policy_values(acting)
+    assert returns.discounted == pytest.approx(values[starts], abs=1e-6)
+    acting = carried_out(rooms_plan('human+primitive', 'G2'), execution)
+    starts = np.tile(Rooms('G2').start_states(), 30)
+    found = play(acting, starts, max_steps=400, seed=3).discounted
+    error = found.std() / np.sqrt(len(found))
+    assert found.mean() == pytest.approx(policy_values(acting)[starts].mean(), abs=5 * error)
+
+
+def test_an_option_that_walks_in_a_circle_is_stopped() -> None:
+    """Driving north for ever is at no place better than what the plan would choose there."""
+    taxi = Taxi()
+    everywhere = ~taxi.over()
+    north = OptionTables(np.ones(taxi.n_states, dtype=np.intp), everywhere, taxi.over())
+    options = [*tabled(taxi, 200, (PICKUP, DROPOFF)), TabledOption('north', 50, north)]
+    plan = plan_with_tables(taxi, 'human', options, taxi.gamma)
+    wrong = replace(plan.solution, best=np.where(everywhere, 2, -1).astype(np.int32))
+    starts = taxi.start_states()
+    obstinate = play(replace(plan, solution=wrong), starts)
+    assert not obstinate.successes.any()
+    stop = carried_out(plan, Execution.INTERRUPTED).options[2].tables.termination
+    away = plan.solution.values > option_values(plan).going_on[:, 2] + 1e-6
+    assert (stop == away)[everywhere].all()
+    at_the_wall = taxi.transitions().successor[:, 1, 0] == np.arange(taxi.n_states)
+    assert stop[everywhere & at_the_wall].all()
+
+
+def test_modules_of_the_greatest_mass_outvote_a_single_strong_one() -> None:
+    """By hand: strengths 5, 4, 3 and 0 by action 0, 1, 1 and 2."""
+    going_on = np.array([[15.0, 14.0, 13.0, 10.0], [15.0, -np.inf, 13.0, 10.0]])
+    action = np.array([[0, 1, 1, 2], [0, 1, 1, 2]])
+    assert strongest(going_on).tolist() == [0, 0]
+    assert greatest_mass(going_on, action, 3).tolist() == [1, 0]
+
+
+def test_values_survive_being_laid_out_flat() -> None:
+    table = option_values(rooms_plan('human', 'G1'))
+    flat = table.flat()
+    again = OptionValues.from_flat(flat)
+    assert all(np.asarray(part).ndim <= 1 for part in flat.values())
+    for name, part in vars(table).items():
+        assert np.array_equal(getattr(again, name), part), name
+    with pytest.raises(ModelError, match='going_on has'):
+        OptionValues.from_flat({**flat, 'going_on': flat['going_on'][1:]})
+    with pytest.raises(ModelError, match='ascend'):
+        OptionValues.from_flat({**flat, 'situations': flat['situations'][::-1]})
+    with pytest.raises(ModelError, match='no number'):
+        OptionValues.from_flat({**flat, 'choosing': flat['choosing'] * np.nan})
+    with pytest.raises(ModelError, match='slack'):
+        OptionValues.from_flat({**flat, 'slack': -1.0})
+
+
+def test_a_policy_that_never_ends_has_no_undiscounted_value() -> None:
+    taxi = Taxi()
+    plan = plan_with_tables(taxi, 'primitive', [], 1.0)
+    stuck = plan.solution.best.copy()
+    stuck[stuck >= 0] = 1  # north for ever
+    with pytest.raises(PlanError, match='gamma below 1'):
+        policy_values(replace(plan, solution=replace(plan.solution, best=stuck)))
