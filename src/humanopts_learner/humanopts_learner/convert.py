@@ -92,7 +92,7 @@ def options_from_message(message: msg.LearnedOptions) -> tuple[list[LearnedOptio
 
 
 def plan_request_from_goal(goal: Any) -> PlanRequest:
-    """Decode what a plan shall be from a goal of the action plan, or from a ``PlanGoal``."""
+    """Decode what a plan shall be from a goal of the action plan."""
     return PlanRequest(
         action_set=goal.action_set,
         gamma=goal.gamma,

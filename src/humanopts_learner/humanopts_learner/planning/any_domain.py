@@ -30,7 +30,7 @@ MAX_SWEEPS, GAME_STEPS = 10_000, 800_000
 AnyPlan = Plan | SampledPlan
 """
 Both have domain, action_set, gamma, names, first_fallback, solution, game_steps (0: exact),
-table_seconds, model_seconds, sweep_seconds, seconds, and ``choose(state)``.
+table_seconds, model_seconds, sweep_seconds, and ``choose(state)``.
 """
 
 

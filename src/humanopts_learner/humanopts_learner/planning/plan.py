@@ -96,11 +96,6 @@ class Plan:
         """Game steps that were sampled: none."""
         return 0
 
-    @property
-    def seconds(self) -> float:
-        """What planning took, all counted."""
-        return self.table_seconds + self.model_seconds + self.sweep_seconds
-
 
 def make_plan(
     domain: Domain[Any],
