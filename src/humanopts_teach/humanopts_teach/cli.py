@@ -34,7 +34,16 @@ def build_parser() -> argparse.ArgumentParser:
     )
     demo.add_argument('--domain', default='taxi', help='default: %(default)s')
     demo.add_argument(
-        '--episodes', type=_positive, default=100, help='to play; default: %(default)s'
+        '--episodes',
+        type=_positive,
+        help='to play live; default: 100, or 5 where plans are made from samples',
+    )
+    demo.add_argument(
+        '--games',
+        type=_games,
+        default=1000,
+        help='that each way to play is judged by where plans are made from samples; 0: leave the '
+        'comparison out; default: %(default)s',
     )
     demo.add_argument(
         '--error-rate',
@@ -125,6 +134,13 @@ def _add_bag_commands(bag: argparse.ArgumentParser) -> None:
     info = commands.add_parser('info', help='what a bag holds, and what of it was lost')
     evaluate = commands.add_parser('eval', help='learn every option again from the bag alone')
     evaluate.add_argument('--html', type=Path, help='write a report to this file')
+    evaluate.add_argument(
+        '--games',
+        type=_games,
+        default=0,
+        help='also compare plans with chance and a hand-written rule in so many games each, where '
+        'plans are made from samples; takes minutes; default: not',
+    )
     for command in (info, evaluate):
         command.add_argument(
             'bag', type=Path, metavar='BAG', help='a rosbag2 folder or .mcap file'
@@ -138,6 +154,13 @@ def _natural(text: str) -> int:
 
 def _positive(text: str) -> int:
     return _whole(text, 1)
+
+
+def _games(text: str) -> int:
+    count = _natural(text)
+    if count == 1:
+        raise argparse.ArgumentTypeError('one game has no interval; give 0, or 2 or more')
+    return count
 
 
 def _whole(text: str, least: int) -> int:

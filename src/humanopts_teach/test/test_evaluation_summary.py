@@ -54,11 +54,18 @@ def test_the_summary_has_the_agreed_form() -> None:
                 'converged': True,
                 'mean_return': -10.5,
                 'mean_discounted_return': None,
+                'game_steps': 0,
+                'episodes': 0,
+                'mean_return_low': None,
+                'mean_return_high': None,
+                'fallbacks': None,
+                'outcomes': {},
             }
         ],
         'execution': {'episodes': 100, 'successes': 100, 'fallbacks': 0, 'mean_return': -10.5},
         'bag': {'path': 'bag', 'messages': 1234, 'topics': 30},
-        'offline': {'options': []},
+        'offline': {'options': [], 'planning': []},
+        'games': None,
     }
 
 

@@ -51,6 +51,7 @@ def data(evaluation: BagEvaluation) -> ReportData:
         Execution(100, 100, 0, -11.375),
         BagFacts('demo/bag', 4338, 2),
         evaluation.blocks,
+        evaluation.planning,
     )
     return ReportData('Taxi, taught', evaluation, summary, FRAMES, TOPICS, {'Python': '3.11'})
 
@@ -172,7 +173,7 @@ def test_rules_say_when_an_option_starts_and_ends(
 
 
 def test_the_film_shows_what_ran_and_only_the_board(taxi: Domain[Any]) -> None:
-    film = filmstrip(taxi, FRAMES)
+    film = filmstrip(taxi, FRAMES).frames
     assert [(f.action, f.reward) for f in film] == [
         ('', ''),
         ('west', f'{MINUS}1'),

@@ -9,7 +9,12 @@ from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.bags.summary import BagInfo
 from humanopts_teach.commands.errors import CommandError
-from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag, EvaluationError
+from humanopts_teach.evaluation.bag_evaluation import (
+    BagEvaluation,
+    evaluate_bag,
+    EvaluationError,
+    with_games,
+)
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.report.bag_parts import bag_parts
 from humanopts_teach.report.write import write_evaluation_report
@@ -45,6 +50,14 @@ def _eval(arguments: argparse.Namespace) -> int:
                 task, completed=done, total=total, description=text
             ),
         )
+        if arguments.games:
+            evaluation = with_games(
+                evaluation,
+                arguments.games,
+                lambda text, share: progress.update(
+                    task, completed=share, total=1.0, description=text
+                ),
+            )
     _print(arguments.json, evaluation)
     for warning in evaluation.warnings:
         print(f'humanopts bag eval: {warning}', file=sys.stderr)

@@ -8,18 +8,32 @@ import sys
 from typing import Any
 
 from humanopts_env.domains.base import DomainError, is_enumerable
+from humanopts_env.domains.pacman.reference import (
+    AVOID_GHOST,
+    CLOSEST_FOOD,
+    EAT_GHOST,
+    NEAREST_PILL,
+)
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.files import option_from_json
+from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
+from humanopts_learner.planning.sampled.games import batch_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.commands.progress import DemoProgress
 from humanopts_teach.commands.session import check_setup, Session, session
 from humanopts_teach.commands.setup import new_name, parameters_from, setup_from
-from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag, EvaluationError
+from humanopts_teach.evaluation.bag_evaluation import (
+    BagEvaluation,
+    evaluate_bag,
+    EvaluationError,
+    judged_by,
+    with_games,
+)
 from humanopts_teach.evaluation.options_block import differences, option_block, OptionBlock
-from humanopts_teach.evaluation.planning import PlanningRow, row_of_result
+from humanopts_teach.evaluation.planning import plan_differences, PlanningRow, row_of_result
 from humanopts_teach.evaluation.summary import (
     BagFacts,
     Execution,
@@ -27,15 +41,29 @@ from humanopts_teach.evaluation.summary import (
     SummaryError,
     write_json,
 )
+from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.launching.launcher import LaunchError
 from humanopts_teach.launching.processes import Setup
 from humanopts_teach.report.bag_parts import bag_parts
 from humanopts_teach.report.data import ReportData, TopicRow
 from humanopts_teach.report.write import write_report
 
-# What the paper's participants were asked to teach (section 7).
-TAUGHT = {'taxi': ('go to passenger and pickup', 'go to destination and dropoff')}
+# What the paper's participants were asked to teach (section 7); with Pac-Man, one option more.
+TAUGHT = {
+    'taxi': ('go to passenger and pickup', 'go to destination and dropoff'),
+    'pacman': (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST),
+}
+EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
 _TEACHING_SECONDS = 600.0
+
+
+@dataclass(frozen=True)
+class Amounts:
+    """How much is played."""
+
+    episodes: int  # live, by running options
+    judged: int  # episodes that plans are judged by
+    games: int  # that each way to play is compared in; 0: no comparison
 
 
 @dataclass(frozen=True)
@@ -55,12 +83,12 @@ def run(arguments: argparse.Namespace) -> int:
         taught=_taught_options(arguments),
         teacher_error_rate=arguments.error_rate,
     )
+    amounts = _amounts(setup, arguments)
     check_setup(setup, new=True)
     with DemoProgress() as progress:
         with session(setup, arguments.namespace, progress) as running:
-            live = _teach_plan_play(running, setup, arguments.episodes, progress)
-        progress.stage('evaluating the bag')
-        bag, evaluation = _evaluate(setup, progress)
+            live = _teach_plan_play(running, setup, amounts, progress)
+        bag, evaluation = _evaluate(setup, amounts, progress)
         summary = _summarise(setup, live, evaluation, bag)
         progress.stage('writing the report')
         parts = bag_parts(bag)
@@ -74,10 +102,25 @@ def run(arguments: argparse.Namespace) -> int:
     return _conclude(setup, summary, _problems(setup, summary, parts.topics))
 
 
-def _evaluate(setup: Setup, progress: DemoProgress) -> tuple[Bag, BagEvaluation]:
+def _amounts(setup: Setup, arguments: argparse.Namespace) -> Amounts:
+    domain = make_domain(setup.domain, setup.domain_parameters)
+    if is_enumerable(domain):
+        episodes = arguments.episodes or EPISODES
+        return Amounts(episodes, episodes, 0)
+    judged = arguments.games or judged_by(domain)
+    return Amounts(arguments.episodes or LONG_EPISODES, judged, arguments.games)
+
+
+def _evaluate(setup: Setup, amounts: Amounts, progress: DemoProgress) -> tuple[Bag, BagEvaluation]:
+    """Learn and plan again from the bag alone, and compare what came out in games."""
+    progress.stage('evaluating the bag')
     try:
         bag = open_bag(setup.bag)
-        return bag, evaluate_bag(bag, progress.offline)
+        evaluation = evaluate_bag(bag, progress.offline, amounts.judged)
+        if amounts.games:
+            progress.stage(f'playing {amounts.games} games with each')
+            evaluation = with_games(evaluation, amounts.games, progress.comparing)
+        return bag, evaluation
     except (BagError, EvaluationError) as error:
         raise LaunchError(f'the recording cannot be evaluated: {error}') from error
 
@@ -90,10 +133,12 @@ def _taught_options(arguments: argparse.Namespace) -> tuple[str, ...]:
     except DomainError as error:
         raise CommandError(str(error)) from error
     if not is_enumerable(domain):
-        raise CommandError(
-            f'the demo plans, and the states of {arguments.domain} cannot all be listed; '
-            f'teach it yourself: humanopts teach {arguments.domain}'
-        )
+        try:
+            batch_domain(domain)
+        except PlanError as error:
+            raise CommandError(
+                f'the demo plans: {error}; teach it yourself: humanopts teach {arguments.domain}'
+            ) from error
     if not known:
         raise CommandError(
             f'{arguments.domain} has no reference options, which the simulated teacher needs; '
@@ -103,16 +148,16 @@ def _taught_options(arguments: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _teach_plan_play(
-    running: Session, setup: Setup, episodes: int, progress: DemoProgress
+    running: Session, setup: Setup, amounts: Amounts, progress: DemoProgress
 ) -> Live:
     conductor = running.conductor
     progress.stage('teaching')
     conductor.wait(conductor.teacher_finished, _TEACHING_SECONDS, 'the simulated teacher')
     options = _blocks(setup, conductor.learned())
     progress.stage('planning')
-    plans = [conductor.plan(name, episodes, setup.seed) for name in (HUMAN, PRIMITIVE)]
-    progress.stage(f'playing {episodes} episodes')
-    played = conductor.play(HUMAN, episodes, setup.seed)
+    plans = [conductor.plan(name, amounts.judged, setup.seed) for name in (HUMAN, PRIMITIVE)]
+    progress.stage(f'playing {amounts.episodes} episodes')
+    played = conductor.play(HUMAN, amounts.episodes, setup.seed)
     execution = Execution(
         episodes=played.episodes,
         successes=played.successes,
@@ -145,6 +190,8 @@ def _summarise(setup: Setup, live: Live, evaluation: BagEvaluation, bag: Bag) ->
             topics=len(bag.topics),
         ),
         offline=evaluation.blocks,
+        offline_planning=evaluation.planning,
+        games=next(iter(evaluation.games.values()), None),
     )
 
 
@@ -157,9 +204,10 @@ def _problems(setup: Setup, summary: Summary, topics: Sequence[TopicRow]) -> lis
     ]
     found += [f'{topic.lost} messages of {topic.name} are lost' for topic in topics if topic.lost]
     found += differences(summary.options, summary.offline)
-    undelivered = summary.execution.episodes - summary.execution.successes
-    if undelivered:
-        found.append(f'{undelivered} episodes ended with the task not done')
+    found += plan_differences(summary.planning, summary.offline_planning)
+    undone = summary.execution.episodes - summary.execution.successes
+    if undone and is_enumerable(make_domain(setup.domain, setup.domain_parameters)):
+        found.append(f'{undone} episodes ended with the task not done')
     return found
 
 
@@ -169,15 +217,16 @@ def _conclude(setup: Setup, summary: Summary, problems: Sequence[str]) -> int:
         met = 'met' if block.criteria_met else 'not met'
         print(f'{block.name}: {block.n_demonstrations} demonstrations, criteria {met}')
     for row in summary.planning:
-        seconds = row.table_seconds + row.model_seconds + row.sweep_seconds
         print(
-            f'planning with {row.action_set}: {row.sweeps} sweeps, {1000 * seconds:.1f} ms, '
+            f'planning with {row.action_set}: {row.sweeps} sweeps, {1000 * row.seconds:.1f} ms, '
             f'mean return {row.mean_return:.2f}'
         )
     print(
         f'{played.successes} of {played.episodes} episodes done by running options, '
         f'{played.fallbacks} fallbacks, mean return {played.mean_return:.2f}'
     )
+    if summary.games is not None:
+        print('\n'.join(games_text(summary.games)))
     print(f'the bag holds {summary.bag.messages} messages on {summary.bag.topics} topics')
     print(f'report: {setup.directory / "report.html"}')
     for problem in problems:

@@ -60,6 +60,13 @@ class DemoProgress:
         if self._console.is_terminal:
             self._live.update(Text(f'\n{self._stage}: {text} ({done} of {total})'))
 
+    def comparing(self, text: str, share: float) -> None:
+        """Show what plays many games, and the share of all this that is done."""
+        if self._console.is_terminal:
+            self._live.update(Text(f'\n{self._stage}: {text} ({share:.0%})'))
+        else:
+            self._say(f'{share:4.0%} {text}', key=text)
+
     def _picture(self, conductor: Conductor) -> Group:
         node = conductor.node
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]

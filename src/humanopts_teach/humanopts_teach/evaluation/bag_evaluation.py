@@ -1,7 +1,7 @@
 """Evaluating a bag: every option learned again from the recorded demonstrations alone."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +17,20 @@ from humanopts_learner.demonstrations import (
 )
 from humanopts_learner.options.criteria import Judgement
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.any_domain import AnyPlan, judge_plan, plan_in, PlanRequest
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.planning.evaluate import episode_starts
-from humanopts_learner.planning.plan import HUMAN, make_plan, Plan, PRIMITIVE
+from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
+from humanopts_learner.planning.sampled.comparison import Tell
 from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
 from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.evaluation.games import evaluate_games, GAMES, GamesEvaluation
 from humanopts_teach.evaluation.learning_curve import CurvePoint, learn_again
 from humanopts_teach.evaluation.options_block import option_block, OptionBlock
 from humanopts_teach.evaluation.planning import PlanningRow, row_of_plan
 from humanopts_teach.evaluation.settings import Settings, settings_from_facts
 from humanopts_teach.evaluation.text import evaluation_text
 
-EPISODES = 100  # start states that plans are judged from
+EPISODES = 100  # that plans are judged by, where models are exact
 FACTS = 'humanopts'  # the bag's metadata record of the lesson's settings
 
 OnProgress = Callable[[int, int, str], object]  # done, total, what is under way
@@ -63,7 +65,7 @@ class PlanEvaluation:
     """A plan with the options of one participant; with primitive actions, of none."""
 
     participant: str
-    plan: Plan
+    plan: AnyPlan
     row: PlanningRow
 
 
@@ -76,6 +78,7 @@ class BagEvaluation:
     options: tuple[OptionEvaluation, ...]  # in order of first demonstration
     plans: tuple[PlanEvaluation, ...]
     warnings: tuple[str, ...]  # what was assumed or left out, in words
+    games: Mapping[str, GamesEvaluation] = field(default_factory=dict)  # by participant; if asked
 
     @property
     def blocks(self) -> tuple[OptionBlock, ...]:
@@ -108,6 +111,7 @@ class BagEvaluation:
             'planning': [
                 {'participant': plan.participant, **plan.row.to_dict()} for plan in self.plans
             ],
+            'games': {person: found.to_dict() for person, found in self.games.items()},
             'warnings': list(self.warnings),
         }
 
@@ -116,11 +120,19 @@ class BagEvaluation:
         return evaluation_text(self)
 
 
-def evaluate_bag(bag: str | Path | Bag, progress: OnProgress | None = None) -> BagEvaluation:
+def judged_by(domain: Domain[Any]) -> int:
+    """Return how many episodes plans are judged by, where nothing else is asked."""
+    return EPISODES if is_enumerable(domain) else GAMES
+
+
+def evaluate_bag(
+    bag: str | Path | Bag, progress: OnProgress | None = None, episodes: int = 0
+) -> BagEvaluation:
     """
     Evaluate a bag with the settings that it carries.
 
     :param progress: called as the work goes on.
+    :param episodes: that plans are judged by; 0: as many as is usual in the domain.
     :raises BagError: it is not a readable bag.
     :raises EvaluationError: it holds no demonstration to learn from.
     """
@@ -129,7 +141,7 @@ def evaluate_bag(bag: str | Path | Bag, progress: OnProgress | None = None) -> B
     settings, assumed = settings_from_facts(opened.metadata.get(FACTS, {}))
     demonstrations = read_demonstrations(opened)
     damage = opened.damage.splitlines()
-    return evaluate(demonstrations, domain, settings, [*damage, *assumed], progress)
+    return evaluate(demonstrations, domain, settings, [*damage, *assumed], progress, episodes)
 
 
 def evaluate(
@@ -138,10 +150,12 @@ def evaluate(
     settings: Settings,
     warnings: Sequence[str] = (),
     progress: OnProgress | None = None,
+    episodes: int = 0,
 ) -> BagEvaluation:
     """
     Learn every option of every participant, and plan with them.
 
+    :param episodes: that plans are judged by; 0: as many as is usual in the domain.
     :raises EvaluationError: there is no demonstration to learn from.
     """
     groups, notes = _usable(demonstrations, domain)
@@ -153,10 +167,42 @@ def evaluate(
     options = []
     for (_, name), demos in groups.items():
         options.append(_learn(demos, domain, settings, references.get(name), work))
-    plans, refused = _plans(options, people, domain, settings, work)
+    judged = episodes or judged_by(domain)
+    plans, refused = _plans(options, people, domain, settings, judged, work)
     return BagEvaluation(
         domain, settings, tuple(options), tuple(plans), (*warnings, *notes, *refused)
     )
+
+
+def with_games(
+    evaluation: BagEvaluation, games: int = GAMES, progress: Tell | None = None
+) -> BagEvaluation:
+    """
+    Have each participant's options play many games, beside what they are compared with.
+
+    :param games: that everything is judged by, two or more.
+    :param progress: told what is under way and the share that is done.
+    :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
+    """
+    domain = evaluation.domain
+    if is_enumerable(domain):
+        raise EvaluationError(f'plans in {domain.name} are exact: there is nothing to estimate')
+    people = list(dict.fromkeys(option.participant for option in evaluation.options))
+    found = {}
+    for number, person in enumerate(people):
+        options = [o.option for o in evaluation.options if o.participant == person]
+
+        def tell(what: str, share: float, before: int = number) -> None:
+            if progress is not None:
+                progress(what, (before + share) / len(people))
+
+        try:
+            found[person] = evaluate_games(
+                domain, options, evaluation.settings.seed, games, progress=tell
+            )
+        except PlanError as error:
+            raise EvaluationError(f'the games cannot be played: {error}') from error
+    return replace(evaluation, games=found)
 
 
 class _Progress:
@@ -213,21 +259,21 @@ def _plans(
     people: Sequence[str],
     domain: Domain[Any],
     settings: Settings,
+    episodes: int,
     work: _Progress,
 ) -> tuple[list[PlanEvaluation], list[str]]:
     """Plan with each participant's options, then with primitive actions."""
-    if not is_enumerable(domain):
-        return [], [f'no plans: the states of {domain.name} cannot all be listed']
-    starts = episode_starts(domain, settings.seed, EPISODES)
     requests = [*((person, HUMAN) for person in people), ('', PRIMITIVE)]
     plans, refused = [], []
     for person, action_set in requests:
         work.reach(work.done + 1, f'planning with {action_set} actions')
         chosen = [o.option for o in options if o.participant == person]
+        request = PlanRequest(action_set, seed=settings.seed)
         try:
-            plan = make_plan(domain, action_set, chosen)
+            plan = plan_in(domain, chosen, request)
+            row = row_of_plan(plan, judge_plan(plan, settings.seed, episodes))
         except PlanError as error:
             refused.append(f'no plan with {action_set} actions: {error}')
             continue
-        plans.append(PlanEvaluation(person, plan, row_of_plan(plan, starts, settings.seed)))
+        plans.append(PlanEvaluation(person, plan, row))
     return plans, refused

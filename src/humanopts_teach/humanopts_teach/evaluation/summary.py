@@ -8,6 +8,7 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
+from humanopts_teach.evaluation.games import GamesEvaluation
 from humanopts_teach.evaluation.options_block import OptionBlock
 from humanopts_teach.evaluation.planning import PlanningRow
 from humanopts_teach.evaluation.settings import Settings
@@ -47,6 +48,8 @@ class Summary:
     execution: Execution
     bag: BagFacts
     offline: tuple[OptionBlock, ...]  # learned again from the bag
+    offline_planning: tuple[PlanningRow, ...] = ()  # planned again with these
+    games: GamesEvaluation | None = None  # None: plans are exact
 
     def to_dict(self) -> dict[str, Any]:
         """Return the summary as JSON data, without NaN."""
@@ -59,7 +62,11 @@ class Summary:
             'planning': [row.to_dict() for row in self.planning],
             'execution': asdict(self.execution),
             'bag': asdict(self.bag),
-            'offline': {'options': _blocks(self.offline)},
+            'offline': {
+                'options': _blocks(self.offline),
+                'planning': [row.to_dict() for row in self.offline_planning],
+            },
+            'games': None if self.games is None else self.games.to_dict(),
         }
 
 

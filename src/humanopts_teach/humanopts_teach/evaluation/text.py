@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from humanopts_learner.options.criteria import Criterion
+from humanopts_learner.planning.sampled.judging import Interval
 from humanopts_teach.evaluation.planning import PlanningRow
 
 if TYPE_CHECKING:  # it imports this module
     from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
+    from humanopts_teach.evaluation.games import GamesEvaluation
 
 MOST_POINTS = 12  # of a learning curve that are printed
 CURVE_HEAD = ('shown', 'not here', 'return', 'E_I', 'E_beta', 'policy', 'I', 'beta', 'met')
@@ -29,7 +31,47 @@ def evaluation_text(evaluation: 'BagEvaluation') -> str:
         lines += ['', 'plans']
         rows = zip(evaluation.plan_names, evaluation.planning)
         lines += table(PLAN_HEAD, [_plan(name, row) for name, row in rows])
+    for person, games in evaluation.games.items():
+        whose = f' with the options of {person}' if len(evaluation.games) > 1 else ''
+        lines += ['', f'{games.games} games each{whose}', *games_text(games)]
     return '\n'.join(lines)
+
+
+def games_text(games: 'GamesEvaluation') -> list[str]:
+    """Return lines that compare all ways to play, with 95 % intervals, and the curves."""
+    lines = []
+    for setting in games.settings:
+        outcomes = list(dict.fromkeys(name for row in setting.rows for name in row.outcomes))
+        head = (setting.name or 'plays by', 'score', *outcomes, 'planning s')
+        rows = [
+            [
+                row.name,
+                interval(row.score, 0),
+                *(interval(row.outcomes[name], 2) for name in outcomes),
+                '-' if row.seconds is None else f'{row.seconds:.1f}',
+            ]
+            for row in setting.rows
+        ]
+        lines += ['', *table(head, rows)]
+    for target in games.targets:
+        reached = [
+            f'{curve.name} '
+            + (
+                f'not reached in {curve.most_seconds:.1f} s'
+                if (seconds := curve.seconds_to_reach(target)) is None
+                else f'{seconds:.1f} s'
+            )
+            for curve in games.curves
+        ]
+        lines.append(f'planning to a score of {target:.0f}: {", ".join(reached)}')
+    return lines
+
+
+def interval(found: Interval, digits: int) -> str:
+    """Return a mean and its interval."""
+    numbers = found.mean, found.low, found.high
+    mean, low, high = (f'{round(x, digits) + 0.0:.{digits}f}' for x in numbers)  # no -0.00
+    return f'{mean} [{low}, {high}]'
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

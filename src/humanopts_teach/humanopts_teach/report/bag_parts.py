@@ -2,16 +2,15 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
+from humanopts_learner.library import PRIMITIVE_PREFIX
+from humanopts_teach.bags.demonstrations import Episode, read_episodes
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.summary import BagInfo
 from humanopts_teach.report.data import Frame, TopicRow
 
-_GAME_STATE = 'humanopts_interfaces/msg/GameState'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
-_CURRENT = 'current_state'  # repeats game_state for displays
 
 
 @dataclass(frozen=True)
@@ -30,39 +29,50 @@ class _Run:
 
 
 def bag_parts(bag: Bag) -> BagParts:
-    """Read the parts, in two passes over the bag."""
+    """Read the parts, in three passes over the bag."""
     return BagParts(tuple(_film(bag)), tuple(_topic_rows(summarise(bag))))
 
 
 def _film(bag: Bag) -> list[Frame]:
     """Return the frames of the last episode that learned options brought to its end."""
-    states: dict[int, list[Any]] = {}
-    runs: dict[int, list[_Run]] = {}
-    finished = 0
-    for kind, message in _messages(bag):
-        if kind == _GAME_STATE:
-            states.setdefault(message.episode, []).append(message)
+    runs: dict[tuple[str, int], list[_Run]] = {}
+    finished = ('', 0)
+    results = bag.of_type(_OPTION_RESULT)
+    for recorded in bag.messages(results) if results else ():
+        if (message := recorded.message) is None:
             continue
         first = message.first_step
         run = _Run(message.option_name, first, first + message.step_count)
-        runs.setdefault(message.episode, []).append(run)
-        learned = not message.option_name.startswith('action:')
-        if message.terminated and learned:
-            finished = message.episode
-    return [_frame(state, runs[finished]) for state in states.get(finished, [])]
+        key = (_namespace(recorded.topic), message.episode)
+        runs.setdefault(key, []).append(run)
+        if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):
+            finished = key
+    played = [
+        episode
+        for episode in read_episodes(bag)
+        if (_namespace(episode.topic), episode.number) == finished and episode.complete
+    ]
+    return _frames(played[-1], runs[finished]) if played else []
 
 
-def _messages(bag: Bag) -> Iterator[tuple[str, Any]]:
-    wanted = bag.of_type(_OPTION_RESULT)
-    wanted += [name for name in bag.of_type(_GAME_STATE) if not name.endswith(_CURRENT)]
-    for recorded in bag.messages(wanted):
-        if recorded.message is not None:
-            yield recorded.type, recorded.message
+def _namespace(topic: str) -> str:
+    return topic.rpartition('/')[0]
 
 
-def _frame(state: Any, runs: list[_Run]) -> Frame:
-    option = next((run.option for run in runs if run.first_step < state.step <= run.last_step), '')
-    return Frame(state.state, state.previous_action, state.reward, option)
+def _frames(episode: Episode, runs: list[_Run]) -> list[Frame]:
+    frames = []
+    for at in episode.moments:
+        run = next((run for run in runs if run.first_step < at.step <= run.last_step), None)
+        frames.append(
+            Frame(
+                at.state,
+                at.previous_action,
+                at.reward,
+                run.option if run else '',
+                run is not None and run.last_step == at.step,
+            )
+        )
+    return frames
 
 
 def _topic_rows(info: BagInfo) -> Iterator[TopicRow]:

@@ -15,6 +15,7 @@ class Frame:
     action: str = ''  # that led here; empty in the first frame
     reward: float = 0.0
     option: str = ''  # that was running; empty: none
+    ends_run: bool = False  # the option's run ended here
 
 
 @dataclass(frozen=True)

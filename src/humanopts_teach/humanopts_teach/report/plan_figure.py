@@ -31,19 +31,26 @@ def _times(rows: Mapping[str, PlanningRow], name: str) -> str:
     with drawing(name, 'Planning time by action set', 5.0, 1.3 + 0.6 * len(rows)) as work:
         axes = work.axes
         left = [0.0] * len(rows)
+        scale, unit, word = _unit(rows)
         for field, label, color in STAGES:
-            values = [1e3 * getattr(row, field) for row in rows.values()]
+            values = [scale * getattr(row, field) for row in rows.values()]
             axes.barh(list(rows), values, 0.55, left=left, color=SERIES[color], label=label)
             left = [a + b for a, b in zip(left, values)]
         for place, total in enumerate(left):
-            _label(work, (total, place), f'{total:.3g} ms', (5, 0), 'left')
-        axes.set(title='Planning time', xlabel='milliseconds')
+            _label(work, (total, place), f'{total:.3g} {unit}', (5, 0), 'left')
+        axes.set(title='Planning time', xlabel=word)
         axes.set_xlim(0, 1.22 * max(left))
         axes.invert_yaxis()
         axes.grid(axis='x')
         axes.tick_params(length=0)
         work.figure.legend(loc='outside lower center', ncols=3)
     return work.svg
+
+
+def _unit(rows: Mapping[str, PlanningRow]) -> tuple[float, str, str]:
+    """Return units in a second, and what the unit is called: short, and in full."""
+    longest = max(row.seconds for row in rows.values())
+    return (1.0, 's', 'seconds') if longest >= 1.0 else (1e3, 'ms', 'milliseconds')
 
 
 def _returns(rows: Mapping[str, PlanningRow], name: str) -> str:

@@ -10,15 +10,21 @@ from pathlib import Path
 import platform
 from typing import Any
 
+from humanopts_learner.planning.plan import Plan
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
+from humanopts_teach.evaluation.games import Curve
 from humanopts_teach.evaluation.options_block import OptionBlock
 from humanopts_teach.evaluation.summary import write_text
 from humanopts_teach.report.board_figure import board_figures
 from humanopts_teach.report.curves import learning_curves
 from humanopts_teach.report.data import Frame, ReportData, TopicRow
+from humanopts_teach.report.figures import CaptionedFigure
 from humanopts_teach.report.film import filmstrip
+from humanopts_teach.report.games_figure import games_figures
+from humanopts_teach.report.games_words import games_findings, games_table, GamesTable
 from humanopts_teach.report.plan_figure import planning_figures
 from humanopts_teach.report.rules import option_rules, TreeRules
+from humanopts_teach.report.sweeps import sweep_report
 from humanopts_teach.report.words import (
     DASH,
     duration,
@@ -94,22 +100,41 @@ def write_evaluation_report(
     write_report(path, ReportData(title, evaluation, None, frames, topics, provenance or {}))
 
 
+@dataclass(frozen=True)
+class GamesSection:
+    """What one person's options came to in many games."""
+
+    person: str  # empty: the only one
+    games: str
+    table: GamesTable
+    figures: list[CaptionedFigure]
+    curves: list[Curve]
+
+
 def render_report(data: ReportData) -> str:
     """Return the page."""
     evaluation = data.evaluation
     planning = planning_rows(data)
+    exact = {
+        name: p.plan
+        for name, p in zip(evaluation.plan_names, evaluation.plans)
+        if isinstance(p.plan, Plan)
+    }
     live = {block.name: block for block in data.summary.options} if data.summary else {}
     values: dict[str, Any] = {
         'title': data.title,
-        'findings': findings(data),
+        'findings': findings(
+            data, [f for g in evaluation.games.values() for f in games_findings(g)]
+        ),
+        'games': _games_sections(evaluation),
+        'sweeps': sweep_report(exact, 'sweeps'),
+        'sampled': any(row.game_steps for row in planning.values()),
         'options': [
             _option_section(option, place, evaluation, live.get(option.block.name))
             for place, option in enumerate(evaluation.options)
         ],
         'has_live': data.summary is not None,
-        'boards': board_figures(
-            {name: p.plan for name, p in zip(evaluation.plan_names, evaluation.plans)}, 'board'
-        ),
+        'boards': board_figures(exact, 'board'),
         'planning': planning,
         'teaching_cost': _teaching_cost(evaluation),
         'planning_figures': planning_figures(planning, 'planning'),
@@ -120,6 +145,20 @@ def render_report(data: ReportData) -> str:
         'number': number,
     }
     return _template().render(values)
+
+
+def _games_sections(evaluation: BagEvaluation) -> list[GamesSection]:
+    several = len(evaluation.games) > 1
+    return [
+        GamesSection(
+            person if several else '',
+            f'{games.games:,}',
+            games_table(games),
+            games_figures(games, f'games-{place}'),
+            list(games.curves),
+        )
+        for place, (person, games) in enumerate(evaluation.games.items())
+    ]
 
 
 @cache

@@ -53,6 +53,7 @@ class ComparisonRow:
 
     name: str
     kind: str
+    options: tuple[str, ...]  # names of the learned ones that it chooses among
     games: int
     score: Interval
     outcomes: Mapping[str, Interval]  # by what the domain tells of its games; shares, or means
@@ -205,6 +206,7 @@ def _row(
     return ComparisonRow(
         name=contender.name,
         kind=contender.kind,
+        options=tuple(option.name for option in contender.options),
         games=len(total),
         score=Interval.of(total),
         outcomes={

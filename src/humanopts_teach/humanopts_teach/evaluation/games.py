@@ -1,0 +1,248 @@
+"""
+What plans are worth in games, beside chance and a rule written by hand.
+
+For domains whose plans are estimates from samples. Plans with several sets of options and with
+primitive actions play many games, in each of a domain's settings; and their score is followed as
+planning is given more time.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+import math
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.pacman.reference import AVOID_GHOST, CLOSEST_FOOD, NEAREST_PILL
+from humanopts_env.domains.pacman.rules import GHOST_RULES
+from humanopts_env.domains.registry import make_domain
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.any_domain import GAME_STEPS
+from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
+from humanopts_learner.planning.sampled.comparison import (
+    carried_over,
+    CHANCE,
+    compare,
+    ComparisonRow,
+    Contender,
+    has_rule,
+    PLAN,
+    RULE,
+    Tell,
+)
+from humanopts_learner.planning.sampled.curve import (
+    Budgets,
+    CurveRow,
+    planning_curve,
+    seconds_to_reach,
+)
+
+GAMES = 1000  # that everything is judged by
+PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et al., section 7
+TARGETS = {'gardens': (1800.0, 1850.0)}  # mean scores of interest, by maze, ghosts=random
+TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
+PATIENCE = 4.0  # s of planning after which options that do not reach the target are given up
+GENEROUS = 4  # times the game steps, in a second plan with primitive actions
+
+Options = Sequence[LearnedOption]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A variant of the game, and what each way to play came to there."""
+
+    name: str  # such as ghosts=chase; empty: there is but one
+    rows: tuple[ComparisonRow, ...]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Score against planning seconds, with one action set."""
+
+    name: str
+    rows: tuple[CurveRow, ...]
+
+    def seconds_to_reach(self, target: float) -> float | None:
+        """Return the planning seconds of the first plan that reached a score; None: none did."""
+        return seconds_to_reach(self.rows, target)
+
+    @property
+    def most_seconds(self) -> float:
+        """Planning seconds of the longest plan that was tried."""
+        return max(row.seconds for row in self.rows)
+
+
+@dataclass(frozen=True)
+class GamesEvaluation:
+    """Everything that was found out by playing."""
+
+    games: int  # behind every number
+    settings: tuple[Setting, ...]
+    curve_setting: str  # where the curves were measured
+    curves: tuple[Curve, ...]  # with all options, and with primitive actions
+    targets: tuple[float, ...]  # scores of interest; none where nothing is known of the maze
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as JSON data, without NaN."""
+        return {
+            'games': self.games,
+            'settings': [
+                {'name': setting.name, 'rows': [asdict(row) for row in setting.rows]}
+                for setting in self.settings
+            ],
+            'curve_setting': self.curve_setting,
+            'curves': [
+                {
+                    'name': curve.name,
+                    'rows': [asdict(row) for row in curve.rows],
+                    'seconds_to_reach': [
+                        {'score': target, 'seconds': curve.seconds_to_reach(target)}
+                        for target in self.targets
+                    ],
+                }
+                for curve in self.curves
+            ],
+        }
+
+
+def option_sets(options: Options) -> dict[str, Options]:
+    """Return what is planned with, by name: all options and, of more, the paper's three."""
+    paper = [option for option in options if option.name in PAPER_OPTIONS]
+    sets: dict[str, Options] = {}
+    if len(PAPER_OPTIONS) == len(paper) < len(options):
+        sets[_named(paper)] = paper
+    return {**sets, _named(options): options}
+
+
+def evaluate_games(
+    domain: Domain[Any],
+    options: Options,
+    seed: int,
+    games: int = GAMES,
+    game_steps: int = GAME_STEPS,
+    budgets: Budgets = Budgets(),  # noqa: B008
+    progress: Tell | None = None,
+) -> GamesEvaluation:
+    """
+    Compare action sets, chance and the domain's rule in games, and measure the curves.
+
+    :param options: of one participant, learned in ``domain`` or in a variant of it.
+    :param games: that everything is judged by, two or more.
+    :param game_steps: that the plans which are compared are made from.
+    :param budgets: of the curves, in game steps.
+    :param progress: told what is under way and the share that is done; what it raises passes.
+    :raises PlanError: the domain cannot play many games, or the options are of another one.
+    """
+    variants = _variants(domain)
+    parts = _Parts(progress, len(variants) + 2)
+    settings = []
+    for name, variant in variants.items():
+        contenders = _contenders(variant, options, game_steps)
+        rows = compare(variant, contenders, seed, games, progress=parts.begin(name))
+        settings.append(Setting(name, tuple(rows)))
+    name, variant = next(iter(variants.items()))
+    targets = TARGETS.get(str(variant.parameters.get('maze')), ())
+    curves = _curves(variant, options, seed, games, budgets, targets, parts)
+    return GamesEvaluation(games, tuple(settings), name, curves, targets)
+
+
+def _named(options: Options) -> str:
+    return f'{len(options)} option{"" if len(options) == 1 else "s"}'
+
+
+def _variants(domain: Domain[Any]) -> dict[str, Domain[Any]]:
+    """Return the settings that a domain is judged in, by name."""
+    if not isinstance(domain, PacMan):
+        return {'': domain}
+    return {
+        f'ghosts={rule}': make_domain('pacman', {**domain.parameters, 'ghosts': rule})
+        for rule in GHOST_RULES
+    }
+
+
+def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Contender]:
+    sets = {
+        name: [carried_over(option, domain) for option in chosen]
+        for name, chosen in option_sets(options).items()
+    }
+    found = [
+        Contender(f'human, {name}', PLAN, HUMAN, chosen, steps) for name, chosen in sets.items()
+    ]
+    found += [
+        Contender('primitive', PLAN, PRIMITIVE, (), steps),
+        Contender(f'primitive, {GENEROUS}-fold steps', PLAN, PRIMITIVE, (), GENEROUS * steps),
+        Contender('random moves', CHANCE, PRIMITIVE),
+    ]
+    found += [
+        Contender(f'random choice, {name}', CHANCE, HUMAN, chosen) for name, chosen in sets.items()
+    ]
+    if has_rule(domain):
+        found += [
+            Contender('hand-written rule, options to their end', RULE),
+            Contender('hand-written rule, at every step', RULE, to_end=False),
+        ]
+    return found
+
+
+def _curves(
+    domain: Domain[Any],
+    options: Options,
+    seed: int,
+    games: int,
+    budgets: Budgets,
+    targets: Sequence[float],
+    parts: '_Parts',
+) -> tuple[Curve, ...]:
+    """Measure the options, and then primitive actions until they took ten times as long."""
+    moved = [carried_over(option, domain) for option in options]
+    curves: list[Curve] = []
+    for name, action_set in ((f'human, {_named(options)}', HUMAN), (PRIMITIVE, PRIMITIVE)):
+        enough = PATIENCE if not curves else TENFOLD * _needed(curves[0], targets)
+        tell = parts.begin(f'score against planning time, {name}')
+        rows = planning_curve(
+            domain,
+            action_set,
+            moved,
+            max(targets, default=math.inf),
+            seed,
+            budgets,
+            games,
+            on_row=_row_teller(tell, enough),
+            enough_seconds=enough,
+        )
+        curves.append(Curve(name, tuple(rows)))
+    return tuple(curves)
+
+
+def _needed(curve: Curve, targets: Sequence[float]) -> float:
+    """Return the seconds to the highest target that was reached; where none was, to the best."""
+    reached = [curve.seconds_to_reach(target) for target in sorted(targets, reverse=True)]
+    best = max(curve.rows, key=lambda row: row.score.mean).seconds
+    return next((seconds for seconds in reached if seconds is not None), best)
+
+
+def _row_teller(tell: Tell, enough: float) -> Callable[[CurveRow], None]:
+    """Return what tells how far a curve is: each plan takes about twice as long as the last."""
+
+    def on_row(row: CurveRow) -> None:
+        words = f'{row.budget_steps:,} game steps in {row.seconds:.1f} s: {row.score.mean:.0f}'
+        tell(words, min(row.seconds / enough, 1.0))
+
+    return on_row
+
+
+class _Parts:
+    """The parts of the work, each taken to be as long as any other."""
+
+    def __init__(self, tell: Tell | None, count: int) -> None:
+        self._tell, self._count, self._begun = tell, count, 0
+
+    def begin(self, name: str) -> Tell:
+        """Begin the next part; return what tells how far it is."""
+        before, self._begun = self._begun, self._begun + 1
+
+        def tell(what: str, share: float) -> None:
+            if self._tell is not None:
+                self._tell(f'{name}: {what}' if name else what, (before + share) / self._count)
+
+        return tell

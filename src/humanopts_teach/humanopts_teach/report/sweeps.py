@@ -1,0 +1,77 @@
+"""What each sweep of value iteration brought, plan beside plan."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+
+from humanopts_learner.planning.action_sets import build_model
+from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.sweeps import sweep_table, SweepRow
+from humanopts_teach.report.figures import drawing, SERIES
+from humanopts_teach.report.words import number
+from matplotlib.ticker import MaxNLocator
+
+MOST_STATES = 20_000  # of domains whose plans are made again for this
+NEAR = 1e-3  # a value so close to its end, in reward units, is settled
+MARKERS = 'osD^'
+
+
+@dataclass(frozen=True)
+class SweepReport:
+    """The sweeps of several plans."""
+
+    names: list[str]
+    near: float
+    figure: str  # SVG
+    rows: list[tuple[int, list[str]]]  # sweep; residual and share settled of each plan
+
+
+def sweep_report(plans: Mapping[str, Plan], name: str) -> SweepReport | None:
+    """
+    Make the plans again, sweep by sweep; None where that would take long, or there are none.
+
+    :param plans: with exact models, by what each is called.
+    :param name: prefix of the identifiers.
+    """
+    if not plans or any(plan.domain.n_states > MOST_STATES for plan in plans.values()):
+        return None
+    tables = {called: _sweeps(plan) for called, plan in plans.items()}
+    states = next(iter(plans.values())).domain.n_states
+    rows = []
+    for sweep, found in enumerate(zip_longest(*tables.values())):
+        cells = [text for row in found for text in _cells(row, states)]
+        rows.append((sweep, cells))
+    return SweepReport(list(tables), NEAR, _figure(tables, f'{name}-residual'), rows)
+
+
+def _sweeps(plan: Plan) -> list[SweepRow]:
+    model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
+    return sweep_table(model, near=NEAR)
+
+
+def _cells(row: SweepRow | None, states: int) -> tuple[str, str]:
+    if row is None:
+        return '', ''
+    return (number(row.residual, 3) if row.sweep else '', f'{row.settled / states:.1%}')
+
+
+def _figure(tables: Mapping[str, Sequence[SweepRow]], name: str) -> str:
+    with drawing(name, 'Residual by sweep', 5.0, 2.9) as work:
+        axes = work.axes
+        for place, (called, rows) in enumerate(tables.items()):
+            changed = [row for row in rows[1:] if row.residual > 0]  # the last may change nothing
+            axes.plot(
+                [row.sweep for row in changed],
+                [row.residual for row in changed],
+                color=SERIES[place % len(SERIES)],
+                marker=MARKERS[place % len(MARKERS)],
+                ms=3,
+                label=f'{called}: {len(rows) - 1} sweeps',
+            )
+        axes.set_yscale('log')
+        axes.set(title='Residual of each sweep', xlabel='sweep', ylabel='reward units')
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.grid(axis='y')
+        axes.tick_params(which='both', length=0)
+        axes.legend(loc='best')
+    return work.svg
