@@ -5,7 +5,7 @@ import math
 import time
 from typing import Any
 
-from humanopts_env.contract import NAME, NAMED_KEYS
+from humanopts_env.contract import NAME, NAMED_KEYS, refuses
 from humanopts_env.domains.base import Action, Domain, DomainError, Feature, is_enumerable
 from humanopts_env.seeding import generator
 import numpy as np
@@ -127,14 +127,14 @@ def _check_refusals(domain: Domain[Any]) -> None:
     rng = generator(0, 'check', 'refusals')
     state = domain.reset(rng)
     for action in (-1, len(domain.actions)):
-        refused = _refuses(lambda action=action: domain.step(state, action, rng))
+        refused = refuses(lambda action=action: domain.step(state, action, rng))
         _expect(refused, f'it takes the action {action}, of {len(domain.actions)}')
-    refused = _refuses(lambda: domain.decode('no state at all'))
+    refused = refuses(lambda: domain.decode('no state at all'))
     _expect(refused, 'it reads "no state at all" as a state')
 
 
 def _check_end(domain: Domain[Any], state: Any) -> None:
-    refused = _refuses(lambda: domain.step(state, 0, generator(0, 'check', 'end')))
+    refused = refuses(lambda: domain.step(state, 0, generator(0, 'check', 'end')))
     _expect(refused, f'it takes a step after the end, in {domain.encode(state)!r}')
 
 
@@ -149,11 +149,3 @@ def _check_tables(domain: Domain[Any]) -> None:
     _check_values(domain, domain.feature_table(), 'its feature table')
     for index in np.flatnonzero(domain.over())[:5]:
         _check_end(domain, domain.state_at(int(index)))
-
-
-def _refuses(call: Any) -> bool:
-    try:
-        call()
-    except DomainError:
-        return True
-    return False

@@ -107,14 +107,14 @@ class DomainContract:
         domain = self.make()
         text = domain.encode(domain.reset(_rng('bad text')))
         for bad in ('', 'nonsense', text + ' ', ' ' + text, text + '\n', text + text):
-            assert _refused(lambda bad=bad: domain.decode(bad)), f'{bad!r} was not refused'
+            assert refuses(lambda bad=bad: domain.decode(bad)), f'{bad!r} was not refused'
 
     def test_an_action_that_is_not_in_the_domain_is_refused(self) -> None:
         """Indices are checked, the negative ones too."""
         domain = self.make()
         state = domain.reset(_rng('bad action'))
         for bad in (-1, len(domain.actions)):
-            assert _refused(lambda bad=bad: domain.step(state, bad, _rng('step')))
+            assert refuses(lambda bad=bad: domain.step(state, bad, _rng('step')))
 
     def test_no_step_is_taken_after_the_end(self) -> None:
         """A task that is over stays over."""
@@ -125,7 +125,7 @@ class DomainContract:
         for state in ends:
             assert domain.is_over(state)
             for action in range(len(domain.actions)):
-                assert _refused(lambda s=state, a=action: domain.step(s, a, _rng('end')))
+                assert refuses(lambda s=state, a=action: domain.step(s, a, _rng('end')))
 
     def test_an_outcome_is_terminated_exactly_if_its_state_is_over(self) -> None:
         """The flag and the state agree, and every reward is a number."""
@@ -186,7 +186,7 @@ class DomainContract:
             for index in _sample(domain):
                 assert domain.index(domain.state_at(index)) == index
             for bad in (-1, domain.n_states):
-                assert _refused(lambda bad=bad: domain.state_at(bad))
+                assert refuses(lambda bad=bad: domain.state_at(bad))
 
     def test_tables_have_their_shapes_and_cannot_be_changed(self) -> None:
         """Shared arrays are safe to hand out."""
@@ -311,7 +311,7 @@ def _visible(domain: Domain[Any], state: Any, shown: set[str] | None) -> tuple[i
     return tuple(value for feature, value in values if shown is None or feature.name in shown)
 
 
-def _refused(call: Any) -> bool:
+def refuses(call: Any) -> bool:
     """Tell whether a call raises DomainError."""
     try:
         call()

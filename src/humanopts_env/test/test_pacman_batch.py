@@ -1,6 +1,7 @@
 """Many games at once are the same games as one by one, and quick."""
 
 from collections.abc import Callable
+from pathlib import Path
 from statistics import median
 from time import process_time
 
@@ -14,15 +15,7 @@ from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 
-FOUR_GHOSTS = """
-%%%%%%%%%%%%
-%P...  ...1%
-%.%% %% %%.%
-%..4o  o2..%
-%.%%.%%.%%.%
-%3........o%
-%%%%%%%%%%%%
-"""
+FOUR_GHOSTS = str(Path(__file__).with_name('four_ghosts.lay'))
 NO_GHOST = '%%%%%\n%P..%\n%%%%%'
 MAZES = ('gardens', 'yard', FOUR_GHOSTS, NO_GHOST)
 

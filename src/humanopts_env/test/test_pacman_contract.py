@@ -1,20 +1,13 @@
 """Pac-Man keeps the contract of every domain, in mazes of several kinds."""
 
+from pathlib import Path
 from typing import Any
 
 from humanopts_env.contract import DomainContract
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.pacman.domain import PacMan
 
-FOUR_GHOSTS = """
-%%%%%%%%%%%%
-%P...  ...1%
-%.%% %% %%.%
-%..4o  o2..%
-%.%%.%%.%%.%
-%3........o%
-%%%%%%%%%%%%
-"""
+FOUR_GHOSTS = str(Path(__file__).with_name('four_ghosts.lay'))
 NO_GHOST = '%%%%%\n%P..%\n%%%%%'
 
 
@@ -37,7 +30,7 @@ class TestChasedPacMan(DomainContract):
 
 
 class TestCrowdedPacMan(DomainContract):
-    """Numbered ghosts and three pills, from a text."""
+    """Numbered ghosts and three pills, from a file."""
 
     def make(self) -> Domain[Any]:
         """Return four ghosts."""

@@ -1,9 +1,9 @@
 """A base for domains whose states can all be listed, written as the rules of single states."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from functools import cached_property
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 from humanopts_env.domains.base import (
     Action,
@@ -16,6 +16,7 @@ from humanopts_env.domains.base import (
     Transitions,
 )
 from humanopts_env.domains.chance import draw_outcomes, outcome_limits
+from humanopts_env.domains.shared_tables import SharedTables
 from humanopts_env.domains.tabular import reachable, read_only
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 S = TypeVar('S', bound=Hashable)
 
 
-class TableDomain(ABC, Generic[S]):
+class TableDomain(SharedTables[S]):
     """
     An ``EnumerableDomain`` of up to some 100,000 states.
 
@@ -118,10 +119,6 @@ class TableDomain(ABC, Generic[S]):
             raise StateError(f'{text!r} is not a state of {self.name}; one reads {example!r}')
         return self._states[self._texts[text]]
 
-    def reset(self, rng: np.random.Generator) -> S:
-        """Draw a start state of the task."""
-        return self._states[int(rng.choice(self.start_states()))]
-
     def step(self, state: S, action: int, rng: np.random.Generator) -> Outcome[S]:
         """
         Take one primitive action.
@@ -150,30 +147,9 @@ class TableDomain(ABC, Generic[S]):
         possible = table.probability[number, action] > 0
         return self.index(successor) in table.successor[number, action][possible]
 
-    def feature_values(self, state: S) -> NDArray[np.int32]:
-        """Return the value of every feature, (F,), indices into ``Feature.values``."""
-        values: NDArray[np.int32] = self.feature_table()[self.index(state)]
-        return values
-
     def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
         """Draw states uniformly from those that an episode can pass through, never over."""
         return [self._states[int(number)] for number in rng.choice(self._open, count)]
-
-    def transitions(self) -> Transitions:
-        """Return the exact transitions; built once, then shared and read-only."""
-        return self._transitions
-
-    def feature_table(self) -> NDArray[np.int32]:
-        """Return (S, F): ``feature_values`` of every state; shared and read-only."""
-        return self._feature_table
-
-    def start_states(self) -> NDArray[np.int32]:
-        """Return the indices that ``reset`` draws from, uniformly."""
-        return self._start_states
-
-    def over(self) -> NDArray[np.bool_]:
-        """Return (S,): ``is_over`` of every state; shared and read-only."""
-        return self._over
 
     def board_slices(self) -> list[BoardSlice]:
         """Return a few layouts for figures of values and policies: none."""
@@ -191,8 +167,7 @@ class TableDomain(ABC, Generic[S]):
     def _texts(self) -> dict[str, int]:
         return {self.encode(state): number for number, state in enumerate(self._states)}
 
-    @cached_property
-    def _transitions(self) -> Transitions:
+    def _build_transitions(self) -> Transitions:
         pairs = [
             list(self.outcomes(state, action))
             for state in self._states
@@ -217,18 +192,15 @@ class TableDomain(ABC, Generic[S]):
     def _limits(self) -> NDArray[np.float64]:
         return outcome_limits(self.transitions())
 
-    @cached_property
-    def _feature_table(self) -> NDArray[np.int32]:
-        return read_only(np.array([self.values_of(s) for s in self._states], dtype=np.int32))
+    def _build_feature_table(self) -> NDArray[np.int32]:
+        return np.array([self.values_of(s) for s in self._states], dtype=np.int32)
 
-    @cached_property
-    def _start_states(self) -> NDArray[np.int32]:
+    def _build_start_states(self) -> NDArray[np.int32]:
         begins = [self.can_begin(state) for state in self._states]
-        return read_only(np.flatnonzero(begins).astype(np.int32))
+        return np.flatnonzero(begins).astype(np.int32)
 
-    @cached_property
-    def _over(self) -> NDArray[np.bool_]:
-        return read_only(np.array([self.is_over(s) for s in self._states], dtype=np.bool_))
+    def _build_over(self) -> NDArray[np.bool_]:
+        return np.array([self.is_over(s) for s in self._states], dtype=np.bool_)
 
     @cached_property
     def _open(self) -> NDArray[np.intp]:

@@ -8,7 +8,6 @@ of Gymnasium's Taxi; the rewards are those of Subramanian, Isbell and Thomaz (20
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 import re
 
 from humanopts_env.domains.base import (
@@ -21,7 +20,7 @@ from humanopts_env.domains.base import (
     StateError,
     Transitions,
 )
-from humanopts_env.domains.tabular import read_only
+from humanopts_env.domains.shared_tables import SharedTables
 from humanopts_env.domains.taxi_board import draw_board, GLYPH_STYLES
 from humanopts_env.domains.taxi_tables import (
     ABOARD,
@@ -53,7 +52,7 @@ class TaxiState:
     destination: int  # index into LANDMARKS
 
 
-class Taxi:
+class Taxi(SharedTables[TaxiState]):
     """
     Taxi on a grid of any size, an ``EnumerableDomain``.
 
@@ -91,10 +90,6 @@ class Taxi:
         """Number of states, reachable or not."""
         return self.rows * self.cols * 20
 
-    def reset(self, rng: np.random.Generator) -> TaxiState:
-        """Draw a start state: the taxi anywhere, the passenger waiting, not at the destination."""
-        return self.state_at(int(rng.choice(self.start_states())))
-
     def step(self, state: TaxiState, action: int, rng: np.random.Generator) -> Outcome[TaxiState]:
         """
         Take one primitive action; there is no chance in it.
@@ -119,11 +114,6 @@ class Taxi:
             return False
         found = self.transitions().successor[self.index(state), action, 0]
         return int(found) == self.index(successor)
-
-    def feature_values(self, state: TaxiState) -> NDArray[np.int32]:
-        """Return the value of every feature, (F,), indices into ``Feature.values``."""
-        values: NDArray[np.int32] = self.feature_table()[self.index(state)]
-        return values
 
     def encode(self, state: TaxiState) -> str:
         """Return the state as one line, such as ``taxi 2,3 passenger R destination B``."""
@@ -190,22 +180,6 @@ class Taxi:
         cell, rest = divmod(index, 20)
         return TaxiState(*divmod(cell, self.cols), *divmod(rest, 4))
 
-    def transitions(self) -> Transitions:
-        """Return the exact transitions, B = 1; built once, then shared and read-only."""
-        return self._transitions
-
-    def feature_table(self) -> NDArray[np.int32]:
-        """Return (S, 10): ``feature_values`` of every state; shared and read-only."""
-        return self._feature_table
-
-    def start_states(self) -> NDArray[np.int32]:
-        """Return the indices that ``reset`` draws from, uniformly."""
-        return self._start_states
-
-    def over(self) -> NDArray[np.bool_]:
-        """Return (S,): ``is_over`` of every state; shared and read-only."""
-        return self._over
-
     def board_slices(self) -> list[BoardSlice]:
         """Return the layouts with the passenger waiting at R and aboard, both bound for B."""
         cells = np.arange(self.rows * self.cols, dtype=np.int32).reshape(self.rows, self.cols)
@@ -217,21 +191,17 @@ class Taxi:
             for where, passenger in (('waiting at R', 0), ('aboard', ABOARD))
         ]
 
-    @cached_property
-    def _over(self) -> NDArray[np.bool_]:
+    def _build_over(self) -> NDArray[np.bool_]:
         _, passenger, destination = state_parts(self.rows, self.cols)
-        return read_only(passenger == destination)
+        over: NDArray[np.bool_] = passenger == destination
+        return over
 
-    @cached_property
-    def _start_states(self) -> NDArray[np.int32]:
+    def _build_start_states(self) -> NDArray[np.int32]:
         _, passenger, _ = state_parts(self.rows, self.cols)
-        starts = np.flatnonzero(~self.over() & (passenger != ABOARD))
-        return read_only(starts.astype(np.int32))
+        return np.flatnonzero(~self.over() & (passenger != ABOARD)).astype(np.int32)
 
-    @cached_property
-    def _transitions(self) -> Transitions:
+    def _build_transitions(self) -> Transitions:
         return transition_table(self.rows, self.cols)
 
-    @cached_property
-    def _feature_table(self) -> NDArray[np.int32]:
+    def _build_feature_table(self) -> NDArray[np.int32]:
         return feature_table(self.rows, self.cols)
