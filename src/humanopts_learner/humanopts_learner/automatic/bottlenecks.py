@@ -1,0 +1,161 @@
+"""
+Bottlenecks of greedy runs, and the initiation sets of the options that lead to them.
+
+M. Stolle and D. Precup (2002), "Learning Options in Reinforcement Learning", step 3: the state
+with most visits is the target of an option; those states from which it is reached and that have
+more visits than the mean on paths through it, completed to a contiguous region, are its
+initiation set; then the visits of all paths through the target are subtracted, and so on.
+
+What is ours: the visited states are cells. A cell in which runs have events (``Ground.status``
+changes) gives one option for each kind of event, not one for being there. Initiation sets count
+visits between the event before and the target only, since the way on is no way to it. The region
+is completed with what has more than half of its neighbours in it, and what has no way to the
+target within the region is left out.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+from humanopts_learner.automatic.ground import Flags, Ground, Ints
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+
+
+@dataclass(frozen=True)
+class Bottleneck:
+    """The target of an option, and where the option can start."""
+
+    name: str
+    cell: int
+    event: str  # pickup or dropoff, for instance; empty: being in the cell
+    visits: int  # of the cell, when it was the most visited
+    target: Flags  # (S,)
+    initiation: Flags  # (S,)
+
+
+@dataclass(frozen=True)
+class Visits:
+    """What greedy runs visited, run by run, each in the order of its steps."""
+
+    ground: Ground
+    run: Ints  # (V,)
+    state: Ints  # (V,)
+
+    @cached_property
+    def counts(self) -> NDArray[np.intp]:
+        """(runs, K): visits of each run to each cell."""
+        counts = np.zeros(
+            (int(self.run.max(initial=-1)) + 1, len(self.ground.cell_names)), np.intp
+        )
+        np.add.at(counts, (self.run, self.ground.cell[self.state]), 1)
+        return counts
+
+    @cached_property
+    def happens(self) -> Flags:
+        """(V,): the step to this visit was an event."""
+        status = self.ground.status[self.state]
+        changed: Flags = (np.diff(status, prepend=-1) != 0) & ~self.begins
+        return changed
+
+    @property
+    def begins(self) -> Flags:
+        """(V,): this visit is the first of its run."""
+        first: Flags = np.diff(self.run, prepend=-1) != 0
+        return first
+
+    def before(self, arrivals: Ints) -> Ints:
+        """
+        Return the states (N,) visited on the way to some visits, since the event before each.
+
+        :param arrivals: (H,) indices of visits.
+        """
+        stretch = np.cumsum(self.begins | self.happens) - 1
+        limit = np.zeros(len(self.state), dtype=np.intp)
+        since = np.where(self.happens[arrivals], arrivals - 1, arrivals)
+        np.maximum.at(limit, stretch[since], arrivals)
+        way = np.arange(len(self.state)) < limit[stretch]
+        found: Ints = self.state[way]
+        return found
+
+
+def find_bottlenecks(visits: Visits, most: int) -> list[Bottleneck]:
+    """Return the first bottlenecks, at most ``most``; there may be fewer."""
+    found: list[Bottleneck] = []
+    counts = visits.counts
+    left = np.ones(len(counts), dtype=np.bool_)
+    while len(found) < most and left.any():
+        total = counts[left].sum(axis=0)
+        cell = int(total.argmax())
+        found += _options_to(visits, cell, int(total[cell]))
+        left &= counts[:, cell] == 0
+    return found[:most]
+
+
+def _options_to(visits: Visits, cell: int, total: int) -> Iterator[Bottleneck]:
+    ground = visits.ground
+    name, inside = ground.cell_names[cell], ground.cell == cell
+    here = inside[visits.state]
+    happened = here & visits.happens
+    after = ground.status[visits.state]
+    kinds = np.unique(after[happened]).tolist()
+    for status in kinds:
+        event, target = ground.events[status], inside & (ground.status == status)
+        arrivals = np.flatnonzero(happened & (after == status))
+        start = _initiation(visits, arrivals, target)
+        yield Bottleneck(f'{event} at {name}', cell, event, total, target, start)
+    if not kinds:
+        start = _initiation(visits, np.flatnonzero(here & ~visits.begins), inside)
+        yield Bottleneck(f'go to {name}', cell, '', total, inside, start)
+
+
+def _initiation(visits: Visits, arrivals: Ints, target: Flags) -> Flags:
+    """Return (S,): where an option to a target can start."""
+    ground = visits.ground
+    situations = ground.situation
+    counts = np.bincount(situations[visits.before(arrivals)], minlength=situations.max() + 1)
+    known = np.unique(situations[ground.reached])
+    chosen = counts > counts[known].mean()
+    chosen = _completed(chosen, _neighbours(ground))
+    return _with_way(ground, chosen[situations] & ground.reached & ~ground.over & ~target, target)
+
+
+def _neighbours(ground: Ground) -> csr_array:
+    """Return (M, M): whether a step leads from one situation to another, or back."""
+    here, there = _edges(ground, ground.reached & ~ground.over)
+    here, there = ground.situation[here], ground.situation[there]
+    apart = here != there
+    here, there = here[apart], there[apart]
+    count = int(ground.situation.max()) + 1
+    steps = coo_array((np.ones(len(here)), (here, there)), shape=(count, count)).tocsr()
+    both = steps + steps.T
+    both.data[:] = 1.0
+    return both
+
+
+def _completed(chosen: Flags, neighbours: csr_array) -> Flags:
+    """Add what has more than half of its neighbours inside, until there is nothing such."""
+    half = neighbours.sum(axis=1) / 2
+    while True:
+        larger: Flags = chosen | (neighbours @ chosen.astype(np.float64) > half)
+        if (larger == chosen).all():
+            return chosen
+        chosen = larger
+
+
+def _with_way(ground: Ground, region: Flags, target: Flags) -> Flags:
+    """Return the part of a region from which the target can be reached within it."""
+    here, there = _edges(ground, region)
+    found = target.copy()
+    while True:
+        fresh = here[found[there] & ~found[here]]
+        if not fresh.size:
+            return found & region
+        found[fresh] = True
+
+
+def _edges(ground: Ground, inside: Flags) -> tuple[Ints, Ints]:
+    """Return all steps (N,), (N,) that can be taken from some states."""
+    possible = (ground.rules.probability > 0) & inside[:, None, None]
+    return np.nonzero(possible)[0], ground.rules.successor[possible].astype(np.intp)

@@ -1,0 +1,61 @@
+"""The parameters of the search for options, each with its source."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+
+from humanopts_learner.planning.errors import PlanError
+
+# Told the stage (tasks or policies), how far it is (0..1) and the game steps so far; raises
+# ``PlanCanceled`` to stop
+Progress = Callable[[str, float, int], object]
+
+
+@dataclass(frozen=True)
+class Extraction:
+    """
+    How options are looked for.
+
+    M. Stolle and D. Precup (2002), "Learning Options in Reinforcement Learning", give the
+    algorithm. The numbers marked "usual" are those that others use when they repeat it
+    (utkd/bottleneck-options-learning); the others are ours, and say why.
+    """
+
+    options: int = 9  # at most; the paper found nine on Taxi (section 7.3)
+    tasks: int = 200  # usual: 20, too few for each landmark of Taxi to be on several paths
+    train_episodes: int = 200  # of Q-learning for each task, N_train: usual
+    test_runs: int = 10  # greedy ones for each task, N_test: usual
+    option_episodes: int = 2000  # for each option; usual: 200, but they begin all over I
+    learning_rate: float = 0.1  # usual
+    explore: float = 0.1  # share of random actions while learning: usual
+    gamma: float = 0.9  # while learning: usual; the reward is 1 at the target, 0 elsewhere
+    max_steps: int = 1000  # after which an episode or a greedy run is cut off: ours
+
+    def __post_init__(self) -> None:
+        """
+        Check the numbers.
+
+        :raises PlanError: one is out of range.
+        """
+        counts = (
+            'options',
+            'tasks',
+            'train_episodes',
+            'test_runs',
+            'option_episodes',
+            'max_steps',
+        )
+        for name in counts:
+            if getattr(self, name) < 1:
+                raise PlanError(f'{name} is {getattr(self, name)}, and must be 1 or more')
+        for name in ('learning_rate', 'explore', 'gamma'):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 1.0 or math.isnan(value):
+                raise PlanError(f'{name} is {value}, and must be from 0 to 1')
+
+
+USUAL = Extraction()
+
+
+def say_nothing(stage: str, fraction: float, game_steps: int) -> None:
+    """Take no note."""

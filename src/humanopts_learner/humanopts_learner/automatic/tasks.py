@@ -1,0 +1,50 @@
+"""Random tasks: from a start to a goal."""
+
+from humanopts_learner.automatic.ground import Flags, Ground, Ints
+from humanopts_learner.automatic.reaching import Errands
+from humanopts_learner.planning.errors import PlanError
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+
+def draw_tasks(ground: Ground, count: int, rng: np.random.Generator) -> Errands:
+    """
+    Draw tasks (Stolle and Precup 2002, step 1).
+
+    The goal of a task is another state that the start can be reached from and that can be reached
+    from it; or the domain's own, where episodes begin with random goals. A task also ends, in
+    vain, where the domain's own is over.
+
+    :raises PlanError: no two states can be reached from each other, so there are no goals.
+    """
+    if ground.done is not None:
+        start = rng.choice(ground.starts, count)
+        target = np.broadcast_to(ground.done, (count, len(ground.done)))
+    else:
+        start, target = _pairs(ground, count, rng)
+    return Errands(start, np.ones(count, dtype=np.intp), target, ~target & ground.over)
+
+
+def _pairs(ground: Ground, count: int, rng: np.random.Generator) -> tuple[Ints, Flags]:
+    region = _regions(ground)
+    sizes = np.bincount(region[ground.starts])
+    starts = ground.starts[sizes[region[ground.starts]] > 1]
+    if not starts.size:
+        raise PlanError('no two states can be reached from each other, so no tasks can be set')
+    start = rng.choice(starts, count)
+    target = np.zeros((count, len(region)), dtype=np.bool_)
+    for task, state in enumerate(start):
+        there = starts[region[starts] == region[state]]
+        target[task, rng.choice(there[there != state])] = True
+    return start, target
+
+
+def _regions(ground: Ground) -> Ints:
+    """Return (S,): numbers of the sets of states that can be reached from each other."""
+    rules, count = ground.rules, len(ground.over)
+    possible = (rules.probability > 0) & ~ground.over[:, None, None]
+    here, there = np.nonzero(possible)[0], rules.successor[possible]
+    edges = coo_array((np.ones(len(here)), (here, there)), shape=(count, count))
+    region: Ints = connected_components(edges.tocsr(), connection='strong')[1].astype(np.intp)
+    return region

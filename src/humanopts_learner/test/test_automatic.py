@@ -1,0 +1,220 @@
+"""Options found without a person: bottlenecks by hand, and what is found in each domain."""
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+from humanopts_env.domains.base import Domain, Transitions
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.domains.rooms import Rooms
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.domains.taxi_tables import ABOARD
+from humanopts_env.seeding import generator
+from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
+from humanopts_learner.automatic.extract import AutomaticOptions, find_options
+from humanopts_learner.automatic.ground import ground_of
+from humanopts_learner.automatic.how import Extraction, USUAL
+from humanopts_learner.automatic.tasks import draw_tasks
+from humanopts_learner.planning.action_sets import HUMAN_AND_PRIMITIVE, PRIMITIVE
+from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
+from humanopts_learner.planning.plan import plan_with_tables
+from humanopts_learner.planning.sampled.columns import Columns
+from humanopts_learner.planning.sampled.games import batch_domain, Watcher
+from humanopts_learner.planning.sampled.policies import UniformPolicy
+from humanopts_learner.planning.sampled.runs import Runs
+import numpy as np
+import pytest
+
+CORRIDOR = '%%%%%%%\n%P....%\n%%%%%%%'  # five cells in a row
+LONG_CORRIDOR = '%%%%%%%%%\n%P......%\n%%%%%%%%%'
+RING = '%%%%%\n%P..%\n%.%.%\n%...%\n%%%%%'  # in rows 0 1 2, 3 4, 5 6 7
+CROSSING = '%%%%%%%\n%%%.%%%\n%%%.%%%\n%P....%\n%%%.%%%\n%%%%%%%'
+QUICK = Extraction(tasks=60, train_episodes=60, option_episodes=300)
+PAPERS_NINE = {f'{event} at {place}' for event in ('pickup', 'dropoff') for place in 'RGYB'}
+
+
+@cache
+def found(name: str, seed: int = 0) -> AutomaticOptions:
+    """Return what is found in a domain; in Taxi with the usual parameters."""
+    return find_options(make_domain(name), seed, USUAL if name == 'taxi' else QUICK)
+
+
+def bottlenecks(domain: Domain[Any], runs: list[list[int]], most: int = 9) -> list[Bottleneck]:
+    """Return the bottlenecks of runs that are given as states."""
+    run = np.repeat(np.arange(len(runs)), [len(states) for states in runs])
+    return find_bottlenecks(Visits(ground_of(domain), run, np.concatenate(runs)), most)
+
+
+def test_visits_of_runs_through_a_bottleneck_are_subtracted() -> None:
+    """Cell 2 is in three runs; without these cell 4 has two visits, and cell 3 has one."""
+    runs = [[0, 1, 2], [1, 2], [3, 2], [4, 4, 3]]
+    names = [(b.name, b.visits) for b in bottlenecks(PacMan(maze=CORRIDOR), runs)]
+    assert names == [('go to cell 0,2', 3), ('go to cell 0,4', 2)]
+
+
+def test_an_option_starts_where_more_than_the_mean_of_runs_come_by() -> None:
+    """On the way to cell 6: 5 four times, 4 three times, 3 once; the mean of seven is 1.1."""
+    runs = [[3, 4, 5, 6], [4, 5, 6], [4, 5, 6], [5, 6], [6]]
+    first = bottlenecks(PacMan(maze=LONG_CORRIDOR), runs, 1)[0]
+    assert first.cell == 6
+    assert np.flatnonzero(first.initiation).tolist() == [4, 5]
+
+
+def test_an_initiation_set_is_completed_where_most_neighbours_are_inside() -> None:
+    """Both neighbours of cell 7 are inside, so it is, too; of those of cell 5, one is."""
+    runs = [[4, 6, 2], [4, 6, 2], [4, 6, 2], [2]]
+    region = bottlenecks(PacMan(maze=RING), runs, 1)[0].initiation
+    assert np.flatnonzero(region).tolist() == [4, 6, 7]
+
+
+def test_what_has_no_way_to_the_target_inside_is_left_out() -> None:
+    """Cells 0 and 1 are visited on the way to cell 4, cells 2 and 3 are jumped over."""
+    runs = [[0, 1, 4], [0, 1, 4], [4]]
+    first = bottlenecks(PacMan(maze=CORRIDOR), runs, 1)[0]
+    assert first.cell == 4
+    assert not first.initiation.any()
+
+
+def test_events_in_a_cell_give_an_option_each_that_starts_before_them() -> None:
+    taxi = Taxi()
+    states = [
+        'taxi 1,0 passenger R destination Y',
+        'taxi 0,0 passenger R destination Y',
+        'taxi 0,0 passenger aboard destination Y',
+        'taxi 1,0 passenger aboard destination Y',
+    ]
+    run = [taxi.index(taxi.decode(text)) for text in states]
+    first = bottlenecks(taxi, [run], 1)[0]
+    assert (first.name, first.visits) == ('pickup at R', 2)
+    starts = {taxi.encode(taxi.state_at(s)) for s in np.flatnonzero(first.initiation).tolist()}
+    assert starts == {  # whatever the destination is
+        f'taxi {row},0 passenger R destination {name}' for row in (0, 1) for name in 'GYB'
+    }
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_taxi_has_the_nine_options_of_the_paper(seed: int) -> None:
+    """Section 7.3: four pickups, four dropoffs, and one to reach the centre of the grid."""
+    names = [option.name for option in found('taxi', seed).options]
+    assert names[0] in ('go to cell 2,1', 'go to cell 2,2')
+    assert set(names[1:]) == PAPERS_NINE
+    assert len(names) == 9
+
+
+def test_taxi_options_pick_up_and_drop_off_whatever_the_destination() -> None:
+    taxi = Taxi()
+    for option in found('taxi').options[1:]:
+        passengers = {taxi.state_at(s).passenger for s in np.flatnonzero(option.tables.initiation)}
+        waits = 'RGYB'.index(option.name[-1])
+        assert passengers == ({waits} if option.target.event == 'pickup' else {ABOARD})
+        assert option.reaches == 1.0
+
+
+@pytest.mark.parametrize('name', ['taxi', 'rooms', 'pacman'])
+def test_options_end_at_their_target_and_outside_their_initiation_set(name: str) -> None:
+    for option in found(name).options:
+        tables, target = option.tables, option.target.target
+        assert tables.initiation.any()
+        assert tables.termination[target].all()
+        assert (tables.termination == ~tables.initiation).all()
+
+
+def test_the_doorways_of_rooms_lie_on_most_runs() -> None:
+    """At least two of the first four targets are doorways or next to one, of 104 cells."""
+    rooms, ground = Rooms(), found('rooms').ground
+    doorway = rooms.feature_table()[:, 3] != 0
+    near = doorway | doorway[ground.rules.successor[:, :, 0]].any(axis=1)
+    assert sum(near[option.target.cell] for option in found('rooms').options[:4]) >= 2
+
+
+def test_planning_with_automatic_options_and_primitives_loses_nothing() -> None:
+    taxi = Taxi()
+    best = plan_with_tables(taxi, PRIMITIVE, (), 0.99).solution.values
+    both = plan_with_tables(taxi, HUMAN_AND_PRIMITIVE, found('taxi').tabled, 0.99)
+    assert both.solution.values == pytest.approx(best, abs=1e-6)
+
+
+def test_pacman_options_come_to_their_cells_in_the_real_game() -> None:
+    """Those that end in life lost or by their limit are few; without ghosts, all come there."""
+    domain = PacMan(maze=CROSSING)
+    options = find_options(domain, 0, QUICK)
+    games = batch_domain(domain)
+    watch, columns = Watcher(games, fine=False), Columns(games, 'human', options.batched)
+    rng = generator(0, 'test')
+    runs = Runs(watch, columns, games.batch_reset(50, rng), rng)
+    cell = {o: option.target.cell for o, option in enumerate(options.options)}
+    runs.decide(UniformPolicy(columns))
+    begun, ended = runs.column.copy(), np.zeros(50, dtype=np.bool_)
+    assert (begun < columns.first_fallback).any()
+    for _ in range(10):
+        ended |= runs.step()[1]
+        at_target = [runs.batch.pacman[n] == cell.get(begun[n]) for n in range(50)]
+        runs.column[ended] = len(columns.options)  # stay out of the way
+        if ended.all():
+            break
+        assert not np.array(at_target)[~ended].any()
+    assert ended[begun < columns.first_fallback].all()
+
+
+def test_the_same_seed_finds_the_same_options() -> None:
+    first, again = (find_options(PacMan(maze='yard'), 3, QUICK) for _ in range(2))
+    other = find_options(PacMan(maze='yard'), 4, QUICK)
+    assert [o.name for o in first.options] == [o.name for o in again.options]
+    assert (first.visits == again.visits).all()
+    assert (first.visits != other.visits).any()
+
+
+def test_the_cost_is_counted_and_told() -> None:
+    told: list[tuple[str, float, int]] = []
+    ticks = iter([10.0, 12.5])
+    options = find_options(
+        PacMan(maze='yard'), 0, QUICK, lambda *told_now: told.append(told_now), lambda: next(ticks)
+    )
+    assert options.seconds == 2.5
+    assert options.episodes == 60 * 60 + 300 * len(options.options)
+    assert options.game_steps >= options.episodes
+    assert [stage for stage, done, _ in told if done == 1.0] == ['tasks', 'policies']
+    assert [steps for _, _, steps in told] == sorted(steps for _, _, steps in told)
+
+
+@pytest.mark.parametrize('stage', ['tasks', 'policies'])
+def test_progress_can_cancel_every_stage(stage: str) -> None:
+    def cancel(now: str, done: float, steps: int) -> None:
+        if now == stage:
+            raise PlanCanceled
+
+    with pytest.raises(PlanCanceled):
+        find_options(PacMan(maze='yard'), 0, QUICK, cancel)
+
+
+def test_goals_can_be_reached_from_their_starts_and_left_again() -> None:
+    errands = draw_tasks(ground_of(Rooms()), 50, generator(0, 'test'))
+    goal = errands.target.argmax(axis=1)
+    assert (errands.target.sum(axis=1) == 1).all()
+    assert (goal != errands.starts).all()
+    assert not Rooms().over()[goal].any()
+
+
+def test_a_one_way_world_has_no_tasks() -> None:
+    ground = ground_of(PacMan(maze=CORRIDOR))
+    step = np.minimum(np.arange(1, 6), 4).astype(np.int32)[:, None, None]
+    one = np.ones(step.shape)
+    rules = Transitions(step, one, one, one < 0)
+    with pytest.raises(PlanError, match='no two states'):
+        draw_tasks(replace(ground, rules=rules), 3, generator(0, 'test'))
+
+
+def test_parameters_out_of_range_are_refused() -> None:
+    with pytest.raises(PlanError, match='tasks is 0'):
+        Extraction(tasks=0)
+    with pytest.raises(PlanError, match='explore is 2'):
+        Extraction(explore=2.0)
+
+
+def test_a_domain_that_cannot_be_listed_is_refused() -> None:
+    class Endless:
+        name = 'endless'
+
+    with pytest.raises(NotEnumerableError, match='endless cannot all be listed'):
+        find_options(Endless(), 0)  # type: ignore[arg-type]
