@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 import json
+from pathlib import Path
 import signal
 from typing import Any
 
@@ -264,6 +265,23 @@ def test_a_person_watching_a_paced_game_sees_every_step(live: Graph) -> None:
     assert keyed.step == 4
 
 
+def test_of_two_machines_the_first_takes_a_paced_step_and_the_other_is_refused(
+    live: Graph,
+) -> None:
+    live.start(GAME, step_period=0.5)
+    live.ready('/game')
+    player = Player(live)
+    player.fresh(START)
+    first = player.command('south', publisher_id='/one#1')
+    player.send(first)
+    answer = refused(player.do('west', publisher_id='/other#1'))
+    assert answer[0] == ActionRefusal.REASON_STALE
+    assert "'south' waits for step_period" in answer[1]
+    assert player.state.step == 0
+    live.until(lambda: player.state.step == 1, 'the step of the first')
+    assert player.state.action_publisher_id == '/one#1'
+
+
 # A participant that is silent for its lease (20 s) is dropped, and then blocks nobody.
 PATIENT = """<profiles xmlns="http://www.eprosima.com">
   <participant profile_name="patient" is_default_profile="true"><rtps><builtin><discovery_config>
@@ -276,7 +294,7 @@ READER = """
 import os, signal, sys
 os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = sys.argv[2]
 from humanopts_env.nodes.qos import STREAM
-from humanopts_interfaces.msg import GameState
+from humanopts_interfaces import msg
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
@@ -286,10 +304,24 @@ rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 node = rclpy.create_node('slow_reader')
 numbers = open(sys.argv[1], 'w', buffering=1)
 keep = lambda state: print(state.sequence, file=numbers)
-node.create_subscription(GameState, 'game_state', keep, STREAM)
+node.create_subscription(getattr(msg, sys.argv[3]), sys.argv[4], keep, STREAM)
 while not ended:
     rclpy.spin_once(node, timeout_sec=0.1)
 """
+
+
+def slow_reader(graph: Graph, kind: type, topic: str) -> tuple[NodeProcess, Path]:
+    """Start a reader that keeps everything; return it, and the file with what it has read."""
+    numbers, profile = graph.folder / 'numbers', graph.folder / 'patient.xml'
+    profile.write_text(PATIENT)
+    command = ['-c', READER, str(numbers), str(profile), kind.__name__, topic]
+    reader = graph.run(command, 'reader')
+
+    def readers() -> set[str]:
+        return {r.node_name for r in graph.node.get_subscriptions_info_by_topic(topic)}
+
+    graph.until(lambda: readers() >= {'person', 'slow_reader'}, 'the reader')
+    return reader, numbers
 
 
 def flood_until_paused(graph: Graph, player: Player) -> str:
@@ -311,15 +343,8 @@ def flood_until_paused(graph: Graph, player: Player) -> str:
 def test_a_stopped_reader_pauses_the_game_and_no_state_is_lost_or_doubled(live: Graph) -> None:
     live.start(GAME)
     live.ready('/game')
-    player, numbers = Player(live), live.folder / 'numbers'
-    profile = live.folder / 'patient.xml'
-    profile.write_text(PATIENT)
-    reader = live.run(['-c', READER, str(numbers), str(profile)], 'reader')
-
-    def readers() -> set[str]:
-        return {r.node_name for r in live.node.get_subscriptions_info_by_topic('game_state')}
-
-    live.until(lambda: readers() >= {'person', 'slow_reader'}, 'the reader')
+    player = Player(live)
+    reader, numbers = slow_reader(live, GameState, 'game_state')
     player.reset(START)
     first = player.state.sequence
     for _ in range(100):  # game and reader know each other well before it stops
@@ -340,3 +365,32 @@ def test_a_stopped_reader_pauses_the_game_and_no_state_is_lost_or_doubled(live: 
     for got in (player.states, numbers.read_text().split()):
         seen = [int(getattr(state, 'sequence', state)) for state in got]
         assert seen[seen.index(first) :] == list(range(first, last + 1))
+
+
+def test_a_stopped_reader_of_refusals_pauses_the_game_which_then_goes_on(live: Graph) -> None:
+    live.start(GAME)
+    live.ready('/game')
+    player = Player(live)
+    player.fresh(START)
+    reader, numbers = slow_reader(live, ActionRefusal, 'action_refused')
+    for _ in range(100):
+        player.do('jump')
+    live.until(lambda: '100' in numbers.read_text().split(), 'the reader')
+    reader.pause()
+
+    def paused() -> bool:
+        return bool(live.state('/game') == NodeStatus.STATE_PAUSED)
+
+    while not paused():
+        known = len(player.refusals)
+        for _ in range(200):
+            player.send(player.command('jump'))
+        live.until(lambda n=known: len(player.refusals) == n + 200 or paused(), 'the refusals')
+        assert known < 10_000, 'game never paused'
+    assert 'cannot publish on /action_refused' in live.statuses['/game'][-1].text
+    reader.go_on()
+    live.until(lambda: live.state('/game') == NodeStatus.STATE_READY, 'game to go on')
+    assert taken(player.do('south'))[0] == 1
+    last = player.refusals[-1].sequence
+    assert [refusal.sequence for refusal in player.refusals] == list(range(1, last + 1))
+    assert reader.kill(signal.SIGTERM) == 0

@@ -190,13 +190,22 @@ class Game:
 
     def command(self, command: Command) -> Accepted | Refused:
         """Take one step, or say why not."""
-        refusal = self._objection(command)
-        if refusal is not None:
-            return Refused(*refusal, command, self.moment.episode, self.moment.step)
+        refused = self.refusal(command)
+        if refused is not None:
+            return refused
         control = None
         if command.source == Source.PERSON and self.control.holder is Holder.NOBODY:
             control = self._give(command.publisher_id, 'a person pressed a key')
         return Accepted(self._step(command), control)
+
+    def refusal(self, command: Command) -> Refused | None:
+        """Return how a command would be refused now; None where it would be carried out."""
+        objection = self._objection(command)
+        return None if objection is None else self.refuse(command, *objection)
+
+    def refuse(self, command: Command, reason: Reason, detail: str) -> Refused:
+        """Return the refusal of a command."""
+        return Refused(reason, detail, command, self.moment.episode, self.moment.step)
 
     def set_control(self, hold: bool, holder_id: str) -> ControlReply:
         """

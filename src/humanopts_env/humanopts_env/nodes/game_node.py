@@ -1,7 +1,9 @@
 """The node ``game``: owns the game, and takes one command a step."""
 
+from collections import deque
 import json
 import sys
+from typing import Any
 
 from humanopts_env.convert import (
     command_from_message,
@@ -12,9 +14,16 @@ from humanopts_env.convert import (
 )
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
-from humanopts_env.game import Accepted, Command, Control, Game, Holder, Moment, Source
-from humanopts_env.nodes.node_base import NodeBase, PublishError, run_node, StartError
+from humanopts_env.game import Accepted, Control, Game, Holder, Moment, Source
+from humanopts_env.nodes.node_base import (
+    NodeBase,
+    PublishError,
+    run_node,
+    StampedPublisher,
+    StartError,
+)
 from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_env.pacing import Pacing, Result
 from humanopts_interfaces.msg import (
     ActionCommand,
     ActionRefusal,
@@ -52,8 +61,9 @@ class GameNode(NodeBase):
         self.create_subscription(ActionCommand, 'action', self._on_action, STREAM)
         self.recorded_service(ResetGame, 'reset_game', self._on_reset)
         self.recorded_service(SetControl, 'set_control', self._on_set_control)
-        self._unsent: list[Moment] = []
-        self._slow: Command | None = None  # a machine's command that waits for its time
+        topics = (self._stream, self._current, self._control, self._refusals)
+        self._unsent: dict[StampedPublisher[Any], deque[Any]] = {t: deque() for t in topics}
+        self._pacing = Pacing(self._game)
         self._pace = self.create_timer(self._period or 1.0, self._on_pace, autostart=False)
         self._retry = self.create_timer(_RETRY_PERIOD, self._on_retry, autostart=False)
         self.create_timer(_HOLDER_PERIOD, self._check_holder)
@@ -63,7 +73,7 @@ class GameNode(NodeBase):
         self._info.publish(domain_to_info(self._game.domain))
         self._send_control(self._game.control)
         self._game.reset('', self._seed, Source.MACHINE)
-        self._send(self._game.moment)
+        self._send_moment(self._game.moment)
 
     def _read_domain(self) -> Domain:
         name = self.setting('domain', 'taxi', 'registered name of the domain')
@@ -75,26 +85,26 @@ class GameNode(NodeBase):
 
     def _on_action(self, message: ActionCommand) -> None:
         command = command_from_message(message)
-        if self._period and command.source == Source.MACHINE and self._slow is None:
-            self._slow = command
+        if not self._period:
+            self._send_result(self._game.command(command))
+            return
+        for result in self._pacing.offer(command):
+            self._send_result(result)
+        if self._pacing.waiting is command:
             self._pace.reset()
-        else:
-            self._carry_out(command)
 
     def _on_pace(self) -> None:
         self._pace.cancel()
-        command, self._slow = self._slow, None
-        if command is not None:
-            self._carry_out(command)
+        for result in self._pacing.due():
+            self._send_result(result)
 
-    def _carry_out(self, command: Command) -> None:
-        result = self._game.command(command)
+    def _send_result(self, result: Result) -> None:
         if not isinstance(result, Accepted):
-            self._refusals.publish(refusal_to_message(result))
+            self._send(self._refusals, refusal_to_message(result))
             return
         if result.control is not None:
             self._send_control(result.control)
-        self._send(result.moment)
+        self._send_moment(result.moment)
 
     def _on_reset(
         self, request: ResetGame.Request, response: ResetGame.Response
@@ -103,7 +113,7 @@ class GameNode(NodeBase):
         response.status, response.detail = int(reply.status), reply.detail
         if reply.moment is not None:
             response.episode, response.state = reply.moment.episode, reply.moment.state
-            self._send(reply.moment)
+            self._send_moment(reply.moment)
         return response
 
     def _on_set_control(
@@ -128,32 +138,38 @@ class GameNode(NodeBase):
             self._send_control(self._game.release(f'the terminal {name} is gone'))
 
     def _send_control(self, control: Control) -> None:
-        self._control.publish(control_to_message(control))
+        self._send(self._control, control_to_message(control))
 
-    def _send(self, moment: Moment) -> None:
-        self._unsent.append(moment)
-        self._flush()
+    def _send_moment(self, moment: Moment) -> None:
+        for publisher in (self._stream, self._current):
+            self._send(publisher, moment_to_message(moment))
 
-    def _flush(self) -> None:
-        """Publish what is not sent yet, in order; where that fails, pause until it can be sent."""
+    def _send(self, publisher: StampedPublisher[Any], message: Any) -> None:
+        """Publish a message; where something waits on its topic already, it waits behind it."""
+        self._unsent[publisher].append(message)
+        if len(self._unsent[publisher]) == 1:
+            self._push(publisher)
+
+    def _push(self, publisher: StampedPublisher[Any]) -> None:
+        """Publish what waits on a topic, in order; where that fails, pause until it can be."""
+        waiting = self._unsent[publisher]
         try:
-            while self._unsent:
-                self._stream.publish(moment_to_message(self._unsent[0]))
-                self._current.publish(moment_to_message(self._unsent[0]))
-                del self._unsent[0]
+            while waiting:
+                publisher.publish(waiting[0])
+                waiting.popleft()
         except PublishError as error:
             self._retry.reset()
             if not self._game.paused:
                 self._game.paused = str(error)
                 self.set_status(NodeStatus.STATE_PAUSED, str(error))
-            return
-        if self._game.paused:
-            self._game.paused = ''
-            self.set_status(NodeStatus.STATE_READY)
 
     def _on_retry(self) -> None:
         self._retry.cancel()
-        self._flush()
+        for publisher in self._unsent:
+            self._push(publisher)
+        if not any(self._unsent.values()):
+            self._game.paused = ''
+            self.set_status(NodeStatus.STATE_READY)
 
 
 def main(args: list[str] | None = None) -> int:
