@@ -1,0 +1,1 @@
+"""Learning values of options by playing: SMDP and intra-option Q-learning."""
