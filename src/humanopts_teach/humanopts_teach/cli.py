@@ -12,6 +12,7 @@ from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.demos.store import CODE, CODE_RULE
 from humanopts_teach.launching.launcher import LaunchError
 
+SECTIONS = ('planning', 'learning', 'games', 'graph')
 STRATEGIES = ('random', 'coverage', 'failures')
 
 
@@ -72,6 +73,9 @@ def build_parser() -> argparse.ArgumentParser:
         )
     teach.set_defaults(step_period=0.15)
     demo.set_defaults(step_period=0.02 if sys.stdout.isatty() else 0.0)
+    _add_bench_options(
+        commands.add_parser('bench', help='how long things take, each beside a yardstick')
+    )
     _add_bag_commands(commands.add_parser('bag', help='look into a recorded bag, no ROS needed'))
     return parser
 
@@ -146,6 +150,34 @@ def _add_bag_commands(bag: argparse.ArgumentParser) -> None:
             'bag', type=Path, metavar='BAG', help='a rosbag2 folder or .mcap file'
         )
         command.add_argument('--json', action='store_true', help='print JSON')
+
+
+def _add_bench_options(bench: argparse.ArgumentParser) -> None:
+    bench.add_argument('--json', type=Path, metavar='FILE', help='write everything to this file')
+    bench.add_argument(
+        '--figure',
+        type=Path,
+        metavar='FILE',
+        help='draw planning time against states to this file, .svg or .png',
+    )
+    bench.add_argument(
+        '--only',
+        type=_sections,
+        default=SECTIONS,
+        metavar='NAME,NAME',
+        help=f'sections to measure, of {", ".join(SECTIONS)}; default: all',
+    )
+    bench.add_argument(
+        '--quick', action='store_true', help='small sizes, to see that it works; times mean little'
+    )
+
+
+def _sections(text: str) -> tuple[str, ...]:
+    names = text.split(',')
+    for name in names:
+        if name not in SECTIONS:
+            raise argparse.ArgumentTypeError(f'{name!r} is none of {", ".join(SECTIONS)}')
+    return tuple(name for name in SECTIONS if name in names)
 
 
 def _natural(text: str) -> int:

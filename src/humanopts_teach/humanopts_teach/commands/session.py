@@ -1,7 +1,7 @@
 """A launched graph for the length of one command."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 import signal
 import sys
@@ -48,12 +48,16 @@ def _check_folder(setup: Setup, new: bool) -> None:
         raise CommandError(f'{folder} is not empty; choose another --out')
     if setup.record and setup.bag.exists():
         raise CommandError(f'{setup.bag} exists already; choose another folder')
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     probe = folder / '.probe'
     try:
         probe.write_bytes(bytes(4096))
     finally:
         probe.unlink(missing_ok=True)
+        with suppress(OSError):  # somebody else put something there
+            for path in made:  # a launch that is refused leaves nothing
+                path.rmdir()
 
 
 @contextmanager
@@ -68,7 +72,7 @@ def session(
     :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP; a second one is ignored while stopping.
     """
     launcher = Launcher(processes(setup), setup.directory / 'log', namespace)
-    with only_launch(namespace), _interruptible():
+    with only_launch(namespace), interruptible():
         conductor = _conduct(setup, namespace, launcher, progress)
         try:
             for late in (False, True):
@@ -97,7 +101,7 @@ def _conduct(
 
 
 @contextmanager
-def _interruptible() -> Iterator[None]:
+def interruptible() -> Iterator[None]:
     """Turn SIGTERM and SIGHUP into what Ctrl-C is."""
 
     def interrupt(signum: int, frame: FrameType | None) -> None:

@@ -1,0 +1,1 @@
+"""Benchmarks of the whole: real processes on a graph of their own, tables and figures."""
