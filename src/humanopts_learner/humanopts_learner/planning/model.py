@@ -139,6 +139,23 @@ class RowModel:
         if sums[~self.available.T.ravel()].any():
             raise ModelError('a pair that is not available has successors')
 
+    def first(self, count: int) -> 'RowModel':
+        """Return the model of the first columns only."""
+        rows = self.rows[: count * self.n_states]
+        return RowModel(
+            self.names[:count], self.reward[:, :count], self.available[:, :count], rows
+        )
+
+    def following(self, column: NDArray[np.integer]) -> 'RowModel':
+        """Return the model whose one column is, in each state, a given one, (S,)."""
+        states = np.arange(self.n_states)
+        return RowModel(
+            ('policy',),
+            self.reward[states, column][:, None],
+            self.available[states, column][:, None],
+            self.rows[column * self.n_states + states],
+        )
+
     @property
     def n_states(self) -> int:
         """Number of states, S."""

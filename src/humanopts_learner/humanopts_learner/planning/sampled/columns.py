@@ -89,6 +89,12 @@ class Columns:
         self.first_fallback = len(self.options) if action_set == HUMAN else len(self.names)
         self.limits = np.array([*(o.max_steps for o in self.options), *[1] * self.n_actions])
 
+    @property
+    def modelled(self) -> tuple[str, ...]:
+        """What is counted: starting each column that can start, then going on from elsewhere."""
+        names = self.names[: self.first_fallback]
+        return (*names, *(f'going on: {option.name}' for option in self.options))
+
     def startable(self, view: View) -> Flags:
         """Return (N, O): which columns can start in each game, fallback columns apart."""
         can = np.ones((len(view.codes), self.first_fallback), dtype=np.bool_)

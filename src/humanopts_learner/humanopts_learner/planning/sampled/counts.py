@@ -46,6 +46,11 @@ class StateIndex:
         seen = self._sorted[at] == codes
         return np.where(seen, self._number[at], 0), seen
 
+    @property
+    def codes(self) -> NDArray[np.int64]:
+        """(S,) the planning states by their numbers."""
+        return self._sorted[np.argsort(self._number)]
+
     def add(self, codes: NDArray[np.int64]) -> Ints:
         """Return the number of each (N,), numbering those that are new."""
         unique, inverse = np.unique(codes, return_inverse=True)
@@ -60,13 +65,15 @@ class StateIndex:
 class Counts:
     """Sums over samples of S planning states and O columns."""
 
-    def __init__(self, names: tuple[str, ...]) -> None:
+    def __init__(self, names: tuple[str, ...], choosable: int = 0) -> None:
         """
         Begin without samples.
 
         :param names: of the columns that are modelled, (O,).
+        :param choosable: how many of them, from the first on, can be chosen; 0: all.
         """
         self.names, self.index = names, StateIndex()
+        self._choosable = choosable or len(names)
         self._count = np.zeros((len(names), 0))
         self._reward = np.zeros((len(names), 0))
         self._rows: Rows = csr_array((0, 0))
@@ -98,13 +105,19 @@ class Counts:
         at = (row, rows.col)
         self._rows = coo_array((rows.data, at), (columns * states, states)).tocsr()
 
+    @property
+    def samples(self) -> NDArray[np.float64]:
+        """(S, O) how many samples there are of each pair."""
+        return self._count.T
+
     def model(self, min_samples: int, penalty: float) -> RowModel:
         """
         Return the mean of the samples.
 
         Pairs of state and column with fewer than ``min_samples`` are not available. Nothing is
-        known of states without an available pair: samples that end there count as if they had
-        ended as the other samples of their pair did, and pairs with no others are not available.
+        known of states without an available pair that can be chosen: samples that end there count
+        as if they had ended as the other samples of their pair did, and pairs with no others are
+        not available.
 
         :param penalty: reward units that a pair with one sample is worth less; with n samples it
             is this by the square root of n.
@@ -118,7 +131,7 @@ class Counts:
         """Return the pairs (O, S) that lead to states with such pairs, and where they lead."""
         total = self._rows.sum(axis=1)
         while True:
-            known = np.asarray(enough.any(axis=0))
+            known = np.asarray(enough[: self._choosable].any(axis=0))
             kept = self._rows @ known
             more = enough & ((kept > 0) | (total == 0)).reshape(enough.shape)
             if (more == enough).all():

@@ -86,6 +86,15 @@ class HasGames(Protocol):
         ...
 
 
+@runtime_checkable
+class HasContext(Protocol):
+    """A batched domain some of whose planning features hardly decide which option is better."""
+
+    def planning_context(self, *, fine: bool) -> tuple[int, ...]:
+        """Return the columns of these planning features."""
+        ...
+
+
 def batch_domain(domain: Domain[Any]) -> BatchDomain:
     """
     Return the batched form of a domain.
@@ -130,10 +139,22 @@ class Watcher:
         sizes = games.planning_sizes(fine=fine)
         if np.prod(sizes, dtype=np.float64) > LARGEST_CODE:
             raise PlanError(f'planning features of {sizes} values are too fine')
-        self._radix = np.cumprod([1, *sizes[:-1]], dtype=np.int64)
+        self._sizes, self._radix = sizes, np.cumprod([1, *sizes[:-1]], dtype=np.int64)
 
     def __call__(self, batch: Any) -> View:
         """Return what is seen of a batch."""
         rows = self.games.batch_features(batch)
         features = self.games.planning_features(batch, rows, fine=self.fine)
         return View(batch, rows, features @ self._radix, self.games)
+
+    def without_context(self, codes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the codes (N,) of planning states as if features of context were all 0."""
+        context = (
+            self.games.planning_context(fine=self.fine)
+            if isinstance(self.games, HasContext)
+            else ()
+        )
+        for column in context:
+            radix = self._radix[column]
+            codes = codes - codes // radix % self._sizes[column] * radix
+        return codes

@@ -23,6 +23,7 @@ FAR = 1000  # more than any bucket of a distance that is one
 # direction is left out, but for food.
 NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL = (2, 3, 4, 5, 7), (3, 5), (3, 6, 13), (3, 9)
 NEAR_FOOD = (2, 3, 5, 9)
+CONTEXT = ('food_left', 'lives')
 
 
 class PacManGames:
@@ -76,6 +77,11 @@ class PacManGames:
             for near in (NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL)
         ]
         return (16, N_DIRECTIONS, len(NEAR_FOOD) + 1, *ways)
+
+    def planning_context(self, *, fine: bool) -> tuple[int, ...]:
+        """Return the columns of what is left to gain and to lose, rather than of what is near."""
+        names = () if fine else [feature.name for feature in PLANNING_FEATURES]
+        return tuple(column for column, name in enumerate(names) if name in CONTEXT)
 
     def planning_features(
         self, batch: PacManBatch, rows: NDArray[np.int32], *, fine: bool

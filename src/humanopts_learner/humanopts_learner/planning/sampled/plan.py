@@ -16,22 +16,28 @@ from humanopts_learner.planning.action_sets import (
     Progress,
     say_nothing,
 )
+from humanopts_learner.planning.arbitration import Execution, OptionValues
 from humanopts_learner.planning.errors import check_gamma, ForeignOptionError, PlanError
-from humanopts_learner.planning.model import expected_values
+from humanopts_learner.planning.model import expected_values, RowModel
 from humanopts_learner.planning.plan import Clock, Decision, SweepProgress
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns, LearnedBatchOption
 from humanopts_learner.planning.sampled.counts import Counts
 from humanopts_learner.planning.sampled.games import batch_domain, BatchDomain, Watcher
 from humanopts_learner.planning.sampled.judging import GameReturns, play_games
 from humanopts_learner.planning.sampled.policies import (
+    ArbitratedPolicy,
     ExploringPolicy,
     GreedyPolicy,
     Policy,
     UniformPolicy,
 )
+from humanopts_learner.planning.sampled.pooling import pooled
 from humanopts_learner.planning.sampled.sampling import Sampler
 from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 import numpy as np
+from numpy.typing import NDArray
+
+IMPROVEMENTS = 4  # of the policy by pooled values, each evaluated, after value iteration
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,7 @@ class Sampling:
     explore: float = 0.2  # share of decisions that are drawn, from the second round on
     min_samples: int = 2  # pairs of state and column with fewer are not available
     penalty: float = 5.0  # reward units, by the square root of the number of samples
+    pooling: float = 100.0  # samples that the mean over states of other context counts as
 
     def __post_init__(self) -> None:
         """
@@ -53,8 +60,9 @@ class Sampling:
         """
         if min(self.rounds - 1, self.n_games, self.min_samples) < 1:
             raise PlanError(f'{self} needs two rounds, one game and one sample, at least')
-        if not 0.0 <= self.explore <= 1.0 or not 0.0 <= self.penalty < math.inf:
-            raise PlanError(f'{self} needs a share from 0 to 1 and a finite penalty from 0')
+        finite = all(0.0 <= number < math.inf for number in (self.penalty, self.pooling))
+        if not 0.0 <= self.explore <= 1.0 or not finite:
+            raise PlanError(f'{self} needs a share from 0 to 1; penalty, pooling finite from 0')
 
 
 @dataclass(frozen=True)
@@ -72,6 +80,8 @@ class SampledPlan:
     columns: Columns
     solution: Solution
     policy: GreedyPolicy
+    going_on: NDArray[np.float64]  # (S, O) of going on where the column cannot start; or -inf
+    execution: Execution  # that it was sampled by
     watch: Watcher
     game_steps: int  # that were sampled
     table_seconds: float  # of what samples are counted in: nothing, so 0
@@ -105,9 +115,34 @@ class SampledPlan:
         column = int(choice.column[0])
         return Decision(self.names[column], column >= self.first_fallback)
 
-    def play(self, seed: int, episodes: int) -> GameReturns:
-        """Judge the plan in the real game, each option run to its end."""
-        return play_games(self.watch, self.columns, self.policy, self.gamma, seed, episodes)
+    def carried_out(self, execution: Execution | None = None) -> Policy:
+        """Return the policy, carried out in a way; None: as it was sampled."""
+        execution = self.execution if execution is None else execution
+        if execution is Execution.RUN_TO_END:
+            return self.policy
+        return ArbitratedPolicy(self.policy, self.going_on, execution)
+
+    def play(self, seed: int, episodes: int, execution: Execution | None = None) -> GameReturns:
+        """
+        Judge the plan in the real game.
+
+        :param execution: how the policy is carried out; None: as it was sampled.
+        """
+        policy = self.carried_out(execution)
+        return play_games(self.watch, self.columns, policy, self.gamma, seed, episodes)
+
+    def option_values(self) -> OptionValues:
+        """Return what arbitration needs of it."""
+        order = np.argsort(codes := self.policy.index.codes)
+        return OptionValues(
+            action_set=self.action_set,
+            names=self.names[: self.first_fallback],
+            situations=codes[order],
+            choosing=self.policy.values[order],
+            going_on=self.going_on[order],
+            slack=0.0,
+            sampled=True,
+        )
 
 
 def make_sampled_plan(
@@ -122,6 +157,7 @@ def make_sampled_plan(
     max_sweeps: int = 10_000,
     progress: Progress | None = None,
     clock: Clock = time.perf_counter,
+    execution: Execution = Execution.RUN_TO_END,
 ) -> SampledPlan:
     """
     Plan from samples, in a domain that plays many games at once.
@@ -130,6 +166,9 @@ def make_sampled_plan(
     :param budget_steps: game steps that are sampled in all; rounds get equal parts.
     :param gamma: discount per primitive step; None: the domain's own.
     :param tol: largest change allowed in the last sweep, in reward units.
+    :param execution: how the policy so far is carried out from the second round on. Where options
+        are interrupted, the models are of interrupted options (Sutton, Precup and Singh 1999,
+        section 4: interruption can be repeated on what it led to).
     :param progress: told the stages ``models`` and ``sweeps``, anew in each round.
     :raises PlanError: the request makes no sense; its subclasses say which part.
     :raises PlanCanceled: from ``progress``.
@@ -142,7 +181,9 @@ def make_sampled_plan(
         raise PlanError(f'{budget_steps} game steps are fewer than the {how.game_steps} of a game')
     games = batch_domain(domain)
     tell = progress or say_nothing
-    work = _Planning(games, action_set, used, gamma, how, budget_steps, seed, tell, clock)
+    work = _Planning(
+        games, action_set, used, gamma, how, budget_steps, seed, tell, clock, execution
+    )
     for number in range(how.rounds):
         work.sample(number)
         work.solve(tol, max_sweeps)
@@ -163,12 +204,14 @@ class _Planning:
         seed: int,
         tell: Progress,
         clock: Clock,
+        execution: Execution,
     ) -> None:
         self._games, self._action_set, self._gamma = games, action_set, gamma
         self._how, self._tell, self._clock = how, tell, clock
+        self._execution = execution
         self._columns = Columns(games, action_set, options)
         self._watch = Watcher(games, fine=action_set != HUMAN)
-        self._counts = Counts(self._columns.names[: self._columns.first_fallback])
+        self._counts = Counts(self._columns.modelled, self._columns.first_fallback)
         self._sampler = Sampler(
             self._watch,
             self._columns,
@@ -179,6 +222,7 @@ class _Planning:
         )
         self._part = budget_steps // how.rounds
         self._policy: GreedyPolicy | None = None
+        self._going_on: NDArray[np.float64] = np.empty((0, 0))
         self._solution: Solution | None = None
         self._steps, self._model_seconds, self._sweep_seconds = 0, 0.0, 0.0
 
@@ -187,7 +231,7 @@ class _Planning:
         began, rounds = self._clock(), self._how.rounds
         policy: Policy = UniformPolicy(self._columns)
         if self._policy is not None:
-            policy = ExploringPolicy(self._policy, self._how.explore)
+            policy = ExploringPolicy(self._policy, self._how.explore, self._arbitrated())
         self._steps += self._sampler.play(
             policy,
             self._part,
@@ -199,32 +243,66 @@ class _Planning:
         """Solve the models so far."""
         began = self._clock()
         model = self._counts.model(self._how.min_samples, self._how.penalty)
+        choosable = model.first(self._columns.first_fallback)
         modelled = self._clock()
         on_sweep = SweepProgress(self._tell, tol, max_sweeps)
-        self._solution = solve_smdp(model, tol, max_sweeps, on_sweep)
-        expected = expected_values(model, self._solution.values)
-        values = np.where(model.available, model.reward + expected.T, -np.inf)
-        self._policy = GreedyPolicy(self._columns, self._counts.index.snapshot(), values)
+        self._solution = solve_smdp(choosable, tol, max_sweeps, on_sweep)
+        values = _values(model, self._solution.values)
+        for _ in range(IMPROVEMENTS if self._how.pooling else 0):
+            policy = np.where(choosable.available, self._pooled(values), -np.inf).argmax(axis=1)
+            evaluated = solve_smdp(choosable.following(policy), tol, max_sweeps)
+            values = _values(model, evaluated.values)
+        self._take(values)
         self._model_seconds += modelled - began
         self._sweep_seconds += self._clock() - modelled
+
+    def _pooled(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values of the columns that can be chosen, pooled if that is asked for."""
+        choosing = values[:, : self._columns.first_fallback]
+        if not self._how.pooling:
+            return choosing
+        codes = self._watch.without_context(self._counts.index.codes)
+        group = np.unique(codes, return_inverse=True)[1]
+        samples = self._counts.samples[:, : self._columns.first_fallback]
+        return pooled(choosing, samples, group, self._how.pooling)
+
+    def _take(self, values: NDArray[np.float64]) -> None:
+        """Make the policy of the values (S, modelled)."""
+        choosing, others = self._pooled(values), values[:, self._columns.first_fallback :]
+        self._policy = GreedyPolicy(self._columns, self._counts.index.snapshot(), choosing)
+        self._going_on = np.full(choosing.shape, -np.inf)
+        self._going_on[:, : others.shape[1]] = others
+
+    def _arbitrated(self) -> ArbitratedPolicy | None:
+        if self._policy is None or self._execution is Execution.RUN_TO_END:
+            return None
+        return ArbitratedPolicy(self._policy, self._going_on, self._execution)
 
     def plan(self) -> SampledPlan:
         """Return the plan of the last round."""
         assert self._policy is not None
         assert self._solution is not None
         return SampledPlan(
-            self._games.domain,
-            self._action_set,
-            self._gamma,
-            self._columns,
-            self._solution,
-            self._policy,
-            self._watch,
-            self._steps,
-            0.0,
-            self._model_seconds,
-            self._sweep_seconds,
+            domain=self._games.domain,
+            action_set=self._action_set,
+            gamma=self._gamma,
+            columns=self._columns,
+            solution=self._solution,
+            policy=self._policy,
+            going_on=self._going_on,
+            execution=self._execution,
+            watch=self._watch,
+            game_steps=self._steps,
+            table_seconds=0.0,
+            model_seconds=self._model_seconds,
+            sweep_seconds=self._sweep_seconds,
         )
+
+
+def _values(model: RowModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what each choice is worth, (S, O); -inf where it is not available."""
+    ahead = expected_values(model, values).T
+    return np.where(model.available, model.reward + ahead, -np.inf)
 
 
 def _batch_options(

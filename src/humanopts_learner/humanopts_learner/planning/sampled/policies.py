@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+from humanopts_learner.planning.arbitration import Execution, greatest_mass, stops, strongest
 from humanopts_learner.planning.sampled.columns import Columns
 from humanopts_learner.planning.sampled.counts import StateIndex
 from humanopts_learner.planning.sampled.games import Flags, Ints, View
@@ -26,9 +27,21 @@ class Policy(Protocol):
         """Return what to run next in each game."""
         ...
 
+    def stops(self, view: View, column: Ints, rng: np.random.Generator) -> Flags:
+        """Tell where what runs, column (N,), is stopped; not asked before its first step."""
+        ...
+
+
+class RunningToEnd:
+    """A policy that stops nothing."""
+
+    def stops(self, view: View, column: Ints, rng: np.random.Generator) -> Flags:
+        """Stop nothing."""
+        return np.zeros(len(column), dtype=np.bool_)
+
 
 @dataclass(frozen=True)
-class UniformPolicy:
+class UniformPolicy(RunningToEnd):
     """Any column that can start, each as likely."""
 
     columns: Columns
@@ -43,7 +56,7 @@ class UniformPolicy:
 
 
 @dataclass(frozen=True)
-class GreedyPolicy:
+class GreedyPolicy(RunningToEnd):
     """
     The column of the greatest value among those that can start and were sampled enough.
 
@@ -80,15 +93,80 @@ class GreedyPolicy:
 
 
 @dataclass(frozen=True)
-class ExploringPolicy:
-    """A greedy policy that now and then runs anything that can start."""
+class ArbitratedPolicy:
+    """
+    A greedy policy whose options are interrupted, or run as modules.
+
+    :ivar going_on: (S, O) value of going on with each column where it cannot start; where it can,
+        that is the value of choosing it. -inf where not available.
+    :ivar execution: not RUN_TO_END.
+    """
 
     greedy: GreedyPolicy
-    share: float  # of decisions that explore
+    going_on: NDArray[np.float64]
+    execution: Execution
 
     def __call__(self, view: View, rng: np.random.Generator) -> Choice:
         """Return what to run next in each game."""
-        best = self.greedy.choose(view)
+        choice = self.greedy.choose(view)
+        if self.execution is Execution.INTERRUPTED:
+            return choice
+        values = self._values(view)
+        known = np.isfinite(values).any(axis=1)
+        if self.execution is Execution.MODULAR_STRONGEST:
+            winner = strongest(values)
+        else:
+            winner = greatest_mass(values, self._actions(view), self.greedy.columns.n_actions)
+        return Choice(np.where(known, winner, choice.column), choice.unknown & ~known)
+
+    def stops(self, view: View, column: Ints, rng: np.random.Generator) -> Flags:
+        """Tell where what runs is stopped; modules run for one step."""
+        if self.execution is not Execution.INTERRUPTED:
+            return column >= 0
+        if not (column >= 0).any():
+            return np.zeros(len(column), dtype=np.bool_)
+        values, choice = self._values(view), self.greedy.choose(view)
+        column = np.where(column < values.shape[1], column, -1)
+        anew = choice.column < values.shape[1]
+        best = values[np.arange(len(column)), np.where(anew, choice.column, 0)]
+        return stops(values, np.where(anew, best, -np.inf), column, 0.0)
+
+    def _values(self, view: View) -> NDArray[np.float64]:
+        """Return what each column wants to act by, (N, O); -inf: it does not, or unknown."""
+        can, (number, seen) = (
+            self.greedy.columns.startable(view),
+            self.greedy.index.find(view.codes),
+        )
+        found = np.where(can, self.greedy.values[number], -np.inf)
+        if self.execution is not Execution.MODULAR_MASS:
+            found = np.where(can, found, self.going_on[number])
+        return np.where(seen[:, None], found, -np.inf)
+
+    def _actions(self, view: View) -> Ints:
+        """Return what each column does, (N, O)."""
+        columns = self.greedy.columns
+        each = [np.full(len(view.codes), c) for c in range(columns.first_fallback)]
+        return np.stack([columns.actions(view, column) for column in each], axis=1)
+
+
+@dataclass(frozen=True)
+class ExploringPolicy:
+    """A greedy policy that now and then runs anything that can start, and does not stop it."""
+
+    greedy: GreedyPolicy
+    share: float  # of decisions that explore
+    arbitrated: ArbitratedPolicy | None = None  # how it is carried out; None: to the end
+
+    def __call__(self, view: View, rng: np.random.Generator) -> Choice:
+        """Return what to run next in each game."""
+        best = (self.arbitrated or self.greedy)(view, rng)
         free = UniformPolicy(self.greedy.columns)(view, rng)
         explore = rng.random(len(best.column)) < self.share
         return Choice(np.where(explore, free.column, best.column), best.unknown)
+
+    def stops(self, view: View, column: Ints, rng: np.random.Generator) -> Flags:
+        """Tell where what runs is stopped."""
+        if self.arbitrated is None:
+            return self.greedy.stops(view, column, rng)
+        stop = self.arbitrated.stops(view, column, rng)
+        return stop & (rng.random(len(column)) >= self.share)

@@ -26,8 +26,13 @@ class Runs:
         self.ran = np.zeros(len(self.column), dtype=np.intp)
 
     def decide(self, policy: Policy) -> tuple[Ints, Choice]:
-        """Begin a column wherever none runs; return those games (M,) and what was chosen."""
-        free = np.flatnonzero(self.column < 0)
+        """
+        Begin a column wherever none runs, or one is stopped.
+
+        :return: those games (M,), and what was chosen in each.
+        """
+        stopped = policy.stops(self.view, self.column, self._rng)
+        free = np.flatnonzero((self.column < 0) | stopped)
         choice = policy(self.view.take(free), self._rng)
         self.column[free], self.ran[free] = choice.column, 0
         return free, choice

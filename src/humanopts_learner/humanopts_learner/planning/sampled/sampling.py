@@ -3,15 +3,16 @@ Sampling of option models: many games are played, and every end of a run is a sa
 
 A run of option o from s0 to sk, where o could also have started at s1, .., sk-1, shows as well
 what running it from each of those leads to, since a Markov option does not look back (Precup 2000,
-chapter 4). Runs that are cut off (by ``max_steps``, the length of an episode, or the end of the
-sampling) count as having ended where they were.
+chapter 4). The same from where it could not have started shows what going on there leads to. Runs
+that are cut off (by ``max_steps``, the length of an episode, or the end of the sampling) and runs
+that the policy stops count as having ended where they were.
 """
 
 from collections.abc import Callable
 
 from humanopts_learner.planning.sampled.columns import Columns
 from humanopts_learner.planning.sampled.counts import Counts, Samples
-from humanopts_learner.planning.sampled.games import Watcher
+from humanopts_learner.planning.sampled.games import Ints, Watcher
 from humanopts_learner.planning.sampled.policies import Policy
 from humanopts_learner.planning.sampled.runs import Runs
 import numpy as np
@@ -26,8 +27,8 @@ class Trace:
     def __init__(self, length: int, count: int) -> None:
         shape = (length, count)
         self.code = np.empty((length, count), dtype=np.int64)
-        self.column = np.empty(shape, dtype=np.int8)
-        self.counts = np.empty(shape, dtype=np.bool_)  # the column could have started there
+        self.column = np.empty(shape, dtype=np.int16)
+        self.counts = np.empty(shape, dtype=np.bool_)  # it is modelled
         self.reward = np.empty(shape)
         self.ended = np.empty(shape, dtype=np.bool_)
         self.over = np.empty(shape, dtype=np.bool_)
@@ -94,9 +95,11 @@ class Sampler:
 
     def _step(self, policy: Policy, trace: Trace, t: int) -> None:
         runs = self._runs
-        runs.decide(policy)
-        trace.code[t], trace.column[t] = runs.view.codes, runs.column
-        trace.counts[t] = self._columns.can_start(runs.view, runs.column)
+        decided, _ = runs.decide(policy)
+        if t:
+            trace.ended[t - 1, decided] = True  # those that were stopped
+        trace.code[t], trace.column[t] = runs.view.codes, self._modelled(runs)
+        trace.counts[t] = runs.column < self._columns.first_fallback
         trace.reward[t], ended, over = runs.step()
         trace.successor[t], trace.over[t] = runs.view.codes, over
         self._age += 1
@@ -107,3 +110,9 @@ class Sampler:
         if fresh.size:
             runs.restart(fresh)
             self._age[fresh] = 0
+
+    def _modelled(self, runs: Runs) -> Ints:
+        """Return the number of each game's column among those that are counted."""
+        inside = self._columns.can_start(runs.view, runs.column)
+        number: Ints = np.where(inside, runs.column, runs.column + self._columns.first_fallback)
+        return number
