@@ -1,0 +1,119 @@
+"""``humanopts bench``: bad input, what it writes, and the graph on real processes."""
+
+import json
+from pathlib import Path
+import signal
+from typing import Any
+
+from graph_support.command import Command
+from humanopts_teach import cli
+from humanopts_teach.benchmarks.results import QUICK_GRAPH, SECTIONS
+from humanopts_teach.cli import main
+import pytest
+
+
+def run(*arguments: Any) -> int:
+    """Run bench in this process and return its exit status."""
+    try:
+        return main(['bench', *map(str, arguments)])
+    except SystemExit as end:  # argparse ends so
+        return int(end.code or 0)
+
+
+def test_sections_on_offer_are_those_that_there_are() -> None:
+    assert tuple(SECTIONS) == cli.SECTIONS  # named twice, so that help needs no NumPy
+
+
+def test_help_names_every_option_and_section(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run('--help') == 0
+    shown = ' '.join(capsys.readouterr().out.split())
+    options = ('--json', '--figure', '--only', '--quick', 'yardstick')
+    assert [word for word in (*options[:4], *SECTIONS) if word not in shown] == []
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (('extra',), 'extra'),
+        (('--only', 'weather'), "'weather' is none of planning, learning, games, graph"),
+        (('--only', 'games,'), "'' is none of"),
+        (('--only', 'planning', '--json', 'nowhere/b.json'), 'nowhere/b.json: No such file'),
+        (('--only', 'planning', '--json', '.'), 'cannot write .: Is a directory'),
+        (('--only', 'planning', '--figure', 'b.jpeg'), '.svg or .png'),
+        (('--only', 'games', '--figure', 'b.svg'), '--figure draws planning'),
+    ],
+    ids=lambda value: value if isinstance(value, str) else ' '.join(value),
+)
+def test_bad_input_is_refused_in_one_line_before_anything_is_measured(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(*arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert err.startswith('humanopts')
+    assert err.count('\n') == 1
+    assert words in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_chosen_sections_are_measured_shown_and_written(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    results, figure = tmp_path / 'bench.json', tmp_path / 'bench.svg'
+    only = ('--quick', '--only', 'games,planning')
+    assert run(*only, '--json', results, '--figure', figure) == 0
+    out, err = capsys.readouterr()
+    data = json.loads(results.read_text('utf-8'))
+    assert list(data) == ['format', 'version', 'quick', 'machine', 'planning', 'games']
+    for row in (*data['planning'], *data['games']):
+        assert row['ratio'] == row['seconds'] / row['yardstick_seconds']
+    assert all(row['error'] < 1e-6 for row in data['planning'])
+    assert out.index('Planning on Taxi') < out.index('Game steps')
+    assert 'Pac-Man: rules and every feature' in out
+    assert figure.read_text('utf-8').count('options by composition') >= 2
+    assert 'planning: done' in err
+    assert str(results) in err
+
+
+@pytest.mark.slow
+def test_graph_is_measured_on_processes_of_its_own(tmp_path: Path, domain_id: int) -> None:
+    results = tmp_path / 'bench.json'
+    command = Command(
+        ['bench', '--quick', '--only', 'graph', '--json', results], tmp_path, domain_id
+    )
+    try:
+        assert command.ended(110) == 0, command.errors
+        assert command.running() == {}
+    finally:
+        command.close()
+    rows = json.loads(results.read_text('utf-8'))['graph']
+    assert all(row['ratio'] == row['seconds'] / row['yardstick_seconds'] for row in rows)
+    counts = QUICK_GRAPH.latencies
+    samples = {row['what']: (row['samples'], row['yardstick_samples']) for row in rows}
+    steps, calls = counts.rounds * counts.steps, counts.rounds * counts.calls
+    assert samples['a command, to the next state'] == (steps, steps)
+    assert samples['run_option, 1 step'] == samples['run_option, 8 steps'] == (calls, calls)
+    assert samples['execute_option, goal to result, 8 steps: a step'] == (calls, steps)
+    sent = QUICK_GRAPH.recording.messages
+    facts = rows[-1]['facts']
+    assert (facts['sent'], facts['recorded'], facts['lost']) == (sent, sent, 0)
+    assert facts['yardstick_taken'] == facts['yardstick_sent'] == sent
+    assert f'{sent:,} recorded, 0 lost' in command.output
+
+
+@pytest.mark.slow
+def test_interrupted_measurement_leaves_no_process(tmp_path: Path, domain_id: int) -> None:
+    command = Command(['bench', '--only', 'graph'], tmp_path, domain_id)
+    try:
+        command.until(lambda: 'steps, services and actions' in command.errors, 'the first round')
+        assert len(command.running()) == 4
+        command.send(signal.SIGINT)
+        assert command.ended(30) == 130
+        assert command.running() == {}
+    finally:
+        command.close()
