@@ -11,18 +11,19 @@ from graph_support.command import Command, DemoRun
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach import cli
 from humanopts_teach.cli import main
+from humanopts_teach.commands.setup import default_folder
 from mcap.writer import Writer
 import pytest
 
 LAUNCH = ('--out', '--seed', '--strategy', '--budget', '--parameter', '--namespace')
 HELP = {
     (): ('demo', 'up', 'teach', 'bag'),
-    ('demo',): ('--domain', '--episodes', '--error-rate', *LAUNCH),
+    ('demo',): ('--domain', '--episodes', '--games', '--error-rate', *LAUNCH),
     ('up',): ('DOMAIN', '--no-record', '--step-period', *LAUNCH),
     ('teach',): ('DOMAIN', '--participant', *LAUNCH),
     ('bag',): ('info', 'eval'),
     ('bag', 'info'): ('BAG', '--json'),
-    ('bag', 'eval'): ('BAG', '--json', '--html'),
+    ('bag', 'eval'): ('BAG', '--json', '--html', '--games'),
 }
 
 
@@ -76,7 +77,7 @@ def test_strategies_on_offer_are_those_of_the_learner() -> None:
         (('demo', '--error-rate', 'nan'), ['--error-rate']),
         (('demo', '--strategy', 'luck'), ["'luck'", 'random', 'coverage', 'failures']),
         (('demo', '--domain', 'chess'), ["'chess'", 'taxi']),
-        (('demo', '--domain', 'pacman'), ['pacman cannot all be listed', 'teach pacman']),
+        (('demo', '--games', 1), ['--games', 'one game has no interval']),
         (('demo', '--domain', 'gymnasium:FrozenLake-v1'), ['no reference options']),
         (('up', 'chess'), ["'chess'", 'taxi']),
         (('up',), ['DOMAIN']),
@@ -144,6 +145,14 @@ def test_demo_refuses_a_folder_that_holds_something(
     (tmp_path / 'thesis.tex').write_text('precious')
     check_refused(capsys, run('demo', '--out', tmp_path), str(tmp_path), 'not empty')
     assert [path.read_text() for path in tmp_path.iterdir()] == ['precious']
+
+
+@pytest.mark.parametrize(
+    ('domain', 'folder'),
+    [('taxi', 'runs/taxi'), ('gymnasium:ours/Maze-v1', 'runs/gymnasium-ours-Maze-v1')],
+)
+def test_data_of_a_domain_has_a_folder_that_any_path_may_hold(domain: str, folder: str) -> None:
+    assert str(default_folder(domain)) == folder
 
 
 def foreign_bag(path: Path) -> None:
@@ -231,6 +240,7 @@ def test_second_launch_in_the_same_place_is_refused_and_the_first_goes_on(
         assert second.ended(15) == 1
         assert 'runs humanopts already' in second.errors
         assert second.errors.count('\n') == 1
+        assert not (folders[1] / 'out').exists()
         assert first.running()
         first.send(signal.SIGINT)
         assert first.ended(15) == 0

@@ -10,6 +10,12 @@ from humanopts_learner.demonstrations import Demonstration, Kind
 import pytest
 
 TAUGHT = ('go to passenger and pickup', 'go to destination and dropoff')
+EATING = (
+    'go to the closest food',
+    'avoid ghost',
+    'go to the nearest power pellet',
+    'eat the ghost',
+)
 
 
 def demonstrate(
@@ -70,3 +76,15 @@ def taxi_lesson(taxi: Domain[Any]) -> list[Demonstration]:
 def pacman_lesson() -> list[Demonstration]:
     """A short lesson of one option of Pac-Man."""
     return demonstrate(make_domain('pacman'), 'go to the nearest power pellet', 12)
+
+
+@pytest.fixture(scope='session')
+def yard() -> Domain[Any]:
+    """Pac-Man in a small maze, with short games."""
+    return make_domain('pacman', {'maze': 'yard', 'max_steps': 120})
+
+
+@pytest.fixture(scope='session')
+def yard_lesson(yard: Domain[Any]) -> list[Demonstration]:
+    """A short lesson of four options."""
+    return [demo for option in EATING for demo in demonstrate(yard, option, 12)]

@@ -6,6 +6,8 @@ from datetime import datetime, UTC
 import json
 from typing import Any
 
+NO_TEACHER = 'none: a person taught'  # in place of the simulated teacher's error rate
+
 
 @dataclass(frozen=True)
 class TopicRow:
@@ -115,7 +117,7 @@ class BagInfo:
             ('domain', '; '.join(self.domains) or 'not recorded'),
             ('participants', ', '.join(self.participants) or 'none'),
             ('sessions', ', '.join(self.sessions) or 'none'),
-            *sorted(self.facts.items()),
+            *((n, NO_TEACHER if v == 'None' else v) for n, v in sorted(self.facts.items())),
         ]
         width = max(len(name) for name, _ in pairs)
         return '\n'.join(f'{name:{width}}  {value}' for name, value in pairs)

@@ -52,6 +52,11 @@ def new_name(prefix: str) -> str:
     return time.strftime(f'{prefix}-%Y%m%d-%H%M%S')
 
 
+def default_folder(domain: str) -> Path:
+    """Return where the data of a domain goes: its name, with no character that paths dislike."""
+    return Path('runs') / re.sub(r'[^\w.-]+', '-', domain)
+
+
 def _check_place(namespace: str) -> None:
     if not _NAMESPACE.fullmatch(namespace):
         raise CommandError(f'{namespace!r} is not a namespace; one reads / or /room_1/left')

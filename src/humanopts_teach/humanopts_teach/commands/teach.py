@@ -1,12 +1,11 @@
 """``humanopts teach DOMAIN``: launch, and teach from this terminal's keyboard."""
 
 import argparse
-from pathlib import Path
 import sys
 
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.commands.session import check_setup, session
-from humanopts_teach.commands.setup import new_name, setup_from
+from humanopts_teach.commands.setup import default_folder, new_name, setup_from
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -15,7 +14,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CommandError('teaching needs a terminal for input and output')
     setup = setup_from(
         arguments,
-        Path('runs') / arguments.domain,
+        default_folder(arguments.domain),
         bag_name=new_name('bags/teach'),
         participant=arguments.participant,
         keyboard=True,

@@ -1,10 +1,9 @@
 """``humanopts up DOMAIN``: launch the nodes and stay."""
 
 import argparse
-from pathlib import Path
 
 from humanopts_teach.commands.session import check_setup, session
-from humanopts_teach.commands.setup import new_name, setup_from
+from humanopts_teach.commands.setup import default_folder, new_name, setup_from
 
 _A_YEAR = 365.0 * 24 * 3600
 
@@ -13,7 +12,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Launch and stay until Ctrl-C or SIGTERM, which is the way to end it: status 0."""
     setup = setup_from(
         arguments,
-        Path('runs') / arguments.domain,
+        default_folder(arguments.domain),
         bag_name=new_name('bags/up'),
         record=arguments.record,
     )

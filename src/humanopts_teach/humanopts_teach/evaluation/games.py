@@ -6,9 +6,10 @@ primitive actions play many games, in each of a domain's settings; and their sco
 planning is given more time.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 import math
+import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -42,6 +43,7 @@ PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et a
 TARGETS = {'gardens': (1800.0, 1850.0)}  # mean scores of interest, by maze, ghosts=random
 TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
 PATIENCE = 4.0  # s of planning after which options that do not reach the target are given up
+CLOCK = time.process_time  # seconds of the processor, which no other program's work makes longer
 GENEROUS = 4  # times the game steps, in a second plan with primitive actions
 
 Options = Sequence[LearnedOption]
@@ -138,7 +140,7 @@ def evaluate_games(
     settings = []
     for name, variant in variants.items():
         contenders = _contenders(variant, options, game_steps)
-        rows = compare(variant, contenders, seed, games, progress=parts.begin(name))
+        rows = compare(variant, contenders, seed, games, progress=parts.begin(name), clock=CLOCK)
         settings.append(Setting(name, tuple(rows)))
     name, variant = next(iter(variants.items()))
     targets = TARGETS.get(str(variant.parameters.get('maze')), ())
@@ -198,7 +200,7 @@ def _curves(
     curves: list[Curve] = []
     for name, action_set in ((f'human, {_named(options)}', HUMAN), (PRIMITIVE, PRIMITIVE)):
         enough = PATIENCE if not curves else TENFOLD * _needed(curves[0], targets)
-        tell = parts.begin(f'score against planning time, {name}')
+        teller = _CurveTeller(parts.begin('score by planning time'), name, budgets, enough)
         rows = planning_curve(
             domain,
             action_set,
@@ -207,9 +209,12 @@ def _curves(
             seed,
             budgets,
             games,
-            on_row=_row_teller(tell, enough),
+            progress=teller.on_progress,
+            on_row=teller.on_row,
             enough_seconds=enough,
+            clock=CLOCK,
         )
+        teller.end()
         curves.append(Curve(name, tuple(rows)))
     return tuple(curves)
 
@@ -221,14 +226,32 @@ def _needed(curve: Curve, targets: Sequence[float]) -> float:
     return next((seconds for seconds in reached if seconds is not None), best)
 
 
-def _row_teller(tell: Tell, enough: float) -> Callable[[CurveRow], None]:
-    """Return what tells how far a curve is: each plan takes about twice as long as the last."""
+class _CurveTeller:
+    """Tells how far a curve is, by seconds: each plan takes about twice as long as the last."""
 
-    def on_row(row: CurveRow) -> None:
-        words = f'{row.budget_steps:,} game steps in {row.seconds:.1f} s: {row.score.mean:.0f}'
-        tell(words, min(row.seconds / enough, 1.0))
+    def __init__(self, tell: Tell, name: str, budgets: Budgets, enough: float) -> None:
+        self._tell, self._name, self._enough = tell, name, enough
+        self._left = iter(budgets)
+        self._budget, self._seconds, self._share = next(self._left), 0.0, 0.0
 
-    return on_row
+    def on_progress(self, stage: str, fraction: float, sweeps: int, residual: float) -> None:
+        """Tell how far a plan is."""
+        if stage == 'models':
+            self._say(f'{self._name}, {self._budget:,} game steps', (1 + fraction) * self._seconds)
+
+    def on_row(self, row: CurveRow) -> None:
+        """Tell what a plan came to."""
+        mean, steps = row.score.mean, f'{row.budget_steps:,}'
+        self._seconds, self._budget = row.seconds, next(self._left, self._budget)
+        self._say(f'{self._name}, {steps} game steps: score {mean:,.0f}', row.seconds)
+
+    def end(self) -> None:
+        """Tell that there is no more to come."""
+        self._say(f'{self._name}: done', math.inf)
+
+    def _say(self, what: str, seconds: float) -> None:
+        self._share = max(self._share, min(seconds / self._enough, 1.0))
+        self._tell(what, self._share)
 
 
 class _Parts:

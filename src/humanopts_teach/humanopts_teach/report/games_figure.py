@@ -111,7 +111,7 @@ def _curves(games: GamesEvaluation, name: str) -> str:
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set(
             title=f'Score against planning time{where}',
-            xlabel='planning seconds (models counted)',
+            xlabel='planning seconds of the processor (models counted)',
             ylabel='mean score, with 95 % interval',
         )
         axes.grid()

@@ -1,0 +1,243 @@
+"""Taught options in many games of Pac-Man, and the report of what came out."""
+
+from dataclasses import replace
+import json
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning import any_domain
+from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
+from humanopts_learner.planning.sampled.comparison import CHANCE, PLAN, RULE
+from humanopts_learner.planning.sampled.curve import Budgets, CurveRow
+from humanopts_learner.planning.sampled.judging import Interval
+from humanopts_teach.evaluation.bag_evaluation import (
+    BagEvaluation,
+    evaluate,
+    EvaluationError,
+    with_games,
+)
+from humanopts_teach.evaluation.games import (
+    Curve,
+    evaluate_games,
+    GamesEvaluation,
+    option_sets,
+    PAPER_OPTIONS,
+)
+from humanopts_teach.evaluation.planning import plan_differences
+from humanopts_teach.evaluation.settings import Settings
+from humanopts_teach.evaluation.text import games_text
+from humanopts_teach.report.data import Frame, ReportData
+from humanopts_teach.report.film import filmstrip, MOST_FRAMES
+from humanopts_teach.report.games_words import games_findings, games_table, reached
+from humanopts_teach.report.words import findings
+from humanopts_teach.report.write import render_report
+import pytest
+
+GAMES, SEED, STEPS = 20, 5, 20_000
+
+
+@pytest.fixture(scope='module')
+def evaluation(yard: Domain[Any], yard_lesson: list[Demonstration]) -> BagEvaluation:
+    """Four options, taught a little."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(any_domain, 'GAME_STEPS', STEPS)
+        return evaluate(yard_lesson, yard, Settings(seed=SEED), episodes=GAMES)
+
+
+@pytest.fixture(scope='module')
+def options(evaluation: BagEvaluation) -> list[LearnedOption]:
+    """These options."""
+    return [entry.option for entry in evaluation.options]
+
+
+@pytest.fixture(scope='module')
+def told() -> list[tuple[str, float]]:
+    """What was said meanwhile."""
+    return []
+
+
+@pytest.fixture(scope='module')
+def games(
+    yard: Domain[Any], options: list[LearnedOption], told: list[tuple[str, float]]
+) -> GamesEvaluation:
+    """What they came to, with budgets that are far too small to play well."""
+    return evaluate_games(
+        *(yard, options, SEED, GAMES, 2_000),
+        budgets=Budgets(2_000, 4_000),
+        progress=lambda what, share: told.append((what, share)),
+    )
+
+
+def test_plans_of_a_bag_are_sampled_and_judged(evaluation: BagEvaluation) -> None:
+    assert evaluation.warnings == ()
+    human, primitive = evaluation.planning
+    assert (human.action_set, primitive.action_set) == (HUMAN, PRIMITIVE)
+    for row in evaluation.planning:
+        assert (row.episodes, row.game_steps) == (GAMES, STEPS)
+        assert row.mean_return is not None
+        assert row.mean_return_low is not None
+        assert row.mean_return_low < row.mean_return
+        assert set(row.outcomes) == {'cleared', 'lives left'}
+
+
+def test_three_options_are_those_of_the_paper(options: list[LearnedOption]) -> None:
+    three, four = option_sets(options).values()
+    assert [option.name for option in three] == list(PAPER_OPTIONS)
+    assert [option.name for option in four] == [*PAPER_OPTIONS, 'eat the ghost']
+    assert list(option_sets(three)) == ['3 options']
+
+
+def test_every_action_set_and_baseline_plays_in_both_settings(games: GamesEvaluation) -> None:
+    assert [setting.name for setting in games.settings] == ['ghosts=random', 'ghosts=chase']
+    for setting in games.settings:
+        kinds = [(row.kind, len(row.options)) for row in setting.rows]
+        assert kinds == [
+            *((PLAN, count) for count in (3, 4, 0, 0)),
+            *((CHANCE, count) for count in (0, 3, 4)),
+            *((RULE, 0), (RULE, 0)),
+        ]
+        assert {row.games for row in setting.rows} == {GAMES}
+
+
+def test_both_sides_of_the_curve_have_the_same_budgets(games: GamesEvaluation) -> None:
+    assert games.targets == ()  # nothing is known of this maze
+    assert games.curve_setting == 'ghosts=random'
+    options, primitive = games.curves
+    assert [row.budget_steps for row in options.rows] == [2_000, 4_000]
+    assert [row.budget_steps for row in primitive.rows][:1] == [2_000]
+    assert options.rows[0].score == games.settings[0].rows[1].score
+
+
+def test_progress_rises_to_the_end(games: GamesEvaluation, told: list[tuple[str, float]]) -> None:
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert {'ghosts=chase: human, 3 options'} <= {what for what, _ in told}
+
+
+def test_json_and_text_hold_every_number(games: GamesEvaluation) -> None:
+    values = json.loads(json.dumps(games.to_dict(), allow_nan=False))
+    assert [s['rows'][0]['score']['mean'] for s in values['settings']] == [
+        setting.rows[0].score.mean for setting in games.settings
+    ]
+    text = '\n'.join(games_text(games))
+    for setting in games.settings:
+        assert setting.name in text
+        assert all(row.name in text for row in setting.rows)
+
+
+def test_exact_plans_are_not_estimated_again(
+    taxi: Domain[Any], taxi_lesson: list[Demonstration]
+) -> None:
+    with pytest.raises(EvaluationError, match='exact'):
+        with_games(evaluate(taxi_lesson, taxi, Settings()))
+
+
+def curve(name: str, *rows: tuple[float, float]) -> Curve:
+    """Return a curve of planning seconds and lower bounds of scores."""
+    return Curve(
+        name,
+        tuple(
+            CurveRow(name, 1000, seconds, Interval(low + 5, low, low + 10), 10)
+            for seconds, low in rows
+        ),
+    )
+
+
+@pytest.mark.parametrize(
+    ('human', 'primitive', 'good', 'words'),
+    [
+        ((1.0, 1801.0), [(5.0, 1000.0), (12.0, 1700.0)], True, 'more than 12 times'),
+        ((2.0, 1801.0), [(5.0, 1000.0), (12.0, 1700.0)], None, 'is not decided'),
+        ((2.0, 1801.0), [(5.0, 1000.0), (12.0, 1805.0)], False, ': 6 times as long'),
+        ((2.0, 1799.0), [(12.0, 1805.0)], False, 'human not reached in 2.0 s'),
+    ],
+)
+def test_a_tenth_of_the_time_is_said_only_where_it_is_known(
+    games: GamesEvaluation,
+    human: tuple[float, float],
+    primitive: list[tuple[float, float]],
+    good: bool | None,
+    words: str,
+) -> None:
+    both = curve('human', human), curve('primitive', *primitive)
+    found = games_findings(replace(games, targets=(1800.0,), curves=both))[-1]
+    assert (found.good, words in found.text) == (good, True), found.text
+
+
+def test_what_is_never_reached_is_said_to_be_so() -> None:
+    one = curve('x', (1.0, 90.0), (2.0, 110.0))
+    assert (reached(one, 100.0), reached(one, 200.0)) == ('in 2.0 s', 'not reached in 2.0 s')
+
+
+def test_the_table_has_all_settings_side_by_side(games: GamesEvaluation) -> None:
+    table = games_table(games)
+    assert table.measures == ['score', 'cleared', 'lives left']
+    for (name, cells, _), random, chase in zip(
+        table.rows, games.settings[0].rows, games.settings[1].rows
+    ):
+        assert name == random.name == chase.name
+        assert cells[0].mean == f'{random.score.mean:,.0f}'
+        assert cells[3].mean == f'{chase.score.mean:,.0f}'
+        assert '-0.0' not in cells[5].bounds
+
+
+def test_the_report_shows_the_games_and_says_what_is_estimated(
+    evaluation: BagEvaluation, games: GamesEvaluation
+) -> None:
+    page = render_report(ReportData('x', replace(evaluation, games={'p1': games})))
+    section = page[page.index('<h2 id="games">') : page.index('<h2 id="planning">')]
+    assert section.count('<svg') == 3  # score, cleared, curve
+    assert 'estimates' in section
+    assert all(f'<th>{row.name}</th>' in section for row in games.settings[0].rows)
+    assert 'id="boards"' not in page
+    assert 'Sweep by sweep' not in page
+
+
+def test_where_no_games_were_played_the_plans_are_told(evaluation: BagEvaluation) -> None:
+    texts = [finding.text for finding in findings(ReportData('x', evaluation))]
+    (human,) = [text for text in texts if text.startswith('The plan with the action set human')]
+    assert f'from {STEPS:,} game steps' in human
+    assert f'in {GAMES} games' in human
+
+
+def test_plans_that_differ_are_named_but_not_for_their_seconds(
+    evaluation: BagEvaluation,
+) -> None:
+    human, primitive = evaluation.planning
+    slower = replace(human, model_seconds=human.model_seconds + 1.0)
+    assert plan_differences(evaluation.planning, [slower, primitive]) == []
+    other = replace(human, sweeps=human.sweeps + 1)
+    (found,) = plan_differences(evaluation.planning, [other, primitive])
+    assert found.startswith('sweeps of the human plan was')
+    (found,) = plan_differences(evaluation.planning, [human])
+    assert 'primitive' in found
+
+
+def test_a_long_episode_is_told_by_the_ends_of_runs(yard: Domain[Any]) -> None:
+    """Runs of three steps, each worth 3 points."""
+    state = yard.encode(yard.sample_states(generator(1, 'film'), 1)[0])
+    steps = [
+        Frame(state, 'north', 1.0, 'a' if step % 6 < 3 else 'b', ends_run=step % 3 == 2)
+        for step in range(300)
+    ]
+    film = filmstrip(yard, [Frame(state), *steps])
+    assert (film.whole, film.steps) == (False, 300)
+    assert len(film.frames) == MOST_FRAMES
+    assert film.left_out == 101 - MOST_FRAMES
+    assert [frame.number for frame in film.frames][:3] == [0, 3, 6]
+    assert film.frames[-1].number == 300
+    assert (film.frames[1].action, film.frames[1].reward) == ('3 steps', '+3')
+    short = filmstrip(yard, [Frame(state), *steps[:20]])
+    assert short.whole
+    assert len(short.frames) == 21
+
+
+def test_a_wide_board_has_room() -> None:
+    wide = make_domain('pacman')
+    start = wide.encode(wide.reset(generator(1, 'film')))
+    assert filmstrip(wide, [Frame(start)]).width > 15.0
