@@ -4,6 +4,7 @@ from typing import Any
 
 from humanopts_env.contract import DomainContract
 from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.reference_contract import ReferenceContract
 from humanopts_env.seeding import generator
 from humanopts_greenhouse.greenhouse import Greenhouse, GreenhouseState
 from humanopts_greenhouse.reference import reference_options
@@ -28,6 +29,14 @@ class TestSmallGreenhouse(DomainContract):
     def make(self) -> Domain[Any]:
         """Return a new one."""
         return Greenhouse(3)
+
+
+class TestItsOptions(ReferenceContract):
+    """Found by their entry point, as the game finds them."""
+
+    def make(self) -> Domain[Any]:
+        """Return a new one."""
+        return Greenhouse()
 
 
 def after(text: str, action: int) -> tuple[str, float, bool]:
