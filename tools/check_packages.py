@@ -10,6 +10,7 @@ from catkin_pkg.package import InvalidPackage, parse_package
 KEYS = {
     'gymnasium': 'python3-gymnasium-pip',
     'jinja2': 'python3-jinja2',
+    'joblib': 'python3-joblib',
     'markupsafe': 'python3-jinja2',
     'matplotlib': 'python3-matplotlib',
     'mcap': 'python3-mcap-pip',
@@ -22,6 +23,7 @@ KEYS = {
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }
+OPTIONAL = {'distributed', 'quantecon'}  # used where they are installed
 UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # fields of messages; launch files
 
 
@@ -34,7 +36,7 @@ def imported(package: Path) -> set[str]:
                 names |= {alias.name.split('.')[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 names.add(node.module.split('.')[0])
-    return names - set(sys.stdlib_module_names) - {package.name}
+    return names - set(sys.stdlib_module_names) - OPTIONAL - {package.name}
 
 
 def problems(package: Path) -> list[str]:

@@ -8,12 +8,13 @@ setup(
     name=NAME,
     version='0.1.0',
     packages=find_packages(exclude=['test']),
-    package_data={NAME: ['py.typed', 'report/*.html']},
+    package_data={NAME: ['py.typed', 'report/*.html', 'experiments/*.html']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/launch', glob('launch/*.launch.py')),
     ],
+    extras_require={'dask': ['dask', 'distributed']},
     entry_points={
         'console_scripts': [
             'humanopts = humanopts_teach.cli:main',

@@ -12,6 +12,7 @@ from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.demos.store import CODE, CODE_RULE
 from humanopts_teach.launching.launcher import LaunchError
 
+REPRODUCED = ('fig2', 'all')
 SECTIONS = ('planning', 'learning', 'games', 'graph')
 STRATEGIES = ('random', 'coverage', 'failures')
 
@@ -77,6 +78,9 @@ def build_parser() -> argparse.ArgumentParser:
         commands.add_parser('bench', help='how long things take, each beside a yardstick')
     )
     _add_bag_commands(commands.add_parser('bag', help='look into a recorded bag, no ROS needed'))
+    _add_reproduce_options(
+        commands.add_parser('reproduce', help="the paper's figures and tables, computed again")
+    )
     return parser
 
 
@@ -150,6 +154,49 @@ def _add_bag_commands(bag: argparse.ArgumentParser) -> None:
             'bag', type=Path, metavar='BAG', help='a rosbag2 folder or .mcap file'
         )
         command.add_argument('--json', action='store_true', help='print JSON')
+
+
+def _add_reproduce_options(reproduce: argparse.ArgumentParser) -> None:
+    reproduce.add_argument('what', choices=REPRODUCED, help='a figure or table, or all of them')
+    reproduce.add_argument(
+        '--out',
+        type=Path,
+        required=True,
+        metavar='DIR',
+        help='folder for the report; what was computed into it before is not computed again',
+    )
+    reproduce.add_argument(
+        '--participants',
+        type=_positive,
+        default=6,
+        metavar='N',
+        help='simulated, in each group; default: %(default)s',
+    )
+    reproduce.add_argument(
+        '--seeds',
+        type=_positive,
+        default=10,
+        metavar='N',
+        help='runs of what goes by chance; default: %(default)s',
+    )
+    reproduce.add_argument('--seed', type=_natural, default=1, help='default: %(default)s')
+    reproduce.add_argument(
+        '--jobs', type=_positive, metavar='N', help='processes; default: one for each core'
+    )
+    reproduce.add_argument(
+        '--dask',
+        default='',
+        metavar='ADDRESS',
+        help='of a Dask scheduler whose workers compute instead, such as tcp://127.0.0.1:8786',
+    )
+    reproduce.add_argument(
+        '--bags',
+        type=Path,
+        nargs='+',
+        default=[],
+        metavar='BAG',
+        help='recorded lessons of people, in place of simulated ones',
+    )
 
 
 def _add_bench_options(bench: argparse.ArgumentParser) -> None:

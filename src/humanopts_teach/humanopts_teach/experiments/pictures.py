@@ -1,0 +1,56 @@
+"""Figures for the page, which gives them its colours, and for files, which have their own."""
+
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+import re
+from typing import Any
+
+from humanopts_teach.experiments.sections import Picture
+from humanopts_teach.report.figures import drawing, SETTINGS, VARIABLES
+import matplotlib
+from matplotlib.figure import Figure
+
+DPI = 160
+
+
+@cache
+def page_style() -> str:
+    """Return the style sheet of every report."""
+    text = files('humanopts_teach.report').joinpath('report.html').read_text('utf-8')
+    return text[text.index('<style>') + len('<style>') : text.index('</style>')]
+
+
+@cache
+def light_colours() -> dict[str, str]:
+    """Return what stands for each colour of ``report.figures`` on a light page."""
+    first = page_style().split('@media')[0]
+    values = dict(re.findall(r'(--[a-z0-9]+): (#[0-9a-f]{6})', first))
+    return {colour: values[variable] for colour, variable in VARIABLES.items()}
+
+
+def svg_for_page(picture: Picture) -> str:
+    """Return an ``<svg>`` element that is coloured by the page."""
+    with drawing(picture.name, picture.label, *picture.size) as work:
+        picture.draw(work.figure, str)
+    return work.svg
+
+
+def write_picture(folder: Path, picture: Picture) -> None:
+    """
+    Write a figure as PNG and SVG.
+
+    :raises OSError: they cannot be written.
+    """
+    colours = light_colours()
+    settings: dict[Any, Any] = {
+        **{name: colours.get(str(value), value) for name, value in SETTINGS.items()},
+        'figure.facecolor': 'white',
+        'svg.fonttype': 'path',
+        'svg.hashsalt': picture.name,
+    }
+    with matplotlib.rc_context(settings):
+        figure = Figure(figsize=picture.size, layout='constrained')
+        picture.draw(figure, lambda colour: colours[colour])
+        figure.savefig(folder / f'{picture.name}.png', dpi=DPI)
+        figure.savefig(folder / f'{picture.name}.svg', metadata={'Date': None})
