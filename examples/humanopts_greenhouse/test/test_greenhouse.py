@@ -32,11 +32,15 @@ class TestSmallGreenhouse(DomainContract):
 
 
 class TestItsOptions(ReferenceContract):
-    """Found by their entry point, as the game finds them."""
+    """Whether or not the package is installed."""
 
     def make(self) -> Domain[Any]:
         """Return a new one."""
         return Greenhouse()
+
+    def options(self, domain: Domain[Any]) -> dict[str, Any]:
+        """Return what the entry point names."""
+        return dict(reference_options(domain))
 
 
 def after(text: str, action: int) -> tuple[str, float, bool]:
