@@ -7,6 +7,7 @@ from typing import Any
 from humanopts_teach.benchmarks.results import Planned
 import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 SUFFIXES = ('.svg', '.png')
 MARKERS = 'osD^vP'
@@ -34,7 +35,7 @@ def write_figure(path: Path, rows: Sequence[Planned]) -> None:
     :raises OSError: it cannot be written.
     """
     with matplotlib.rc_context(_SETTINGS):
-        figure = Figure(figsize=(7.5, 4.5), layout='constrained')
+        figure = Figure(figsize=(6.5, 5.0), layout='constrained')
         axes = figure.add_subplot()
         for number, solver in enumerate(dict.fromkeys(row.row.solver for row in rows)):
             own = [row.row for row in rows if row.row.solver == solver]
@@ -48,6 +49,10 @@ def write_figure(path: Path, rows: Sequence[Planned]) -> None:
         axes.set(
             title='Planning time on Taxi grids', xlabel='states', ylabel='seconds, median of runs'
         )
+        sizes = sorted({row.row.n_states for row in rows})
+        axes.xaxis.set_major_locator(FixedLocator(sizes))
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda size, _: f'{size:,.0f}'))
         axes.grid(which='major')
-        figure.legend(loc='outside right upper')
+        figure.legend(loc='outside lower center', ncols=2)
         figure.savefig(path, dpi=150, metadata={'Date': None} if path.suffix == '.svg' else {})

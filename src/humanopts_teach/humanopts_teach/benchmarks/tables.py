@@ -1,9 +1,10 @@
 """What was measured, as tables for people."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from humanopts_learner.benchmarks.measured import Comparison
-from humanopts_teach.benchmarks.results import Planned, Rows, YARDSTICK
+from humanopts_teach.benchmarks.results import Planned, Rows
+from rich.box import SIMPLE
 from rich.table import Table
 
 TITLES = {
@@ -12,11 +13,13 @@ TITLES = {
     'games': 'Game steps, many games at once',
     'graph': 'The ROS graph, on processes of its own',
 }
+_TEXTS = ('what', 'yardstick', 'solver', 'is given')
+_LEAST = 14  # characters of a column of text
 _UNITS = ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs'), (1e-9, 'ns'))
 
 
 def section_table(name: str, rows: Rows) -> Table:
-    """Return the table of a section."""
+    """Return the table of a section; ratios are of times, below 1 as 1/N."""
     planned = [row for row in rows if isinstance(row, Planned)]
     if planned:
         return _planning_table(TITLES[name], planned)
@@ -24,46 +27,43 @@ def section_table(name: str, rows: Rows) -> Table:
 
 
 def _planning_table(title: str, rows: Sequence[Planned]) -> Table:
-    table = _table(title, 'grid', 'solver', 'is given', right=_PLANNING)
-    for planned in rows:
+    numbers = ('tables', 'models', 'sweeping', 'all', 'sweeps', 'error', 'ratio')
+    table = _table(title, 'states', 'solver', 'is given', *numbers)
+    sides = [planned.row.side for planned in rows]
+    for planned, following in zip(rows, [*sides[1:], 0]):
         row = planned.row
-        first = row.solver == rows[0].row.solver
         table.add_row(
-            f'{row.side} x {row.side}, {row.n_states:,} states' if first else '',
+            f'{row.n_states:,}',
             row.solver,
             row.obtained,
             *map(duration, (row.table_seconds, row.model_seconds, row.sweep_seconds, row.seconds)),
             str(row.sweeps),
-            f'{row.error:.1g}',
-            '' if row.solver == YARDSTICK else ratio(planned.ratio),
-            end_section=planned is rows[-1] or rows[rows.index(planned) + 1].row.side != row.side,
+            f'{row.error:.0e}' if row.error else '0',
+            ratio(planned.ratio),
+            end_section=row.side != following,
         )
     return table
 
 
-_PLANNING = ('tables', 'models', 'sweeps', 'all', 'sweeps made', 'true error', 'ratio')
-
-
 def _comparison_table(title: str, rows: Sequence[Comparison]) -> Table:
-    table = _table(
-        title,
-        'what',
-        right=('median', '99 % within', 'a second', 'wanted'),
-        then=('yardstick',),
-        last=('median', '99 % within', 'ratio'),
-    )
+    """Leave out columns that no row has anything for."""
+    slow = any(row.slow_seconds is not None for row in rows)
+    wanted = any(row.target is not None for row in rows)
+    columns: list[tuple[str, bool, Callable[[Comparison], str]]] = [
+        ('what', True, _with_facts),
+        ('median', True, lambda row: duration(row.seconds)),
+        ('99 %', slow, lambda row: duration(row.slow_seconds)),
+        ('a second', True, lambda row: _rate(row.per_second)),
+        ('wanted', wanted, lambda row: _rate(row.target)),
+        ('yardstick', True, lambda row: row.yardstick),
+        ('median', True, lambda row: duration(row.yardstick_seconds)),
+        ('99 %', slow, lambda row: duration(row.yardstick_slow_seconds)),
+        ('ratio', True, lambda row: ratio(row.ratio)),
+    ]
+    shown = [column for column in columns if column[1]]
+    table = _table(title, *(name for name, _, _ in shown))
     for row in rows:
-        table.add_row(
-            _with_facts(row),
-            duration(row.seconds),
-            duration(row.slow_seconds),
-            _rate(row.per_second),
-            '' if row.target is None else _rate(row.target),
-            row.yardstick,
-            duration(row.yardstick_seconds),
-            duration(row.yardstick_slow_seconds),
-            ratio(row.ratio),
-        )
+        table.add_row(*(text(row) for _, _, text in shown))
     return table
 
 
@@ -74,18 +74,14 @@ def _with_facts(row: Comparison) -> str:
     return f'{row.what} ({row.facts["recorded"]:,} recorded, {row.facts["lost"]} lost)'
 
 
-def _table(
-    title: str,
-    *left: str,
-    right: Sequence[str],
-    then: Sequence[str] = (),
-    last: Sequence[str] = (),
-) -> Table:
-    """Begin a table; columns of numbers, ``right`` and ``last``, are never broken."""
-    table = Table(title=title, title_justify='left', box=None, pad_edge=False)
-    for names, numbers in ((left, False), (right, True), (then, False), (last, True)):
-        for name in names:
-            table.add_column(name, justify='right' if numbers else 'left', no_wrap=numbers)
+def _table(title: str, *columns: str) -> Table:
+    """Begin a table; numbers are to the right, and never broken."""
+    table = Table(title=title, title_justify='left', box=SIMPLE, pad_edge=False)
+    for name in columns:
+        if name in _TEXTS:
+            table.add_column(name, min_width=_LEAST)
+        else:
+            table.add_column(name, justify='right', no_wrap=True)
     return table
 
 
@@ -100,13 +96,16 @@ def duration(seconds: float | None) -> str:
 
 
 def ratio(value: float) -> str:
-    """Return a ratio of times in words."""
+    """Return a ratio for reading, below 1 as 1/N."""
     if value >= 1.0:
-        return f'{_digits(value)} x as long'
-    return f'{_digits(1.0 / value)} x faster'
+        return _digits(value)
+    part = _digits(1.0 / value)
+    return part if part == '1' else f'1/{part}'
 
 
-def _rate(value: float) -> str:
+def _rate(value: float | None) -> str:
+    if value is None:
+        return ''
     return f'{float(f"{value:.3g}"):,.0f}' if value >= 10 else f'{value:.1f}'
 
 

@@ -17,7 +17,8 @@ from humanopts_teach.commands.session import interruptible
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-_WIDTH = 160  # of tables that go to a file
+_LEAST_WIDTH = 120  # of tables; narrower ones would leave numbers out
+_FILE_WIDTH = 200
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -31,30 +32,27 @@ def run(arguments: argparse.Namespace) -> int:
             tell(name, 1.0, 'done')
     machine = machine_facts()
     _show(sections, machine)
-    try:
-        _write(arguments, sections, machine)
-    except OSError as error:
-        raise CommandError(f'cannot write {error.filename}: {error.strerror}') from error
+    _write(arguments, sections, machine)
     return 0
 
 
 def _check(arguments: argparse.Namespace) -> None:
     """Refuse what could not be written, before anything is measured."""
-    for path in filter(None, (arguments.json, arguments.figure)):
-        if not path.parent.is_dir():
-            raise CommandError(f'cannot write {path}: there is no such folder')
-        if path.is_dir():
-            raise CommandError(f'cannot write {path}: it is a folder')
     if arguments.figure and arguments.figure.suffix not in SUFFIXES:
         raise CommandError(f'--figure {arguments.figure} does not end in {" or ".join(SUFFIXES)}')
     if arguments.figure and 'planning' not in arguments.only:
         raise CommandError('--figure draws planning, which --only leaves out')
+    for path in filter(None, (arguments.json, arguments.figure)):
+        new = not path.exists()
+        with _written(path):
+            path.open('ab').close()
+            if new:
+                path.unlink()
 
 
 def _show(sections: dict[str, Rows], machine: dict[str, str | int]) -> None:
     console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=_WIDTH)
+    console.width = max(console.width, _LEAST_WIDTH) if console.is_terminal else _FILE_WIDTH
     for name, rows in sections.items():
         console.print(section_table(name, rows))
         console.print()
@@ -66,12 +64,22 @@ def _write(
 ) -> None:
     if arguments.json:
         data = results_to_dict(sections, machine, quick=arguments.quick)
-        arguments.json.write_text(json.dumps(data, indent=2) + '\n', 'utf-8')
+        with _written(arguments.json):
+            arguments.json.write_text(json.dumps(data, indent=2) + '\n', 'utf-8')
         print(f'results: {arguments.json}', file=sys.stderr)
     if arguments.figure:
         rows = [row for row in sections['planning'] if isinstance(row, Planned)]
-        write_figure(Path(arguments.figure), rows)
+        with _written(arguments.figure):
+            write_figure(arguments.figure, rows)
         print(f'figure: {arguments.figure}', file=sys.stderr)
+
+
+@contextmanager
+def _written(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise CommandError(f'cannot write {path}: {error.strerror}') from error
 
 
 @contextmanager
