@@ -82,6 +82,8 @@ def learn(
     """
     Learn from values of 0, each option run to its end.
 
+    Where an episode is cut off, SMDP learning takes the running option as ended there.
+
     :param rates: of the N learners; their chance is independent.
     :param gamma: discount per primitive step; None: the domain's own.
     :param max_steps: episodes are cut off after so many steps; 0: the domain's own limit.

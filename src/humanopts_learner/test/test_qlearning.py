@@ -1,0 +1,242 @@
+"""Q-learning over options: it comes to the values of planning, and options speed it up."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from humanopts_env.domains.base import Action, Transitions
+from humanopts_env.domains.registry import reference_options
+from humanopts_env.domains.rooms import Rooms
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.seeding import generator
+from humanopts_learner.options.option import OptionTables
+from humanopts_learner.planning.action_sets import build_model, TabledOption
+from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
+from humanopts_learner.planning.value_iteration import solve_smdp
+from humanopts_learner.qlearning.choices import choices_of
+from humanopts_learner.qlearning.curves import band, best_rates, drawn_rates
+from humanopts_learner.qlearning.learn import learn, Learning, Method, Rates
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+
+TAXI = Taxi()
+FETCH, DELIVER = 'go to passenger and pickup', 'go to destination and dropoff'
+WILD = Rates(learning_rate=1.0, explore=1.0)  # exact, and tries everything, without chance
+MIXED = 'human+primitive'
+
+
+@dataclass(frozen=True)
+class World:
+    """Random rules over a few states; what learning and planning ask of a domain."""
+
+    seed: int
+    n_states: int = 5
+    outcomes: int = 1
+    gamma: float = 0.7
+    max_steps: int = 10_000
+    actions: tuple[Action, ...] = tuple(Action(name, name, '') for name in 'abc')
+
+    @cached_property
+    def rules(self) -> Transitions:
+        """Drawn once; the task is over in the last state, and action c leads a state nearer."""
+        rng, shape = generator(self.seed, 'world'), (self.n_states, 3, self.outcomes)
+        successor = rng.integers(self.n_states, size=shape).astype(np.int32)
+        successor[:-1, 2, 0] = np.arange(1, self.n_states)
+        share = rng.random(shape) + 0.2
+        share /= share.sum(axis=2, keepdims=True)
+        return Transitions(successor, share, rng.normal(size=shape), self.over()[successor])
+
+    def transitions(self) -> Transitions:
+        """Return the rules."""
+        return self.rules
+
+    def over(self) -> NDArray[np.bool_]:
+        """Return where the task is over."""
+        return np.arange(self.n_states) == self.n_states - 1
+
+    def start_states(self) -> NDArray[np.int32]:
+        """Begin anywhere else."""
+        return np.arange(self.n_states - 1, dtype=np.int32)
+
+    def options(self) -> list[TabledOption]:
+        """Draw three options; one of them can start in one state only."""
+        rng, count = generator(self.seed, 'options'), self.n_states
+        tables = [
+            OptionTables(rng.integers(3, size=count), rng.random(count) < 0.7, ends)
+            for ends in rng.random((3, count)) < 0.4
+        ]
+        tables[2].initiation[:] = np.arange(count) == 0
+        return [TabledOption(f'option {n}', 50, table) for n, table in enumerate(tables)]
+
+
+def planned(
+    world: Any, options: list[TabledOption], action_set: str = MIXED, models: Any = None
+) -> NDArray[np.float64]:
+    """
+    Return the value of every choice (S, O) by SMDP value iteration; NaN where unavailable.
+
+    :param models: options to model instead, with what follows them valued as in the plan.
+    """
+    values = solve_smdp(build_model(world, action_set, options, world.gamma), 1e-12).values
+    model = build_model(world, action_set, models or options, world.gamma)
+    expected = (model.rows @ values).reshape(model.reward.T.shape).T
+    return np.where(model.available, model.reward + expected, np.nan)
+
+
+def learned(
+    world: Any, action_set: str, rates: list[Rates], episodes: int, method: Method, seed: int = 0
+) -> Learning:
+    """Learn with the options of a random world."""
+    choices = choices_of(world, action_set, world.options())
+    return learn(world, choices, rates, episodes, seed, method)
+
+
+def taxi_options() -> list[TabledOption]:
+    """Return the two options that the participants of the paper taught."""
+    found = reference_options(TAXI)
+    return [_tabled(name, found[name]) for name in (FETCH, DELIVER)]
+
+
+def _tabled(name: str, option: Any) -> TabledOption:
+    tables = OptionTables(option.optimal.argmax(axis=1), option.initiation, option.termination)
+    return TabledOption(name, 200, tables)
+
+
+@pytest.mark.parametrize('method', Method)
+@pytest.mark.parametrize('action_set', ['primitive', MIXED])
+@pytest.mark.parametrize('seed', range(2))
+def test_it_comes_to_the_values_of_planning(seed: int, action_set: str, method: Method) -> None:
+    """Without chance and with everything tried often, a rate of 1 comes to them exactly."""
+    world = World(seed)
+    exact = planned(world, world.options(), action_set)
+    values = learned(world, action_set, [WILD], 1000, method).values[0]
+    known = ~np.isnan(exact)
+    assert values[known] == pytest.approx(exact[known], abs=1e-6)
+
+
+@pytest.mark.parametrize('method', Method)
+def test_with_chance_it_comes_to_the_values_of_planning_on_the_mean(method: Method) -> None:
+    """Learners with a small rate, which is worth less than 5 % of the largest value."""
+    world = World(seed=1, outcomes=2)
+    exact = planned(world, world.options())
+    values = learned(world, MIXED, [Rates(0.05, 1.0)] * 40, 3000, method).values.mean(axis=0)
+    known = ~np.isnan(exact)
+    assert values[known] == pytest.approx(exact[known], abs=0.05 * np.abs(exact[known]).max())
+
+
+def test_intra_option_learning_values_options_that_are_never_begun() -> None:
+    """Option 2 can start in state 0 only; primitive steps that agree with it teach its value."""
+    world = World(seed=1)
+    everywhere = world.options()
+    everywhere[2].tables.initiation[:] = True
+    exact = planned(world, world.options(), models=everywhere)[:-1, 2]
+    steps, runs = (
+        learned(world, MIXED, [WILD], 1000, method).values[0, :-1, 2]
+        for method in (Method.INTRA_OPTION, Method.SMDP)
+    )
+    assert steps == pytest.approx(exact, abs=1e-6)
+    assert runs[0] == pytest.approx(exact[0], abs=1e-6)
+    assert (runs[1:] == 0.0).all()
+
+
+def test_hallway_options_need_fewer_steps_early_on() -> None:
+    """Sutton, Precup and Singh (1999), figure 5: the first ten episodes, intervals apart."""
+    rooms = Rooms('G1')
+    options = [_tabled(name, option) for name, option in reference_options(rooms).items()]
+    early = [
+        band(
+            learn(rooms, choices_of(rooms, s, options), [Rates()] * 20, 10, 0).steps.mean(1)[
+                :, None
+            ]
+        )
+        for s in (MIXED, 'primitive')
+    ]
+    assert early[0].high[0] < 0.8 * early[1].low[0]
+
+
+def test_taxi_is_learned_at_once_with_the_options_that_people_taught() -> None:
+    """Figure 4: with them every episode is about as short as the best; 13 steps on the mean."""
+    steps = {
+        s: learn(TAXI, choices_of(TAXI, s, taxi_options()), [Rates()] * 10, 20, 0).steps.mean()
+        for s in ('human', 'primitive')
+    }
+    assert steps['human'] < 16 < 150 < steps['primitive']
+
+
+def test_returns_are_the_sum_of_the_rewards() -> None:
+    """A delivered passenger: 0 for the pickup, 1 for the delivery, -1 for all other steps."""
+    learning = learn(TAXI, choices_of(TAXI, 'human', taxi_options()), [Rates()] * 3, 10, 0)
+    assert (learning.returns == 3 - learning.steps).all()
+
+
+def test_episodes_are_cut_off() -> None:
+    choices = choices_of(TAXI, 'primitive', ())
+    assert learn(TAXI, choices, [Rates()], 5, 0, max_steps=7).steps.max() == 7
+    assert learn(TAXI, choices, [Rates()], 3, 0).steps.max() <= 200
+
+
+def test_the_same_seed_learns_the_same() -> None:
+    world = World(0)
+    first, again, other = (
+        learned(world, MIXED, [Rates()] * 2, 20, Method.SMDP, seed) for seed in (5, 5, 6)
+    )
+    assert (first.values == again.values).all()
+    assert (first.steps != other.steps).any()
+    assert (first.steps[0] != first.steps[1]).any()
+
+
+def test_the_set_human_has_primitive_actions_where_no_option_can_start() -> None:
+    choices = choices_of(TAXI, 'human', taxi_options()[:1])
+    option, primitive = choices.available[:, 0], choices.available[:, 1:]
+    assert (primitive.all(axis=1) == (~option & ~TAXI.over())).all()
+    assert choices.names[:2] == (FETCH, 'action:south')
+    assert choices_of(World(0), 'human', World(0).options()).available[-1].sum() == 0
+
+
+def test_a_band_is_students() -> None:
+    """Two learners: the quantile of one degree of freedom is 12.706."""
+    found = band(np.array([[1.0], [3.0]]))
+    assert found.mean == pytest.approx([2.0])
+    assert found.low == pytest.approx([2.0 - 12.7062], abs=1e-3)
+    with pytest.raises(PlanError, match='two learners'):
+        band(np.ones((1, 3)))
+
+
+def test_the_search_finds_the_rates_that_learn_faster() -> None:
+    slow, fast = Rates(0.1, 1.0), Rates(0.8, 0.02)
+    choices = choices_of(TAXI, 'human', taxi_options()[:1])
+    assert best_rates(TAXI, choices, [slow, fast], 4, 40, 0) is fast
+
+
+def test_rates_to_try_begin_with_the_usual_ones() -> None:
+    drawn = drawn_rates(3, 8)
+    assert (len(drawn), drawn[0]) == (8, Rates(0.1, 0.1))
+    assert drawn == drawn_rates(3, 8)
+    assert drawn[1:] != drawn_rates(4, 8)[1:]
+
+
+def test_progress_can_cancel() -> None:
+    told = []
+
+    def note(done: float) -> None:
+        told.append(done)
+        if done > 0.3:
+            raise PlanCanceled
+
+    with pytest.raises(PlanCanceled):
+        learn(TAXI, choices_of(TAXI, 'primitive', ()), [Rates()], 20, 0, progress=note)
+    assert told == sorted(told)
+    assert told[-1] < 1.0
+
+
+def test_requests_that_make_no_sense_are_refused() -> None:
+    choices = choices_of(TAXI, 'primitive', ())
+    with pytest.raises(PlanError, match='0 episodes'):
+        learn(TAXI, choices, [Rates()], 0, 0)
+    with pytest.raises(PlanError, match='0 learners'):
+        learn(TAXI, choices, [], 1, 0)
+    with pytest.raises(PlanError, match='rate must be above 0'):
+        Rates(0.0)
+    with pytest.raises(NoOptionsError):
+        choices_of(TAXI, 'human', ())
