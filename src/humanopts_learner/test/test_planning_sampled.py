@@ -11,6 +11,7 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.ready import ready_options
+from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.sampled.columns import Columns
@@ -25,6 +26,7 @@ from humanopts_learner.planning.sampled.games import batch_domain, Watcher
 from humanopts_learner.planning.sampled.judging import Interval, play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from humanopts_learner.planning.sampled.policies import UniformPolicy
+from humanopts_learner.planning.sampled.pooling import pooled
 from humanopts_learner.planning.sampled.runs import Runs
 from humanopts_learner.planning.sampled.sampling import Sampler, Trace
 from humanopts_learner.planning.value_iteration import solve_smdp
@@ -175,6 +177,31 @@ def test_successors_that_nothing_is_known_of_count_as_the_known_ones() -> None:
     assert model.rows.toarray()[one, three] == 0.0
 
 
+def test_what_cannot_be_chosen_makes_no_state_known() -> None:
+    """State 2 was only passed by a run that could not have started there."""
+    counts = Counts(('a', 'going on: a'), choosable=1)
+    counts.add(samples(*[(1, 0, 0.0, 0.9, 2)] * 2, *[(2, 1, 0.0, 0.9, 3)] * 2))
+    assert not counts.model(min_samples=2, penalty=0.0).available.any()
+    counts.add(samples(*[(3, 0, 1.0, 0.0, 3)] * 2))
+    model = counts.model(min_samples=2, penalty=0.0)
+    (one, two, three), _ = counts.index.find(np.array([1, 2, 3]))
+    expected = [[False, False], [False, True], [True, False]]
+    assert model.available[[one, two, three]].tolist() == expected
+    assert model.rows.toarray()[3 + two, three] == pytest.approx(0.9)
+    assert model.first(1).names == ('a',)
+
+
+def test_pooling_shrinks_advantages_towards_those_of_the_group() -> None:
+    """By hand: advantages of b are -4 with 1 sample and -1 with 3, so -1.75 in the mean."""
+    values = np.array([[10.0, 6.0], [2.0, 1.0], [5.0, -np.inf], [7.0, 6.0]])
+    count = np.array([[1.0, 1.0], [3.0, 3.0], [1.0, 0.0], [2.0, 2.0]])
+    found = pooled(values, count, np.array([0, 0, 0, 1]), 1.0)
+    assert found[:, 0] == pytest.approx([10.0, 2.0, 5.0, 7.0])
+    assert found[:, 1] == pytest.approx(
+        [10 - (4 + 1.75) / 2, 2 - (3 + 1.75) / 4, 5 - 1.75, 7 - (2 + 1) / 3]
+    )
+
+
 def test_numbers_of_states_stay_when_more_come() -> None:
     """And a snapshot does not know those that came later."""
     index = StateIndex()
@@ -249,6 +276,27 @@ def test_play_counts_what_happens() -> None:
     assert (returns.decisions >= returns.fallbacks).all()
     assert (returns.steps >= returns.decisions).all()
     assert set(returns.outcomes['state'][won]) == set(np.flatnonzero(BatchRooms().over()))
+
+
+@pytest.mark.parametrize('execution', [Execution.INTERRUPTED, Execution.MODULAR_STRONGEST])
+def test_interruption_gains_where_options_pass_by_the_goal(execution: Execution) -> None:
+    """With G2 as with exact models, in a plan that was sampled so or by runs to the end."""
+    domain = BatchRooms('G2')
+    for sampled_by in (Execution.RUN_TO_END, execution):
+        plan = make_sampled_plan(
+            domain, 'human', rooms_options(domain), 200_000, 1, how=EXACT, execution=sampled_by
+        )
+        to_end = plan.play(3, 1000, Execution.RUN_TO_END).discounted
+        gain = Interval.of(plan.play(3, 1000, execution).discounted - to_end)
+        assert gain.low > 0.0
+        assert gain.mean > 0.1 * to_end.mean()
+
+
+def test_a_plan_that_is_sampled_to_the_end_is_played_to_the_end() -> None:
+    """Unless another way is asked for."""
+    plan = rooms_plan('human', 20_000)
+    assert plan.execution is Execution.RUN_TO_END
+    assert np.array_equal(plan.play(3, 50).steps, plan.play(3, 50, Execution.RUN_TO_END).steps)
 
 
 def test_a_plan_plays_better_than_chance() -> None:

@@ -77,7 +77,7 @@ def carried_out(plan: Plan, execution: Execution) -> Plan:
         return replace(
             plan, options=tuple(_ending(o, stop[:, c]) for c, o in enumerate(plan.options))
         )
-    winner = winners(plan, table, execution)
+    winner = winners(table, execution, action_table(plan), plan.domain.over())
     modules = tuple(_module(o, winner == c) for c, o in enumerate(plan.options))
     return replace(plan, options=modules, solution=replace(plan.solution, best=winner))
 
@@ -91,18 +91,29 @@ def stop_table(table: OptionValues) -> Flags:
     return found
 
 
-def winners(plan: Plan, table: OptionValues, execution: Execution) -> NDArray[np.int32]:
-    """Return (S,): the column whose action is taken in each state; -1: the task is over."""
+def winners(
+    table: OptionValues, execution: Execution, action: Ints, over: Flags
+) -> NDArray[np.int32]:
+    """
+    Return (S,): the column whose action is taken by modules; -1: the task is over.
+
+    :param action: (S, O) what each column does.
+    :param over: (S,) states where the task is over.
+    """
     if execution is Execution.MODULAR_STRONGEST:
         column = strongest(table.going_on)
     else:
-        n_options, n_actions = len(plan.options), len(plan.domain.actions)
-        action = np.empty(table.going_on.shape, dtype=np.intp)
-        action[:, n_options:] = np.arange(len(table.names) - n_options)
-        for number, option in enumerate(plan.options):
-            action[:, number] = option.tables.action
-        column = greatest_mass(table.choosing, action, n_actions)
-    return np.where(plan.domain.over(), -1, column).astype(np.int32)
+        column = greatest_mass(table.choosing, action, int(action.max()) + 1)
+    return np.where(over, -1, column).astype(np.int32)
+
+
+def action_table(plan: Plan) -> Ints:
+    """Return what each column of a plan does in every state, (S, O)."""
+    n_options, n_states = len(plan.options), plan.domain.n_states
+    action = np.tile(np.arange(len(plan.names)) - n_options, (n_states, 1))
+    for column, option in enumerate(plan.options):
+        action[:, column] = option.tables.action
+    return action
 
 
 def policy_values(plan: Plan) -> Floats:

@@ -26,9 +26,14 @@ class Samples:
 class StateIndex:
     """Numbers the planning states that were seen, in the order of coming."""
 
-    def __init__(self) -> None:
-        self._sorted = np.empty(0, dtype=np.int64)
-        self._number = np.empty(0, dtype=np.intp)
+    def __init__(self, codes: NDArray[np.int64] | None = None) -> None:
+        """
+        Begin with some planning states.
+
+        :param codes: (S,) ascending; None: none.
+        """
+        self._sorted = np.empty(0, dtype=np.int64) if codes is None else codes
+        self._number = np.arange(len(self._sorted))
 
     def __len__(self) -> int:
         """Return how many there are."""

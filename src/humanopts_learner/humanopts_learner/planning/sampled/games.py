@@ -147,14 +147,16 @@ class Watcher:
         features = self.games.planning_features(batch, rows, fine=self.fine)
         return View(batch, rows, features @ self._radix, self.games)
 
+    @property
+    def context(self) -> tuple[int, ...]:
+        """Columns of the planning features of context."""
+        if isinstance(self.games, HasContext):
+            return self.games.planning_context(fine=self.fine)
+        return ()
+
     def without_context(self, codes: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the codes (N,) of planning states as if features of context were all 0."""
-        context = (
-            self.games.planning_context(fine=self.fine)
-            if isinstance(self.games, HasContext)
-            else ()
-        )
-        for column in context:
+        for column in self.context:
             radix = self._radix[column]
             codes = codes - codes // radix % self._sizes[column] * radix
         return codes

@@ -26,6 +26,7 @@ from humanopts_learner.planning.sampled.games import batch_domain, BatchDomain, 
 from humanopts_learner.planning.sampled.judging import GameReturns, play_games
 from humanopts_learner.planning.sampled.policies import (
     ArbitratedPolicy,
+    executed,
     ExploringPolicy,
     GreedyPolicy,
     Policy,
@@ -118,9 +119,7 @@ class SampledPlan:
     def carried_out(self, execution: Execution | None = None) -> Policy:
         """Return the policy, carried out in a way; None: as it was sampled."""
         execution = self.execution if execution is None else execution
-        if execution is Execution.RUN_TO_END:
-            return self.policy
-        return ArbitratedPolicy(self.policy, self.going_on, execution)
+        return executed(self.policy, self.going_on, execution)
 
     def play(self, seed: int, episodes: int, execution: Execution | None = None) -> GameReturns:
         """
@@ -175,7 +174,7 @@ def make_sampled_plan(
     """
     gamma = domain.gamma if gamma is None else gamma
     check_gamma(gamma)
-    used = () if action_set == PRIMITIVE else _batch_options(domain, options)
+    used = () if action_set == PRIMITIVE else batch_options(domain, options)
     check_action_set(action_set, [option.name for option in used])
     if budget_steps < how.game_steps:
         raise PlanError(f'{budget_steps} game steps are fewer than the {how.game_steps} of a game')
@@ -220,6 +219,7 @@ class _Planning:
             gamma,
             generator(seed, 'sampled_plan', action_set),
         )
+        self._pools = how.pooling > 0.0 and self._watch.context != ()
         self._part = budget_steps // how.rounds
         self._policy: GreedyPolicy | None = None
         self._going_on: NDArray[np.float64] = np.empty((0, 0))
@@ -248,7 +248,7 @@ class _Planning:
         on_sweep = SweepProgress(self._tell, tol, max_sweeps)
         self._solution = solve_smdp(choosable, tol, max_sweeps, on_sweep)
         values = _values(model, self._solution.values)
-        for _ in range(IMPROVEMENTS if self._how.pooling else 0):
+        for _ in range(IMPROVEMENTS if self._pools else 0):
             policy = np.where(choosable.available, self._pooled(values), -np.inf).argmax(axis=1)
             evaluated = solve_smdp(choosable.following(policy), tol, max_sweeps)
             values = _values(model, evaluated.values)
@@ -259,7 +259,7 @@ class _Planning:
     def _pooled(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values of the columns that can be chosen, pooled if that is asked for."""
         choosing = values[:, : self._columns.first_fallback]
-        if not self._how.pooling:
+        if not self._pools:
             return choosing
         codes = self._watch.without_context(self._counts.index.codes)
         group = np.unique(codes, return_inverse=True)[1]
@@ -305,9 +305,14 @@ def _values(model: RowModel, values: NDArray[np.float64]) -> NDArray[np.float64]
     return np.where(model.available, model.reward + ahead, -np.inf)
 
 
-def _batch_options(
+def batch_options(
     domain: Domain[Any], options: Sequence[LearnedOption | BatchOption]
 ) -> list[BatchOption]:
+    """
+    Return options as they are judged for many games at once.
+
+    :raises ForeignOptionError: one was learned in another domain.
+    """
     found: list[BatchOption] = []
     for option in options:
         if not isinstance(option, LearnedOption):

@@ -149,6 +149,15 @@ class ArbitratedPolicy:
         return np.stack([columns.actions(view, column) for column in each], axis=1)
 
 
+def executed(
+    greedy: GreedyPolicy, going_on: NDArray[np.float64], execution: Execution
+) -> GreedyPolicy | ArbitratedPolicy:
+    """Return a policy that is carried out in a way; ``going_on`` as in ``ArbitratedPolicy``."""
+    if execution is Execution.RUN_TO_END:
+        return greedy
+    return ArbitratedPolicy(greedy, going_on, execution)
+
+
 @dataclass(frozen=True)
 class ExploringPolicy:
     """A greedy policy that now and then runs anything that can start, and does not stop it."""

@@ -1,0 +1,248 @@
+"""Arbitration in one game at a time, from a table that went through a message, as vectorised."""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
+
+from humanopts_env.domains.base import Domain, EnumerableDomain
+from humanopts_env.domains.rooms import Rooms
+from humanopts_env.domains.rooms_reference import reference_options as rooms_options
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.domains.taxi_reference import reference_options as taxi_options
+from humanopts_env.seeding import generator
+from humanopts_learner.execution import OptionRun
+from humanopts_learner.library import OptionLibrary
+from humanopts_learner.options.option import LearnedOption, Mode
+from humanopts_learner.options.ready import ready_options
+from humanopts_learner.planning.arbitration import Execution, OptionValues
+from humanopts_learner.planning.continuation import carried_out, option_values
+from humanopts_learner.planning.errors import ModelError
+from humanopts_learner.planning.evaluate import play
+from humanopts_learner.planning.live import Arbiter, make_arbiter, Verdict
+from humanopts_learner.planning.plan import make_plan, Plan
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+
+TAXI_OPTIONS = ('go to passenger', 'go to destination', 'pickup/dropoff')
+MODULAR = (Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST)
+LIMIT = 60
+
+
+class TaxiGames:
+    """Many games of Taxi: a batch is one row of state indices."""
+
+    def __init__(self, domain: EnumerableDomain[Any]) -> None:
+        """Keep the rules."""
+        self.domain: Domain[Any] = domain
+        self._listed = domain
+
+    def batch_reset(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Begin games."""
+        return rng.choice(self._listed.start_states().astype(np.int64), (1, count))
+
+    def batch_of(self, states: Sequence[Any]) -> NDArray[np.int64]:
+        """Return games that stand at given states."""
+        return np.array([[self._listed.index(state) for state in states]], dtype=np.int64)
+
+    def batch_take(self, batch: NDArray[np.int64], games: NDArray[np.intp]) -> NDArray[np.int64]:
+        """Return copies of chosen games."""
+        return batch[:, games]
+
+    def batch_put(
+        self, batch: NDArray[np.int64], games: NDArray[np.intp], source: NDArray[np.int64]
+    ) -> None:
+        """Set chosen games."""
+        batch[:, games] = source
+
+    def batch_step(
+        self, batch: NDArray[np.int64], actions: NDArray[np.intp], rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Take one step in every game that is not over."""
+        live, at = ~self.batch_over(batch), (batch[0], actions, 0)
+        rules = self._listed.transitions()
+        reward: NDArray[np.float64] = np.where(live, rules.reward[at], 0.0)
+        batch[0] = np.where(live, rules.successor[at], batch[0])
+        return reward
+
+    def batch_over(self, batch: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return where the task is over."""
+        found: NDArray[np.bool_] = self._listed.over()[batch[0]]
+        return found
+
+    def batch_features(self, batch: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Return all features."""
+        found: NDArray[np.int32] = self._listed.feature_table()[batch[0]]
+        return found
+
+    def batch_outcome(self, batch: NDArray[np.int64]) -> Mapping[str, NDArray[Any]]:
+        """Return where each game is."""
+        return {'state': batch[0]}
+
+    def planning_sizes(self, *, fine: bool) -> tuple[int, ...]:
+        """Tell states apart by where the taxi and the destination are."""
+        return (25, 4)
+
+    def planning_features(
+        self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
+    ) -> NDArray[np.int32]:
+        """Tell states apart by where the taxi and the destination are."""
+        return np.stack([batch[0] // 20, batch[0] % 4], axis=1).astype(np.int32)
+
+
+class BatchTaxi(Taxi):
+    """Taxi that brings its batched form, and planning states that hide where the passenger is."""
+
+    def __init__(self) -> None:
+        """Cut games off soon."""
+        super().__init__()
+        self.max_steps = LIMIT
+
+    def batch_domain(self) -> TaxiGames:
+        """Return it."""
+        return TaxiGames(self)
+
+
+@cache
+def options_of(domain: Any) -> list[LearnedOption]:
+    """Return ready options of Taxi or the rooms."""
+    if isinstance(domain, Rooms):
+        return ready_options(domain, rooms_options(domain).values())
+    return ready_options(domain, [taxi_options(domain)[name] for name in TAXI_OPTIONS])
+
+
+TAXI, BATCH_TAXI, ROOMS = Taxi(), BatchTaxi(), Rooms('G2')
+
+
+def arbiter_of(plan: Plan | SampledPlan, execution: Execution) -> Arbiter:
+    """Return the arbiter that is made of what a message carries."""
+    values = option_values(plan) if isinstance(plan, Plan) else plan.option_values()
+    options = options_of(plan.domain)[::-1]
+    return make_arbiter(OptionValues.from_flat(values.flat()), execution, plan.domain, options)
+
+
+class LiveGame:
+    """One game as a runner drives it: who acted in each step, and what came of it."""
+
+    def __init__(self, plan: Plan | SampledPlan, execution: Execution, start: Any) -> None:
+        """Play to the end, or for LIMIT steps."""
+        self._plan, self._domain, self.state = plan, plan.domain, start
+        self._library, self._rng = OptionLibrary(plan.domain), generator(0, 'live')
+        self._library.replace(options_of(plan.domain))
+        self._arbiter = arbiter_of(plan, execution)
+        self.actors: list[str] = []
+        self.rewards: list[float] = []
+        self.decisions = 0
+        while len(self.actors) < LIMIT and not self._domain.is_over(self.state):
+            if execution in MODULAR:
+                self._module()
+            else:
+                self._run()
+
+    def _module(self) -> None:
+        ruling = self._arbiter.before_step(self.state, '')
+        assert ruling.verdict is Verdict.ACT
+        option, row = self._library.resolve(ruling.name), self._domain.feature_values(self.state)
+        self._step(ruling.name, option.choose_action(row, Mode.GREEDY, self._rng))
+        self.decisions += 1
+
+    def _run(self) -> None:
+        """Run an option until it ends or is stopped."""
+        name = self._plan.choose(self.state).name
+        run = OptionRun(self._library.resolve(name), self._domain, self._plan.gamma)
+        assert run.begin(self.state, 1, len(self.actors)) is None
+        self.decisions += 1
+        while len(self.actors) < LIMIT:
+            ended = self._step(name, run.next_action(), run)
+            if ended or self._arbiter.before_step(self.state, name).verdict is Verdict.STOP:
+                return
+
+    def _step(self, name: str, action: int, run: OptionRun | None = None) -> bool:
+        outcome = self._domain.step(self.state, action, self._rng)
+        self.state = outcome.state
+        self.actors.append(name)
+        self.rewards.append(outcome.reward)
+        end = run and run.observe(outcome.state, outcome.reward, outcome.terminated, False)
+        return end is not None
+
+
+@cache
+def exact_plan() -> Plan:
+    """Return a plan on Taxi whose values prefer what is near: with gamma 0.8."""
+    return make_plan(TAXI, 'human', options_of(TAXI), gamma=0.8)
+
+
+@cache
+def sampled_plan(execution: Execution = Execution.RUN_TO_END) -> SampledPlan:
+    """Return a plan over aliased planning states, so that options are often stopped."""
+    how = Sampling(n_games=200, game_steps=LIMIT)
+    return make_sampled_plan(
+        BATCH_TAXI, 'human', options_of(BATCH_TAXI), 24_000, 1, how=how, execution=execution
+    )
+
+
+@pytest.mark.parametrize('execution', Execution)
+def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Execution) -> None:
+    plan, starts = exact_plan(), TAXI.start_states()[::13]
+    returns = play(carried_out(plan, execution), starts, max_steps=LIMIT)
+    for episode, start in enumerate(starts.tolist()):
+        game = LiveGame(plan, execution, TAXI.state_at(start))
+        assert sum(game.rewards) == returns.total[episode]
+        assert len(game.rewards) == returns.steps[episode]
+        assert game.decisions == returns.decisions[episode]
+
+
+@pytest.mark.parametrize('execution', Execution)
+def test_a_live_game_is_the_vectorised_one_with_sampled_values(execution: Execution) -> None:
+    """From the start that the seed draws, to the same last state."""
+    plan = sampled_plan()
+    for seed in range(12):
+        first = TaxiGames(TAXI).batch_reset(1, generator(seed, 'play_games'))
+        game = LiveGame(plan, execution, TAXI.state_at(int(first[0, 0])))
+        returns = plan.play(seed, 1, execution)
+        assert sum(game.rewards) == returns.total[0]
+        assert game.decisions == returns.decisions[0]
+        assert BATCH_TAXI.index(game.state) == returns.outcomes['state'][0]
+
+
+def test_the_executions_differ_where_values_are_aliased() -> None:
+    """Or the comparison above would show nothing."""
+    starts = [TAXI.state_at(s) for s in TAXI.start_states()[::40].tolist()]
+    actors = {
+        execution: [LiveGame(sampled_plan(), execution, start).actors for start in starts]
+        for execution in Execution
+    }
+    assert actors[Execution.INTERRUPTED] != actors[Execution.RUN_TO_END]
+    assert actors[Execution.MODULAR_MASS] != actors[Execution.RUN_TO_END]
+
+
+@pytest.mark.parametrize('execution', [Execution.INTERRUPTED, *MODULAR])
+def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(execution: Execution) -> None:
+    """In every state, by the tables that exact evaluation uses."""
+    plan = make_plan(ROOMS, 'human', options_of(ROOMS))
+    acting, arbiter = carried_out(plan, execution), arbiter_of(plan, execution)
+    for index in np.flatnonzero(~ROOMS.over()).tolist():
+        state = ROOMS.state_at(index)
+        if execution in MODULAR:
+            winner = plan.names[acting.solution.best[index]]
+            assert arbiter.before_step(state, '').name == winner
+            continue
+        for before, after in zip(plan.options, acting.options):
+            if not before.tables.termination[index]:
+                ruling = arbiter.before_step(state, before.name)
+                stopped = bool(after.tables.termination[index])
+                assert (ruling.verdict is Verdict.STOP) == stopped
+
+
+def test_values_that_fit_neither_options_nor_domain_are_refused() -> None:
+    """With what is missing."""
+    values = option_values(exact_plan())
+    with pytest.raises(ModelError, match='pickup/dropoff'):
+        make_arbiter(values, Execution.INTERRUPTED, TAXI, options_of(TAXI)[:2])
+    with pytest.raises(ModelError, match='every state of taxi'):
+        make_arbiter(values, Execution.INTERRUPTED, Taxi(6, 6), options_of(TAXI))
+    unnamed = OptionValues.from_flat(
+        {**sampled_plan().option_values().flat(), 'names': list(TAXI_OPTIONS[::-1])}
+    )
+    assert make_arbiter(unnamed, Execution.RUN_TO_END, TAXI, options_of(TAXI))
