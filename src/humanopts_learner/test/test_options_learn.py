@@ -56,7 +56,7 @@ def test_an_option_that_can_start_again_keeps_its_end_in_i(person: Callable[...,
     assert option.initiation.counts.tolist() == [[0, 3]]  # one class: one leaf
 
 
-def test_not_here_states_are_outside_i_and_say_nothing_of_beta(
+def test_not_here_states_are_outside_i_and_an_option_that_comes_there_ends(
     person: Callable[..., Any],
 ) -> None:
     ann = person()
@@ -64,9 +64,39 @@ def test_not_here_states_are_outside_i_and_say_nothing_of_beta(
     option = learn_option([shown, refused], TAXI, 0)
     assert not option.can_start(row(ABOARD))[0]
     assert option.initiation.counts[0].tolist() == [2, 2]
-    assert option.termination.counts[0].tolist() == [2, 1]
+    assert option.ends(row(ABOARD))[0]
+    assert option.termination.counts[0].tolist() == [2, 2]
     assert (option.n_demonstrations, option.n_not_here) == (1, 1)
     assert option.uuids == (shown.uuid, refused.uuid)
+
+
+def test_a_start_that_looks_like_an_end_is_no_example_against_it(
+    person: Callable[..., Any],
+) -> None:
+    one = person().show(NEAR)
+    again = replace(  # a lap: it begins where the first ends
+        one,
+        uuid=str(uuid.uuid4()),
+        number=2,
+        features=(one.features[-1], *one.features),
+        states=(one.states[-1], *one.states),
+        actions=('south', *one.actions),
+        rewards=(-1.0, *one.rewards),
+    )
+    option = learn_option([one, again], TAXI, 0)
+    assert option.termination.counts[0].tolist() == [4, 2]
+    assert option.ends(one.feature_rows).tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize(('again', 'members'), [(True, [0, 5]), (False, [2, 4])])
+def test_where_the_task_is_over_nobody_said_that_the_option_cannot_start_again(
+    person: Callable[..., Any], again: bool, members: list[int]
+) -> None:
+    ann = person()
+    first = replace(ann.show(NEAR), can_start_at_end=again)
+    last = replace(ann.show(NEAR), terminated=True)
+    option = learn_option([first, last], TAXI, 0)
+    assert option.initiation.counts[0].tolist() == members
 
 
 def test_only_chosen_features_are_learned_from_and_the_newest_choice_counts(

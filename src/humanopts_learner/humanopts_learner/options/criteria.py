@@ -4,7 +4,8 @@ When an option is taught well enough: three criteria, all on held-out demonstrat
 The paper (section 6) compares the return of the learned policy with that of the demonstrations,
 and takes the ten-fold cross-validation error of I and beta. Here the folds are grouped by
 demonstration, because rows of one trajectory on both sides would make the errors look like
-nothing, and the return is held out as well.
+nothing, and the return is held out as well. Where chance plays a part, returns differ by luck: a
+shortfall counts as far as luck does not explain it.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,17 +13,23 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-from humanopts_env.domains.base import Domain, is_enumerable
-from humanopts_env.seeding import generator
+from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.conflicts import find_conflicts
+from humanopts_learner.options.folds import fold_of, FOLDS, without_each
 from humanopts_learner.options.learn import assemble, Dataset, Examples, fit_trees, make_dataset
 from humanopts_learner.options.option import LearnedOption, MEMBER, option_tables
-from humanopts_learner.options.rollout import follow, Rollouts, rollouts
+from humanopts_learner.options.rollout import (
+    follow,
+    is_certain,
+    Rollouts,
+    rollouts,
+    rollouts_of,
+)
 import numpy as np
 from numpy.typing import NDArray
 
-FOLDS = 10
+LUCK = 1.645  # standard errors; chance alone makes a larger shortfall in 5 of 100 cases
 FEWEST = FOLDS  # trajectories without which nothing is measurable
 CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstration
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
@@ -32,7 +39,7 @@ RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 class Thresholds:
     """What the criteria may be at most."""
 
-    return_delta: float = 2.0  # mean held-out shortfall, reward units
+    return_delta: float = 2.0  # mean held-out shortfall, less what luck explains, reward units
     initiation_error: float = 0.05  # balanced error, 0..1
     termination_error: float = 0.05  # balanced error, 0..1
 
@@ -139,33 +146,13 @@ def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
     return max([0, *(math.ceil(n_demonstrations * (ratio - 1)) for ratio in ratios)])
 
 
-def fold_of(data: Dataset, seed: int) -> NDArray[np.int64]:
-    """
-    Return (D,): the fold of each demonstration, ten folds or one for each demonstration.
-
-    The demonstrations are ranked by draws keyed by seed, option and uuid and dealt out in that
-    order, trajectories apart from "not here" answers, so folds differ by one at most.
-    """
-    demos = data.demonstrations
-    draws = np.array(
-        [generator(seed, 'fold', demo.option_name, demo.uuid).random() for demo in demos]
-    )
-    not_here = np.array([demo.kind is Kind.NOT_HERE for demo in demos])
-    folds = np.empty(len(demos), dtype=np.int64)
-    folds[np.lexsort((draws, not_here))] = np.arange(len(demos)) % FOLDS
-    return folds
-
-
 def _criteria(
     data: Dataset, domain: Domain[Any], thresholds: Thresholds, seed: int
 ) -> tuple[Criterion, ...]:
     values: tuple[float | None, ...] = (None, None, None)
     if len(data.trajectories) >= FEWEST:
         folds = fold_of(data, seed)
-        options = [
-            assemble(data, fit_trees(data.of(folds != fold), domain, seed), domain)
-            for fold in range(folds.max() + 1)
-        ]
+        options = without_each(data, folds, domain, seed)
         initiation = [option.can_start for option in options]
         termination = [option.ends for option in options]
         values = (
@@ -179,9 +166,9 @@ def _criteria(
 
 
 def starts_anywhere(data: Dataset) -> bool:
-    """Tell whether the person always said that the option could start again where it ended."""
-    told = all(demo.can_start_at_end for demo in data.trajectories)
-    return told and bool((data.initiation.labels == MEMBER).all())
+    """Tell whether the person said, whenever asked, that it could start again where it ended."""
+    asked = [demo.can_start_at_end for demo in data.trajectories if not demo.terminated]
+    return bool(asked) and all(asked) and bool((data.initiation.labels == MEMBER).all())
 
 
 def _shortfall(
@@ -196,6 +183,7 @@ def _shortfall(
 
     A run that ends with the task over where the demonstration did not, or the other way round, has
     come to another end: the steps that it has left then cost what the demonstration's worst did.
+    In domains with chance, ``LUCK`` standard errors of the mean are taken off.
     """
     demos = data.trajectories
     fold = folds[[demo.kind is Kind.TRAJECTORY for demo in data.demonstrations]]
@@ -204,7 +192,9 @@ def _shortfall(
     other_end = runs.reached & (runs.over != np.array([demo.terminated for demo in demos]))
     worst = np.array([min(0.0, *demo.rewards) for demo in demos])
     returns = runs.total_reward + other_end * (limit - runs.steps) * worst
-    return float(np.mean([demo.total_reward for demo in demos] - returns))
+    missing = [demo.total_reward for demo in demos] - returns
+    luck = 0.0 if is_certain(domain) else LUCK * missing.std(ddof=1) / math.sqrt(len(missing))
+    return float(missing.mean() - luck)
 
 
 def _held_out_runs(
@@ -216,7 +206,7 @@ def _held_out_runs(
 ) -> Rollouts:
     """Run each option from the start of its demonstration."""
     starts = [domain.decode(demo.states[0]) for demo in demos]
-    if is_enumerable(domain) and domain.transitions().deterministic:
+    if is_certain(domain):
         several = {id(option): option_tables(option, domain) for option in options}
         which = {key: number for number, key in enumerate(several)}
         return follow(
@@ -227,12 +217,8 @@ def _held_out_runs(
             np.array([domain.index(state) for state in starts]),
             limit,
         )
-    runs = [
-        rollouts(option, domain, [start], seed, [f'held-out {demo.uuid}'], max_steps=int(most))
-        for demo, option, start, most in zip(demos, options, starts, limit)
-    ]
-    fields = ('total_reward', 'steps', 'reached', 'over')
-    return Rollouts(*(np.concatenate([getattr(run, name) for run in runs]) for name in fields))
+    keys = [f'held-out {demo.uuid}' for demo in demos]
+    return rollouts_of(options, domain, starts, seed, keys, limit)
 
 
 def _balanced_error(

@@ -3,10 +3,11 @@ Learning an option from demonstrations (paper, section 6; held apart by demonstr
 
 Examples of I are positive in visited states, negative in "not here" states, and negative in end
 states unless the person says that the option could start again there. Examples of beta are
-positive in end states and negative in the other states of a trajectory.
+positive in end states and in "not here" states, because an option may go on only where it could
+start (Sutton, Precup and Singh 1999, section 2), and negative in the other states of a trajectory.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,13 +96,20 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: Domain[Any]) -
     chosen = set(demos[-1].chosen_features)
     features = tuple(f.name for f in domain.features if f.name in chosen)
     columns = encoding(domain, demos[-1].chosen_features)
+    again = any(demo.can_start_at_end for demo in demos)
+    picked = sorted({column.index for column in columns})
+    ends = {
+        tuple(demo.features[-1][column] for column in picked)
+        for demo in demos
+        if demo.kind is Kind.TRAJECTORY
+    }
     return Dataset(
         tuple(demos),
         features,
         columns,
         _examples(demos, [_policy_labels(demo, domain) for demo in demos]),
-        _examples(demos, [_initiation_labels(demo) for demo in demos]),
-        _examples(demos, [_termination_labels(demo) for demo in demos]),
+        _examples(demos, [_initiation_labels(demo, again) for demo in demos]),
+        _examples(demos, [_termination_labels(demo, picked, ends) for demo in demos]),
     )
 
 
@@ -170,12 +178,31 @@ def _policy_labels(
     return demo.feature_rows[: len(demo.actions)], [action_index(domain, a) for a in demo.actions]
 
 
-def _initiation_labels(demo: Demonstration) -> tuple[NDArray[np.int32], list[int]]:
+def _initiation_labels(demo: Demonstration, again: bool) -> tuple[NDArray[np.int32], list[int]]:
+    """
+    Label the states of a demonstration as members of I or not.
+
+    :param again: the person says that the option can start again where it ended. Nobody is asked
+        so where the task is over; then such an end is no example.
+    """
+    if again and demo.terminated:
+        return demo.feature_rows[:-1], [1] * len(demo.actions)
     member_at_end = demo.kind is Kind.TRAJECTORY and demo.can_start_at_end
     return demo.feature_rows, [1] * len(demo.actions) + [int(member_at_end)]
 
 
-def _termination_labels(demo: Demonstration) -> tuple[NDArray[np.int32], list[int]]:
-    if demo.kind is Kind.NOT_HERE:
-        return demo.feature_rows[:0], []
-    return demo.feature_rows, [0] * len(demo.actions) + [1]
+def _termination_labels(
+    demo: Demonstration, picked: Sequence[int], ends: Collection[tuple[int, ...]]
+) -> tuple[NDArray[np.int32], list[int]]:
+    """
+    Label the states of a demonstration as ends or not.
+
+    Whether an option ends is asked only after a step, so a start is no example against an end
+    that looks the same.
+
+    :param picked: columns of the chosen features.
+    :param ends: the values of these in which demonstrations ended.
+    """
+    labels = [0] * len(demo.actions) + [1]
+    first = int(tuple(demo.features[0][column] for column in picked) in ends and len(labels) > 1)
+    return demo.feature_rows[first:], labels[first:]

@@ -1,5 +1,6 @@
 """A learned option: its policy, initiation set and termination condition as decision trees."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -110,14 +111,29 @@ class LearnedOption:
 
     def choose_action(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> int:
         """Return what the option does in one state (F,)."""
-        if mode is Mode.GREEDY:
-            return int(self.greedy_action(row[None])[0])
-        return int(rng.choice(len(self.actions), p=self.action_probabilities(row[None])[0]))
+        return self.choose_actions(row[None], mode, [rng])[0]
 
     def choose_end(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> bool:
         """Return whether the option ends in one state (F,) that it came to."""
-        limit = HALF if mode is Mode.GREEDY else 1.0 - rng.random()
-        return bool(self.termination_probability(row[None])[0] >= limit)
+        return self.choose_ends(row[None], mode, [rng])[0]
+
+    def choose_actions(
+        self, rows: NDArray[np.int32], mode: Mode, rngs: Sequence[np.random.Generator]
+    ) -> list[int]:
+        """Return what the option does in each of N states, each with chance of its own."""
+        if mode is Mode.GREEDY:
+            return list(map(int, self.greedy_action(rows)))
+        shares = zip(self.action_probabilities(rows), rngs, strict=True)
+        return [int(rng.choice(len(self.actions), p=share)) for share, rng in shares]
+
+    def choose_ends(
+        self, rows: NDArray[np.int32], mode: Mode, rngs: Sequence[np.random.Generator]
+    ) -> list[bool]:
+        """Return whether the option ends in each of N states that it came to."""
+        if mode is Mode.GREEDY:
+            return list(map(bool, self.ends(rows)))
+        limits = [1.0 - rng.random() for rng in rngs]
+        return list(map(bool, self.termination_probability(rows) >= limits))
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, Mode, option_tables
 import numpy as np
 from numpy.typing import NDArray
+
+
+def is_certain(domain: Domain[Any]) -> TypeGuard[EnumerableDomain[Any]]:
+    """Tell whether all states can be listed, and every action has one outcome."""
+    return is_enumerable(domain) and domain.transitions().deterministic
 
 
 @dataclass(frozen=True)
@@ -49,25 +54,58 @@ def rollouts(
     :raises OptionError: the option was not learned in this domain.
     """
     limit = option.max_steps if max_steps is None else max_steps
-    if mode is Mode.GREEDY and is_enumerable(domain) and domain.transitions().deterministic:
+    if mode is Mode.GREEDY and is_certain(domain):
         tables = option_tables(option, domain)
         at = np.array([domain.index(state) for state in starts], dtype=np.intp)
         which = np.zeros(len(at), dtype=np.intp)
         limits = np.full(len(at), limit)
         return follow(domain, tables.action[None], tables.termination[None], which, at, limits)
-    option.check_domain(domain)
     names = keys or [str(number) for number in range(len(starts))]
-    runs = [
-        _run(option, domain, start, generator(seed, 'rollout', option.name, key), mode, limit)
-        for start, key in zip(starts, names, strict=True)
-    ]
-    rewards, steps, reached, over = zip(*runs) if runs else ((), (), (), ())
-    return Rollouts(
-        np.array(rewards, dtype=np.float64),
-        np.array(steps, dtype=np.int64),
-        np.array(reached, dtype=np.bool_),
-        np.array(over, dtype=np.bool_),
-    )
+    limits = np.full(len(starts), limit)
+    return rollouts_of([option] * len(starts), domain, starts, seed, names, limits, mode)
+
+
+def rollouts_of(
+    options: Sequence[LearnedOption],
+    domain: Domain[Any],
+    starts: Sequence[Any],
+    seed: int,
+    keys: Sequence[str],
+    limits: NDArray[np.integer],
+    mode: Mode = Mode.GREEDY,
+) -> Rollouts:
+    """
+    Run an option of its own from every start state, all in step, by the rules of any domain.
+
+    :param options: (N,), the same one as often as it runs.
+    :param keys: (N,) names of the runs.
+    :param limits: (N,) where they are cut off, 1 or more.
+    """
+    count, total = len(starts), np.zeros(len(starts))
+    several = {id(option): option for option in options}
+    for option in several.values():
+        option.check_domain(domain)
+    which = np.array([id(option) for option in options], dtype=np.int64)
+    rngs = [generator(seed, 'rollout', o.name, key) for o, key in zip(options, keys, strict=True)]
+    steps = np.zeros(count, dtype=np.int64)
+    reached, over = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
+    at, going = list(starts), np.arange(count)
+    rows = np.array([domain.feature_values(state) for state in at])
+    while going.size:
+        for key, option in several.items():
+            runs = going[which[going] == key]
+            actions = option.choose_actions(rows[runs], mode, [rngs[run] for run in runs])
+            for run, action in zip(runs.tolist(), actions):
+                outcome = domain.step(at[run], action, rngs[run])
+                at[run], rows[run] = outcome.state, domain.feature_values(outcome.state)
+                total[run] += outcome.reward
+                over[run] = outcome.terminated or domain.is_over(outcome.state)
+            on = runs[~over[runs]]
+            reached[on] = option.choose_ends(rows[on], mode, [rngs[run] for run in on])
+        steps[going] += 1
+        reached |= over
+        going = going[~reached[going] & (steps[going] < limits[going])]
+    return Rollouts(total, steps, reached, over)
 
 
 def follow(
@@ -105,23 +143,3 @@ def follow(
         if not on.all():
             going, at, policy = going[on], at[on], policy[on]
     return Walks(total, steps, reached, is_over, final)
-
-
-def _run(
-    option: LearnedOption,
-    domain: Domain[Any],
-    state: Any,
-    rng: np.random.Generator,
-    mode: Mode,
-    max_steps: int,
-) -> tuple[float, int, bool, bool]:
-    total = 0.0
-    for step in range(1, max_steps + 1):
-        action = option.choose_action(domain.feature_values(state), mode, rng)
-        outcome = domain.step(state, action, rng)
-        state, total = outcome.state, total + outcome.reward
-        if outcome.terminated or domain.is_over(state):
-            return total, step, True, True
-        if option.choose_end(domain.feature_values(state), mode, rng):
-            return total, step, True, False
-    return total, max_steps, False, False

@@ -4,7 +4,8 @@ Choosing the next state to show, from the rules and the learned trees alone.
 ``random`` is the paper's way (section 5). ``failures`` shows states from which the learned option
 does not do what was shown: of these, the one whose shortest ways to an end go through the most
 situations that fail and were not shown yet, so that one demonstration teaches the most. Once
-none is stuck, it asks about states that are outside I by mere guess.
+none is stuck, it asks about states that are outside I by mere guess. Where states cannot all be
+run, it draws one of a sample: stuck, a guess, or decided by a tenth of the demonstrations.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,13 +15,13 @@ from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is
 from humanopts_env.domains.tabular import reachable
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.failures import (
-    failing_samples,
     in_doubt,
-    is_surveyable,
+    sample_failures,
     Survey,
     survey,
 )
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.rollout import is_certain
 from humanopts_learner.trees.encoding import encode_rows, encoding
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +97,7 @@ def _failures(
 ) -> Any:
     if option is None:
         return _coverage(domain, option, demonstrations, rng)
-    if is_enumerable(domain) and is_surveyable(domain):
+    if is_certain(domain):
         found = survey(option, domain, demonstrations)
         if found.doubt.any() and not found.stuck.any():
             states = _states(domain, found.doubt, rng)
@@ -104,9 +105,9 @@ def _failures(
         if found.candidate.any():
             return domain.state_at(_instructive_state(domain, found, rng))
         return _coverage(domain, option, demonstrations, rng)
-    failing = failing_samples(option, domain, demonstrations, rng)
-    if failing:
-        return failing[int(rng.integers(len(failing)))]
+    some = sample_failures(option, domain, demonstrations, rng)
+    if some.failing.any():
+        return some.states[int(rng.choice(np.flatnonzero(some.failing)))]
     return _coverage(domain, option, demonstrations, rng)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.failures import count_failures
+from humanopts_learner.options.failures import nothing_fails
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.start_states import choose_start_state
@@ -73,4 +73,4 @@ class LearnedStarts:
         asks_failures = self._until_no_failures and self._strategy == FAILURES
         if not asks_failures or option is None or not demonstrations:
             return True
-        return count_failures(option, self._domain, demonstrations, rng) == 0
+        return nothing_fails(option, self._domain, demonstrations, rng)
