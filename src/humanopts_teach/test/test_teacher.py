@@ -192,6 +192,15 @@ def test_a_demonstration_that_does_not_end_is_discarded_and_tried_another_way() 
     assert show(by, WAITING)[0] != first
 
 
+def test_an_end_that_an_error_led_to_is_discarded_and_tried_again() -> None:
+    elsewhere = 'taxi 0,0 passenger aboard destination G'  # at R, where letting out is legal
+    by = teacher(TeacherSettings((DROPOFF,), error_rate=0.5))
+    first = [show(by, elsewhere, DROPOFF, given) for given in range(60)]
+    let_out = [end.verdict for actions, end in first if actions == ['dropoff']]
+    assert set(let_out) == {Verdict.DISCARD}
+    assert Verdict.DONE in {end.verdict for _, end in first}
+
+
 def test_it_gives_up_when_nothing_it_tries_comes_to_the_end() -> None:
     by = teacher(replace(TEACHER, step_limit=3))
     for _ in range(ATTEMPTS - 1):

@@ -11,8 +11,9 @@ What it assumes of people, and where it is simpler than they are:
   not best, each alike. It does not take the error back; it goes on from where that led.
 - It says "not here" exactly where the reference option cannot start, and "done" in the first state
   after at least one step in which the reference option ends. It makes no error in these.
-- A demonstration from which no best action leads on, or longer than ``step_limit``, is discarded
-  and tried again; after ``ATTEMPTS`` in a row it gives up, since it would do so for ever.
+- A demonstration that an error has ended, from which no best action leads on, or that is longer
+  than ``step_limit``, is discarded and tried again; after ``ATTEMPTS`` in a row it gives up, since
+  it would do so for ever.
 
 Every draw is keyed by seed, participant, option, number of the demonstration, attempt and step, so
 the same seed shows the same, whatever else happens on the graph.
@@ -73,6 +74,7 @@ class SimulatedTeacher:
         self._finished: set[str] = set()
         self._tried = ('', 0)  # option and number of the demonstration that is tried
         self._attempt = 0  # how often it was discarded
+        self._erred = False  # in the last step
         self._order = self._preference()
 
     def next_act(self, lesson: LessonView, game: Moment | None) -> Act:
@@ -119,6 +121,8 @@ class SimulatedTeacher:
         if game.step == 0 and not reference.can_start(state):
             return End(Verdict.NOT_HERE, *here)
         if game.step > 0 and reference.ends(state):
+            if self._erred:
+                return self._discard(lesson, here)
             over = game.terminated or game.truncated
             return End(Verdict.DONE, *here, not over and reference.can_start(state))
         best = reference.optimal_actions(state)
@@ -126,6 +130,7 @@ class SimulatedTeacher:
         if game.terminated or game.truncated or stuck:
             return self._discard(lesson, here)
         action = self._choose(best, lesson.option_name, number, game.step)
+        self._erred = action not in best
         return Drive(self._domain.actions[action].name, *here)
 
     def _discard(self, lesson: LessonView, here: tuple[int, int]) -> End:
