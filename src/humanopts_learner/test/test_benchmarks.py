@@ -33,6 +33,9 @@ def test_every_solver_has_a_row_on_every_grid() -> None:
         (side, 20 * side * side) for side in (4, 5) for _ in solvers()
     ]
     assert all(row.seconds > 0 and row.error < 1e-9 for row in rows)
+    for row in rows:
+        assert (row.obtained_seconds > 0) == row.solver.startswith('options')
+    assert rows[1].obtained_seconds > rows[0].obtained_seconds
     assert heard == sorted(heard)
     assert heard[-1] < 1
 

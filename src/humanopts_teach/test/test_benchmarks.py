@@ -33,7 +33,7 @@ def planned() -> list[Planned]:
         for factor, solver in enumerate(SOLVERS, start=1):
             parts = (0.0, 1e-3 * factor * side, 2e-3 * factor * side)
             row = ScalingRow(
-                side, 20 * side * side, solver, 'nothing', *parts, sum(parts), 7, 1e-9
+                side, 20 * side * side, solver, 'nothing', 0.5, *parts, sum(parts), 7, 1e-9
             )
             rows.append(Planned(row, 6e-3 * side))
     return rows
@@ -135,7 +135,7 @@ def test_durations_have_a_unit_that_suits_them(seconds: float, text: str) -> Non
 
 @pytest.mark.parametrize(
     ('value', 'text'),
-    [(2.0, '2'), (1.0, '1'), (0.25, '1/4'), (0.9999, '1'), (1 / 4500, '1/4,500')],
+    [(2.0, '2'), (0.25, '1/4'), (0.9999, '1'), (1 / 4500, '1/4,500')],
 )
 def test_ratio_below_one_reads_as_a_part(value: float, text: str) -> None:
     assert ratio(value) == text

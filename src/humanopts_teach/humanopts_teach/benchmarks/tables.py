@@ -14,6 +14,7 @@ TITLES = {
     'graph': 'The ROS graph, on processes of its own',
 }
 _TEXTS = ('what', 'yardstick', 'solver', 'is given')
+_PARTS = ('obtained_', 'table_', 'model_', 'sweep_', '')
 _LEAST = 14  # characters of a column of text
 _UNITS = ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs'), (1e-9, 'ns'))
 
@@ -27,7 +28,7 @@ def section_table(name: str, rows: Rows) -> Table:
 
 
 def _planning_table(title: str, rows: Sequence[Planned]) -> Table:
-    numbers = ('tables', 'models', 'sweeping', 'all', 'sweeps', 'error', 'ratio')
+    numbers = ('cost', 'tables', 'models', 'sweeping', 'all', 'sweeps', 'error', 'ratio')
     table = _table(title, 'states', 'solver', 'is given', *numbers)
     sides = [planned.row.side for planned in rows]
     for planned, following in zip(rows, [*sides[1:], 0]):
@@ -36,7 +37,7 @@ def _planning_table(title: str, rows: Sequence[Planned]) -> Table:
             f'{row.n_states:,}',
             row.solver,
             row.obtained,
-            *map(duration, (row.table_seconds, row.model_seconds, row.sweep_seconds, row.seconds)),
+            *(duration(getattr(row, f'{part}seconds')) for part in _PARTS),
             str(row.sweeps),
             f'{row.error:.0e}' if row.error else '0',
             ratio(planned.ratio),
