@@ -126,13 +126,13 @@ class DemoRun:
         return values
 
 
-def run_demo(folder: Path, domain_id: int, *arguments: Any) -> DemoRun:
-    """Run a demo to its end; its files are in ``folder/out``."""
+def run_demo(folder: Path, domain_id: int, *arguments: Any, seconds: float = 110.0) -> DemoRun:
+    """Run a demo to its end, within some seconds; its files are in ``folder/out``."""
     command = Command(['demo', '--out', folder / 'out', *arguments], folder, domain_id)
     try:
         command.until(lambda: 'the first state' in command.output, 'the first state')
         first = command.seconds
-        status = command.ended(110.0)
+        status = command.ended(seconds)
         return DemoRun(
             folder / 'out', status, command.output, command.errors, first, command.seconds
         )

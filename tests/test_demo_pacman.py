@@ -1,0 +1,101 @@
+"""The demo of Pac-Man: four options taught, planned from samples, played, and judged in games."""
+
+import json
+from typing import Any
+
+from graph_support.command import DemoRun, run_demo
+from graph_support.live import free_domain_id
+from humanopts_teach.cli import main
+import pytest
+
+TAUGHT = [
+    'go to the closest food',
+    'avoid ghost',
+    'go to the nearest power pellet',
+    'eat the ghost',
+]
+SECONDS = {'table_seconds', 'model_seconds', 'sweep_seconds'}
+
+
+@pytest.fixture(scope='module')
+def demo(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
+    """A demo without the comparison."""
+    with free_domain_id() as number:
+        return run_demo(
+            *(tmp_path_factory.mktemp('pacman'), number, '--domain', 'pacman'),
+            *('--seed', 1, '--episodes', 2, '--games', 0),
+            seconds=300.0,
+        )
+
+
+def test_demo_teaches_four_options_and_keeps_its_promises(demo: DemoRun) -> None:
+    assert (demo.status, demo.errors) == (0, '')
+    assert [option['name'] for option in demo.summary['options']] == TAUGHT
+    assert all(option['criteria_met'] for option in demo.summary['options'])
+    played = demo.summary['execution']
+    assert played['episodes'] == 2
+    assert played['mean_return'] > 1000
+
+
+def test_plans_are_sampled_and_judged_in_many_games(demo: DemoRun) -> None:
+    human, primitive = demo.summary['planning']
+    assert (human['action_set'], primitive['action_set']) == ('human', 'primitive')
+    assert human['mean_return_low'] > primitive['mean_return_high']
+    for plan in (human, primitive):
+        assert (plan['episodes'], plan['game_steps']) == (1000, 800_000)
+        assert plan['mean_return_low'] < plan['mean_return'] < plan['mean_return_high']
+        assert list(plan['outcomes']) == ['cleared', 'lives left']
+
+
+def test_the_bag_alone_gives_the_same_options_and_plans(demo: DemoRun) -> None:
+    offline = demo.summary['offline']
+    assert offline['options'] == demo.summary['options']
+    for live, again in zip(demo.summary['planning'], offline['planning'], strict=True):
+        assert {key for key in live if live[key] != again[key]} <= SECONDS
+
+
+def test_bag_eval_plans_too_and_says_nothing_against_it(
+    demo: DemoRun, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['bag', 'eval', '--json', str(demo.bag)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found['warnings'], found['games']) == ([], {})
+    for live, again in zip(demo.summary['planning'], found['planning'], strict=True):
+        assert {key for key in live if live[key] != again[key]} <= SECONDS
+
+
+def test_the_report_shows_an_episode_by_its_runs_and_no_board_of_values(demo: DemoRun) -> None:
+    report = (demo.folder / 'report.html').read_text('utf-8')
+    assert 'id="film"' in report
+    assert 'id="planning"' in report
+    assert 'id="boards"' not in report
+    assert 'id="games"' not in report
+    assert demo.summary['games'] is None
+
+
+@pytest.mark.slow
+def test_whole_demo_compares_every_way_to_play(
+    tmp_path_factory: pytest.TempPathFactory, domain_id: int
+) -> None:
+    """With the default of 1,000 games; minutes."""
+    folder = tmp_path_factory.mktemp('whole')
+    demo = run_demo(folder, domain_id, '--domain', 'pacman', '--seed', 1, seconds=1800.0)
+    assert (demo.status, demo.errors) == (0, '')
+    games: dict[str, Any] = demo.summary['games']
+    random, chase = games['settings']
+    assert (random['name'], chase['name']) == ('ghosts=random', 'ghosts=chase')
+    for setting in (random, chase):
+        assert {row['games'] for row in setting['rows']} == {1000}
+        assert {row['kind'] for row in setting['rows']} == {'plan', 'chance', 'rule'}
+    (four,) = [r for r in random['rows'] if r['kind'] == 'plan' and len(r['options']) == 4]
+    (free,) = [r for r in random['rows'] if r['kind'] == 'chance' and len(r['options']) == 4]
+    human = demo.summary['planning'][0]
+    assert four['score']['mean'] == human['mean_return']  # the same plan in the same games
+    assert four['score']['low'] > free['score']['high']
+    report = (demo.folder / 'report.html').read_text('utf-8')
+    assert f'{four["score"]["mean"]:,.0f}' in report
+    options, primitive = games['curves']
+    assert options['rows'][0]['budget_steps'] == 12_500
+    for reached in primitive['seconds_to_reach']:
+        words = f'{reached["score"]:,.0f} not reached in'
+        assert (words in report) or reached['seconds'] is not None
