@@ -53,6 +53,12 @@ def test_visits_of_runs_through_a_bottleneck_are_subtracted() -> None:
     assert names == [('go to cell 0,2', 3), ('go to cell 0,4', 2)]
 
 
+def test_runs_that_failed_are_no_bottlenecks() -> None:
+    """Of run 1 there is nothing, since it did not come to its goal."""
+    visits = Visits(ground_of(PacMan(maze=CORRIDOR)), np.array([0, 0, 2]), np.array([0, 1, 1]))
+    assert [b.visits for b in find_bottlenecks(visits, 9)] == [2]
+
+
 def test_an_option_starts_where_more_than_the_mean_of_runs_come_by() -> None:
     """On the way to cell 6: 5 four times, 4 three times, 3 once; the mean of seven is 1.1."""
     runs = [[3, 4, 5, 6], [4, 5, 6], [4, 5, 6], [5, 6], [6]]

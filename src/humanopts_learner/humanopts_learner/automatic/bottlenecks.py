@@ -84,7 +84,7 @@ def find_bottlenecks(visits: Visits, most: int) -> list[Bottleneck]:
     """Return the first bottlenecks, at most ``most``; there may be fewer."""
     found: list[Bottleneck] = []
     counts = visits.counts
-    left = np.ones(len(counts), dtype=np.bool_)
+    left = counts.any(axis=1)
     while len(found) < most and left.any():
         total = counts[left].sum(axis=0)
         cell = int(total.argmax())

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from humanopts_env.domains.base import BoardSlice, EnumerableDomain
+from humanopts_env.domains.base import BoardSlice, EnumerableDomain, Transitions
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,14 +21,19 @@ class Board:
 
 
 def read_board(domain: EnumerableDomain[Any], layout: BoardSlice) -> Board:
+    """Return a slice with its walls and moves, as ``board_of`` finds them."""
+    return board_of(domain.transitions(), layout)
+
+
+def board_of(table: Transitions, layout: BoardSlice) -> Board:
     """
-    Return a slice with its walls and moves.
+    Return states of some transitions with their walls and moves.
 
     Between two neighbouring states there is a wall where no action leads from one to the other. An
     action moves by what it moves in most of the cells that it leaves for another cell.
     """
-    states, table = layout.states, domain.transitions()
-    position = np.full((domain.n_states, 2), -1)
+    states = layout.states
+    position = np.full((len(table.successor), 2), -1)
     position[states[states >= 0]] = np.argwhere(states >= 0)
     here = np.where(states >= 0, states, 0)
     possible = (table.probability[here] > 0) & (states >= 0)[:, :, None, None]

@@ -52,7 +52,7 @@ def _figure(board: Board, called: str, plan: Plan, scale: Normalize, name: str) 
         edges = np.arange(cols + 1) - 0.5, np.arange(rows + 1) - 0.5
         bitmap = values.size > MOST_VECTOR_CELLS
         heat = axes.pcolormesh(*edges, values, cmap=COLORS, norm=scale, rasterized=bitmap)
-        _draw_walls(work, board)
+        draw_walls(work, board)
         used = _draw_choices(work, board, plan, scale) if marked else []
         axes.set(aspect='equal', xlabel='column', ylabel='row', title=title)
         axes.set_xticks(range(0, cols, -(-cols // 6)))
@@ -74,7 +74,8 @@ def _caption(plan: Plan, used: Sequence[int]) -> str:
     return '; '.join(legend)
 
 
-def _draw_walls(work: Drawing, board: Board) -> None:
+def draw_walls(work: Drawing, board: Board) -> None:
+    """Draw the walls and the edge of a board, cell (row, col) at (col, row)."""
     east, south = board.walls
     shown = board.states >= 0
     lines = [((c + 0.5, c + 0.5), (r - 0.5, r + 0.5)) for r, c in np.argwhere(east)]
