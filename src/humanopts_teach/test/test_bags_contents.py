@@ -4,6 +4,7 @@ from collections.abc import Iterable
 import json
 import math
 from pathlib import Path
+import re
 from typing import Any
 
 from humanopts_env.convert import domain_to_info, moment_to_message
@@ -27,6 +28,7 @@ from humanopts_teach.bags.loss import Stream
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.stamps import read_stamp, Stamp
 from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.report.bag_parts import bag_parts
 from hypothesis import given, strategies
 import pytest
 from rclpy.serialization import serialize_message
@@ -247,3 +249,28 @@ def test_the_summary_counts_what_was_taught_and_done(
     text = info.to_text()
     assert 'option runs: interrupted 1, reached 2' in text
     assert PICKUP in text
+
+
+def test_a_lesson_of_a_person_has_no_error_rate_to_tell(tmp_path: Path) -> None:
+    facts = {'seed': '3', 'teacher_error_rate': 'None'}
+    with BagWriter(tmp_path / 'bag', facts) as writer:
+        writer.add_topic('/game_state', 'humanopts_interfaces/msg/GameState')
+    text = summarise(open_bag(tmp_path / 'bag')).to_text()
+    assert re.search(r'teacher_error_rate +none: a person taught\n', text)
+    assert 'None' not in text
+
+
+def test_the_film_is_of_the_last_game_even_where_two_count_alike(
+    tmp_path: Path, taxi: Domain[Any]
+) -> None:
+    entries: list[tuple[str, Any]] = []
+    for where, actions in (('left', ['north', 'east']), ('right', ['south', 'south', 'west'])):
+        states = [moment_to_message(moment) for moment in play(taxi, actions)]
+        states[-1].terminated = True
+        entries += [(f'/{where}/game_state', state) for state in states]
+        run = OptionResult(option_name=where, episode=1, step_count=len(actions), terminated=True)
+        entries.append((f'/{where}/option_results', run))
+    frames = bag_parts(write(tmp_path / 'bag', entries)).frames
+    assert [frame.action for frame in frames] == ['', 'south', 'south', 'west']
+    assert [frame.option for frame in frames] == ['', 'right', 'right', 'right']
+    assert [frame.ends_run for frame in frames] == [False, False, False, True]

@@ -9,14 +9,17 @@ from typing import Any
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import Thresholds
+from humanopts_learner.planning.plan import Plan
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
 from humanopts_teach.evaluation.settings import Settings
 from humanopts_teach.evaluation.summary import BagFacts, Execution, Summary, SummaryError
+from humanopts_teach.report import sweeps as sweeps_module
 from humanopts_teach.report.board import read_board
 from humanopts_teach.report.curves import learning_curves
 from humanopts_teach.report.data import Frame, ReportData, TopicRow
 from humanopts_teach.report.film import board_html, filmstrip, MINUS
 from humanopts_teach.report.rules import option_rules
+from humanopts_teach.report.sweeps import sweep_report
 from humanopts_teach.report.words import counted, DASH, findings, number, percent
 from humanopts_teach.report.write import render_report, write_evaluation_report, write_report
 import numpy as np
@@ -170,6 +173,35 @@ def test_rules_say_when_an_option_starts_and_ends(
     assert termination.leaves == 2
     assert policy.leaves == sum('(' in line for line in policy.text.splitlines())
     assert 'taxi row ≤' in policy.text
+
+
+def test_sweeps_of_every_plan_are_in_the_table_up_to_its_last(
+    evaluation: BagEvaluation, page: str
+) -> None:
+    plans = {p.plan.action_set: p.plan for p in evaluation.plans if isinstance(p.plan, Plan)}
+    sweeps = sweep_report(plans, 'sweeps')
+    assert sweeps is not None
+    assert sweeps.names == ['human', 'primitive']
+    rows = dict(sweeps.rows)
+    assert list(rows)[:30] == list(range(30))
+    assert max(rows) == max(plan.solution.sweeps for plan in plans.values())
+    assert len(rows) < 100
+    for place, plan in enumerate(plans.values()):
+        last = plan.solution
+        cells = rows[last.sweeps][2 * place : 2 * place + 2]
+        assert cells == [number(last.residual, 3), '100.0%']
+        assert all(not rows[n][2 * place] for n in rows if n > last.sweeps)
+    assert f'human: {plans["human"].solution.sweeps} sweeps' in sweeps.figure
+    assert 'Sweep by sweep' in page
+
+
+def test_plans_of_a_large_domain_are_not_made_again(
+    evaluation: BagEvaluation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans = {p.plan.action_set: p.plan for p in evaluation.plans if isinstance(p.plan, Plan)}
+    monkeypatch.setattr(sweeps_module, 'MOST_VALUES', 499)
+    assert sweep_report(plans, 'sweeps') is None
+    assert sweep_report({}, 'sweeps') is None
 
 
 def test_the_film_shows_what_ran_and_only_the_board(taxi: Domain[Any]) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
+import math
 
 from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.plan import Plan
@@ -11,7 +12,8 @@ from humanopts_teach.report.figures import drawing, SERIES
 from humanopts_teach.report.words import number
 from matplotlib.ticker import MaxNLocator
 
-MOST_STATES = 20_000  # of domains whose plans are made again for this
+MOST_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for this
+ALL_ROWS, STEP = 30, 1.1  # sweeps that are all in the table; from there on each so many times on
 NEAR = 1e-3  # a value so close to its end, in reward units, is settled
 MARKERS = 'osD^'
 
@@ -33,20 +35,34 @@ def sweep_report(plans: Mapping[str, Plan], name: str) -> SweepReport | None:
     :param plans: with exact models, by what each is called.
     :param name: prefix of the identifiers.
     """
-    if not plans or any(plan.domain.n_states > MOST_STATES for plan in plans.values()):
+    if not plans or any(_values(plan) > MOST_VALUES for plan in plans.values()):
         return None
     tables = {called: _sweeps(plan) for called, plan in plans.items()}
     states = next(iter(plans.values())).domain.n_states
-    rows = []
-    for sweep, found in enumerate(zip_longest(*tables.values())):
-        cells = [text for row in found for text in _cells(row, states)]
-        rows.append((sweep, cells))
+    found = list(zip_longest(*tables.values()))
+    rows = [
+        (sweep, [text for row in found[sweep] for text in _cells(row, states)])
+        for sweep in _shown([len(table) - 1 for table in tables.values()])
+    ]
     return SweepReport(list(tables), NEAR, _figure(tables, f'{name}-residual'), rows)
+
+
+def _values(plan: Plan) -> int:
+    return plan.domain.n_states * plan.solution.sweeps
+
+
+def _shown(last: Sequence[int]) -> list[int]:
+    """Return the sweeps that the table shows: the first ones, fewer later on, and each last."""
+    shown, sweep = set(last), 0
+    while sweep <= max(last):
+        shown.add(sweep)
+        sweep = sweep + 1 if sweep < ALL_ROWS else math.ceil(sweep * STEP)
+    return sorted(shown)
 
 
 def _sweeps(plan: Plan) -> list[SweepRow]:
     model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
-    return sweep_table(model, near=NEAR)
+    return sweep_table(model, near=NEAR, max_sweeps=plan.solution.sweeps)
 
 
 def _cells(row: SweepRow | None, states: int) -> tuple[str, str]:
