@@ -17,7 +17,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-from humanopts_learner.automatic.ground import Flags, Ground, Ints
+from humanopts_learner.automatic.ground import Ground
+from humanopts_learner.qlearning.world import Flags, Ints
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array

@@ -11,16 +11,12 @@ from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks
 from humanopts_learner.automatic.cell_options import CellOption
 from humanopts_learner.automatic.ground import Ground, ground_of
 from humanopts_learner.automatic.how import Extraction, Progress, say_nothing, USUAL
-from humanopts_learner.automatic.reaching import (
-    Errands,
-    greedy_runs,
-    learn_to_reach,
-    World,
-)
+from humanopts_learner.automatic.reaching import Errands, greedy_runs, learn_to_reach, Values
 from humanopts_learner.automatic.tasks import draw_tasks
 from humanopts_learner.options.option import OptionTables
 from humanopts_learner.planning.action_sets import TabledOption
 from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.qlearning.world import World
 import numpy as np
 from numpy.typing import NDArray
 
@@ -101,7 +97,7 @@ class _Extraction:
 
     def __init__(self, ground: Ground, seed: int, how: Extraction, tell: Progress) -> None:
         self._ground, self._seed, self._how, self._tell = ground, seed, how, tell
-        self._world = World(ground.rules)
+        self._world = World(ground.rules, ground.over)
         self.game_steps, self.episodes = 0, 0
 
     def visit(self) -> tuple[Visits, float]:
@@ -111,7 +107,9 @@ class _Extraction:
         values = self._learn('tasks', errands, how.train_episodes, rng)
         learner = np.repeat(np.arange(how.tasks), how.test_runs)
         start = errands.draw(learner, rng)
-        run, state, steps = greedy_runs(self._world, values, errands, learner, start, how, rng)
+        run, state, steps = greedy_runs(
+            self._world, values, errands, learner, start, how.max_steps, rng
+        )
         self.game_steps += steps
         if not run.size:
             raise PlanError(
@@ -144,28 +142,26 @@ class _Extraction:
 
     def _learn(
         self, stage: str, errands: Errands, episodes: int, rng: np.random.Generator
-    ) -> NDArray[np.float32]:
+    ) -> Values:
         before = self.game_steps
-        learned = learn_to_reach(
+        values, steps = learn_to_reach(
             self._world,
             errands,
             episodes,
             self._how,
             rng,
-            lambda done, steps: self._tell(stage, done, before + steps),
+            lambda done, so_far: self._tell(stage, done, before + so_far),
         )
-        self.game_steps += learned.game_steps
+        self.game_steps += steps
         self.episodes += episodes * len(errands.counts)
         self._tell(stage, 1.0, self.game_steps)
-        return learned.values
+        return values
 
-    def _reaches(
-        self, values: NDArray[np.float32], errands: Errands, rng: np.random.Generator
-    ) -> list[float]:
+    def _reaches(self, values: Values, errands: Errands, rng: np.random.Generator) -> list[float]:
         """Return the share of starts of each learner from which one greedy run comes home."""
         owner = np.repeat(np.arange(len(errands.counts)), errands.counts)
-        starts = errands.starts
-        run, _, _ = greedy_runs(self._world, values, errands, owner, starts, self._how, rng)
+        limit = self._how.max_steps
+        run, _, _ = greedy_runs(self._world, values, errands, owner, errands.starts, limit, rng)
         came = np.bincount(owner[np.unique(run)], minlength=len(errands.counts))
         shares: list[float] = (came / errands.counts).tolist()
         return shares

@@ -23,11 +23,9 @@ from humanopts_env.domains.pacman.paths import STAY
 from humanopts_env.domains.tabular import reachable
 from humanopts_env.domains.taxi_tables import landmark_cells
 from humanopts_learner.planning.errors import NotEnumerableError
+from humanopts_learner.qlearning.world import Flags, Ints
 import numpy as np
 from numpy.typing import NDArray
-
-Flags = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ class Extraction:
     """
 
     options: int = 9  # at most; the paper found nine on Taxi (section 7.3)
-    tasks: int = 200  # usual: 20, too few for each landmark of Taxi to be on several paths
+    tasks: int = 400  # usual: 20, too few for every landmark of Taxi to be a bottleneck
     train_episodes: int = 200  # of Q-learning for each task, N_train: usual
     test_runs: int = 10  # greedy ones for each task, N_test: usual
     option_episodes: int = 2000  # for each option; usual: 200, but they begin all over I

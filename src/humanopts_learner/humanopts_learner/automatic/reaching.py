@@ -3,15 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from humanopts_env.domains.base import Transitions
-from humanopts_env.domains.chance import draw_outcomes, outcome_limits
 from humanopts_learner.automatic.how import Extraction
 from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.qlearning.world import any_of, Flags, Ints, World
 import numpy as np
 from numpy.typing import NDArray
 
-Flags = NDArray[np.bool_]
-Ints = NDArray[np.intp]
+Values = NDArray[np.float32]
 Tell = Callable[[float, int], object]  # share of the episodes that are done, steps so far
 TOLD_EVERY = 200  # steps
 LARGEST_TABLES = 2**28  # entries of all learners, 1 GiB
@@ -33,35 +31,51 @@ class Errands:
         return drawn
 
 
-@dataclass(frozen=True)
-class Learned:
-    """What Q-learning came to."""
+class _Learners:
+    """L learners, each in an episode of its own; ``live`` are those that go on."""
 
-    values: NDArray[np.float32]  # (L, S, A)
-    game_steps: int
+    def __init__(
+        self,
+        world: World,
+        errands: Errands,
+        episodes: int,
+        how: Extraction,
+        rng: np.random.Generator,
+    ) -> None:
+        self._world, self._errands, self._how, self._rng = world, errands, how, rng
+        self._episodes, count = episodes, len(errands.counts)
+        self.live = np.arange(count)
+        self.values = np.zeros((count, *world.rules.successor.shape[:2]), dtype=np.float32)
+        self._state = errands.draw(self.live, rng)
+        self._ran = np.zeros(count, dtype=np.intp)  # steps of this episode
+        self._episode = np.zeros(count, dtype=np.intp)
 
+    @property
+    def done(self) -> float:
+        """Share of the episodes that are over."""
+        return float(self._episode.mean()) / self._episodes
 
-class World:
-    """Takes steps by exact transitions, in many games at once."""
+    def step(self) -> None:
+        """Take a step in every episode that goes on, and learn."""
+        live, errands, how = self.live, self._errands, self._how
+        state = self._state[live]
+        explore = self._rng.random((len(live), 1)) < how.explore
+        action = any_of(explore | _best(self.values[live, state]), self._rng)
+        there, _, over = self._world.step(state, action, self._rng)
+        hit = errands.target[live, there]
+        ended = hit | errands.shut[live, there] | over
+        goal = np.where(ended, hit, how.gamma * self.values[live, there].max(axis=1))
+        at = live, state, action
+        self.values[at] += how.learning_rate * (goal - self.values[at])
+        self._state[live] = there
+        self._ran[live] += 1
+        self._begin_again(live[ended | (self._ran[live] >= how.max_steps)])
 
-    def __init__(self, rules: Transitions) -> None:
-        self.rules = rules
-        self._limits = None if rules.deterministic else outcome_limits(rules)
-
-    def step(self, state: Ints, action: Ints, rng: np.random.Generator) -> tuple[Ints, Flags]:
-        """Return where actions lead, and whether the task is over there, (N,)."""
-        outcome: Ints | int = 0
-        if self._limits is not None:
-            outcome = draw_outcomes(self._limits, state, action, rng.random(len(state)))
-        at = state, action, outcome
-        return self.rules.successor[at].astype(np.intp), self.rules.terminated[at]
-
-
-def greedy(values: NDArray[np.floating], rng: np.random.Generator) -> Ints:
-    """Return the best of each row (N, A), any of equals."""
-    best = values == values.max(axis=1, keepdims=True)
-    chosen: Ints = np.where(best, rng.random(values.shape), -1.0).argmax(axis=1)
-    return chosen
+    def _begin_again(self, ended: Ints) -> None:
+        self._episode[ended] += 1
+        self._ran[ended] = 0
+        self._state[ended] = self._errands.draw(ended, self._rng)
+        self.live = self.live[self._episode[self.live] < self._episodes]
 
 
 def learn_to_reach(
@@ -71,75 +85,59 @@ def learn_to_reach(
     how: Extraction,
     rng: np.random.Generator,
     tell: Tell,
-) -> Learned:
+) -> tuple[Values, int]:
     """
     Learn to do errands.
 
     Every learner has a table of its own, plays ``episodes`` episodes one after another, and steps
     together with all others.
 
+    :return: values (L, S, A), and the steps taken.
     :raises PlanError: the tables would not fit in memory.
     """
-    learners = len(errands.counts)
     n_states, n_actions, _ = world.rules.successor.shape
-    if learners * n_states * n_actions > LARGEST_TABLES:
+    if len(errands.counts) * n_states * n_actions > LARGEST_TABLES:
         raise PlanError(
-            f'{learners} learners of {n_states} states need too large tables: give fewer tasks'
+            f'{len(errands.counts)} tasks or options in {n_states} states need tables that are '
+            'too large: ask for fewer'
         )
-    values = np.zeros((learners, n_states, n_actions), dtype=np.float32)
-    done, ran = np.zeros(learners, dtype=np.intp), np.zeros(learners, dtype=np.intp)
-    live = np.arange(learners)
-    state, rounds, game_steps = errands.draw(live, rng), 0, 0
-    while live.size:
-        here = state[live]
-        action = greedy(values[live, here], rng)
-        explore = rng.random(live.size) < how.explore
-        action = np.where(explore, rng.integers(n_actions, size=live.size), action)
-        there, over = world.step(here, action, rng)
-        hit = errands.target[live, there]
-        ended = hit | errands.shut[live, there] | over
-        goal = np.where(ended, hit, how.gamma * values[live, there].max(axis=1))
-        at = live, here, action
-        values[at] += how.learning_rate * (goal - values[at])
-        state[live] = there
-        ran[live] += 1
-        ended |= ran[live] >= how.max_steps
-        again = live[ended]
-        done[again] += 1
-        ran[again], state[again] = 0, errands.draw(again, rng)
-        game_steps += live.size
+    learners = _Learners(world, errands, episodes, how, rng)
+    rounds, game_steps = 0, 0
+    while learners.live.size:
+        game_steps += learners.live.size
+        learners.step()
         rounds += 1
         if rounds % TOLD_EVERY == 0:
-            tell(float(done.sum()) / (learners * episodes), game_steps)
-        live = live[done[live] < episodes]
-    return Learned(values, game_steps)
+            tell(learners.done, game_steps)
+    return learners.values, game_steps
 
 
 def greedy_runs(
     world: World,
-    values: NDArray[np.float32],
+    values: Values,
     errands: Errands,
     learner: Ints,
-    state: Ints,
-    how: Extraction,
+    start: Ints,
+    max_steps: int,
     rng: np.random.Generator,
 ) -> tuple[Ints, Ints, int]:
     """
     Run learners greedily, R runs side by side.
 
     :param learner: (R,) which of them runs.
-    :param state: (R,) where it begins.
+    :param start: (R,) the state in which it begins.
+    :param max_steps: after which a run is cut off.
     :return: run (V,) and state (V,) of every visit of the runs that came to their target, start
         and target included, run by run in the order of their steps; and all steps taken.
     """
-    live, state = np.arange(len(learner)), state.copy()
+    live, state = np.arange(len(learner)), start.copy()
     came = np.zeros(len(learner), dtype=np.bool_)
     visits, game_steps = [np.stack([live, state])], 0
-    for _ in range(how.max_steps):
+    for _ in range(max_steps):
         if not live.size:
             break
         who, here = learner[live], state[live]
-        there, over = world.step(here, greedy(values[who, here], rng), rng)
+        there, _, over = world.step(here, any_of(_best(values[who, here]), rng), rng)
         state[live] = there
         visits.append(np.stack([live, there]))
         came[live] = errands.target[who, there]
@@ -149,3 +147,9 @@ def greedy_runs(
     order = np.argsort(run, kind='stable')
     order = order[came[run[order]]]
     return run[order], visited[order], game_steps
+
+
+def _best(values: Values) -> Flags:
+    """Return (n, A): the best of each row, all of equals."""
+    best: Flags = values == values.max(axis=1, keepdims=True)
+    return best

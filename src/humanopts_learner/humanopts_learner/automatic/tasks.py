@@ -1,8 +1,9 @@
 """Random tasks: from a start to a goal."""
 
-from humanopts_learner.automatic.ground import Flags, Ground, Ints
+from humanopts_learner.automatic.ground import Ground
 from humanopts_learner.automatic.reaching import Errands
 from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.qlearning.world import Flags, Ints
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -23,7 +24,7 @@ def draw_tasks(ground: Ground, count: int, rng: np.random.Generator) -> Errands:
         target = np.broadcast_to(ground.done, (count, len(ground.done)))
     else:
         start, target = _pairs(ground, count, rng)
-    return Errands(start, np.ones(count, dtype=np.intp), target, ~target & ground.over)
+    return Errands(start, np.ones(count, dtype=np.intp), target, np.zeros_like(target))
 
 
 def _pairs(ground: Ground, count: int, rng: np.random.Generator) -> tuple[Ints, Flags]:

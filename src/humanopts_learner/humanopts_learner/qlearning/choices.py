@@ -12,11 +12,8 @@ from humanopts_learner.planning.action_sets import (
     PRIMITIVE,
     TabledOption,
 )
+from humanopts_learner.qlearning.world import Flags, Ints
 import numpy as np
-from numpy.typing import NDArray
-
-Flags = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

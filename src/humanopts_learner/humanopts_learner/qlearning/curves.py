@@ -8,7 +8,8 @@ from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.qlearning.choices import Choices
-from humanopts_learner.qlearning.learn import Floats, learn, Method, Progress, Rates
+from humanopts_learner.qlearning.learn import learn, Method, Progress, Rates
+from humanopts_learner.qlearning.world import Floats
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit

@@ -22,14 +22,12 @@ from enum import Enum
 from typing import Any
 
 from humanopts_env.domains.base import EnumerableDomain
-from humanopts_env.domains.chance import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.qlearning.choices import Choices, Flags, Ints
+from humanopts_learner.qlearning.choices import Choices
+from humanopts_learner.qlearning.world import any_of, Flags, Floats, Ints, World
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
 # Told which share of the episodes is done, 0..1; raises ``PlanCanceled`` to stop
 Progress = Callable[[float], object]
 TOLD_EVERY = 200  # steps
@@ -125,8 +123,7 @@ class _Learners:
         limit: int,
         rng: np.random.Generator,
     ) -> None:
-        self._rules, self._over = domain.transitions(), domain.over()
-        self._limits = None if self._rules.deterministic else outcome_limits(self._rules)
+        self._world = World(domain.transitions(), domain.over())
         self._starts, self._choices = domain.start_states().astype(np.intp), choices
         self._gamma, self._limit, self._rng, self._method = gamma, limit, rng, method
         count = len(rates)
@@ -159,8 +156,7 @@ class _Learners:
         values = np.where(can, self.result.values[free, state], -np.inf)
         best = values == values.max(axis=1, keepdims=True)
         explore = self._rng.random(len(free)) < self._explore[free]
-        among = can & (best | explore[:, None])
-        self._column[free] = np.where(among, self._rng.random(can.shape), -1.0).argmax(axis=1)
+        self._column[free] = any_of(can & (best | explore[:, None]), self._rng)
         self._begun[free], self._ran[free] = state, 0
         self._gained[free], self._discount[free] = 0.0, 1.0
 
@@ -168,20 +164,9 @@ class _Learners:
         """Take one primitive step in every episode that goes on, and learn."""
         live, state, column = self.live, self._state[self.live], self._column[self.live]
         action = self._choices.action[column, state]
-        outcome: Ints | int = 0
-        if self._limits is not None:
-            outcome = draw_outcomes(self._limits, state, action, self._rng.random(len(live)))
-        at = state, action, outcome
-        there, reward = self._rules.successor[at].astype(np.intp), self._rules.reward[at]
-        over = self._rules.terminated[at] | self._over[there]
-        episode = self._episode[live]
-        self.result.steps[live, episode] += 1
-        self.result.returns[live, episode] += reward
-        cut = self.result.steps[live, episode] >= self._limit
-        self._gained[live] += self._discount[live] * reward
-        self._discount[live] *= self._gamma
-        self._ran[live] += 1
-        ended = over | cut | self._choices.ends[column, there]
+        there, reward, over = self._world.step(state, action, self._rng)
+        out_of_time = self._count(reward)
+        ended = over | out_of_time | self._choices.ends[column, there]
         ended |= self._ran[live] >= self._choices.limits[column]
         ahead = np.where(over, 0.0, self._best(live, there))
         if self._method is Method.SMDP:
@@ -190,7 +175,19 @@ class _Learners:
             self._learn_of_steps(state, action, reward, there, over, ahead)
         self._state[live] = there
         self._column[live[ended]] = -1
-        self._begin_again(live[over | cut])
+        self._begin_again(live[over | out_of_time])
+
+    def _count(self, reward: Floats) -> Flags:
+        """Count a step and its reward; return which episodes (n,) are cut off with it."""
+        live, result = self.live, self.result
+        at = live, self._episode[live]
+        result.steps[at] += 1
+        result.returns[at] += reward
+        self._gained[live] += self._discount[live] * reward
+        self._discount[live] *= self._gamma
+        self._ran[live] += 1
+        cut: Flags = result.steps[at] >= self._limit
+        return cut
 
     def _best(self, live: Ints, state: Ints) -> Floats:
         """Return (n,): the value of the best that can be chosen; 0 where nothing can."""
