@@ -255,6 +255,7 @@ def test_a_lesson_of_a_person_has_no_error_rate_to_tell(tmp_path: Path) -> None:
     facts = {'seed': '3', 'teacher_error_rate': 'None'}
     with BagWriter(tmp_path / 'bag', facts) as writer:
         writer.add_topic('/game_state', 'humanopts_interfaces/msg/GameState')
+        writer.write('/game_state', serialize_message(numbered(1)), 1)
     text = summarise(open_bag(tmp_path / 'bag')).to_text()
     assert re.search(r'teacher_error_rate +none: a person taught\n', text)
     assert 'None' not in text
