@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 import pytest
 
 GAMMA = 0.9
-EXACT = Sampling(n_games=2000, game_steps=100, penalty=0.0, explore=0.5)
+EXACT = Sampling(n_games=2000, game_steps=100, penalty=0.0, explore=0.5, margin=0.0)
 
 
 class TabularGames:

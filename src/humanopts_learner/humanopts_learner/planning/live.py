@@ -134,7 +134,8 @@ class _SampledArbiter:
         if columns.names[: columns.first_fallback] != values.names:
             raise ModelError(f'the values are not for the actions of {domain.name}')
         greedy = GreedyPolicy(columns, StateIndex(values.situations), values.choosing)
-        self._columns, self._policy = columns, executed(greedy, values.going_on, execution)
+        self._columns = columns
+        self._policy = executed(greedy, values.going_on, execution, values.slack)
         self._watch = Watcher(games, fine=values.action_set != HUMAN)
 
     def before_step(self, state: Any, running: str) -> Ruling:

@@ -51,7 +51,8 @@ class Sampling:
     explore: float = 0.2  # share of decisions that are drawn, from the second round on
     min_samples: int = 2  # pairs of state and column with fewer are not available
     penalty: float = 5.0  # reward units, by the square root of the number of samples
-    pooling: float = 100.0  # samples that the mean over states of other context counts as
+    pooling: float = 300.0  # samples that the mean over states of other context counts as
+    margin: float = 10.0  # reward units that stopping an option must be worth when it is played
 
     def __post_init__(self) -> None:
         """
@@ -61,9 +62,10 @@ class Sampling:
         """
         if min(self.rounds - 1, self.n_games, self.min_samples) < 1:
             raise PlanError(f'{self} needs two rounds, one game and one sample, at least')
-        finite = all(0.0 <= number < math.inf for number in (self.penalty, self.pooling))
+        numbers = (self.penalty, self.pooling, self.margin)
+        finite = all(0.0 <= number < math.inf for number in numbers)
         if not 0.0 <= self.explore <= 1.0 or not finite:
-            raise PlanError(f'{self} needs a share from 0 to 1; penalty, pooling finite from 0')
+            raise PlanError(f'{self} needs a share from 0 to 1; others finite, from 0')
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class SampledPlan:
     policy: GreedyPolicy
     going_on: NDArray[np.float64]  # (S, O) of going on where the column cannot start; or -inf
     execution: Execution  # that it was sampled by
+    margin: float  # reward units; nothing is stopped for less
     watch: Watcher
     game_steps: int  # that were sampled
     table_seconds: float  # of what samples are counted in: nothing, so 0
@@ -119,7 +122,7 @@ class SampledPlan:
     def carried_out(self, execution: Execution | None = None) -> Policy:
         """Return the policy, carried out in a way; None: as it was sampled."""
         execution = self.execution if execution is None else execution
-        return executed(self.policy, self.going_on, execution)
+        return executed(self.policy, self.going_on, execution, self.margin)
 
     def play(self, seed: int, episodes: int, execution: Execution | None = None) -> GameReturns:
         """
@@ -139,7 +142,7 @@ class SampledPlan:
             situations=codes[order],
             choosing=self.policy.values[order],
             going_on=self.going_on[order],
-            slack=0.0,
+            slack=self.margin,
             sampled=True,
         )
 
@@ -276,7 +279,7 @@ class _Planning:
     def _arbitrated(self) -> ArbitratedPolicy | None:
         if self._policy is None or self._execution is Execution.RUN_TO_END:
             return None
-        return ArbitratedPolicy(self._policy, self._going_on, self._execution)
+        return ArbitratedPolicy(self._policy, self._going_on, self._execution, 0.0)
 
     def plan(self) -> SampledPlan:
         """Return the plan of the last round."""
@@ -291,6 +294,7 @@ class _Planning:
             policy=self._policy,
             going_on=self._going_on,
             execution=self._execution,
+            margin=self._how.margin,
             watch=self._watch,
             game_steps=self._steps,
             table_seconds=0.0,

@@ -80,7 +80,10 @@ class GreedyPolicy(RunningToEnd):
 
     def choose(self, view: View) -> Choice:
         """Return what to run next in each game; nothing is drawn."""
-        can = self.columns.startable(view)
+        return self.choose_among(view, self.columns.startable(view))
+
+    def choose_among(self, view: View, can: Flags) -> Choice:
+        """Return what to run next in each game of the columns that can start there, (N, O)."""
         number, seen = self.index.find(view.codes)
         values = np.where(can & seen[:, None], self.values[number], -np.inf)
         known = np.isfinite(values).any(axis=1)
@@ -100,18 +103,20 @@ class ArbitratedPolicy:
     :ivar going_on: (S, O) value of going on with each column where it cannot start; where it can,
         that is the value of choosing it. -inf where not available.
     :ivar execution: not RUN_TO_END.
+    :ivar slack: nothing is stopped for a gain up to this, reward units.
     """
 
     greedy: GreedyPolicy
     going_on: NDArray[np.float64]
     execution: Execution
+    slack: float
 
     def __call__(self, view: View, rng: np.random.Generator) -> Choice:
         """Return what to run next in each game."""
         choice = self.greedy.choose(view)
         if self.execution is Execution.INTERRUPTED:
             return choice
-        values = self._values(view)
+        values = self._values(view, self.greedy.columns.startable(view))
         known = np.isfinite(values).any(axis=1)
         if self.execution is Execution.MODULAR_STRONGEST:
             winner = strongest(values)
@@ -125,18 +130,16 @@ class ArbitratedPolicy:
             return column >= 0
         if not (column >= 0).any():
             return np.zeros(len(column), dtype=np.bool_)
-        values, choice = self._values(view), self.greedy.choose(view)
+        can = self.greedy.columns.startable(view)
+        values, choice = self._values(view, can), self.greedy.choose_among(view, can)
         column = np.where(column < values.shape[1], column, -1)
         anew = choice.column < values.shape[1]
         best = values[np.arange(len(column)), np.where(anew, choice.column, 0)]
-        return stops(values, np.where(anew, best, -np.inf), column, 0.0)
+        return stops(values, np.where(anew, best, -np.inf), column, self.slack)
 
-    def _values(self, view: View) -> NDArray[np.float64]:
+    def _values(self, view: View, can: Flags) -> NDArray[np.float64]:
         """Return what each column wants to act by, (N, O); -inf: it does not, or unknown."""
-        can, (number, seen) = (
-            self.greedy.columns.startable(view),
-            self.greedy.index.find(view.codes),
-        )
+        number, seen = self.greedy.index.find(view.codes)
         found = np.where(can, self.greedy.values[number], -np.inf)
         if self.execution is not Execution.MODULAR_MASS:
             found = np.where(can, found, self.going_on[number])
@@ -150,12 +153,12 @@ class ArbitratedPolicy:
 
 
 def executed(
-    greedy: GreedyPolicy, going_on: NDArray[np.float64], execution: Execution
+    greedy: GreedyPolicy, going_on: NDArray[np.float64], execution: Execution, slack: float
 ) -> GreedyPolicy | ArbitratedPolicy:
-    """Return a policy that is carried out in a way; ``going_on`` as in ``ArbitratedPolicy``."""
+    """Return a policy that is carried out in a way; parameters as in ``ArbitratedPolicy``."""
     if execution is Execution.RUN_TO_END:
         return greedy
-    return ArbitratedPolicy(greedy, going_on, execution)
+    return ArbitratedPolicy(greedy, going_on, execution, slack)
 
 
 @dataclass(frozen=True)
