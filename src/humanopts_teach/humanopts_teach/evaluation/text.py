@@ -13,7 +13,10 @@ if TYPE_CHECKING:  # it imports this module
 
 MOST_POINTS = 12  # of a learning curve that are printed
 CURVE_HEAD = ('shown', 'not here', 'return', 'E_I', 'E_beta', 'policy', 'I', 'beta', 'met')
-PLAN_HEAD = ('action set', 'gamma', 'planning ms', 'sweeps', 'mean return', 'discounted')
+PLAN_HEAD = (
+    *('action set', 'gamma', 'game steps', 'planning ms', 'sweeps'),
+    *('episodes', 'mean return', '95 % interval', 'discounted'),
+)
 
 
 def evaluation_text(evaluation: 'BagEvaluation') -> str:
@@ -132,8 +135,11 @@ def _plan(name: str, row: PlanningRow) -> list[str]:
     return [
         name,
         number(row.gamma),
-        number(1e3 * (row.table_seconds + row.model_seconds + row.sweep_seconds), 3),
+        f'{row.game_steps:,}' if row.game_steps else '-',
+        number(1e3 * row.seconds, 3),
         str(row.sweeps),
+        str(row.episodes),
         number(row.mean_return),
+        f'{number(row.mean_return_low)} to {number(row.mean_return_high)}',
         number(row.mean_discounted_return),
     ]
