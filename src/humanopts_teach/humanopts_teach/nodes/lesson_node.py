@@ -66,8 +66,8 @@ class LessonNode(NodeBase):
             self.setting(
                 'until_no_failures',
                 False,
-                'with strategy failures: once the criteria hold, go on while it finds a state '
-                'from which the learned option fails',
+                'with strategy failures: once the criteria hold, go on while the learned option '
+                'fails from a state (from more than a tenth, where states are sampled)',
             )
         )
         self._learner_deadline = float(
