@@ -3,9 +3,11 @@ The simulated participants of a study: a table drawn from its seed.
 
 Two groups, since the paper's claims are of two kinds. *Careful* people make no error; they differ
 only in which of several equally good actions they prefer. *Varied* people differ in that too, and
-each has an error rate of their own (share of steps that are wrong, uniform from 0 to
-``MOST_ERRORS``) and a rate of needless answers (probability of yes to a question about a feature
-that does not matter, uniform from 0 to ``MOST_NEEDLESS``).
+each has an error rate of their own (share of steps that are wrong, from 0 to ``MOST_ERRORS``) and
+a rate of needless answers (probability of yes to a question about a feature that does not matter,
+from 0 to ``MOST_NEEDLESS``). So that a handful of people covers both ranges, their rates are not
+drawn one by one: they go on from an offset that is drawn, by steps that fill a square evenly
+(Roberts 2018, The unreasonable effectiveness of quasirandom sequences: R2).
 """
 
 from collections.abc import Mapping
@@ -19,6 +21,7 @@ CAREFUL, VARIED = 'careful', 'varied'
 GROUPS = (CAREFUL, VARIED)
 MOST_ERRORS = 0.05
 MOST_NEEDLESS = 0.2
+STEPS = (0.7548776662466927, 0.5698402909980532)  # 1 / g, 1 / g**2, where g**3 = g + 1
 
 
 @dataclass(frozen=True)
@@ -59,12 +62,12 @@ def participants(group: str, count: int, seed: int) -> list[Participant]:
 
 
 def _participant(group: str, number: int, seed: int) -> Participant:
-    code = f'{group}{number}'
-    errors, needless = generator(seed, 'participant', code).uniform(size=2)
+    offsets = generator(seed, 'participants', group).uniform(size=2).tolist()
+    errors, needless = ((x + number * step) % 1.0 for x, step in zip(offsets, STEPS))
     varied = group == VARIED
     return Participant(
         group,
-        code,
+        f'{group}{number}',
         error_rate=round(errors * MOST_ERRORS, 4) if varied else 0.0,
         needless_rate=round(needless * MOST_NEEDLESS, 4) if varied else 0.0,
         seed=seed,

@@ -1,0 +1,79 @@
+"""Lessons of a reproduction against those over the graph; bags in place of simulated people."""
+
+import csv
+import json
+from pathlib import Path
+import signal
+import time
+from typing import Any
+
+from graph_support.command import Command, DemoRun
+from humanopts_env.domains.registry import make_domain
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_teach.bags.demonstrations import read_demonstrations
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.cli import main
+from humanopts_teach.dialogue.lesson import LessonRules
+from humanopts_teach.experiments.lessons import teach
+from humanopts_teach.teacher.simulated import TeacherSettings
+
+
+def without_time(demonstrations: list[Demonstration]) -> list[dict[str, Any]]:
+    """Return what was shown; only the clock differs between two lessons."""
+    shown = {d.uuid: json.loads(d.to_json()) for d in demonstrations}
+    return [{**values, 'seconds': 0} for values in shown.values()]
+
+
+def test_lesson_in_one_process_is_that_over_the_graph(demo: DemoRun) -> None:
+    live = read_demonstrations(open_bag(demo.bag))
+    domain, seed = make_domain('taxi'), 1
+    settings = demo.summary['teaching']
+    names = tuple(dict.fromkeys(d.option_name for d in live))
+
+    def enough(shown: Any, option: Any) -> bool:
+        return judge(shown, domain, Thresholds(), seed, option).criteria_met
+
+    taught = teach(
+        domain,
+        TeacherSettings(
+            names,
+            participant=live[0].participant,
+            session=live[0].session,
+            error_rate=settings['teacher_error_rate'],
+            seed=seed,
+        ),
+        LessonRules(settings['strategy'], settings['budget'], seed),
+        enough,
+        until_no_failures=True,
+    )
+    assert taught.cut_short == ''
+    assert without_time(list(taught.demonstrations)) == without_time(live)
+    assert [option.name for option in taught.options] == list(names)
+
+
+def test_bags_stand_in_for_simulated_people(demo: DemoRun, tmp_path: Path) -> None:
+    bag = demo.bag
+    arguments = ['reproduce', 'fig2', '--out', str(tmp_path), '--jobs', '1', '--bags', str(bag)]
+    assert main(arguments) == 0
+    with (tmp_path / 'fig2-people.csv').open(encoding='utf-8') as file:
+        rows = {row['option']: row for row in csv.DictReader(file)}
+    for block in demo.summary['options']:
+        assert float(rows[block['name']]['last accuracy of policy']) == block['policy_accuracy']
+    page = (tmp_path / 'report.html').read_text('utf-8')
+    assert str(bag.resolve()) in page
+    assert '<b>simulated</b>' not in page
+
+
+def test_ctrl_c_says_how_to_go_on_and_leaves_no_process(tmp_path: Path, domain_id: int) -> None:
+    arguments = ['reproduce', 'fig2', '--out', tmp_path / 'out', '--participants', 1, '--jobs', 2]
+    command = Command(arguments, tmp_path, domain_id)
+    command.until(lambda: len(command.running()) >= 2, 'two processes compute')
+    command.send(signal.SIGINT)
+    assert command.ended(20) == 130
+    assert 'goes on from here' in command.errors
+    assert 'Traceback' not in command.errors
+    deadline = time.monotonic() + 20
+    while command.running():  # a helper of joblib ends after the others
+        assert time.monotonic() < deadline, command.running()
+        time.sleep(0.02)
