@@ -51,7 +51,7 @@ class Sampling:
     explore: float = 0.2  # share of decisions that are drawn, from the second round on
     min_samples: int = 2  # pairs of state and column with fewer are not available
     penalty: float = 5.0  # reward units, by the square root of the number of samples
-    pooling: float = 300.0  # samples that the mean over states of other context counts as
+    pooling: float = 0.0  # samples that the mean over states of other context counts as; 0: none
     margin: float = 10.0  # reward units that stopping an option must be worth when it is played
 
     def __post_init__(self) -> None:
