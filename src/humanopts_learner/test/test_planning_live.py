@@ -1,10 +1,8 @@
 """Arbitration in one game at a time, from a table that went through a message, as vectorised."""
 
-from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
-from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options as rooms_options
 from humanopts_env.domains.taxi import Taxi
@@ -24,61 +22,15 @@ from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPl
 import numpy as np
 from numpy.typing import NDArray
 import pytest
+from tabular_games import TabularGames
 
 TAXI_OPTIONS = ('go to passenger', 'go to destination', 'pickup/dropoff')
 MODULAR = (Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST)
 LIMIT = 60
 
 
-class TaxiGames:
-    """Many games of Taxi: a batch is one row of state indices."""
-
-    def __init__(self, domain: EnumerableDomain[Any]) -> None:
-        """Keep the rules."""
-        self.domain: Domain[Any] = domain
-        self._listed = domain
-
-    def batch_reset(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Begin games."""
-        return rng.choice(self._listed.start_states().astype(np.int64), (1, count))
-
-    def batch_of(self, states: Sequence[Any]) -> NDArray[np.int64]:
-        """Return games that stand at given states."""
-        return np.array([[self._listed.index(state) for state in states]], dtype=np.int64)
-
-    def batch_take(self, batch: NDArray[np.int64], games: NDArray[np.intp]) -> NDArray[np.int64]:
-        """Return copies of chosen games."""
-        return batch[:, games]
-
-    def batch_put(
-        self, batch: NDArray[np.int64], games: NDArray[np.intp], source: NDArray[np.int64]
-    ) -> None:
-        """Set chosen games."""
-        batch[:, games] = source
-
-    def batch_step(
-        self, batch: NDArray[np.int64], actions: NDArray[np.intp], rng: np.random.Generator
-    ) -> NDArray[np.float64]:
-        """Take one step in every game that is not over."""
-        live, at = ~self.batch_over(batch), (batch[0], actions, 0)
-        rules = self._listed.transitions()
-        reward: NDArray[np.float64] = np.where(live, rules.reward[at], 0.0)
-        batch[0] = np.where(live, rules.successor[at], batch[0])
-        return reward
-
-    def batch_over(self, batch: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return where the task is over."""
-        found: NDArray[np.bool_] = self._listed.over()[batch[0]]
-        return found
-
-    def batch_features(self, batch: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Return all features."""
-        found: NDArray[np.int32] = self._listed.feature_table()[batch[0]]
-        return found
-
-    def batch_outcome(self, batch: NDArray[np.int64]) -> Mapping[str, NDArray[Any]]:
-        """Return where each game is."""
-        return {'state': batch[0]}
+class TaxiGames(TabularGames):
+    """Games whose planning states hide where the passenger is."""
 
     def planning_sizes(self, *, fine: bool) -> tuple[int, ...]:
         """Tell states apart by where the taxi and the destination are."""
@@ -92,7 +44,7 @@ class TaxiGames:
 
 
 class BatchTaxi(Taxi):
-    """Taxi that brings its batched form, and planning states that hide where the passenger is."""
+    """Taxi that brings its batched form."""
 
     def __init__(self) -> None:
         """Cut games off soon."""

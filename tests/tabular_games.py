@@ -1,0 +1,72 @@
+"""Many games of an enumerable domain at once, for tests of sampled planning."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from humanopts_env.domains.base import Domain, EnumerableDomain
+from humanopts_env.domains.chance import draw_outcomes, outcome_limits
+import numpy as np
+from numpy.typing import NDArray
+
+
+class TabularGames:
+    """Many games of an enumerable domain: a batch is one row of state indices."""
+
+    def __init__(self, domain: EnumerableDomain[Any]) -> None:
+        """Lay out the tables."""
+        self.domain: Domain[Any] = domain
+        self._listed, self._limits = domain, outcome_limits(domain.transitions())
+
+    def batch_reset(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Begin games."""
+        return rng.choice(self._listed.start_states().astype(np.int64), (1, count))
+
+    def batch_of(self, states: Sequence[Any]) -> NDArray[np.int64]:
+        """Return games that stand at given states."""
+        return np.array([[self._listed.index(state) for state in states]], dtype=np.int64)
+
+    def batch_take(self, batch: NDArray[np.int64], games: NDArray[np.intp]) -> NDArray[np.int64]:
+        """Return copies of chosen games."""
+        return batch[:, games]
+
+    def batch_put(
+        self, batch: NDArray[np.int64], games: NDArray[np.intp], source: NDArray[np.int64]
+    ) -> None:
+        """Set chosen games."""
+        batch[:, games] = source
+
+    def batch_step(
+        self, batch: NDArray[np.int64], actions: NDArray[np.intp], rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Take one step in every game that is not over."""
+        live = ~self.batch_over(batch)
+        outcome = draw_outcomes(self._limits, batch[0], actions, rng.random(len(actions)))
+        at = batch[0], actions, outcome
+        rules = self._listed.transitions()
+        reward: NDArray[np.float64] = np.where(live, rules.reward[at], 0.0)
+        batch[0] = np.where(live, rules.successor[at], batch[0])
+        return reward
+
+    def batch_over(self, batch: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return where the task is over."""
+        found: NDArray[np.bool_] = self._listed.over()[batch[0]]
+        return found
+
+    def batch_features(self, batch: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Return all features."""
+        found: NDArray[np.int32] = self._listed.feature_table()[batch[0]]
+        return found
+
+    def batch_outcome(self, batch: NDArray[np.int64]) -> Mapping[str, NDArray[Any]]:
+        """Return where each game is."""
+        return {'state': batch[0]}
+
+    def planning_sizes(self, *, fine: bool) -> tuple[int, ...]:
+        """Tell every state apart."""
+        return (self._listed.n_states,)
+
+    def planning_features(
+        self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
+    ) -> NDArray[np.int32]:
+        """Tell every state apart."""
+        return batch.T.astype(np.int32)
