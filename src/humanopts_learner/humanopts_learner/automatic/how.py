@@ -21,7 +21,7 @@ class Extraction:
     (utkd/bottleneck-options-learning); the others are ours, and say why.
     """
 
-    options: int = 25  # at most; on Taxi there are nine before no visits are left
+    options: int = 25  # at most; on Taxi visits run out after nine, with few seeds after eight
     tasks: int = 400  # usual: 20, too few for every landmark of Taxi to be a bottleneck
     train_episodes: int = 200  # of Q-learning for each task, N_train: usual
     test_runs: int = 10  # greedy ones for each task, N_test: usual
