@@ -16,7 +16,7 @@ from humanopts_teach.experiments.page import Reproduction, write_reproduction
 from humanopts_teach.experiments.people import CAREFUL, Participant, participants, VARIED
 from humanopts_teach.experiments.sections import Comparison, Section, Verdict
 from humanopts_teach.experiments.study import Study
-from matplotlib.figure import Figure
+from humanopts_teach.report.figures import Drawing
 import numpy as np
 import pytest
 
@@ -149,10 +149,10 @@ def test_csv_json_and_figure_hold_the_same_numbers(study: Study, written: Path) 
     kept = json.loads((written / 'fig2.json').read_text('utf-8'))['tables']['fig2-curves']
     assert [float(row['mean']) for row in rows] == [record['mean'] for record in kept]
     section = present(study, results_of(study, of_taxi))
-    figure = Figure()
-    section.pictures[0].draw(figure, lambda colour: colour)
+    work = Drawing(10.0, 3.0)
+    section.pictures[0].draw(work, lambda colour: colour)
     domain, option, group = 'taxi', PICKUP, CAREFUL
-    for axes, measure in zip(figure.axes, ('policy', 'initiation', 'termination')):
+    for axes, measure in zip(work.figure.axes, ('policy', 'initiation', 'termination')):
         lines = {line.get_label(): line for line in axes.get_lines()}
         for strategy in ('random', 'coverage', 'failures'):
             named = {

@@ -16,6 +16,8 @@ from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.experiments.cells import Cell, CellStore, LIBRARIES
 from humanopts_teach.experiments.figure2 import GROUPS
 from humanopts_teach.experiments.figure2_section import EXPERIMENT as FIGURE_2
+from humanopts_teach.experiments.figure3 import EXPERIMENT as FIGURE_3
+from humanopts_teach.experiments.figure4_section import EXPERIMENT as FIGURE_4
 from humanopts_teach.experiments.page import PAGE, Reproduction, write_reproduction
 from humanopts_teach.experiments.people import Participant, participants
 from humanopts_teach.experiments.running import ClusterError, Outcome, run_cells
@@ -24,7 +26,7 @@ from humanopts_teach.report.words import counted, duration
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (FIGURE_2,)}
+EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (FIGURE_2, FIGURE_3, FIGURE_4)}
 _LINE_EVERY = 15.0  # s between lines, where there is no terminal
 
 

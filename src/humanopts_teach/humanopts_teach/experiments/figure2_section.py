@@ -21,6 +21,7 @@ from humanopts_teach.experiments.sections import (
     agreement,
     Comparison,
     goal,
+    Paint,
     Picture,
     Section,
     Table,
@@ -28,8 +29,7 @@ from humanopts_teach.experiments.sections import (
     Verdict,
 )
 from humanopts_teach.experiments.study import Experiment, Study
-from humanopts_teach.report.figures import MUTED, SERIES
-from matplotlib.figure import Figure
+from humanopts_teach.report.figures import Drawing, MUTED, SERIES
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 import numpy as np
 
@@ -264,8 +264,10 @@ def _who(group: str) -> str:
     }[group]
 
 
-def _draw(shown: Sequence[Series], figure: Figure, paint: Any) -> None:
-    for place, (axes, measure) in enumerate(zip(figure.subplots(1, 3, sharey=True), MEASURES)):
+def _draw(shown: Sequence[Series], work: Drawing, paint: Paint) -> None:
+    for place, (axes, measure) in enumerate(
+        zip(work.figure.subplots(1, 3, sharey=True), MEASURES)
+    ):
         for one in shown:
             found = one.bands()[measure]
             n = np.arange(1, len(found.mean) + 1)

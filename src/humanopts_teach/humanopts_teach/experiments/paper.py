@@ -38,6 +38,28 @@ FIGURE_2 = (
         'section 7.1',
     ),
 )
+FIGURE_3 = (
+    Statement(
+        'Nine automatic options: four that go to a place and pick up, four that go to one and '
+        'drop off, and one that goes to a cell.',
+        'section 7.3, figure 3',
+    ),
+    Statement('That cell is in the centre of the grid.', 'section 7.3, figure 3'),
+    Statement('Three more automatic options than primitive actions.', 'section 7.3'),
+    Statement(
+        'Human options are more general: the same one serves every place of passenger or '
+        'destination.',
+        'section 7.3',
+    ),
+)
+FIGURE_4 = (
+    Statement(
+        'Learning is faster with human options than with automatic ones.', 'section 7.3, figure 4'
+    ),
+    Statement('Steps per episode: the axis goes to 300, for 120 episodes.', 'figure 4'),
+)
+EPISODES = 120  # figure 4
+AUTOMATIC = {'pickup': 4, 'dropoff': 4, '': 1}  # section 7.3: options by what they end with
 MINUTES = {'taxi': 15.0, 'pacman': 20.0}  # section 7.1: at most, on average
 FIGURE_2_OPTIONS = {  # figure 2 (a) and (b)
     'taxi': 'go to destination and dropoff',

@@ -7,9 +7,8 @@ import re
 from typing import Any
 
 from humanopts_teach.experiments.sections import Picture
-from humanopts_teach.report.figures import drawing, SETTINGS, VARIABLES
+from humanopts_teach.report.figures import Drawing, drawing, SETTINGS, VARIABLES
 import matplotlib
-from matplotlib.figure import Figure
 
 DPI = 160
 
@@ -32,7 +31,7 @@ def light_colours() -> dict[str, str]:
 def svg_for_page(picture: Picture) -> str:
     """Return an ``<svg>`` element that is coloured by the page."""
     with drawing(picture.name, picture.label, *picture.size) as work:
-        picture.draw(work.figure, str)
+        picture.draw(work, str)
     return work.svg
 
 
@@ -50,7 +49,7 @@ def write_picture(folder: Path, picture: Picture) -> None:
         'svg.hashsalt': picture.name,
     }
     with matplotlib.rc_context(settings):
-        figure = Figure(figsize=picture.size, layout='constrained')
-        picture.draw(figure, lambda colour: colours[colour])
-        figure.savefig(folder / f'{picture.name}.png', dpi=DPI)
-        figure.savefig(folder / f'{picture.name}.svg', metadata={'Date': None})
+        work = Drawing(*picture.size)
+        picture.draw(work, lambda colour: colours[colour])
+        work.figure.savefig(folder / f'{picture.name}.png', dpi=DPI)
+        work.figure.savefig(folder / f'{picture.name}.svg', metadata={'Date': None})

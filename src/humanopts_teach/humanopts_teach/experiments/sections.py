@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from matplotlib.figure import Figure
+from humanopts_teach.report.figures import Drawing
 
 Paint = Callable[[str], str]  # from a colour of report.figures to the one to draw with
 Value = str | int | float | bool | None
@@ -54,7 +54,7 @@ class Picture:
     name: str  # of the files, without suffix
     label: str  # what it shows, for people who do not see it
     size: tuple[float, float]  # inches
-    draw: Callable[[Figure, Paint], None]
+    draw: Callable[[Drawing, Paint], None]
     caption: str = ''
 
 

@@ -1,17 +1,38 @@
 """Where automatic options were found: visits of greedy runs, and the bottlenecks among them."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.domains.base import BoardSlice, Domain, is_enumerable
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_learner.automatic.extract import AutomaticOptions
+from humanopts_learner.automatic.ground import Ground
 from humanopts_teach.report.board import Board, board_of
 from humanopts_teach.report.board_figure import COLORS, draw_walls
 from humanopts_teach.report.figures import CaptionedFigure, Drawing, drawing
 from matplotlib.colors import Normalize
 import numpy as np
+from numpy.typing import NDArray
 
 LARGEST_SIDE = 5.0  # inches
+
+
+@dataclass(frozen=True)
+class VisitMap:
+    """What is drawn of automatic options: visits and targets by cell."""
+
+    board: Board
+    cell: NDArray[np.intp]  # (S,) of each state, 0..K-1
+    visits: NDArray[np.intp]  # (K,)
+    targets: Sequence[int]  # cell of each option
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Inches."""
+        rows, cols = self.board.states.shape
+        side = LARGEST_SIDE / max(rows, cols)
+        return side * cols + 1.2, side * rows + 0.8
 
 
 def automatic_figure(
@@ -24,51 +45,69 @@ def automatic_figure(
     :param name: prefix of the identifiers.
     :return: None where the domain has no board.
     """
-    board = _board(domain, found)
-    if board is None:
+    targets = [option.target.cell for option in found.options]
+    seen = visit_map(domain, found.ground, found.visits, targets)
+    if seen is None:
         return None
-    rows, cols = board.states.shape
-    cells = np.where(board.states >= 0, found.ground.cell[board.states], -1)
-    visits = np.where(cells >= 0, found.visits[cells], np.nan)
-    side = LARGEST_SIDE / max(rows, cols)
     label = f'Visits of greedy runs in {domain.name}, with the targets of automatic options'
-    with drawing(name, label, side * cols + 1.2, side * rows + 0.8) as work:
-        edges = np.arange(cols + 1) - 0.5, np.arange(rows + 1) - 0.5
-        scale = Normalize(0.0, float(np.nanmax(visits)))
-        heat = work.axes.pcolormesh(*edges, visits, cmap=COLORS, norm=scale)
-        draw_walls(work, board)
-        for cell, text in _labels(found).items():
-            for row, col in np.argwhere(cells == cell):
-                _mark(work, (row, col), text, max(7.5, 60.0 / max(rows, cols)))
-        work.axes.set(aspect='equal', xlabel='column', ylabel='row')
-        work.axes.set_title('Visits of greedy runs, and automatic options')
-        work.axes.invert_yaxis()
-        work.axes.tick_params(length=0)
-        work.axes.spines[:].set_visible(False)
-        bar = work.figure.colorbar(heat, ax=work.axes, shrink=0.85, pad=0.03)
-        bar.set_label('visits')
-        bar.outline.set_visible(False)
+    with drawing(name, label, *seen.size) as work:
+        draw_visits(work, seen)
     options = enumerate(found.options, start=1)
     return CaptionedFigure(work.svg, '; '.join(f'{n}: {option.name}' for n, option in options))
 
 
-def _board(domain: Domain[Any], found: AutomaticOptions) -> Board | None:
+def visit_map(
+    domain: Domain[Any], ground: Ground, visits: NDArray[np.intp], targets: Sequence[int]
+) -> VisitMap | None:
+    """
+    Return what to draw; None where the domain has no board.
+
+    :param visits: (K,) by cell.
+    :param targets: cell of each option.
+    """
+    board = _board(domain, ground)
+    return None if board is None else VisitMap(board, ground.cell, visits, targets)
+
+
+def draw_visits(work: Drawing, seen: VisitMap) -> None:
+    """Draw into a figure under way; see ``automatic_figure``."""
+    rows, cols = seen.board.states.shape
+    cells = np.where(seen.board.states >= 0, seen.cell[seen.board.states], -1)
+    visits = np.where(cells >= 0, seen.visits[cells], np.nan)
+    edges = np.arange(cols + 1) - 0.5, np.arange(rows + 1) - 0.5
+    scale = Normalize(0.0, float(np.nanmax(visits)))
+    heat = work.axes.pcolormesh(*edges, visits, cmap=COLORS, norm=scale)
+    draw_walls(work, seen.board)
+    for cell, text in _labels(seen.targets).items():
+        for row, col in np.argwhere(cells == cell):
+            _mark(work, (row, col), text, max(7.5, 60.0 / max(rows, cols)))
+    work.axes.set(aspect='equal', xlabel='column', ylabel='row')
+    work.axes.set_title('Visits of greedy runs, and automatic options')
+    work.axes.invert_yaxis()
+    work.axes.tick_params(length=0)
+    work.axes.spines[:].set_visible(False)
+    bar = work.figure.colorbar(heat, ax=work.axes, shrink=0.85, pad=0.03)
+    bar.set_label('visits')
+    bar.outline.set_visible(False)
+
+
+def _board(domain: Domain[Any], ground: Ground) -> Board | None:
     """Return the board that visits are drawn on."""
     if isinstance(domain, PacMan):
         maze = domain.rules.maze
         cells = np.full((maze.rows, maze.cols), -1, dtype=np.int32)
         cells[tuple(np.transpose(maze.cells))] = range(len(maze.cells))
-        return board_of(found.ground.rules, BoardSlice('the maze', cells))
+        return board_of(ground.rules, BoardSlice('the maze', cells))
     slices = domain.board_slices() if is_enumerable(domain) else []
-    return board_of(found.ground.rules, slices[0]) if slices else None
+    return board_of(ground.rules, slices[0]) if slices else None
 
 
-def _labels(found: AutomaticOptions) -> dict[int, str]:
+def _labels(targets: Sequence[int]) -> dict[int, str]:
     """Return the numbers of the options by the cell of their target."""
     labels: dict[int, str] = {}
-    for number, option in enumerate(found.options, start=1):
-        before = labels.get(option.target.cell)
-        labels[option.target.cell] = f'{before}, {number}' if before else str(number)
+    for number, cell in enumerate(targets, start=1):
+        before = labels.get(cell)
+        labels[cell] = f'{before}, {number}' if before else str(number)
     return labels
 
 
