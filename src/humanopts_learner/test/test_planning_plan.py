@@ -252,7 +252,7 @@ def test_seconds_are_those_of_the_clock() -> None:
 def test_a_request_that_makes_no_sense_is_refused_by_name() -> None:
     option = learned(PICKUP)
     with pytest.raises(UnknownActionSetError, match='human, primitive'):
-        make_plan(TAXI, 'automatic', [option])
+        make_plan(TAXI, 'robot', [option])
     with pytest.raises(NoOptionsError, match='teach one'):
         make_plan(TAXI, 'human', [])
     with pytest.raises(DuplicateOptionError, match=PICKUP):

@@ -33,7 +33,8 @@ class LearnedOption:
     """
     An option learned from one participant. Rows below are of all F features of its domain.
 
-    Paper, section 6: three decision trees over the features that the person chose.
+    Paper, section 6: three decision trees over the features that the person chose. An automatic
+    option has the same form, and no demonstrations.
     """
 
     name: str

@@ -26,7 +26,11 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE = 'human', 'primitive', 'human+primitive'
-ACTION_SETS = (HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE)
+AUTOMATIC, AUTOMATIC_AND_PRIMITIVE = 'automatic', 'automatic+primitive'
+ACTION_SETS = (HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE, AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)
+OPTIONS_ONLY = (HUMAN, AUTOMATIC)  # primitive actions only where no option can start
+OF_MACHINES = (AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)  # sets of options that nobody taught
+MACHINE = 'automatic'  # with this begin the codes of participants whose options nobody taught
 
 
 class Progress(Protocol):
@@ -64,8 +68,9 @@ def check_action_set(action_set: str, option_names: Sequence[str]) -> None:
             f'no action set {action_set!r}; there is {", ".join(ACTION_SETS)}'
         )
     if action_set != PRIMITIVE and not option_names:
+        way = 'extract them' if action_set in OF_MACHINES else 'teach one'
         raise NoOptionsError(
-            f'the action set {action_set} needs options and there are none: teach one first'
+            f'the action set {action_set} needs options and there are none: {way} first'
         )
     twice = sorted({name for name in option_names if option_names.count(name) > 1})
     if twice:
@@ -83,8 +88,8 @@ def build_model(
     Return the exact model of an action set.
 
     The columns are the options and then, where the set needs them, the primitive actions. In the
-    set ``human`` these are available only in states where no option is; where there is no such
-    state, they are left out.
+    sets ``human`` and ``automatic`` these are available only in states where no option is; where
+    there is no such state, they are left out.
 
     :param options: not looked at in the set ``primitive``.
     :raises PlanError: the request makes no sense; its subclasses say which part.
@@ -98,7 +103,7 @@ def build_model(
     model_options = _option_model if deterministic else _option_rows
     model: Model = model_options(domain, options, gamma, tell)
     closed = domain.over()
-    if action_set == HUMAN:
+    if action_set in OPTIONS_ONLY:
         closed = closed | model.available.any(axis=1)
     if not closed.all():
         primitives = primitive_model(domain.transitions(), closed, gamma, names)

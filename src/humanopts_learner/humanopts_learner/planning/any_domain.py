@@ -14,7 +14,13 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.action_sets import PRIMITIVE, Progress, say_nothing
+from humanopts_learner.planning.action_sets import (
+    MACHINE,
+    OF_MACHINES,
+    PRIMITIVE,
+    Progress,
+    say_nothing,
+)
 from humanopts_learner.planning.errors import check_limits, PlanError
 from humanopts_learner.planning.evaluate import episode_starts, play, Returns
 from humanopts_learner.planning.plan import check_request, Clock, make_plan, Plan
@@ -38,7 +44,7 @@ table_seconds, model_seconds, sweep_seconds, and ``choose(state)``.
 class PlanRequest:
     """What a plan shall be; for a number of 0 there is a default."""
 
-    action_set: str  # human, primitive or human+primitive
+    action_set: str  # one of ``ACTION_SETS``
     gamma: float = 0.0  # discount per primitive step; the domain's own
     tol: float = 0.0  # of the last sweep, reward units; 1e-8 with exact models, 1e-3 with sampled
     max_sweeps: int = 0  # 10,000
@@ -77,16 +83,21 @@ def select_options(
     """
     Return the options to plan with, in the order given; none for the set ``primitive``.
 
+    Those of the sets ``automatic`` are of participants whose code begins so; those of the sets
+    ``human`` are of all others.
+
     :param participant: whose; empty: the only one there is.
     :param names: those to plan with; empty: all.
     :raises PlanError: there are several participants and none is named, or a name is unknown.
     """
     if action_set == PRIMITIVE:
         return []
-    people = sorted({option.participant for option in options})
+    machine = action_set in OF_MACHINES
+    kind = [option for option in options if option.participant.startswith(MACHINE) == machine]
+    people = sorted({option.participant for option in kind})
     if not participant and len(people) > 1:
-        raise PlanError(f'several people taught options: name one of {", ".join(people)}')
-    theirs = [option for option in options if participant in ('', option.participant)]
+        raise PlanError(f'options are of several participants: name one of {", ".join(people)}')
+    theirs = [option for option in kind if participant in ('', option.participant)]
     known = [option.name for option in theirs]
     unknown = [repr(name) for name in names if name not in known]
     if known and unknown:

@@ -14,6 +14,7 @@ from humanopts_learner.planning.action_sets import (
     check_action_set,
     HUMAN,
     HUMAN_AND_PRIMITIVE,
+    OPTIONS_ONLY,
     PRIMITIVE,
     Progress,
     say_nothing,
@@ -60,9 +61,9 @@ class Plan:
     A greedy policy over options.
 
     The columns are the options and then, where the action set needs them, all primitive actions.
-    In the set ``human`` these are the fallback: available only in states where no option is, so
-    that the one chosen there is the best by one step of look-ahead in the plan's own values, the
-    first of equals.
+    In the sets ``human`` and ``automatic`` these are the fallback: available only in states where
+    no option is, so that the one chosen there is the best by one step of look-ahead in the plan's
+    own values, the first of equals.
     """
 
     domain: EnumerableDomain[Any]
@@ -89,7 +90,7 @@ class Plan:
     @property
     def first_fallback(self) -> int:
         """Column from which on a choice is a fallback; the number of columns where none is."""
-        return len(self.options) if self.action_set == HUMAN else len(self.names)
+        return len(self.options) if self.action_set in OPTIONS_ONLY else len(self.names)
 
     @property
     def game_steps(self) -> int:
@@ -110,7 +111,7 @@ def make_plan(
     """
     Plan with learned options, primitive actions, or both.
 
-    :param action_set: human, primitive (``options`` are not looked at) or human+primitive.
+    :param action_set: one of ``ACTION_SETS``; ``options`` are not looked at in ``primitive``.
     :param gamma: discount per primitive step; None: the domain's own.
     :param tol: largest change allowed in the last sweep, in reward units.
     :raises PlanError: the request makes no sense; its subclasses say which part.

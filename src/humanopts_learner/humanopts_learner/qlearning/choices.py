@@ -8,7 +8,7 @@ from humanopts_env.domains.base import EnumerableDomain
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.planning.action_sets import (
     check_action_set,
-    HUMAN,
+    OPTIONS_ONLY,
     PRIMITIVE,
     TabledOption,
 )
@@ -21,7 +21,8 @@ class Choices:
     """
     O columns over S states: the options, then all primitive actions where the set needs them.
 
-    As in planning, these are available in the set ``human`` only in states where no option is.
+    As in planning, these are available in the sets ``human`` and ``automatic`` only in states
+    where no option is.
     """
 
     names: tuple[str, ...]  # (O,)
@@ -46,7 +47,7 @@ def choices_of(
     primitives = np.arange(len(domain.actions))
     tables = [option.tables for option in used]
     can = np.array([t.initiation for t in tables], dtype=np.bool_).reshape(-1, count) & going
-    free = going & ~can.any(axis=0) if action_set == HUMAN else going
+    free = going & ~can.any(axis=0) if action_set in OPTIONS_ONLY else going
     columns = len(primitives) if free.any() else 0
     shape = (columns, count)
     return Choices(

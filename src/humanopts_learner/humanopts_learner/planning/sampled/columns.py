@@ -6,7 +6,7 @@ from typing import Protocol
 
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
+from humanopts_learner.planning.action_sets import OPTIONS_ONLY, PRIMITIVE
 from humanopts_learner.planning.sampled.games import BatchDomain, Flags, Ints, View
 import numpy as np
 
@@ -86,7 +86,8 @@ class Columns:
             *(option.name for option in self.options),
             *(PRIMITIVE_PREFIX + action.name for action in actions),
         )
-        self.first_fallback = len(self.options) if action_set == HUMAN else len(self.names)
+        only = action_set in OPTIONS_ONLY
+        self.first_fallback = len(self.options) if only else len(self.names)
         self.limits = np.array([*(o.max_steps for o in self.options), *[1] * self.n_actions])
 
     @property

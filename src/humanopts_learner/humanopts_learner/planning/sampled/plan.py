@@ -11,7 +11,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.action_sets import (
     check_action_set,
-    HUMAN,
+    OPTIONS_ONLY,
     PRIMITIVE,
     Progress,
     say_nothing,
@@ -164,7 +164,7 @@ def make_sampled_plan(
     """
     Plan from samples, in a domain that plays many games at once.
 
-    :param action_set: human, primitive (``options`` are not looked at) or human+primitive.
+    :param action_set: one of ``ACTION_SETS``; ``options`` are not looked at in ``primitive``.
     :param budget_steps: game steps that are sampled in all; rounds get equal parts.
     :param gamma: discount per primitive step; None: the domain's own.
     :param tol: largest change allowed in the last sweep, in reward units.
@@ -212,7 +212,7 @@ class _Planning:
         self._how, self._tell, self._clock = how, tell, clock
         self._execution = execution
         self._columns = Columns(games, action_set, options)
-        self._watch = Watcher(games, fine=action_set != HUMAN)
+        self._watch = Watcher(games, fine=action_set not in OPTIONS_ONLY)
         self._counts = Counts(self._columns.modelled, self._columns.first_fallback)
         self._sampler = Sampler(
             self._watch,

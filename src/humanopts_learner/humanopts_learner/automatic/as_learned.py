@@ -1,0 +1,92 @@
+"""Automatic options in the form of learned ones: trees that say the same as their tables."""
+
+from typing import Any
+
+from humanopts_env.domains.base import Domain, feature_columns, is_enumerable
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_learner.automatic.extract import AutomaticOption, AutomaticOptions
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.ready import exact_option
+from humanopts_learner.planning.action_sets import MACHINE
+from humanopts_learner.planning.errors import NotEnumerableError, PlanError
+from humanopts_learner.qlearning.world import Flags, Ints
+import numpy as np
+from numpy.typing import NDArray
+
+PLACE = ('pacman_row', 'pacman_col')  # all that automatic options of Pac-Man see
+
+
+def learned_options(
+    domain: Domain[Any], found: AutomaticOptions, participant: str = MACHINE
+) -> list[LearnedOption]:
+    """
+    Return the options so that they can be saved, sent, served and planned with like others.
+
+    Each depends on as few features as tell apart what its tables do. The trees agree with the
+    tables wherever an episode comes and goes on: I and beta there, and pi in I.
+
+    :param found: in this domain.
+    :param participant: whose they are said to be; begins with ``MACHINE``.
+    :raises PlanError: the participant has another code, or there are options of such a domain
+        only as tables.
+    :raises DomainError: the features do not tell apart all that an option does.
+    """
+    if not participant.startswith(MACHINE):
+        raise PlanError(
+            f'the participant of options that nobody taught must begin with {MACHINE!r}, '
+            f'not {participant!r}'
+        )
+    rows, columns = _seen(domain, found)
+    going = found.ground.reached & ~found.ground.over
+    return [_learned(domain, o, participant, rows, columns, going) for o in found.options]
+
+
+def _seen(domain: Domain[Any], found: AutomaticOptions) -> tuple[NDArray[np.int32], list[int]]:
+    """Return the features of each state of the ground (S, F), and those that may be looked at."""
+    if is_enumerable(domain):
+        return domain.feature_table(), list(range(len(domain.features)))
+    if not isinstance(domain, PacMan):
+        raise NotEnumerableError(f'the states of {domain.name} cannot all be listed')
+    columns = feature_columns(domain, PLACE)
+    rows = np.zeros((len(found.ground.cell), len(domain.features)), dtype=np.int32)
+    rows[:, columns] = domain.rules.maze.cells
+    return rows, columns
+
+
+def _learned(
+    domain: Domain[Any],
+    option: AutomaticOption,
+    participant: str,
+    rows: NDArray[np.int32],
+    columns: list[int],
+    going: Flags,
+) -> LearnedOption:
+    tables = option.tables
+    said = 2 * np.where(tables.initiation, 1 + tables.action, 0) + tables.termination
+    needed = _needed(rows[going], columns, said[going])
+    return exact_option(
+        domain,
+        option.name,
+        participant,
+        [domain.features[column].name for column in needed],
+        rows,
+        (going & tables.initiation, tables.action),
+        (going, tables.initiation),
+        (going, tables.termination),
+        option.max_steps,
+    )
+
+
+def _needed(rows: NDArray[np.int32], columns: list[int], said: Ints) -> list[int]:
+    """Leave out, from the last on, every column without which it is known what is said."""
+    for column in reversed(columns):
+        others = [other for other in columns if other != column]
+        if others and _determine(rows[:, others], said):
+            columns = others
+    return columns
+
+
+def _determine(seen: NDArray[np.int32], said: Ints) -> bool:
+    """Tell whether rows that are alike always go with the same word."""
+    both = np.column_stack([seen, said])
+    return len(np.unique(seen, axis=0)) == len(np.unique(both, axis=0))
