@@ -1,7 +1,8 @@
 """Messages to learning and planning values and back: the one module here that knows both."""
 
+from array import array
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 import math
 from typing import Any
 
@@ -12,6 +13,8 @@ from humanopts_learner.options.criteria import Judgement
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.any_domain import AnyPlan, Performance, PlanRequest
+from humanopts_learner.planning.arbitration import OptionValues
+import numpy as np
 
 
 def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
@@ -176,7 +179,39 @@ def _performance_fields(found: Performance | None) -> dict[str, Any]:
     }
 
 
-def end_to_message(end: End, run_id: str) -> msg.OptionResult:
-    """Say how a run ended; ``run_id`` is empty for a refusal."""
+def option_values_to_message(
+    values: OptionValues, plan_id: str, participant: str
+) -> msg.OptionValues:
+    """Encode what arbitration needs; arrays keep their bytes, since there may be millions."""
+    parts = values.flat()
+    for name, code in (('situations', 'q'), ('choosing', 'd'), ('going_on', 'd')):
+        parts[name] = array(code, np.ascontiguousarray(parts[name]).tobytes())
+    return msg.OptionValues(plan_id=plan_id, participant=participant, **parts)
+
+
+def option_values_from_message(message: msg.OptionValues) -> OptionValues:
+    """
+    Decode what arbitration needs.
+
+    :raises ModelError: the parts contradict each other.
+    """
+    names = [part.name for part in fields(OptionValues)]
+    return OptionValues.from_flat({name: getattr(message, name) for name in names})
+
+
+def end_to_message(end: End, run_id: str, execution: str = '') -> msg.OptionResult:
+    """
+    Say how a run ended.
+
+    :param run_id: empty for a refusal.
+    :param execution: in force at the end; empty for a refusal.
+    """
     values = {**asdict(end), 'status': int(end.status)}
-    return msg.OptionResult(run_id=run_id, **values)
+    acted = values.pop('acted')
+    return msg.OptionResult(
+        run_id=run_id,
+        execution=execution,
+        acted_names=list(acted),
+        acted_steps=list(acted.values()),
+        **values,
+    )

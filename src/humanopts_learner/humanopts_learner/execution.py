@@ -1,16 +1,20 @@
 """
-Running one option to its end: the rules of the one runner, without the graph around them.
+Running one option, or options as modules: the rules of the one runner, without the graph.
 
 A caller asks for the next action, sends it to the game, and reports what came back.
 """
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.library import RunnableOption
 from humanopts_learner.options.option import Mode
+from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.live import Arbiter, Verdict
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +33,10 @@ class Status(IntEnum):
     NOT_AVAILABLE = 9
     NO_EPISODE = 10
     FAILED = 11
+    STOPPED_BY_PLAN = 12
+    EXECUTION_CHANGED = 13
+    NO_VALUES = 14
+    BAD_REQUEST = 15
 
 
 TEXT = {
@@ -43,6 +51,10 @@ TEXT = {
     Status.NOT_AVAILABLE: 'refused: the option cannot start in this state',
     Status.NO_EPISODE: 'refused: no episode is under way',
     Status.FAILED: 'it failed',
+    Status.STOPPED_BY_PLAN: 'choosing anew is worth more than going on',
+    Status.EXECUTION_CHANGED: 'the execution was changed',
+    Status.NO_VALUES: 'refused: the option values of the plan are missing or do not fit',
+    Status.BAD_REQUEST: 'refused',
 }
 
 
@@ -65,6 +77,23 @@ class End:
     final_state: str = ''  # in the domain's notation
     terminated: bool = False
     truncated: bool = False
+    acted: Mapping[str, int] = field(default_factory=dict)  # steps by the option that acted
+
+
+MODULAR = (Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST)
+
+
+def execution_named(name: str) -> Execution:
+    """
+    Return an execution; run to the end where there is no name.
+
+    :raises RunError: there is none of this name; the text lists what there is.
+    """
+    try:
+        return Execution(name or Execution.RUN_TO_END)
+    except ValueError as error:
+        known = ', '.join(execution.value for execution in Execution)
+        raise RunError(f'no execution {name!r}; there is {known}') from error
 
 
 def refusal(status: Status, option_name: str, detail: str = '') -> End:
@@ -76,29 +105,29 @@ def refusal(status: Status, option_name: str, detail: str = '') -> End:
     return End(status, _describe(status, detail), option_name)
 
 
-class OptionRun:
+class Run:
     """
-    One run of an option: ``begin``, then ``next_action`` and ``observe`` in turn until an ``End``.
+    One run: ``begin``, then ``next_action`` and ``observe`` in turn until an ``End``.
 
-    The option ends, in this order of precedence: REACHED where its termination condition holds,
-    which is looked at only after a step, even if the episode ends there too (``End.terminated``
-    and ``truncated`` tell); EPISODE_OVER where the episode ended, by the task's end or at its
-    step limit; MAX_STEPS after ``max_steps`` steps.
+    :ivar acting: the option that took the last action.
     """
+
+    acting: RunnableOption
 
     def __init__(
         self,
-        option: RunnableOption,
+        name: str,
+        max_steps: int,
         domain: Domain[Any],
         gamma: float,
-        max_steps: int = 0,
-        mode: Mode = Mode.GREEDY,
-        rng: np.random.Generator | None = None,
+        mode: Mode,
+        rng: np.random.Generator | None,
     ) -> None:
         """
         Prepare a run.
 
-        :param max_steps: 0: the option's own limit.
+        :param name: that it is known by.
+        :param max_steps: 0: none.
         :param rng: what the sampled mode draws from; the greedy mode draws nothing.
         :raises RunError: the sampled mode has nothing to draw from, or max_steps is negative.
         """
@@ -106,11 +135,11 @@ class OptionRun:
             raise RunError('the sampled mode needs a random generator')
         if max_steps < 0:
             raise RunError(f'max_steps is {max_steps}, and must be 0 or greater')
-        self.option = option
-        self.max_steps = max_steps or option.max_steps
+        self.name, self.max_steps = name, max_steps
         self.step_count = 0
         self.total_reward = 0.0
         self.discounted_return = 0.0
+        self.acted: Counter[str] = Counter()  # steps by the option that acted
         self._domain, self._gamma, self._mode = domain, gamma, mode
         self._rng = rng or np.random.default_rng(0)  # not drawn from in the greedy mode
         self._state: Any = None
@@ -124,14 +153,14 @@ class OptionRun:
         Start in a state of the game.
 
         :param episode: number of the episode; 0: none was begun yet.
-        :return: the refusal, where the option cannot run from here.
+        :return: the refusal, where it cannot run from here.
         """
         if self._path or self._going:
             raise RunError('the run has begun already')
         self._state, self._episode, self._first_step = state, episode, step
         if episode == 0 or self._domain.is_over(state):
             return self.end(Status.NO_EPISODE)
-        if not self.option.can_start(self._row()[None])[0]:
+        if not self._can_start():
             return self.end(Status.NOT_AVAILABLE, self._domain.encode(state))
         self._going = True
         return None
@@ -139,7 +168,8 @@ class OptionRun:
     def next_action(self) -> int:
         """Return the index of the action to take now."""
         self._check_going()
-        return self.option.choose_action(self._row(), self._mode, self._rng)
+        self.acting = self._actor()
+        return self.acting.choose_action(self._row(), self._mode, self._rng)
 
     def observe(self, state: Any, reward: float, terminated: bool, truncated: bool) -> End | None:
         """
@@ -155,15 +185,26 @@ class OptionRun:
         self.total_reward += reward
         self.discounted_return += self._gamma**self.step_count * reward
         self.step_count += 1
+        self.acted[self.acting.name] += 1
         self._terminated, self._truncated = terminated, truncated
-        if self.option.choose_end(self._row(), self._mode, self._rng):
+        if self._ends():
             return self.end(Status.REACHED)
         if terminated or truncated:
             why = 'the task is over' if terminated else 'at its step limit'
             return self.end(Status.EPISODE_OVER, why)
-        if self.step_count >= self.max_steps:
+        if self.step_count == self.max_steps:
             return self.end(Status.MAX_STEPS, self._cut_off())
         return None
+
+    def stopped(self, arbiter: Arbiter) -> End | None:
+        """
+        Ask a plan whether to stop before the next action, not before the first; modules go on.
+
+        :return: how the run ended; None while it goes on.
+        """
+        self._check_going()
+        ruling = arbiter.before_step(self._state, self.name)
+        return self.end(Status.STOPPED_BY_PLAN) if ruling.verdict is Verdict.STOP else None
 
     def end(self, status: Status, detail: str = '') -> End:
         """
@@ -175,7 +216,7 @@ class OptionRun:
         return End(
             status=status,
             detail=_describe(status, detail),
-            option_name=self.option.name,
+            option_name=self.name,
             episode=self._episode,
             first_step=self._first_step,
             step_count=self.step_count,
@@ -184,7 +225,20 @@ class OptionRun:
             final_state='' if self._state is None else self._domain.encode(self._state),
             terminated=self._terminated,
             truncated=self._truncated,
+            acted=dict(self.acted),
         )
+
+    def _can_start(self) -> bool:
+        """Tell whether it can start in the state."""
+        raise NotImplementedError
+
+    def _actor(self) -> RunnableOption:
+        """Return what takes the next action."""
+        raise NotImplementedError
+
+    def _ends(self) -> bool:
+        """Tell whether it ends in the state that it came to."""
+        raise NotImplementedError
 
     def _row(self) -> NDArray[np.int32]:
         return self._domain.feature_values(self._state)
@@ -210,6 +264,78 @@ class OptionRun:
         domain = self._domain
         greedy = self._mode is Mode.GREEDY
         return greedy and is_enumerable(domain) and domain.transitions().deterministic
+
+
+class OptionRun(Run):
+    """
+    A run of one option.
+
+    It ends, in this order of precedence: REACHED where its termination condition holds, which is
+    looked at only after a step, even if the episode ends there too (``End.terminated`` and
+    ``truncated`` tell); EPISODE_OVER where the episode ended, by the task's end or at its step
+    limit; MAX_STEPS after ``max_steps`` steps.
+    """
+
+    def __init__(
+        self,
+        option: RunnableOption,
+        domain: Domain[Any],
+        gamma: float,
+        max_steps: int = 0,
+        mode: Mode = Mode.GREEDY,
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        """
+        Prepare a run; errors as in ``Run``.
+
+        :param max_steps: 0: the option's own limit.
+        """
+        super().__init__(option.name, max_steps or option.max_steps, domain, gamma, mode, rng)
+        self.acting = option
+
+    def _can_start(self) -> bool:
+        return bool(self.acting.can_start(self._row()[None])[0])
+
+    def _actor(self) -> RunnableOption:
+        return self.acting
+
+    def _ends(self) -> bool:
+        return self.acting.choose_end(self._row(), self._mode, self._rng)
+
+
+class ModularRun(Run):
+    """A run of all options of a plan as modules, of which one acts in each step."""
+
+    def __init__(
+        self,
+        arbiter: Arbiter,
+        options: Callable[[str], RunnableOption],
+        domain: Domain[Any],
+        gamma: float,
+        max_steps: int = 0,
+        mode: Mode = Mode.GREEDY,
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        """
+        Prepare a run; errors as in ``Run``.
+
+        :param options: finds the option, or the primitive action, of a name.
+        :param max_steps: 0: none but the domain's.
+        :raises RunError: it would never be cut off.
+        """
+        super().__init__('', max_steps, domain, gamma, mode, rng)
+        if not (max_steps or domain.max_steps):
+            raise RunError(f'{domain.name} never cuts an episode off: give max_steps')
+        self._arbiter, self._options = arbiter, options
+
+    def _can_start(self) -> bool:
+        return True
+
+    def _actor(self) -> RunnableOption:
+        return self._options(self._arbiter.before_step(self._state, '').name)
+
+    def _ends(self) -> bool:
+        return False
 
 
 def _describe(status: Status, detail: str) -> str:

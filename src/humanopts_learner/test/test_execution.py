@@ -104,6 +104,7 @@ def test_a_run_that_reaches_its_end_adds_up_what_it_earned() -> None:
         total_reward=-4.0,
         discounted_return=end.discounted_return,
         final_state='taxi 0,0 passenger R destination G',
+        acted={'drive': 4},
     )
 
 

@@ -15,6 +15,7 @@ from humanopts_interfaces.msg import NodeStatus
 from rcl_interfaces.msg import ParameterDescriptor
 import rclpy
 from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.duration import Duration
@@ -32,6 +33,7 @@ RECORDER = 'recorder'
 _RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
 _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
+_PRESENCE_PERIOD = 1.0  # s between looks whether a server that was asked is still there
 _CHECK_PERIOD = 0.02  # s between looks at what a starting node waits for
 
 
@@ -169,17 +171,31 @@ class NodeBase(Node):
         return client
 
     def recorded_action(
-        self, kind: Any, name: str, execute: Callable[..., Any], group: CallbackGroup
+        self,
+        kind: Any,
+        name: str,
+        execute: Callable[..., Any],
+        group: CallbackGroup,
+        on_cancel: Callable[[ServerGoalHandle], object] = lambda handle: None,
     ) -> ActionServer:
-        """Create an action server that accepts every goal and every cancel."""
+        """
+        Create an action server that accepts every goal and every cancel.
+
+        :param on_cancel: told the handle of the goal, just before the handle says so itself.
+        """
         self._hidden += [f'{name}/_action/feedback', f'{name}/_action/status']
+
+        def cancel(handle: ServerGoalHandle) -> CancelResponse:
+            on_cancel(handle)
+            return CancelResponse.ACCEPT
+
         return ActionServer(
             self,
             kind,
             name,
             execute,
             callback_group=group,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            cancel_callback=cancel,
             result_timeout=_RESULT_TIMEOUT,
         )
 
@@ -192,10 +208,17 @@ class NodeBase(Node):
         """
         Call a service from a coroutine.
 
-        :return: the response; None when there is none after ``seconds``.
+        :return: the response; None when there is none after ``seconds``, or the server is gone.
         """
-        future = client.call_async(request)
-        timer = self.create_timer(seconds, future.cancel, callback_group=self._deadline_group)
+        future, deadline = client.call_async(request), time.monotonic() + seconds
+
+        def check() -> None:
+            if time.monotonic() >= deadline or not client.service_is_ready():
+                future.cancel()
+
+        timer = self.create_timer(
+            min(seconds, _PRESENCE_PERIOD), check, callback_group=self._deadline_group
+        )
         try:
             return await future
         finally:

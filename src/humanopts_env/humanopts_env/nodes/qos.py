@@ -17,6 +17,8 @@ def _profile(durability: DurabilityPolicy, depth: int) -> QoSProfile:
 # Publishes current values: who comes late gets the last ones. Depth 1 would lose messages that the
 # recorder has not taken yet, since a newer one replaces them even unsent.
 LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 100)
+# The same for current values of many megabytes, of which a hundred would fill the memory.
+LATCHED_LARGE = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 4)
 # Reads a current value: the last one is enough.
 CURRENT = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
 # Reads a latched topic that several nodes publish (node_status): all of each.
