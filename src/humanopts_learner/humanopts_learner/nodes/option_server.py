@@ -12,7 +12,7 @@ from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import DomainInfo, LearnedOptions, OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
 from humanopts_learner.convert import options_from_message
-from humanopts_learner.execution import OptionRun
+from humanopts_learner.execution import Run
 from humanopts_learner.library import UnknownOptionError
 from humanopts_learner.nodes.runner import Runner, RunRequest
 from humanopts_learner.options.files import load_options
@@ -21,6 +21,11 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 
+_DONE = (
+    OptionResult.STATUS_REACHED,
+    OptionResult.STATUS_EPISODE_OVER,
+    OptionResult.STATUS_STOPPED_BY_PLAN,
+)
 _FAREWELL = 0.5  # s to answer who asked for the run under way, when the node ends
 
 
@@ -109,7 +114,7 @@ class OptionServerNode(NodeBase):
         return response
 
     async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
-        def on_step(run: OptionRun, action: str, state: str) -> None:
+        def on_step(run: Run, action: str, state: str) -> None:
             row = self._domain.feature_values(self._domain.decode(state))[None]
             handle.publish_feedback(
                 ExecuteOption.Feedback(
@@ -117,7 +122,8 @@ class OptionServerNode(NodeBase):
                     action=action,
                     total_reward=run.total_reward,
                     state=state,
-                    termination=float(run.option.termination_probability(row)[0]),
+                    termination=float(run.acting.termination_probability(row)[0]),
+                    option_name=run.acting.name,
                 )
             )
 
@@ -128,7 +134,7 @@ class OptionServerNode(NodeBase):
             on_step=on_step,
         )
         result = await self._run(request)
-        if result.status in (OptionResult.STATUS_REACHED, OptionResult.STATUS_EPISODE_OVER):
+        if result.status in _DONE:
             handle.succeed()
         elif result.status == OptionResult.STATUS_CANCELED:
             handle.canceled()
@@ -198,6 +204,9 @@ def _request(request: Any, via: str, **callbacks: Any) -> RunRequest:
         max_steps=request.max_steps,
         episode=request.episode,
         step=request.step,
+        execution=request.execution,
+        plan_id=request.plan_id,
+        execution_sequence=getattr(request, 'execution_sequence', 0),
         via=via,
         **callbacks,
     )

@@ -1,7 +1,8 @@
-"""The one runner: drives one option at a time over the graph, in lock-step with game."""
+"""The one runner: drives one run at a time over the graph, in lock-step with game."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+import math
 import time
 from typing import Any
 import uuid
@@ -12,59 +13,77 @@ from humanopts_env.nodes.qos import CURRENT, STREAM
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import ActionCommand, ActionRefusal, GameState, OptionGoal
 from humanopts_learner.convert import end_to_message
-from humanopts_learner.execution import End, OptionRun, refusal, Status
-from humanopts_learner.library import OptionLibrary, RunnableOption, UnknownOptionError
+from humanopts_learner.execution import (
+    End,
+    execution_named,
+    MODULAR,
+    ModularRun,
+    OptionRun,
+    refusal,
+    Run,
+    RunError,
+    Status,
+)
+from humanopts_learner.library import OptionLibrary, UnknownOptionError
+from humanopts_learner.nodes.arbitration import Arbitration
 from humanopts_learner.options.option import Mode
+from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.errors import PlanError
 from rclpy.task import Future
 
 _CHECK_PERIOD = 0.1  # s between looks at deadlines
-
-
-@dataclass
-class _Active:
-    """The run under way."""
-
-    run: OptionRun
-    run_id: str
-    episode: int
-    step: int  # of the state that the command under way answers
-    canceled: Callable[[], bool]
-    on_step: Callable[[OptionRun, str, str], None]
-    done: Future = field(default_factory=Future)
-    deadline: float = 0.0
-    command: int = 0  # sequence of the command that is not answered yet
 
 
 @dataclass(frozen=True)
 class RunRequest:
     """What a service or action asks to be run."""
 
-    option_name: str
+    option_name: str  # empty: modules
     participant: str
     max_steps: int  # 0: the option's own limit
     episode: int  # 0: whatever is current
     step: int
+    execution: str
+    plan_id: str  # empty: no plan arbitrates
+    execution_sequence: int  # 0: the execution never changes
     via: str
     canceled: Callable[[], bool] = lambda: False
-    on_step: Callable[[OptionRun, str, str], None] = field(default=lambda run, action, state: None)
+    on_step: Callable[[Run, str, str], None] = field(default=lambda run, action, state: None)
+
+
+@dataclass
+class _Active:
+    """The run under way."""
+
+    run: Run
+    run_id: str
+    request: RunRequest
+    execution: Execution
+    episode: int
+    step: int  # of the state that the command under way answers
+    done: Future = field(default_factory=Future)
+    deadline: float = 0.0
+    command: int = 0  # sequence of the command that is not answered yet
 
 
 class Runner:
     """
-    Runs options in the current episode, one at a time; a second request is answered BUSY.
+    Runs options, or modules, in the current episode; a second request is answered BUSY.
 
     Whether the run goes on is decided here, after each state and before each command, so that no
-    command is on its way when it ends, be it canceled or not. A person who takes over, or a reset,
+    command is on its way when it ends, be it canceled or not. So is what a plan arbitrates: the
+    same states, values and execution give the same run. A person who takes over, or a reset,
     ends it as interrupted; silence of game ends it after a deadline.
     """
 
     def __init__(self, node: NodeBase, mode: Mode, seed: int, no_progress_seconds: float) -> None:
         self._node, self._mode, self._seed = node, mode, seed
         self._patience = no_progress_seconds
+        self._plans = Arbitration(node, no_progress_seconds)
         self._domain: Domain | None = None
         self.library: OptionLibrary | None = None
         self.state: GameState | None = None  # newest
-        self._taken_by = ''  # option that the runner is at work on; empty: it is free
+        self._taken_by = ''  # what the runner is at work on; empty: it is free
         self._active: _Active | None = None  # from its first command on
         self._arrivals: list[tuple[int, int, Future, float]] = []
         self._actions = node.stamped_publisher(ActionCommand, 'action')
@@ -79,18 +98,21 @@ class Runner:
         self._domain, self.library = domain, OptionLibrary(domain)
 
     async def run(self, request: RunRequest) -> Any:
-        """Run an option to its end, or refuse; return an ``OptionResult``."""
+        """Run to the end, or refuse; return an ``OptionResult``."""
         if self._domain is None or self.library is None:
             return self._refused(request, Status.NO_EPISODE, 'game has not announced itself')
         if self._taken_by:
             return self._refused(request, Status.BUSY, self._taken_by)
         try:
-            option = self.library.resolve(request.option_name, request.participant)
+            execution = self._check(request)
+            self._taken_by = request.option_name or execution.value
+            return await self._drive(request, execution)
         except UnknownOptionError as error:
             return self._refused(request, Status.UNKNOWN_OPTION, str(error))
-        self._taken_by = option.name
-        try:
-            return await self._drive(request, option)
+        except RunError as error:
+            return self._refused(request, Status.BAD_REQUEST, str(error))
+        except PlanError as error:
+            return self._refused(request, Status.NO_VALUES, str(error))
         finally:
             self._taken_by = ''
 
@@ -104,29 +126,61 @@ class Runner:
         for _, _, arrival, _ in self._arrivals:
             arrival.set_result(None)
         self._arrivals = []
+        self._plans.check_deadlines(math.inf)
         if self._active is not None:
             self._finish(self._active.run.end(Status.FAILED, 'option_server stops'))
 
-    async def _drive(self, request: RunRequest, option: RunnableOption) -> Any:
-        """Wait for the state to start from, and run the option from there."""
+    def _check(self, request: RunRequest) -> Execution:
+        """
+        Check what can be checked before the state is here.
+
+        :raises RunError: the request makes no sense.
+        :raises UnknownOptionError: there is no such option.
+        """
+        execution = execution_named(request.execution)
+        if execution is not Execution.RUN_TO_END and not request.plan_id:
+            raise RunError(f'{execution} needs the values of a plan: give its plan_id')
+        if execution not in MODULAR:
+            self.library.resolve(request.option_name, request.participant)
+        elif request.option_name or request.participant:
+            raise RunError(f'{execution} runs all options of the plan: leave option_name empty')
+        return execution
+
+    async def _drive(self, request: RunRequest, execution: Execution) -> Any:
+        """Wait for the values to decide by and the state to start from, and run from there."""
+        by_values = execution is not Execution.RUN_TO_END
+        if by_values and not await self._plans.arrival(request.plan_id):
+            raise PlanError(
+                f'those of plan {request.plan_id} did not come; {self._plans.newest_plan()}'
+            )
         state = await self._arrival(request.episode, request.step)
         if state is None:
             return self._refused(request, Status.NO_EPISODE, self._missing(request))
         if state.terminated or state.truncated:
             return self._refused(request, Status.NO_EPISODE, 'the episode has ended')
         moment = state.episode, state.step
-        rng = generator(self._seed, 'run', option.name, *moment)
-        gamma, limit = self._domain.gamma, request.max_steps
-        run = OptionRun(option, self._domain, gamma, limit, self._mode, rng)
+        run = self._prepare(request, execution, moment)
         end = run.begin(self._domain.decode(state.state), *moment)
         if end is not None:
             return end_to_message(end, '')
         run_id = str(uuid.uuid4())
-        active = _Active(run, run_id, *moment, request.canceled, request.on_step)
-        self._active = active
-        self._announce(request, active)
+        self._active = active = _Active(run, run_id, request, execution, *moment)
+        self._announce(active)
         self._send(active)
-        return end_to_message(await active.done, run_id)
+        end = await active.done
+        return end_to_message(end, run_id, active.execution)
+
+    def _prepare(self, request: RunRequest, execution: Execution, moment: tuple[int, int]) -> Run:
+        """Return the run; errors are those of ``run``."""
+        domain, library = self._domain, self.library
+        rng = generator(self._seed, 'run', request.option_name or execution, *moment)
+        rest = domain, domain.gamma, request.max_steps, self._mode, rng
+        if execution not in MODULAR:
+            if execution is not Execution.RUN_TO_END:
+                self._plans.arbiter(execution, domain, library)  # or an error, before it starts
+            return OptionRun(library.resolve(request.option_name, request.participant), *rest)
+        arbiter = self._plans.arbiter(execution, domain, library)
+        return ModularRun(arbiter, lambda name: self._plans.option(name, library), *rest)
 
     def _missing(self, request: RunRequest) -> str:
         if self.state is None or not request.episode:
@@ -136,14 +190,16 @@ class Runner:
             f'{self.state.episode} step {self.state.step}'
         )
 
-    def _announce(self, request: RunRequest, active: _Active) -> None:
+    def _announce(self, active: _Active) -> None:
         self._goals.publish(
             OptionGoal(
                 run_id=active.run_id,
-                via=request.via,
-                option_name=active.run.option.name,
-                participant=request.participant,
+                via=active.request.via,
+                option_name=active.run.name,
+                participant=active.request.participant,
                 max_steps=active.run.max_steps,
+                execution=active.execution,
+                plan_id=active.request.plan_id,
             )
         )
 
@@ -170,6 +226,7 @@ class Runner:
             episode=active.episode,
             step=active.step,
             action=action,
+            option_name=active.run.acting.name,
         )
         active.deadline = time.monotonic() + self._patience
         self._actions.publish(command)
@@ -203,13 +260,31 @@ class Runner:
         active.step = message.step
         state = self._domain.decode(message.state)
         end = active.run.observe(state, message.reward, message.terminated, message.truncated)
-        active.on_step(active.run, message.previous_action, message.state)
-        if end is None and active.canceled():
-            end = active.run.end(Status.CANCELED)
+        active.request.on_step(active.run, message.previous_action, message.state)
+        end = end or self._ruled(active)
         if end is not None:
             self._finish(end)
         else:
             self._send(active)
+
+    def _ruled(self, active: _Active) -> End | None:
+        """Return how the run ends before its next command; None: it goes on."""
+        run, request, plans = active.run, active.request, self._plans
+        if request.canceled() or plans.canceled(request.execution_sequence):
+            return run.end(Status.CANCELED)
+        if not plans.has(request.plan_id):
+            return None
+        before = active.execution
+        wanted = plans.wanted(before, request.execution_sequence, request.plan_id)
+        if wanted is not before and (wanted in MODULAR or before in MODULAR):
+            return run.end(Status.EXECUTION_CHANGED, f'from {before} to {wanted}')
+        active.execution = wanted
+        if wanted is not Execution.INTERRUPTED:
+            return None
+        try:
+            return run.stopped(plans.arbiter(wanted, self._domain, self.library))
+        except ValueError as error:  # the options were taught anew meanwhile
+            return run.end(Status.FAILED, str(error))
 
     def _on_refusal(self, message: ActionRefusal) -> None:
         active = self._active
@@ -242,6 +317,7 @@ class Runner:
             if now > deadline:
                 arrival.set_result(None)
         self._arrivals = [entry for entry in self._arrivals if not entry[2].done()]
+        self._plans.check_deadlines(now)
         if active is not None and now > active.deadline:
             self._finish(active.run.end(Status.NO_PROGRESS, f'{self._patience:g} s'))
 
