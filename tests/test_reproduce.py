@@ -53,12 +53,14 @@ def test_lesson_in_one_process_is_that_over_the_graph(demo: DemoRun) -> None:
 
 def test_bags_stand_in_for_simulated_people(demo: DemoRun, tmp_path: Path) -> None:
     bag = demo.bag
-    arguments = ['reproduce', 'fig2', '--out', str(tmp_path), '--jobs', '1', '--bags', str(bag)]
-    assert main(arguments) == 0
+    arguments = ['reproduce', 'all', '--seeds', '2', '--jobs', '2', '--bags', str(bag)]
+    assert main([*arguments, '--out', str(tmp_path)]) == 0
     with (tmp_path / 'fig2-people.csv').open(encoding='utf-8') as file:
         rows = {row['option']: row for row in csv.DictReader(file)}
     for block in demo.summary['options']:
         assert float(rows[block['name']]['last accuracy of policy']) == block['policy_accuracy']
+    curves = (tmp_path / 'fig4-summary.csv').read_text('utf-8')
+    assert 'human + primitive' in curves
     page = (tmp_path / 'report.html').read_text('utf-8')
     assert str(bag.resolve()) in page
     assert '<b>simulated</b>' not in page

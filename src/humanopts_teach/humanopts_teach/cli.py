@@ -127,6 +127,14 @@ def _add_launch_options(command: argparse.ArgumentParser) -> None:
         default=150,
         help='most start states shown for an option; default: %(default)s',
     )
+    for name, kind, what in (
+        ('return-delta', _number, 'reward units by which its held-out return may fall short'),
+        ('initiation-error', _share, 'share that its held-out I may get wrong'),
+        ('termination-error', _share, 'share that its held-out β may get wrong'),
+    ):
+        command.add_argument(
+            f'--{name}', type=kind, help=f'of an option: {what}; default: usual in the domain'
+        )
     command.add_argument(
         '--parameter',
         action='append',

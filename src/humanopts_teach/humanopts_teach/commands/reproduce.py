@@ -14,12 +14,11 @@ from humanopts_teach.bags.errors import BagError
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.experiments.cells import Cell, CellStore, LIBRARIES
-from humanopts_teach.experiments.figure2 import GROUPS
 from humanopts_teach.experiments.figure2_section import EXPERIMENT as FIGURE_2
 from humanopts_teach.experiments.figure3 import EXPERIMENT as FIGURE_3
 from humanopts_teach.experiments.figure4_section import EXPERIMENT as FIGURE_4
 from humanopts_teach.experiments.page import PAGE, Reproduction, write_reproduction
-from humanopts_teach.experiments.people import Participant, participants
+from humanopts_teach.experiments.people import Participant
 from humanopts_teach.experiments.running import ClusterError, Outcome, run_cells
 from humanopts_teach.experiments.study import Experiment, read_bag_lessons, Study
 from humanopts_teach.report.words import counted, duration
@@ -42,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         with CellProgress() as progress:
             store = CellStore(arguments.out / 'cells')
             outcome = run_cells(cells, store, progress, _jobs(arguments), arguments.dask)
-        _write(arguments, chosen, study, outcome, time.monotonic() - began)
+        _write(arguments, chosen, study, _people(cells), outcome, time.monotonic() - began)
     except (ClusterError, SummaryError) as error:
         raise CommandError(str(error)) from error
     except OSError as error:
@@ -78,12 +77,13 @@ def _write(
     arguments: argparse.Namespace,
     chosen: Sequence[Experiment],
     study: Study,
+    people: Sequence[Participant],
     outcome: Outcome,
     seconds: float,
 ) -> None:
     data = Reproduction(
         [experiment.present(study, outcome.results) for experiment in chosen],
-        [] if study.bags else _people(study),
+        people,
         list(dict.fromkeys(lesson.bag for lesson in study.bags)),
         list(outcome.failures.values()),
         {
@@ -104,9 +104,11 @@ def _write(
     write_reproduction(arguments.out, data)
 
 
-def _people(study: Study) -> list[Participant]:
-    groups = dict.fromkeys(group for groups in GROUPS.values() for group in groups)
-    return [p for group in groups for p in participants(group, study.participants, study.seed)]
+def _people(cells: Sequence[Cell]) -> list[Participant]:
+    """Return the simulated people that teach in any of the cells."""
+    sources = [{**cell.parameters, **cell.parameters.get('teacher', {})} for cell in cells]
+    found = {known['person']['code']: known['person'] for known in sources if 'person' in known}
+    return [Participant.from_dict(values) for values in found.values()]
 
 
 def _who(study: Study) -> str:

@@ -109,6 +109,8 @@ def _findings(data: Reproduction) -> list[Finding]:
 
 def _written(value: Value) -> str:
     """Return a value for people."""
+    if isinstance(value, float) and abs(value) >= 1000:
+        return f'{value:,.0f}'
     if isinstance(value, float) or value is None:
         return number(value)
     return str(value)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+import signal
 import time
 from typing import Any, Protocol
 
@@ -85,10 +86,13 @@ def _replies(cells: Sequence[Cell], jobs: int, dask: str) -> Iterator[_Reply]:
     order = sorted(range(len(cells)), key=lambda number: -cells[number].cost)
     with _backend(jobs, dask):
         work = Parallel(return_as='generator_unordered', pre_dispatch='all', batch_size=1)
-        yield from work(
+        tasks = (
             delayed(_compute)(number, cells[number].compute, dict(cells[number].parameters))
             for number in order
         )
+        with _deaf_to_interrupts():
+            replies = work(tasks)
+        yield from replies
 
 
 def _compute(number: int, compute: Any, parameters: dict[str, Any]) -> _Reply:
@@ -99,6 +103,16 @@ def _compute(number: int, compute: Any, parameters: dict[str, Any]) -> _Reply:
     except Exception as problem:  # whatever a cell comes to, the others go on
         result, error = None, f'{type(problem).__name__}: {problem}'
     return _Reply(number, result, time.perf_counter() - began, error)
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Have processes that are started meanwhile not hear Ctrl-C; this one ends them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import Kind
-from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_learner.options.criteria import judge, usual_thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_teach.bags.demonstrations import read_domain
@@ -73,7 +73,9 @@ def _from_lesson(person: Participant, domain: Domain[Any]) -> TaughtOptions:
         domain,
         person.teaching(*paper.TAUGHT[domain.name]),
         rules,
-        lambda shown, option: judge(shown, domain, Thresholds(), person.seed, option).criteria_met,
+        lambda shown, option: (
+            judge(shown, domain, usual_thresholds(domain.name), person.seed, option).criteria_met
+        ),
         until_no_failures=True,
     )
     shown = sum(demo.kind is Kind.TRAJECTORY for demo in taught.demonstrations)
