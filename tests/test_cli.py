@@ -8,16 +8,21 @@ import sys
 from typing import Any
 
 from graph_support.command import Command, DemoRun
+from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach import cli
-from humanopts_teach.cli import main
-from humanopts_teach.commands.setup import default_folder
+from humanopts_teach.cli import build_parser, main
+from humanopts_teach.commands.setup import default_folder, setup_from
 from mcap.writer import Writer
 import pytest
 
-LAUNCH = ('--out', '--seed', '--strategy', '--budget', '--parameter', '--namespace')
+THRESHOLDS = ('--return-delta', '--initiation-error', '--termination-error')
+LAUNCH = (
+    *('--out', '--seed', '--strategy', '--budget', '--parameter', '--namespace'),
+    *THRESHOLDS,
+)
 HELP = {
-    (): ('demo', 'up', 'teach', 'bag'),
+    (): ('demo', 'up', 'teach', 'bag', 'reproduce', 'bench'),
     ('demo',): ('--domain', '--episodes', '--games', '--error-rate', *LAUNCH),
     ('up',): ('DOMAIN', '--no-record', '--step-period', *LAUNCH),
     ('teach',): ('DOMAIN', '--participant', *LAUNCH),
@@ -73,6 +78,8 @@ def test_strategies_on_offer_are_those_of_the_learner() -> None:
         (('demo', '--seed', 2**40), ['--seed']),
         (('demo', '--seed'), ['--seed']),
         (('demo', '--budget', 0), ['--budget']),
+        (('demo', '--initiation-error', 1.5), ['--initiation-error']),
+        (('up', 'taxi', '--return-delta', 'inf'), ['thresholds', 'inf']),
         (('demo', '--error-rate', 1), ['--error-rate']),
         (('demo', '--error-rate', 'nan'), ['--error-rate']),
         (('demo', '--strategy', 'luck'), ["'luck'", 'random', 'coverage', 'failures']),
@@ -145,6 +152,15 @@ def test_demo_refuses_a_folder_that_holds_something(
     (tmp_path / 'thesis.tex').write_text('precious')
     check_refused(capsys, run('demo', '--out', tmp_path), str(tmp_path), 'not empty')
     assert [path.read_text() for path in tmp_path.iterdir()] == ['precious']
+
+
+def test_thresholds_are_those_of_the_domain_but_for_those_given() -> None:
+    def chosen(*words: str) -> Thresholds:
+        return setup_from(build_parser().parse_args(['up', *words]), Path('runs')).thresholds
+
+    assert chosen('taxi') == Thresholds()
+    assert chosen('pacman') == Thresholds(return_delta=10.0)
+    assert chosen('pacman', '--termination-error', '0.1') == Thresholds(10.0, 0.05, 0.1)
 
 
 @pytest.mark.parametrize(

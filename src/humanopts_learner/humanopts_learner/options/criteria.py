@@ -76,6 +76,16 @@ class Criterion:
         return self.value is not None and self.value <= self.threshold
 
 
+def usual_thresholds(domain: str) -> Thresholds:
+    """
+    Return the thresholds of a domain, by its registered name, where nobody gives others.
+
+    What a return may fall short by is what one small thing is worth in the game: two steps, or in
+    Pac-Man one dot.
+    """
+    return Thresholds(return_delta=10.0) if domain == 'pacman' else Thresholds()
+
+
 @dataclass(frozen=True)
 class Judgement:
     """How well an option is learned from its demonstrations."""

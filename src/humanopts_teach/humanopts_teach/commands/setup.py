@@ -1,6 +1,7 @@
 """From command line arguments to the setup of a launch."""
 
 import argparse
+from dataclasses import fields, replace
 import json
 import os
 from pathlib import Path
@@ -9,6 +10,7 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Parameter
+from humanopts_learner.options.criteria import Thresholds, usual_thresholds
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.launching.processes import Setup
 
@@ -33,9 +35,23 @@ def setup_from(arguments: argparse.Namespace, default_out: Path, **own: Any) -> 
         seed=arguments.seed,
         strategy=arguments.strategy,
         budget=arguments.budget,
+        thresholds=_thresholds(arguments),
         step_period=arguments.step_period,
         **own,
     )
+
+
+def _thresholds(arguments: argparse.Namespace) -> Thresholds:
+    """Return the domain's usual thresholds, with those that the user gives in their place."""
+    given = {
+        field.name: value
+        for field in fields(Thresholds)
+        if (value := getattr(arguments, field.name)) is not None
+    }
+    try:
+        return replace(usual_thresholds(arguments.domain), **given)
+    except ValueError as error:
+        raise CommandError(str(error)) from error
 
 
 def parameters_from(arguments: argparse.Namespace) -> dict[str, Parameter]:

@@ -68,14 +68,12 @@ def options_of(parameters: Mapping[str, Any], domain: Domain[Any]) -> TaughtOpti
 
 
 def _from_lesson(person: Participant, domain: Domain[Any]) -> TaughtOptions:
-    rules = LessonRules(STRATEGY, BUDGET, person.seed)
+    rules, limits = LessonRules(STRATEGY, BUDGET, person.seed), usual_thresholds(domain.name)
     taught = teach(
         domain,
         person.teaching(*paper.TAUGHT[domain.name]),
         rules,
-        lambda shown, option: (
-            judge(shown, domain, usual_thresholds(domain.name), person.seed, option).criteria_met
-        ),
+        lambda shown, option: judge(shown, domain, limits, person.seed, option).criteria_met,
         until_no_failures=True,
     )
     shown = sum(demo.kind is Kind.TRAJECTORY for demo in taught.demonstrations)

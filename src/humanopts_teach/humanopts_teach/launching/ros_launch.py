@@ -7,6 +7,7 @@ from pathlib import Path
 import time
 from typing import Any
 
+from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
 
 
@@ -60,6 +61,7 @@ def setup_from_launch(values: Mapping[str, str]) -> Setup:
         directory=Path(values['out']).absolute(),
         domain_parameters=_parsed(values, 'domain_parameters', dict, 'a JSON object'),
         seed=_parsed(values, 'seed', int, 'a whole number'),
+        thresholds=usual_thresholds(values['domain']),
         strategy=values['strategy'],
         budget=_parsed(values, 'budget', int, 'a whole number'),
         teach=_parsed(values, 'teach', bool, 'true or false'),
