@@ -14,11 +14,15 @@ from humanopts_interfaces.msg import PlanResult, PolicyResult
 from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.option import LearnedOption, Mode
 from humanopts_learner.planning.any_domain import AnyPlan, judge_plan, plan_in, PlanRequest
+from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.evaluate import episode_start
+from humanopts_learner.planning.sampled.plan import SampledPlan
+import numpy as np
 import pytest
 
 MAZE = make_domain('pacman', {'maze': 'yard', 'max_steps': 200})
 EPISODES, SEED, STEPS = 20, 11, 20_000
+STOPS = 7  # seed of an episode in which options are stopped
 
 
 @pytest.fixture(scope='module')
@@ -135,6 +139,47 @@ def test_fallbacks_in_an_episode_are_counted(
     total, decisions, fallbacks = played(pure(chosen), chosen)
     assert (result.mean_return, result.decisions) == (total, decisions)
     assert result.fallbacks == fallbacks > 0
+
+
+@pytest.mark.parametrize('execution', [e for e in Execution if e is not Execution.RUN_TO_END])
+def test_an_arbitrated_episode_is_what_the_pure_code_plays_each_time(
+    planning: Planning, options: list[LearnedOption], execution: Execution
+) -> None:
+    planning.plan('human', game_steps=STEPS)
+    first, again = (planning.play('human', execution=execution, seed=STOPS) for _ in range(2))
+    total, decisions, stopped = arbitrated(pure(options), options, execution)
+    assert (first.status, first.mean_return) == (PolicyResult.STATUS_DONE, total)
+    assert (first.decisions, first.interruptions) == (decisions, stopped)
+    assert (execution is Execution.INTERRUPTED) == (stopped > 0)
+    assert (again.mean_return, again.decisions) == (total, decisions)
+    assert (again.interruptions, again.fallbacks) == (stopped, first.fallbacks)
+
+
+def arbitrated(
+    plan: SampledPlan, options: list[LearnedOption], execution: Execution
+) -> tuple[float, int, int]:
+    """Play one episode by the policy of many games; return score, decisions and stops."""
+    policy, library = plan.carried_out(execution), OptionLibrary(MAZE)
+    library.replace(options)
+    state = episode_start(MAZE, STOPS, 0)
+    rng, column = generator(STOPS, 'episode', MAZE.name), -1
+    total, decisions, stopped = 0.0, 0, 0
+    for _ in range(MAZE.max_steps):
+        if MAZE.is_over(state):
+            break
+        view = plan.watch(plan.watch.games.batch_of([state]))
+        if column >= 0 and policy.stops(view, np.array([column]), rng)[0]:
+            stopped, column = stopped + 1, -1
+        if column < 0:
+            decisions, column = decisions + 1, int(policy(view, rng).column[0])
+        option = library.resolve(plan.names[column])
+        action = option.choose_action(MAZE.feature_values(state), Mode.GREEDY, rng)
+        outcome = MAZE.step(state, action, rng)
+        state, total = outcome.state, total + outcome.reward
+        modules = execution is not Execution.INTERRUPTED
+        if modules or option.choose_end(MAZE.feature_values(state), Mode.GREEDY, rng):
+            column = -1
+    return total, decisions, stopped
 
 
 def played(plan: AnyPlan, options: list[LearnedOption]) -> tuple[float, int, int]:

@@ -26,6 +26,7 @@ from humanopts_teach.terminal.requests import (
     Request,
     RunOption,
     SetControl,
+    SetExecution,
 )
 from humanopts_teach.terminal.world import CriterionView, GameView, ProgressView
 import pytest
@@ -374,6 +375,33 @@ def test_watching_plans_first_and_plays_then(teacher: Person) -> None:
     play = teacher.look()
     assert isinstance(play, PlayEpisodes)
     assert (play.action_set, play.participant) == ('human', 'p1')
+
+
+def test_how_the_machine_plays_can_be_chosen_before_and_changed_while(teacher: Person) -> None:
+    teacher.press('escape', '4', '1', 'x')
+    assert teacher.sees_words('Arbitration: options stop where another is worth more.')
+    plan = teacher.answer(teacher.press('enter'))
+    teacher.answer(plan)
+    teacher.app.run_ended(Reply(plan, ok=True, text='Planned.'))
+    play = teacher.look()
+    assert isinstance(play, PlayEpisodes)
+    assert play.execution == 'interrupted'
+    teacher.answer(play)
+    teacher.world.execution = 'interrupted'
+    change = teacher.press('X')
+    assert change == SetExecution('modular_mass')
+    teacher.world.execution = 'modular_mass'
+    assert teacher.answer(change) is None
+    assert teacher.sees_words('Arbitration: all options act at once: the greatest mass.')
+    teacher.app.run_ended(Reply(play, ok=True, text='Played.'))
+    assert teacher.sees_words('the greatest mass.')
+
+
+def test_the_key_that_changes_how_the_machine_plays_is_on_the_help_line(teacher: Person) -> None:
+    teacher.press('escape', '4', '1')
+    assert 'x other arbitration' in teacher.sees()
+    teacher.press('?')
+    assert teacher.sees_words('x other arbitration')
 
 
 def test_a_silent_node_is_named_after_the_deadline_and_nothing_hangs(person: Person) -> None:

@@ -14,6 +14,7 @@ from humanopts_interfaces.msg import (
     ActionRefusal,
     ControlState,
     DomainInfo,
+    ExecutionState,
     GameState,
     LearningStatus,
     LessonState,
@@ -65,6 +66,7 @@ class KeyboardTeleopNode(NodeBase):
             (LessonState, 'lesson_state', self._on_lesson),
             (LearningStatus, 'learning_status', self._on_learning),
             (ControlState, 'control', self._on_control),
+            (ExecutionState, 'execution', self._on_execution),
             (RecorderStatus, 'recorder_status', self._on_recorder),
         ):
             self.create_subscription(kind, topic, callback, CURRENT)
@@ -148,6 +150,10 @@ class KeyboardTeleopNode(NodeBase):
 
     def _on_control(self, message: ControlState) -> None:
         self.app.world.holder = message.holder_id
+        self._news = True
+
+    def _on_execution(self, message: ExecutionState) -> None:
+        self.app.world.execution = message.execution
         self._news = True
 
     def _on_recorder(self, message: RecorderStatus) -> None:

@@ -23,6 +23,7 @@ _SERVICES = {
     ask.SetControl: (srv.SetControl, 'set_control'),
     ask.NewEpisode: (srv.ResetGame, 'reset_game'),
     ask.ListOptions: (srv.ListOptions, 'list_options'),
+    ask.SetExecution: (srv.SetExecution, 'set_execution'),
 }
 _ACTIONS = {
     ask.RunOption: (actions.ExecuteOption, 'execute_option'),
@@ -127,6 +128,8 @@ class Calls:
                 return srv.ResetGame.Request(source=srv.ResetGame.Request.SOURCE_PERSON, seed=seed)
             case ask.ListOptions(participant):
                 return srv.ListOptions.Request(participant=participant)
+            case ask.SetExecution(execution):
+                return srv.SetExecution.Request(execution=execution)
         raise TypeError(f'{request} is not a service request')
 
     def _answered(self, request: ask.Request, done: Future) -> None:
@@ -159,9 +162,13 @@ class Calls:
                     evaluation_episodes=_PLAN_EPISODES,
                     seed=seed,
                 )
-            case ask.PlayEpisodes(action_set, participant, episodes, seed):
+            case ask.PlayEpisodes(action_set, participant, episodes, seed, execution):
                 return actions.RunPolicy.Goal(
-                    action_set=action_set, participant=participant, episodes=episodes, seed=seed
+                    action_set=action_set,
+                    participant=participant,
+                    episodes=episodes,
+                    seed=seed,
+                    execution=execution,
                 )
 
     def _start(self, run: Any) -> None:

@@ -42,7 +42,8 @@ def _film(bag: Bag) -> list[Frame]:
         if (message := recorded.message) is None:
             continue
         first = message.first_step
-        run = _Run(message.option_name, first, first + message.step_count)
+        name = message.option_name or getattr(message, 'execution', '')  # empty: modules
+        run = _Run(name, first, first + message.step_count)
         key = (_namespace(recorded.topic), message.episode)
         runs.setdefault(key, []).append(run)
         if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from humanopts_env.seeding import generator
+from humanopts_learner.planning.arbitration import Execution
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.entry import HelpScreen, Keys, PlainScreen
 from humanopts_teach.terminal.keys import Command, key_table, KeyTable, label
@@ -17,9 +18,16 @@ from humanopts_teach.terminal.requests import (
     Request,
     RunOption,
     SetControl,
+    SetExecution,
 )
 
 EPISODES = 5  # that are watched
+EXECUTIONS = {
+    Execution.RUN_TO_END: 'each option to its end',
+    Execution.INTERRUPTED: 'options stop where another is worth more',
+    Execution.MODULAR_MASS: 'all options act at once: the greatest mass',
+    Execution.MODULAR_STRONGEST: 'all options act at once: the strongest',
+}
 
 
 @dataclass
@@ -124,13 +132,37 @@ class WatchScreen(PlayScreen):
     """The machine plans and plays episodes; a person's action key takes over."""
 
     action_set: str = 'human'
+    execution: Execution = Execution.RUN_TO_END
 
     def __post_init__(self) -> None:
-        """Add the key that starts it."""
+        """Add the keys that start it and change how it plays."""
         self.title = f'Watch the machine play {EPISODES} episodes'
         self.text = 'It plans first, then plays. An action key takes over.'
-        self.commands = (Command.RUN_HERE, *self.commands)
-        self.words = {Command.RUN_HERE: 'plan and play'}
+        self.commands = (Command.RUN_HERE, Command.EXECUTION, *self.commands)
+        self.words = {Command.RUN_HERE: 'plan and play', Command.EXECUTION: 'other arbitration'}
+
+    def press(self, key: str, app: App) -> None:
+        """Change how it plays, at once where it does; or as in all such screens."""
+        if self.table(app).command(key) is not Command.EXECUTION:
+            super().press(key, app)
+            return
+        known = list(EXECUTIONS)
+        other = known[(known.index(self.in_force(app)) + 1) % len(known)]
+        if isinstance(app.run, PlayEpisodes):
+            app.ask(SetExecution(other))
+        else:
+            self.execution = other
+
+    def replied(self, reply: Reply, app: App) -> None:
+        """Play on as it was changed, also the next time."""
+        if isinstance(reply.request, SetExecution) and reply.ok:
+            self.execution = Execution(reply.request.execution)
+        super().replied(reply, app)
+
+    def in_force(self, app: App) -> Execution:
+        """Return how it plays, or will play."""
+        playing = isinstance(app.run, PlayEpisodes) and app.world.execution
+        return Execution(app.world.execution) if playing else self.execution
 
     def start(self, app: App) -> None:
         """Plan."""
@@ -139,4 +171,6 @@ class WatchScreen(PlayScreen):
     def run_ended(self, reply: Reply, app: App) -> None:
         """Play once it is planned."""
         if reply.ok and isinstance(reply.request, PlanOptions):
-            app.ask(PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed))
+            app.ask(
+                PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
+            )

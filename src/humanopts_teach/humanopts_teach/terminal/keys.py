@@ -41,6 +41,7 @@ class Command(Enum):
     RUN = 'run'
     RUN_HERE = 'run here'
     NEW_START = 'new start'
+    EXECUTION = 'execution'
     MENU = 'menu'
     HELP = 'help'
     QUIT = 'quit'
@@ -56,6 +57,7 @@ _WANTED: Mapping[Command, Sequence[str]] = {  # keys by preference
     Command.RUN: 'rg',
     Command.RUN_HERE: [ENTER],
     Command.NEW_START: 'no',
+    Command.EXECUTION: 'xm',
     Command.MENU: [ESCAPE],
     Command.HELP: '?h',
     Command.QUIT: 'qQ',

@@ -7,7 +7,7 @@ import math
 from humanopts_learner.options.criteria import FEWEST
 from humanopts_teach.dialogue.answers import LessonView, Phase
 from humanopts_teach.terminal.app import App, Screen
-from humanopts_teach.terminal.driving import PlayScreen
+from humanopts_teach.terminal.driving import EXECUTIONS, PlayScreen, WatchScreen
 from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen, ListScreen, TextScreen
 from humanopts_teach.terminal.teaching import LessonScreen
 from humanopts_teach.terminal.world import CriterionView, ProgressView
@@ -72,7 +72,10 @@ def _help(screen: HelpScreen, app: App) -> RenderableType:
 @panel.register
 def _play(screen: PlayScreen, app: App) -> RenderableType:
     game, running = app.world.game, app.run is not None
-    lines = [Text(screen.title, 'bold'), Text(screen.text, 'dim'), Text()]
+    lines = [Text(screen.title, 'bold'), Text(screen.text, 'dim')]
+    if isinstance(screen, WatchScreen):
+        lines.append(Text(f'Arbitration: {EXECUTIONS[screen.in_force(app)]}.'))
+    lines.append(Text())
     if running:
         lines.append(Text(f'The machine drives. {app.run_text}', 'bright_cyan'))
     if game is not None and game.episode:

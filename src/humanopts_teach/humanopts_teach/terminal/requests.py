@@ -97,6 +97,14 @@ class PlayEpisodes:
     participant: str
     episodes: int
     seed: int
+    execution: str
+
+
+@dataclass(frozen=True, slots=True)
+class SetExecution:
+    """Have the policy that runs carried out in another way, from its next action on."""
+
+    execution: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +123,7 @@ Request = (
     | SetControl
     | NewEpisode
     | ListOptions
+    | SetExecution
     | CancelRun
     | Run
 )
@@ -138,7 +147,7 @@ def server(request: Request) -> str:
             return 'game'
         case ListOptions() | RunOption():
             return 'option_server'
-        case PlanOptions() | PlayEpisodes():
+        case PlanOptions() | PlayEpisodes() | SetExecution():
             return 'planner'
         case CancelRun():
             return 'option_server or planner'
@@ -165,6 +174,8 @@ def settled(reply: Reply, world: World) -> bool:
             return lesson is not None and lesson.phase is not Phase.DEMONSTRATING
         case NewEpisode():
             return game is not None and game.episode >= reply.episode
+        case SetExecution(execution):
+            return world.execution == execution
         case SetControl(hold):
             return world.i_drive == hold
         case _:

@@ -1,0 +1,172 @@
+"""A policy that is interrupted, or runs as modules, on the real graph: as the pure code plays."""
+
+from typing import Any
+
+from graph_support.acting import Acting, LIMIT, START, start_acting
+from graph_support.live import Graph
+from graph_support.scripted import TAXI
+from graph_support.tour import Step, steps, TOUR, touring, USE
+from humanopts_env.nodes.qos import LATCHED_LARGE
+from humanopts_interfaces.msg import OptionResult, OptionValues, PolicyResult
+from humanopts_interfaces.srv import RunOption, SetExecution
+from humanopts_learner.convert import option_values_to_message
+from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.continuation import option_values
+from humanopts_learner.planning.evaluate import episode_starts
+from humanopts_learner.planning.plan import make_plan
+import pytest
+
+EPISODES, SEED = 5, 12
+OPTIONS = touring()
+PLAN = make_plan(TAXI, 'human', OPTIONS)
+STARTS = episode_starts(TAXI, SEED, EPISODES)
+CHANGED = [e for e in Execution if e is not Execution.RUN_TO_END]
+
+
+@pytest.fixture(scope='module')
+def acting(shared: Graph) -> Acting:
+    return start_acting(shared, episodes=EPISODES, seed=SEED)
+
+
+def pure(execution: Execution) -> list[Step]:
+    """Return what the pure code plays; an episode is given up after LIMIT decisions."""
+    found: list[Step] = []
+    for start in STARTS.tolist():
+        decisions = 0
+        for step in steps(PLAN, execution, start, 200):
+            decisions += step.began
+            if decisions > LIMIT:
+                break
+            found.append(step)
+    return found
+
+
+@pytest.mark.parametrize('execution', Execution)
+def test_each_step_is_that_of_the_vectorised_play(acting: Acting, execution: Execution) -> None:
+    expected = pure(execution)
+    result = acting.play(execution)
+    assert result.status == PolicyResult.STATUS_DONE
+    assert acting.stepped(len(expected)) == [
+        (step.state, step.action, step.actor, step.reward) for step in expected
+    ]
+    assert result.decisions == sum(step.began for step in expected)
+    assert result.interruptions == sum(step.stopped for step in expected)
+    fallback = PLAN.names[PLAN.first_fallback :]
+    assert result.fallbacks == sum(step.actor in fallback for step in expected)
+    assert result.mean_return == sum(step.reward for step in expected) / EPISODES
+    assert (result.execution, result.execution_changes) == (execution, 0)
+
+
+def test_the_comparison_shows_something() -> None:
+    """Options are stopped in it, and each execution plays otherwise than to the end."""
+    to_end = pure(Execution.RUN_TO_END)
+    assert sum(step.stopped for step in pure(Execution.INTERRUPTED)) > 0
+    assert all(pure(execution) != to_end for execution in CHANGED)
+    assert not any(step.stopped for step in to_end)
+
+
+@pytest.mark.parametrize('execution', Execution)
+def test_the_same_seed_gives_the_same_run(acting: Acting, execution: Execution) -> None:
+    runs = []
+    for _ in range(2):
+        result = acting.play(execution, episodes=3)
+        total = sum(run.step_count for run in acting.runs)
+        ended = [(r.status, r.option_name, r.step_count, list(r.acted_names)) for r in acting.runs]
+        runs.append((acting.stepped(total), ended, result.mean_return, result.interruptions))
+    assert runs[0] == runs[1]
+
+
+def test_modules_of_an_episode_are_one_run(acting: Acting) -> None:
+    result = acting.play(Execution.MODULAR_STRONGEST, max_decisions=0)
+    acting.graph.until(lambda: len(acting.runs) == EPISODES, 'the runs')
+    assert result.decisions == sum(run.step_count for run in acting.runs)
+    assert {run.status for run in acting.runs} == {OptionResult.STATUS_EPISODE_OVER}
+    for run in acting.runs:
+        assert (run.option_name, run.execution) == ('', Execution.MODULAR_STRONGEST)
+        assert sum(run.acted_steps) == run.step_count
+        assert set(run.acted_names) <= set(PLAN.names)
+
+
+def test_a_choice_that_is_none_is_refused_with_those_there_are(acting: Acting) -> None:
+    result = acting.play('at_random')
+    assert (result.status, result.run_id) == (PolicyResult.STATUS_BAD_REQUEST, '')
+    known = 'run_to_end, interrupted, modular_mass, modular_strongest'
+    assert result.detail == f"no execution 'at_random'; there is {known}"
+    answer = acting.change('at_random')
+    assert (answer.status, answer.detail) == (answer.STATUS_BAD_REQUEST, result.detail)
+    assert acting.change('').status == SetExecution.Response.STATUS_BAD_REQUEST
+
+
+def test_nothing_is_changed_where_no_policy_runs(acting: Acting) -> None:
+    answer = acting.change('interrupted')
+    assert answer.status == answer.STATUS_NO_RUN
+    assert 'run_policy' in answer.detail
+
+
+def test_a_plan_stops_an_option_that_anybody_runs(acting: Acting) -> None:
+    acting.play('interrupted', episodes=1)
+    alone = acting.run(option_name=TOUR)
+    assert (alone.status, alone.execution) == (OptionResult.STATUS_REACHED, 'run_to_end')
+    stopped = acting.run(option_name=TOUR, execution='interrupted', plan_id=acting.plan_id)
+    assert stopped.status == OptionResult.STATUS_STOPPED_BY_PLAN
+    assert stopped.detail == 'choosing anew is worth more than going on'
+    assert stopped.final_state == 'taxi 0,4 passenger G destination B'
+    assert stopped.step_count < alone.step_count
+
+
+@pytest.mark.parametrize(
+    ('fields', 'status', 'says'),
+    [
+        ({'execution': 'interrupted'}, 'BAD_REQUEST', 'give its plan_id'),
+        ({'execution': 'later'}, 'BAD_REQUEST', "no execution 'later'; there is run_to_end"),
+        (
+            {'execution': 'modular_mass', 'plan_id': 'mine'},
+            'BAD_REQUEST',
+            'leave option_name empty',
+        ),
+        (
+            {'execution': 'interrupted', 'plan_id': 'mine'},
+            'NO_VALUES',
+            'those of plan mine did not come; there are those of ',
+        ),
+    ],
+)
+def test_a_run_that_cannot_be_arbitrated_is_refused_in_words(
+    acting: Acting, fields: dict[str, Any], status: str, says: str
+) -> None:
+    acting.play('interrupted', episodes=1)
+    result = acting.run(option_name=TOUR, **fields)
+    assert result.status == getattr(OptionResult, f'STATUS_{status}')
+    assert says in result.detail
+    assert (result.run_id, result.execution) == ('', '')
+
+
+def test_values_for_options_that_are_not_there_any_more_are_refused(acting: Acting) -> None:
+    acting.play('interrupted', episodes=1)
+    acting.planning.teach([option for option in OPTIONS if option.name != USE])
+    try:
+        acting.graph.until(
+            lambda: acting.run(option_name=USE).status == OptionResult.STATUS_UNKNOWN_OPTION,
+            'the options',
+        )
+        result = acting.run(option_name=TOUR, execution='interrupted', plan_id=acting.plan_id)
+        assert result.status == OptionResult.STATUS_UNKNOWN_OPTION
+        assert repr(USE) in result.detail
+    finally:
+        acting.planning.teach(OPTIONS)
+        acting.plan_id = acting.planning.plan('human').plan_id
+
+
+def test_values_that_are_on_their_way_are_waited_for(acting: Acting) -> None:
+    """They and the request come on different ways."""
+    values = option_values_to_message(option_values(PLAN), 'mine', '')
+    teller = acting.graph.node.create_publisher(OptionValues, 'option_values', LATCHED_LARGE)
+    acting.graph.until(teller.get_subscription_count, 'option_server to listen')
+    state = acting.player.fresh(START)
+    asked = {'option_name': TOUR, 'execution': 'interrupted', 'plan_id': 'mine'}
+    waiting = acting.graph.request(RunOption, 'run_option', episode=state.episode, **asked)
+    busy = acting.graph.ask(RunOption, 'run_option', option_name=USE).result
+    assert busy.status == OptionResult.STATUS_BUSY
+    teller.publish(values)
+    acting.graph.until(waiting.done, 'the run')
+    assert waiting.result().result.status == OptionResult.STATUS_STOPPED_BY_PLAN
