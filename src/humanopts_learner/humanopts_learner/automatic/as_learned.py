@@ -31,14 +31,23 @@ def learned_options(
         only as tables.
     :raises DomainError: the features do not tell apart all that an option does.
     """
-    if not participant.startswith(MACHINE):
-        raise PlanError(
-            f'the participant of options that nobody taught must begin with {MACHINE!r}, '
-            f'not {participant!r}'
-        )
+    check_participant(participant)
     rows, columns = _seen(domain, found)
     going = found.ground.reached & ~found.ground.over
     return [_learned(domain, o, participant, rows, columns, going) for o in found.options]
+
+
+def check_participant(code: str) -> None:
+    """
+    Check under which code automatic options are to be known.
+
+    :raises PlanError: a person could have it.
+    """
+    if not code.startswith(MACHINE):
+        raise PlanError(
+            f'the participant of options that nobody taught must begin with {MACHINE!r}, '
+            f'not {code!r}'
+        )
 
 
 def _seen(domain: Domain[Any], found: AutomaticOptions) -> tuple[NDArray[np.int32], list[int]]:

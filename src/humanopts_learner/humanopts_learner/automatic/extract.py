@@ -11,7 +11,13 @@ from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks
 from humanopts_learner.automatic.cell_options import CellOption
 from humanopts_learner.automatic.ground import Ground, ground_of
 from humanopts_learner.automatic.how import Extraction, Progress, say_nothing, USUAL
-from humanopts_learner.automatic.reaching import Errands, greedy_runs, learn_to_reach, Values
+from humanopts_learner.automatic.reaching import (
+    check_tables,
+    Errands,
+    greedy_runs,
+    learn_to_reach,
+    Values,
+)
 from humanopts_learner.automatic.tasks import draw_tasks
 from humanopts_learner.options.option import OptionTables
 from humanopts_learner.planning.action_sets import TabledOption
@@ -103,6 +109,7 @@ class _Extraction:
     def visit(self) -> tuple[Visits, float]:
         """Learn random tasks; return the visits of greedy runs, and the share that came home."""
         how, rng = self._how, generator(self._seed, 'automatic_options', 'tasks')
+        check_tables(self._world, how.tasks)
         errands = draw_tasks(self._ground, how.tasks, rng)
         values = self._learn('tasks', errands, how.train_episodes, rng)
         learner = np.repeat(np.arange(how.tasks), how.test_runs)

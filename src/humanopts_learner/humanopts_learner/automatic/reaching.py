@@ -78,6 +78,20 @@ class _Learners:
         self.live = self.live[self._episode[self.live] < self._episodes]
 
 
+def check_tables(world: World, learners: int) -> None:
+    """
+    Check that the tables of so many learners can be held.
+
+    :raises PlanError: they would not fit in memory.
+    """
+    n_states, n_actions, _ = world.rules.successor.shape
+    if learners * n_states * n_actions > LARGEST_TABLES:
+        raise PlanError(
+            f'{learners} tasks or options in {n_states} states need tables that are too large: '
+            'ask for fewer'
+        )
+
+
 def learn_to_reach(
     world: World,
     errands: Errands,
@@ -95,12 +109,7 @@ def learn_to_reach(
     :return: values (L, S, A), and the steps taken.
     :raises PlanError: the tables would not fit in memory.
     """
-    n_states, n_actions, _ = world.rules.successor.shape
-    if len(errands.counts) * n_states * n_actions > LARGEST_TABLES:
-        raise PlanError(
-            f'{len(errands.counts)} tasks or options in {n_states} states need tables that are '
-            'too large: ask for fewer'
-        )
+    check_tables(world, len(errands.counts))
     learners = _Learners(world, errands, episodes, how, rng)
     rounds, game_steps = 0, 0
     while learners.live.size:

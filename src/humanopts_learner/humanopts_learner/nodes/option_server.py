@@ -30,7 +30,11 @@ _FAREWELL = 0.5  # s to answer who asked for the run under way, when the node en
 
 
 class OptionServerNode(NodeBase):
-    """Serves the options that ``learner`` publishes, and before that those found as files."""
+    """
+    Serves the options that ``learner`` publishes, and before that those found as files.
+
+    Beside them it serves the automatic ones of ``planner``.
+    """
 
     def __init__(self) -> None:
         super().__init__('option_server')
@@ -51,10 +55,12 @@ class OptionServerNode(NodeBase):
         )
         self._domain: Any = None
         self._learned: list[LearnedOption] | None = None  # None: nobody has said yet
+        self._automatic: list[LearnedOption] = []
         self._results = self.stamped_publisher(OptionResult, 'option_results')
         self._runner = Runner(self, Mode(mode), seed, deadline)
         self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
-        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
+        self.create_subscription(LearnedOptions, 'learned_options', self._on_learned, CURRENT)
+        self.create_subscription(LearnedOptions, 'automatic_options', self._on_automatic, CURRENT)
         group = ReentrantCallbackGroup()
         self.recorded_service(RunOption, 'run_option', self._on_run, group)
         self.recorded_service(ListOptions, 'list_options', self._on_list)
@@ -78,7 +84,7 @@ class OptionServerNode(NodeBase):
         self._runner.set_domain(self._domain)
         if self._learned is None:
             self._learned = self._read_files()
-        self._serve(self._learned)
+        self._serve()
 
     def _read_files(self) -> list[LearnedOption]:
         if not self._directory or not Path(self._directory).is_dir():
@@ -88,18 +94,26 @@ class OptionServerNode(NodeBase):
             self.get_logger().warning(str(problem))
         return options
 
-    def _on_options(self, message: LearnedOptions) -> None:
-        self._learned, problems = options_from_message(message)
+    def _on_learned(self, message: LearnedOptions) -> None:
+        self._learned = self._read(message)
+        self._serve()
+
+    def _on_automatic(self, message: LearnedOptions) -> None:
+        self._automatic = self._read(message)
+        self._serve()
+
+    def _read(self, message: LearnedOptions) -> list[LearnedOption]:
+        options, problems = options_from_message(message)
         for problem in problems:
             self.get_logger().error(problem)
-        self._serve(self._learned)
+        return options
 
-    def _serve(self, options: list[LearnedOption]) -> None:
+    def _serve(self) -> None:
         """Serve the options that fit the game, once it is known, and report the others."""
         library, fitting = self._runner.library, []
         if library is None:
             return
-        for option in options:
+        for option in [*(self._learned or []), *self._automatic]:
             try:
                 library.check(option)
                 fitting.append(option)

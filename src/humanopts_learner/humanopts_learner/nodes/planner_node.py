@@ -3,7 +3,6 @@
 from collections.abc import Callable
 import sys
 import threading
-import time
 from typing import Any
 import uuid
 
@@ -20,9 +19,12 @@ from humanopts_learner.convert import (
     plan_to_message,
     refused_plan,
 )
+from humanopts_learner.nodes.extraction import ExtractionServer
+from humanopts_learner.nodes.feedback import Feedback
 from humanopts_learner.nodes.player import Made, STOPS
 from humanopts_learner.nodes.policy_server import PolicyServer
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.action_sets import OF_MACHINES
 from humanopts_learner.planning.any_domain import (
     AnyPlan,
     check_plan_request,
@@ -37,13 +39,12 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
-_FEEDBACK_PERIOD = 0.1  # s
 _OPTIONS_SECONDS = 5.0  # to wait for the options that a request wants
 _FAREWELL = 1.0  # s to answer who asked for what is under way, when the node ends
 
 
 class PlannerNode(NodeBase):
-    """Plans on request in a thread of its own, and plays episodes through the option server."""
+    """Plans, and looks for options, in threads of its own; plays through the option server."""
 
     def __init__(self) -> None:
         super().__init__('planner')
@@ -64,8 +65,15 @@ class PlannerNode(NodeBase):
             self,
             group,
             plan_of=lambda action_set, who: self._plans.get((action_set, who)),
-            options=lambda: self._options,
+            options=self._known,
             in_thread=self._in_thread,
+        )
+        self._extraction = ExtractionServer(
+            self,
+            group,
+            domain=lambda: self._domain,
+            in_thread=self._in_thread,
+            stopping=lambda: self._stopping,
         )
 
     def waits_for(self) -> str | None:
@@ -76,7 +84,9 @@ class PlannerNode(NodeBase):
         """End what is under way, and answer who asked for it."""
         self._stopping = True
         self._policies.stop()
-        self.finish(lambda: self._planning or self._policies.busy, _FAREWELL)
+        self.finish(
+            lambda: self._planning or self._policies.busy or self._extraction.busy, _FAREWELL
+        )
         for thread in list(self._threads):
             thread.join()
 
@@ -95,6 +105,10 @@ class PlannerNode(NodeBase):
             if sequence <= self._version and not arrival.done():
                 arrival.set_result(None)
         self._waiting = [entry for entry in self._waiting if not entry[1].done()]
+
+    def _known(self, action_set: str) -> list[LearnedOption]:
+        """Return what an action set can have; another list whenever it changed."""
+        return self._extraction.options if action_set in OF_MACHINES else self._options
 
     async def _execute_plan(self, handle: ServerGoalHandle) -> PlanAction.Result:
         result = await self._plan(handle)
@@ -117,12 +131,13 @@ class PlannerNode(NodeBase):
         self._planning = True
         try:
             await self._options_arrive(request.options_sequence)
+            known = self._known(request.action_set)
             options = select_options(
-                self._options, request.action_set, request.participant, request.options
+                known, request.action_set, request.participant, request.options
             )
             asked = check_plan_request(self._domain, options, plan_request_from_goal(request))
             refused.plan_id = str(uuid.uuid4())  # from here on it is accepted
-            return await self._plan_in_thread(handle, refused.plan_id, options, asked)
+            return await self._plan_in_thread(handle, refused.plan_id, known, options, asked)
         except NoOptionsError as error:
             refused.status, refused.detail = PlanResult.STATUS_NO_OPTIONS, str(error)
         except PlanError as error:
@@ -141,12 +156,19 @@ class PlannerNode(NodeBase):
         self,
         handle: ServerGoalHandle,
         plan_id: str,
+        learned: list[LearnedOption],
         options: list[LearnedOption],
         asked: PlanRequest,
     ) -> PlanResult:
-        request, domain, learned = handle.request, self._domain, self._options
+        request, domain = handle.request, self._domain
         self._plan_goals.publish(plan_goal_to_message(request, plan_id, asked, options))
-        progress = _Feedback(handle, lambda: self._stopping)
+        progress = Feedback(
+            handle,
+            lambda: self._stopping,
+            lambda stage, fraction, sweeps, residual: PlanAction.Feedback(
+                stage=stage, progress=fraction, sweeps=sweeps, residual=residual
+            ),
+        )
 
         def work() -> tuple[AnyPlan, Performance | None]:
             plan, performance = plan_in(domain, options, asked, progress), None
@@ -193,26 +215,6 @@ class PlannerNode(NodeBase):
             self.destroy_timer(timer)
         if self._version < sequence:
             raise PlanError(f'learned_options {sequence} did not come, only {self._version}')
-
-
-class _Feedback:
-    """Publishes how far planning is, and raises ``PlanCanceled`` when the client wants no more."""
-
-    def __init__(self, handle: ServerGoalHandle, stopping: Callable[[], bool]) -> None:
-        self._handle, self._stopping = handle, stopping
-        self._stage, self._next = '', 0.0
-
-    def __call__(self, stage: str, fraction: float, sweeps: int, residual: float) -> None:
-        if self._handle.is_cancel_requested or self._stopping():
-            raise PlanCanceled
-        now = time.monotonic()
-        if stage != self._stage or now >= self._next:
-            self._stage, self._next = stage, now + _FEEDBACK_PERIOD
-            self._handle.publish_feedback(
-                PlanAction.Feedback(
-                    stage=stage, progress=fraction, sweeps=sweeps, residual=residual
-                )
-            )
 
 
 def _end(handle: ServerGoalHandle, good: bool, canceled: bool) -> None:

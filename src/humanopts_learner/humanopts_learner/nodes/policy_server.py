@@ -37,14 +37,14 @@ class PolicyServer:
         node: NodeBase,
         group: CallbackGroup,
         plan_of: Callable[[str, str], Made | None],
-        options: Callable[[], list[LearnedOption]],
+        options: Callable[[str], list[LearnedOption]],
         in_thread: InThread,
     ) -> None:
         """
         Serve.
 
         :param plan_of: finds the newest plan of an action set and a participant.
-        :param options: returns those that are known now.
+        :param options: returns those that an action set can have now.
         :param in_thread: does long work beside the executor.
         """
         self._plan_of, self._options, self._in_thread = plan_of, options, in_thread
@@ -110,7 +110,8 @@ class PolicyServer:
             return bad, str(error)
         if made is None:
             return no_plan, f'there is no {request.action_set!r} plan yet: plan it first'
-        if made.learned is not self._options() and request.action_set != PRIMITIVE:
+        known = self._options(request.action_set)
+        if made.learned is not known and request.action_set != PRIMITIVE:
             return no_plan, 'the options changed since they were planned with: plan again'
         if request.episodes == 0:
             return bad, 'episodes is 0'

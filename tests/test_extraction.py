@@ -1,0 +1,181 @@
+"""Finding options without a person, on the real graph: the action extract_options of planner."""
+
+from collections.abc import Callable
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from graph_support.live import Goal, Graph
+from graph_support.planning import Planning, start_planning
+from graph_support.scripted import taught, TAXI
+from humanopts_env.nodes.qos import CURRENT
+from humanopts_interfaces.action import ExtractOptions
+from humanopts_interfaces.msg import (
+    ExtractionGoal,
+    ExtractionResult,
+    LearnedOptions,
+    PlanResult,
+    PolicyResult,
+)
+from humanopts_interfaces.srv import ListOptions
+from humanopts_learner.automatic.as_learned import learned_options
+from humanopts_learner.automatic.extract import AutomaticOptions, find_options
+from humanopts_learner.automatic.how import Extraction
+from humanopts_learner.convert import options_from_message
+from humanopts_learner.planning.plan import make_plan
+import pytest
+
+SEED = 3
+SMALL = {'tasks': 60, 'task_episodes': 40, 'option_episodes': 100, 'max_options': 4}
+HOW = Extraction(options=4, tasks=60, train_episodes=40, option_episodes=100)
+ENDLESS = {'tasks': 400, 'task_episodes': 100_000}  # takes an hour
+SECONDS = 60.0
+
+
+@pytest.fixture(scope='module')
+def at_work(shared: Graph) -> Planning:
+    return start_planning(shared, episodes=1, seed=SEED)
+
+
+@pytest.fixture(scope='module')
+def found() -> AutomaticOptions:
+    """The same by a library call."""
+    return find_options(TAXI, SEED, HOW)
+
+
+def begin(planning: Planning, **fields: Any) -> Goal:
+    return planning.graph.act(ExtractOptions, 'extract_options', **{'seed': SEED, **fields})
+
+
+def extract(planning: Planning, **fields: Any) -> ExtractionResult:
+    _, result = begin(planning, **{**SMALL, **fields}).result(SECONDS)
+    return result
+
+
+@pytest.fixture(scope='module')
+def extracted(at_work: Planning) -> ExtractionResult:
+    return extract(at_work)
+
+
+def listed(planning: Planning, participant: str) -> list[str]:
+    """Return the names that option_server has of a participant."""
+    response = planning.graph.ask(ListOptions, 'list_options')
+    known = zip(response.option_names, response.participants)
+    return [name for name, who in known if who == participant]
+
+
+def served(planning: Planning, participant: str, names: list[str]) -> Callable[[], bool]:
+    return lambda: listed(planning, participant) == sorted(names)
+
+
+def test_options_are_those_of_the_library_call(
+    extracted: ExtractionResult, found: AutomaticOptions
+) -> None:
+    assert (extracted.status, extracted.participant) == (extracted.STATUS_DONE, 'automatic')
+    assert list(extracted.option_names) == [option.name for option in found.options]
+    assert list(extracted.reaches) == [option.reaches for option in found.options]
+    assert (extracted.game_steps, extracted.episodes) == (found.game_steps, found.episodes)
+    assert extracted.solved == found.solved
+    assert extracted.seconds > 0
+
+
+def test_option_server_serves_them_beside_what_people_taught(
+    at_work: Planning, extracted: ExtractionResult
+) -> None:
+    names = list(extracted.option_names)
+    at_work.teach(taught())
+    theirs = [option.name for option in taught()]
+    at_work.graph.until(served(at_work, taught()[0].participant, theirs), 'those of a person')
+    assert listed(at_work, 'automatic') == sorted(names)
+
+
+def test_who_comes_late_gets_them_whole(
+    at_work: Planning, extracted: ExtractionResult, found: AutomaticOptions
+) -> None:
+    heard = at_work.graph.listen(LearnedOptions, 'automatic_options', CURRENT)
+    at_work.graph.until(lambda: heard, 'the options')
+    options, problems = options_from_message(heard[-1])
+    assert not problems
+    assert options == learned_options(TAXI, found)
+
+
+def test_an_episode_is_played_by_a_plan_of_automatic_options(
+    at_work: Planning, extracted: ExtractionResult, found: AutomaticOptions
+) -> None:
+    plan = make_plan(TAXI, 'automatic', learned_options(TAXI, found))
+    result = at_work.plan('automatic')
+    assert result.status == PlanResult.STATUS_CONVERGED
+    assert tuple(result.option_names) == plan.names
+    assert result.sweeps == plan.solution.sweeps
+    at_work.graph.until(served(at_work, 'automatic', list(extracted.option_names)), 'the options')
+    played = at_work.play('automatic')
+    assert (played.status, played.episodes) == (PolicyResult.STATUS_DONE, 1)
+
+
+def test_a_search_leaves_the_plans_of_peoples_options_as_they_are(
+    at_work: Planning, extracted: ExtractionResult
+) -> None:
+    at_work.teach(taught())
+    assert at_work.plan('human').status == PlanResult.STATUS_CONVERGED
+    assert at_work.plan('automatic+primitive').status == PlanResult.STATUS_CONVERGED
+    other = extract(at_work, participant='automatic 2', max_options=1)
+    assert other.status == ExtractionResult.STATUS_DONE
+    assert at_work.play('human').status == PolicyResult.STATUS_DONE
+    refused = at_work.play('automatic+primitive')
+    assert refused.status == PolicyResult.STATUS_NO_PLAN
+    assert 'the options changed' in refused.detail
+    both = at_work.plan('automatic')
+    assert both.status == PlanResult.STATUS_BAD_REQUEST
+    assert 'name one of automatic, automatic 2' in both.detail
+    named = at_work.plan('automatic', participant='automatic')
+    assert named.status == PlanResult.STATUS_CONVERGED
+
+
+def test_a_search_tells_how_far_it_is_and_refuses_another_meanwhile(at_work: Planning) -> None:
+    graph = at_work.graph
+    goals = graph.listen(ExtractionGoal, 'extraction_goals')
+    results = graph.listen(ExtractionResult, 'extraction_results')
+    goal = begin(at_work, **ENDLESS)
+    graph.until(lambda: len(goal.feedback) > 2, 'progress')
+    busy = extract(at_work)
+    assert (busy.status, busy.extraction_id) == (busy.STATUS_BUSY, '')
+    assert 'another search' in busy.detail
+    goal.cancel()
+    status, result = goal.result(5.0)
+    assert (status, result.status) == (GoalStatus.STATUS_CANCELED, result.STATUS_CANCELED)
+    assert {told.stage for told in goal.feedback} == {'tasks'}
+    fractions = [told.progress for told in goal.feedback]
+    assert fractions == sorted(fractions)
+    assert 0 < fractions[-1] < 1
+    assert goal.feedback[-1].game_steps > 0
+    graph.until(lambda: len(results) == 2, 'both results')
+    (accepted,) = goals
+    assert accepted.extraction_id == result.extraction_id == results[-1].extraction_id
+    assert (accepted.participant, accepted.max_options, accepted.seed) == ('automatic', 25, SEED)
+    assert (accepted.tasks, accepted.task_episodes) == (400, 100_000)
+    assert accepted.option_episodes == 2000
+
+
+@pytest.mark.parametrize(
+    ('fields', 'says'),
+    [
+        ({'participant': 'ann'}, "must begin with 'automatic', not 'ann'"),
+        ({'tasks': 2**31}, 'ask for fewer'),
+    ],
+)
+def test_a_request_that_makes_no_sense_is_refused_in_words(
+    at_work: Planning, fields: dict[str, Any], says: str
+) -> None:
+    result = extract(at_work, **fields)
+    assert result.status == ExtractionResult.STATUS_BAD_REQUEST
+    assert says in result.detail
+
+
+def test_who_asks_is_answered_when_the_planner_ends(live: Graph) -> None:
+    planning = start_planning(live, episodes=1, seed=SEED)
+    planner = next(p for p in live.started if 'planner' in p.name)
+    goal = begin(planning, **ENDLESS)
+    live.until(lambda: goal.feedback, 'progress')
+    planner.process.terminate()
+    _, result = goal.result(5.0)
+    assert (result.status, result.detail) == (result.STATUS_FAILED, 'the planner stops')
+    assert planner.ended() == 0
