@@ -15,6 +15,8 @@ from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.dialogue.lesson import LessonRules
 from humanopts_teach.experiments.lessons import teach
+from humanopts_teach.experiments.study import read_bag_lessons, Study
+from humanopts_teach.experiments.taught import options_of, teachers
 from humanopts_teach.teacher.simulated import TeacherSettings
 
 
@@ -53,17 +55,24 @@ def test_lesson_in_one_process_is_that_over_the_graph(demo: DemoRun) -> None:
 
 def test_bags_stand_in_for_simulated_people(demo: DemoRun, tmp_path: Path) -> None:
     bag = demo.bag
-    arguments = ['reproduce', 'all', '--seeds', '2', '--jobs', '2', '--bags', str(bag)]
+    arguments = ['reproduce', 'fig2', '--jobs', '1', '--bags', str(bag)]
     assert main([*arguments, '--out', str(tmp_path)]) == 0
     with (tmp_path / 'fig2-people.csv').open(encoding='utf-8') as file:
         rows = {row['option']: row for row in csv.DictReader(file)}
     for block in demo.summary['options']:
         assert float(rows[block['name']]['last accuracy of policy']) == block['policy_accuracy']
-    curves = (tmp_path / 'fig4-summary.csv').read_text('utf-8')
-    assert 'human + primitive' in curves
     page = (tmp_path / 'report.html').read_text('utf-8')
     assert str(bag.resolve()) in page
     assert '<b>simulated</b>' not in page
+
+
+def test_options_from_a_bag_are_those_that_were_taught(demo: DemoRun) -> None:
+    (person,) = teachers(Study(bags=tuple(read_bag_lessons(demo.bag))), 'taxi')
+    taught = options_of(person.parameters, make_domain('taxi'))
+    blocks = demo.summary['options']
+    assert [option.name for option in taught.options] == [block['name'] for block in blocks]
+    assert taught.demonstrations == sum(block['n_demonstrations'] for block in blocks)
+    assert 0 < taught.minutes < 5
 
 
 def test_ctrl_c_says_how_to_go_on_and_leaves_no_process(tmp_path: Path, domain_id: int) -> None:

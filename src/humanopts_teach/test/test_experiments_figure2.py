@@ -117,7 +117,7 @@ def test_goals_that_are_reached_are_met_and_the_papers_forty_agrees(study: Study
     section = present(study, results_of(study, of_taxi))
     goals = comparisons(section, 'at most 15') + comparisons(section, 'at most 30')
     assert [c.verdict for c in goals] == [Verdict.MET] * 4
-    assert '10.0 on average' in goals[0].found
+    assert 'mean 10.0.' in goals[0].found
     assert [c.verdict for c in comparisons(section, 'about 40')] == [Verdict.AGREES] * 2
 
 

@@ -99,7 +99,7 @@ def _rises(one: Series) -> Comparison:
     needed = one.needed(LEVELS[0])
     found = (
         f'{_named(one.case)}: mean policy accuracy {mean[0]:.1%} after 1 demonstration and '
-        f'{mean[last - 1]:.1%} after {last}; 95 % takes {needed.text}.'
+        f'{mean[last - 1]:.1%} after {last}; demonstrations for 95 %: {needed.text}.'
     )
     return _said(1, found, agreement(last > 1 and mean[last - 1] > mean[0]))
 
@@ -124,7 +124,7 @@ def _goals(one: Series) -> list[Comparison]:
     found = []
     for level in LEVELS:
         needed, most = one.needed(level), GOALS.get((one.case.strategy, level))
-        text = f'{_named(one.case)}, people without errors: {needed.text} on average.'
+        text = f'{_named(one.case)}, people without errors: mean {needed.text}.'
         if most is not None:
             said = f'{level:.0%} policy accuracy takes at most {most} demonstrations.'
             met = needed.complete and needed.mean <= most

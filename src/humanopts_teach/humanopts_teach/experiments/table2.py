@@ -1,0 +1,123 @@
+"""
+Table 2: what planning with each action set takes and comes to (sections 7.3 and 8).
+
+One cell is whose options are planned with: one person's, those of one extraction, or none. They
+are got once, from the usual game, and planned with by every action set that they belong to.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+import math
+import time
+from typing import Any
+
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.seeding import generator
+from humanopts_learner.automatic.extract import find_options
+from humanopts_learner.planning.sampled.comparison import carried_over
+from humanopts_teach.experiments.cells import Cell
+from humanopts_teach.experiments.study import Study
+from humanopts_teach.experiments.table2_exact import plan_exactly
+from humanopts_teach.experiments.table2_kinds import GAMES, KINDS, MACHINE, NOBODY, PERSON
+from humanopts_teach.experiments.table2_sampled import Effort, plan_from_samples
+from humanopts_teach.experiments.taught import options_of, teachers
+
+NAME, VERSION = 'table2', 1
+EFFORT = Effort()
+COSTS = {  # of a cell by domain and whose options; those of Taxi take less
+    ('pacman', NOBODY): 12.0,
+    ('pacman', PERSON): 75.0,
+    ('pacman', MACHINE): 25.0,
+    ('taxi', MACHINE): 4.0,
+}
+
+
+@dataclass(frozen=True)
+class Owned:
+    """Options, and what it cost to get them; None: it is not of that kind."""
+
+    options: Sequence[Any]  # as planning in the domain takes them
+    demonstrations: int | None = None
+    minutes: float | None = None  # of teaching
+    seconds: float | None = None  # of a processor, for an extraction
+    game_steps: int | None = None
+
+    @property
+    def cost(self) -> dict[str, Any]:
+        """The cost as JSON data."""
+        names = ('demonstrations', 'minutes', 'seconds', 'game_steps')
+        return {'options': len(self.options), **{name: getattr(self, name) for name in names}}
+
+
+def cells(study: Study) -> list[Cell]:
+    """Return one cell for each domain, and person, extraction or repetition."""
+    found = []
+    for domain in dict.fromkeys(game.domain for game in GAMES):
+        people = [teacher.parameters for teacher in teachers(study, domain)]
+        count = len(people) or study.participants
+        sources: dict[str, list[dict[str, Any]]] = {
+            NOBODY: [{'number': number} for number in range(1, count + 1)],
+            PERSON: [{'teacher': dict(known)} for known in people],
+            MACHINE: [{'extraction': study.seed + number} for number in range(count)],
+        }
+        common = {
+            'domain': domain,
+            'plans': math.ceil(study.seeds / count),
+            'seed': study.seed,
+            'effort': asdict(EFFORT),
+        }
+        found += [
+            Cell(
+                NAME,
+                VERSION,
+                {**common, 'whose': whose, **source},
+                compute,
+                COSTS.get((domain, whose), 1.0),
+            )
+            for whose, members in sources.items()
+            for source in members
+        ]
+    return found
+
+
+def compute(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Plan with every action set that some options belong to, in every game of their domain.
+
+    :return: cost of the options, and what planning came to by game and action set.
+    """
+    owned, effort = _get(parameters), Effort(**parameters['effort'])
+    kinds = [kind for kind in KINDS if kind.whose == parameters['whose']]
+    played: dict[str, Any] = {}
+    for game in GAMES:
+        if game.domain != parameters['domain']:
+            continue
+        domain, options = make_domain(game.domain, game.parameters), owned.options
+        if parameters['whose'] == PERSON:
+            options = [carried_over(option, domain) for option in options]
+        if game.exact:
+            played[game.name] = plan_exactly(domain, kinds, options, parameters['plans'])
+        else:
+            seed, settings = _seed(parameters, game.name), parameters['seed']
+            played[game.name] = plan_from_samples(
+                domain, kinds, options, parameters['plans'], effort, seed, settings
+            )
+    return {'cost': owned.cost, 'games': played}
+
+
+def _get(parameters: Mapping[str, Any]) -> Owned:
+    domain, whose = make_domain(parameters['domain']), parameters['whose']
+    if whose == PERSON:
+        taught = options_of(parameters['teacher'], domain)
+        return Owned(taught.options, taught.demonstrations, taught.minutes)
+    if whose == MACHINE:
+        found = find_options(domain, parameters['extraction'], clock=time.process_time)
+        options = found.tabled if domain.name == 'taxi' else found.batched
+        return Owned(options, seconds=found.seconds, game_steps=found.game_steps)
+    return Owned(())
+
+
+def _seed(parameters: Mapping[str, Any], game: str) -> int:
+    """Return a seed that differs between games, and between those whose options they are."""
+    source = [str(parameters.get(name)) for name in ('number', 'teacher', 'extraction')]
+    return int(generator(parameters['seed'], NAME, game, *source).integers(2**31))
