@@ -20,7 +20,7 @@ from humanopts_env.domains.taxi import TaxiState
 from humanopts_env.domains.taxi_tables import landmark_cells
 from humanopts_env.nodes.qos import STREAM
 from humanopts_env.seeding import generator
-from humanopts_interfaces.msg import ActionRefusal, GameState, OptionResult
+from humanopts_interfaces.msg import ActionRefusal, ExecutionState, GameState, OptionResult
 import pyte
 import pytest
 import rclpy
@@ -145,6 +145,7 @@ class Graph:
                 (GameState, 'game_state'),
                 (ActionRefusal, 'action_refused'),
                 (OptionResult, 'option_results'),
+                (ExecutionState, 'execution'),
             )
         ]
 
@@ -158,7 +159,7 @@ class Graph:
         )
         self.run('humanopts_learner.nodes.option_server')
         deadline = time.monotonic() + 30.0
-        while not all(s.get_publisher_count() for s in self.subscriptions):
+        while not all(s.get_publisher_count() for s in self.subscriptions[:-1]):
             assert time.monotonic() < deadline, 'the witness found no game or option server'
             self.executor.spin_once(0.05)
 
@@ -362,6 +363,31 @@ def test_a_key_takes_the_wheel_from_the_machine(graph: Graph) -> None:
     graph.witness(GameState, lambda m: persons(m, 'west'), terminal)  # all before it has come
     states = [m for m in graph.messages if isinstance(m, GameState)]
     assert sum(persons(state, 'dropoff') for state in states) == 1
+
+
+def test_a_key_changes_how_the_machine_plays_within_the_episode(graph: Graph) -> None:
+    graph.start(step_period=0.3)
+    graph.run('humanopts_learner.nodes.planner_node')
+    terminal = graph.sit_down()
+    terminal.press('3')
+    terminal.see('Plan with what?')
+    terminal.press('2')
+    terminal.see('Arbitration: each option to its end.')
+    terminal.press(ENTER)
+    graph.witness(GameState, lambda m: m.step > 0, terminal)
+    for execution in ('interrupted', 'modular_mass'):
+        terminal.press('x')
+        said = graph.witness(
+            ExecutionState, lambda m, wanted=execution: m.execution == wanted, terminal
+        )
+    terminal.see('Arbitration: all options act at once: the greatest mass.')
+    last = max(m.sequence for m in graph.messages if isinstance(m, GameState))
+    graph.witness(GameState, lambda m: m.sequence > last + 2, terminal)
+    terminal.press(ESCAPE)
+    terminal.see('Stopped')
+    run = graph.witness(OptionResult, lambda m: m.execution == 'modular_mass', terminal)
+    assert (said.previous, run.option_name) == ('interrupted', '')
+    assert run.first_step > 0
 
 
 def test_a_lesson_that_dies_is_named_and_the_terminal_still_quits(graph: Graph) -> None:
