@@ -12,9 +12,10 @@ from humanopts_env.seeding import generator
 from humanopts_learner.options.option import OptionTables
 from humanopts_learner.planning.action_sets import build_model, TabledOption
 from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
+from humanopts_learner.planning.sampled.judging import Interval
 from humanopts_learner.planning.value_iteration import solve_smdp
 from humanopts_learner.qlearning.choices import choices_of
-from humanopts_learner.qlearning.curves import band, best_rates, drawn_rates
+from humanopts_learner.qlearning.curves import best_rates, drawn_rates
 from humanopts_learner.qlearning.learn import learn, Learning, Method, Rates
 import numpy as np
 from numpy.typing import NDArray
@@ -145,14 +146,12 @@ def test_hallway_options_need_fewer_steps_early_on() -> None:
     rooms = Rooms('G1')
     options = [_tabled(name, option) for name, option in reference_options(rooms).items()]
     early = [
-        band(
-            learn(rooms, choices_of(rooms, s, options), [Rates()] * 20, 10, 0).steps.mean(1)[
-                :, None
-            ]
+        Interval.of(
+            learn(rooms, choices_of(rooms, s, options), [Rates()] * 20, 10, 0).steps.mean(axis=1)
         )
         for s in (MIXED, 'primitive')
     ]
-    assert early[0].high[0] < 0.8 * early[1].low[0]
+    assert early[0].high < 0.8 * early[1].low
 
 
 def test_taxi_is_learned_at_once_with_the_options_that_people_taught() -> None:
@@ -192,15 +191,6 @@ def test_the_set_human_has_primitive_actions_where_no_option_can_start() -> None
     assert (primitive.all(axis=1) == (~option & ~TAXI.over())).all()
     assert choices.names[:2] == (FETCH, 'action:south')
     assert choices_of(World(0), 'human', World(0).options()).available[-1].sum() == 0
-
-
-def test_a_band_is_students() -> None:
-    """Two learners: the quantile of one degree of freedom is 12.706."""
-    found = band(np.array([[1.0], [3.0]]))
-    assert found.mean == pytest.approx([2.0])
-    assert found.low == pytest.approx([2.0 - 12.7062], abs=1e-3)
-    with pytest.raises(PlanError, match='two learners'):
-        band(np.ones((1, 3)))
 
 
 def test_the_search_finds_the_rates_that_learn_faster() -> None:

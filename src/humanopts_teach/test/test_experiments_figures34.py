@@ -5,6 +5,7 @@ import csv
 import io
 from typing import Any
 
+from humanopts_env.domains.registry import make_domain
 from humanopts_teach.experiments import figure3, figure4, figure4_section
 from humanopts_teach.experiments.cells import Cell
 from humanopts_teach.experiments.page import csv_text
@@ -19,7 +20,7 @@ SEED = 4
 
 @pytest.fixture(scope='module')
 def extraction() -> dict[str, Any]:
-    return figure3.extract({'seed': SEED})
+    return figure3.extract({'domain': 'taxi', 'seed': SEED})
 
 
 def verdicts(section: Section) -> list[Verdict]:
@@ -41,8 +42,8 @@ def test_extraction_is_told_with_its_cost(extraction: dict[str, Any]) -> None:
     assert {o['event'] for o in extraction['options']} >= {'pickup', 'dropoff'}
     assert extraction['game_steps'] > 1_000_000
     assert 0 < min(o['can_start'] for o in extraction['options']) < 1
-    table = section_of_figure_3(extraction).tables[1]
-    assert table.rows[0][:2] == [SEED, len(extraction['options'])]
+    table = section_of_figure_3(extraction).tables[2]
+    assert table.rows[0][:3] == ['Taxi', SEED, len(extraction['options'])]
 
 
 @pytest.mark.parametrize(('name', 'agrees'), [('go to cell 2,2', True), ('go to cell 0,0', False)])
@@ -51,6 +52,38 @@ def test_the_cell_agrees_when_it_is_the_centre(
 ) -> None:
     section = section_of_figure_3(with_cell(extraction, name))
     assert verdicts(section)[1] is (Verdict.AGREES if agrees else Verdict.DIFFERS)
+
+
+def test_it_is_counted_how_often_each_option_of_the_paper_was_found(
+    extraction: dict[str, Any],
+) -> None:
+    study = Study(seeds=2, seed=SEED)
+    fewer = {**extraction, 'options': [{**extraction['options'][0], 'name': 'pickup at R'}]}
+    first, second = figure3.cells(study)[:2]
+    section = figure3.present(study, {first.key: extraction, second.key: fewer})
+    rows = {row[1]: row[2:] for row in section.tables[0].rows}
+    assert rows['pickup at R'] == ['yes', 2, 2]
+    assert rows['dropoff at Y'] == ['yes', 1, 2]
+    assert rows[figure3.CENTRE][0] == 'yes'
+    assert [name for name, row in rows.items() if row[0] == 'yes'] == list(figure3.PAPERS)
+    assert 'of at least 1' in section.comparisons[0].found
+
+
+def test_pacman_has_a_map_of_its_maze_and_is_not_compared() -> None:
+    study = Study(seeds=1, seed=SEED)
+    cell = figure3.cells(study)[1]
+    option = {'cell': 3, 'name': 'go to cell 0,3', 'event': '', 'visits': 5}
+    option |= {'can_start': 0.5, 'reaches': 1.0}
+    cost = {'seconds': 1.0, 'game_steps': 9, 'episodes': 2, 'solved': 1.0}
+    places = len(make_domain('pacman').rules.maze.cells)  # type: ignore[attr-defined]
+    known = {'options': [option], 'visits': list(range(places)), **cost}
+    section = figure3.present(study, {cell.key: known})
+    assert cell.parameters['domain'] == 'pacman'
+    assert not section.comparisons
+    assert section.tables[0].rows == [['Pac-Man', 'go to cell 0,3', None, 1, 1]]
+    work = Drawing(*section.pictures[0].size)
+    section.pictures[0].draw(work, str)
+    assert [text.get_text() for text in work.axes.texts] == ['1']
 
 
 def test_every_option_is_numbered_on_the_map(extraction: dict[str, Any]) -> None:
@@ -106,7 +139,8 @@ def test_curves_in_csv_are_those_that_are_drawn() -> None:
     section = section_of_figure_4({'human': 10.0, 'automatic': 20.0})
     rows = list(csv.DictReader(io.StringIO(csv_text(section.tables[1]))))
     work = Drawing(5.0, 3.0)
-    section.pictures[0].draw(work, str)
+    drawn = {picture.name: picture for picture in section.pictures}
+    drawn['fig4-smdp'].draw(work, str)
     for line in work.axes.get_lines():
         mine = [
             float(row['mean'])
@@ -115,3 +149,19 @@ def test_curves_in_csv_are_those_that_are_drawn() -> None:
         ]
         assert np.asarray(line.get_ydata()).tolist() == mine
         assert len(mine) == 120
+
+
+def test_the_papers_axis_ends_where_it_ends_in_the_paper_and_has_no_mixtures() -> None:
+    section = section_of_figure_4({'human': 10.0, 'primitive': 900.0, 'human + primitive': 5.0})
+    drawn = {picture.name: picture for picture in section.pictures}
+    work = Drawing(5.0, 3.0)
+    drawn['fig4-smdp-paper'].draw(work, str)
+    assert work.axes.get_ylim() == (0, 300)
+    assert [line.get_label() for line in work.axes.get_lines()] == ['primitive', 'human']
+
+
+def test_mixtures_are_told_and_not_compared() -> None:
+    section = section_of_figure_4({'human': 10.0, 'automatic': 20.0, 'human + primitive': 30.0})
+    (told,) = [c for c in section.comparisons if 'human options and primitive' in c.said]
+    assert told.verdict is Verdict.NOT_COMPARABLE
+    assert 'SMDP Q-learning: 30 steps in the first 10 episodes, 30 in the last 10' in told.found

@@ -1,45 +1,15 @@
-"""Learning curves over many learners, and a search for rates that is equally long for all."""
+"""A search for rates that is equally long for every action set."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.qlearning.choices import Choices
 from humanopts_learner.qlearning.learn import learn, Method, Progress, Rates
-from humanopts_learner.qlearning.world import Floats
-import numpy as np
-from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 SLOWEST, FASTEST = 0.05, 1.0  # learning rates that are tried
 LEAST, MOST = 0.005, 0.3  # shares of exploring decisions that are tried
-
-
-@dataclass(frozen=True)
-class Band:
-    """The mean of N learners and its 95 % interval by Student's t, episode by episode."""
-
-    mean: Floats  # (E,)
-    low: Floats  # (E,)
-    high: Floats  # (E,)
-
-
-def band(values: NDArray[Any]) -> Band:
-    """
-    Return the mean of what N learners did, and its interval.
-
-    :param values: (N, E), such as ``Learning.steps``.
-    :raises PlanError: there are fewer than two learners.
-    """
-    count = len(values)
-    if count < 2:
-        raise PlanError('an interval needs two learners or more')
-    mean = values.mean(axis=0)
-    half = float(stdtrit(count - 1, 0.975)) * values.std(axis=0, ddof=1) / np.sqrt(count)
-    return Band(mean, mean - half, mean + half)
 
 
 def drawn_rates(seed: int, count: int) -> list[Rates]:

@@ -14,6 +14,8 @@ from humanopts_env.seeding import generator
 from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.options.option import option_tables
 from humanopts_learner.planning.action_sets import (
+    AUTOMATIC,
+    AUTOMATIC_AND_PRIMITIVE,
     HUMAN,
     HUMAN_AND_PRIMITIVE,
     PRIMITIVE,
@@ -31,9 +33,9 @@ NAME, VERSION, DOMAIN = 'fig4', 1, 'taxi'
 SETS = {  # what is learned with: whose options, and the action set
     'primitive': ('nobody', PRIMITIVE),
     'human': ('person', HUMAN),
-    'automatic': ('machine', HUMAN),
+    'automatic': ('machine', AUTOMATIC),
     'human + primitive': ('person', HUMAN_AND_PRIMITIVE),
-    'automatic + primitive': ('machine', HUMAN_AND_PRIMITIVE),
+    'automatic + primitive': ('machine', AUTOMATIC_AND_PRIMITIVE),
 }
 METHODS = tuple(method.value for method in Method)
 LIMIT = 1000  # steps of an episode at most; the domain's own 200 would hide how long they get

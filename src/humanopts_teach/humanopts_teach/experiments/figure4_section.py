@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from humanopts_learner.qlearning.curves import Band
 from humanopts_teach.experiments import figure4, paper
-from humanopts_teach.experiments.bands import band
+from humanopts_teach.experiments.bands import Band, band
+from humanopts_teach.experiments.figure4_pictures import draw_all, draw_papers, SIZE
 from humanopts_teach.experiments.sections import (
     agreement,
     Comparison,
-    Paint,
     Picture,
     Section,
     Table,
@@ -19,9 +18,6 @@ from humanopts_teach.experiments.sections import (
     Verdict,
 )
 from humanopts_teach.experiments.study import Experiment, Study
-from humanopts_teach.report.figures import Drawing
-from humanopts_teach.report.steps_figure import draw_steps, SIZE
-from matplotlib.ticker import StrMethodFormatter
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,8 +37,7 @@ class Curve:
 
     def band(self) -> Band:
         """Return mean and band, episode by episode."""
-        found = band(self.steps, least=1.0)
-        return Band(found.mean, found.low, found.high)
+        return band(self.steps, least=1.0)
 
     def total(self) -> tuple[float, float, float]:
         """Return the steps of all episodes: mean, low, high."""
@@ -62,10 +57,16 @@ def present(study: Study, results: Mapping[str, Any]) -> Section:
         'criteria; automatic ones are those of figure 3. Lines are means over people, extractions '
         "or repetitions, bands their 95 % confidence intervals by Student's t."
     )
+    mixtures = (
+        'Where every step costs 1, values of 0 are optimistic: what was not tried yet looks '
+        'better than what was. So learners that have primitive actions beside options turn to '
+        'them in state after state until all are tried: their episodes get longer before they '
+        'get shorter. Options alone leave less to try. The paper has no mixtures.'
+    )
     return Section(
         figure4.NAME,
         TITLE,
-        [text],
+        [text, mixtures],
         _comparisons(curves),
         _pictures(curves),
         [_summary(curves), _curve_table(curves)],
@@ -108,6 +109,7 @@ def _comparisons(curves: Sequence[Curve]) -> list[Comparison]:
         faster = totals['human'][0] < totals['automatic'][0]
         found.append(Comparison(said.text, said.where, f'{text}.', agreement(faster)))
     if curves:
+        found += _mixtures(curves)
         said = paper.FIGURE_4[1]
         first = '; '.join(
             f'{curve.name} {curve.steps[:, 0].mean():.0f}'
@@ -122,23 +124,40 @@ def _comparisons(curves: Sequence[Curve]) -> list[Comparison]:
     return found
 
 
+def _mixtures(curves: Sequence[Curve]) -> list[Comparison]:
+    """Tell how options do beside primitive actions, of which the paper says nothing."""
+    found = []
+    for kind in ('human', 'automatic'):
+        pairs = {
+            METHODS[curve.method]: curve.steps.mean(axis=0)
+            for curve in curves
+            if curve.name == f'{kind} + primitive'
+        }
+        if pairs:
+            told = '; '.join(
+                f'{called}: {steps[:10].mean():.0f} steps in the first 10 episodes, '
+                f'{steps[-10:].mean():.0f} in the last 10'
+                for called, steps in pairs.items()
+            )
+            said = f'Learning with {kind} options and primitive actions together is not shown.'
+            found.append(Comparison(said, 'figure 4', f'{told}.', Verdict.NOT_COMPARABLE))
+    return found
+
+
 def _pictures(curves: Sequence[Curve]) -> list[Picture]:
     pictures = []
     for method, called in METHODS.items():
         bands = {curve.name: curve.band() for curve in curves if curve.method == method}
         if bands:
-            draw = partial(_draw, bands, called)
             label = f'Steps per episode of {called} in Taxi by action set'
-            pictures.append(Picture(f'fig4-{method}', label, SIZE, draw, f'Taxi, {called}'))
+            for suffix, draw, axis in (
+                ('-paper', draw_papers, "on the paper's axis"),
+                ('', draw_all, 'all action sets'),
+            ):
+                drawn, caption = partial(draw, bands, called), f'Taxi, {called}, {axis}'
+                name = f'fig4-{method}{suffix}'
+                pictures.append(Picture(name, f'{label}, {axis}', SIZE, drawn, caption))
     return pictures
-
-
-def _draw(bands: Mapping[str, Band], title: str, work: Drawing, paint: Paint) -> None:
-    draw_steps(work, bands, title, paint)
-    means = [value for found in bands.values() for value in (found.mean.min(), found.mean.max())]
-    work.axes.set_yscale('log')
-    work.axes.set_ylim(0.8 * min(means), 1.25 * max(means))
-    work.axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
 
 
 def _summary(curves: Sequence[Curve]) -> Table:

@@ -59,6 +59,8 @@ FIGURE_4 = (
     Statement('Steps per episode: the axis goes to 300, for 120 episodes.', 'figure 4'),
 )
 EPISODES = 120  # figure 4
+MOST_STEPS = 300  # figure 4: where its axis ends
+CURVES = ('primitive', 'human', 'automatic')  # figure 4
 AUTOMATIC = {'pickup': 4, 'dropoff': 4, '': 1}  # section 7.3: options by what they end with
 MINUTES = {'taxi': 15.0, 'pacman': 20.0}  # section 7.1: at most, on average
 FIGURE_2_OPTIONS = {  # figure 2 (a) and (b)

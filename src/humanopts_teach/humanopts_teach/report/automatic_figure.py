@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from humanopts_env.domains.base import BoardSlice, Domain, is_enumerable
+from humanopts_env.domains.base import BoardSlice, Domain, DomainError, is_enumerable
 from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_learner.automatic.extract import AutomaticOptions
 from humanopts_learner.automatic.ground import Ground
 from humanopts_teach.report.board import Board, board_of
 from humanopts_teach.report.board_figure import COLORS, draw_walls
-from humanopts_teach.report.figures import CaptionedFigure, Drawing, drawing
+from humanopts_teach.report.figures import Drawing
 from matplotlib.colors import Normalize
 import numpy as np
 from numpy.typing import NDArray
@@ -35,42 +34,21 @@ class VisitMap:
         return side * cols + 1.2, side * rows + 0.8
 
 
-def automatic_figure(
-    domain: Domain[Any], found: AutomaticOptions, name: str
-) -> CaptionedFigure | None:
-    """
-    Draw the visits of each cell, and number the options at their targets (paper, figure 3).
-
-    :param found: in this domain.
-    :param name: prefix of the identifiers.
-    :return: None where the domain has no board.
-    """
-    targets = [option.target.cell for option in found.options]
-    seen = visit_map(domain, found.ground, found.visits, targets)
-    if seen is None:
-        return None
-    label = f'Visits of greedy runs in {domain.name}, with the targets of automatic options'
-    with drawing(name, label, *seen.size) as work:
-        draw_visits(work, seen)
-    options = enumerate(found.options, start=1)
-    return CaptionedFigure(work.svg, '; '.join(f'{n}: {option.name}' for n, option in options))
-
-
 def visit_map(
     domain: Domain[Any], ground: Ground, visits: NDArray[np.intp], targets: Sequence[int]
-) -> VisitMap | None:
+) -> VisitMap:
     """
-    Return what to draw; None where the domain has no board.
+    Return what to draw of a search for options.
 
     :param visits: (K,) by cell.
     :param targets: cell of each option.
+    :raises DomainError: the domain has no board.
     """
-    board = _board(domain, ground)
-    return None if board is None else VisitMap(board, ground.cell, visits, targets)
+    return VisitMap(_board(domain, ground), ground.cell, visits, targets)
 
 
 def draw_visits(work: Drawing, seen: VisitMap) -> None:
-    """Draw into a figure under way; see ``automatic_figure``."""
+    """Draw the visits of each cell, and number the options at their targets (paper, figure 3)."""
     rows, cols = seen.board.states.shape
     cells = np.where(seen.board.states >= 0, seen.cell[seen.board.states], -1)
     visits = np.where(cells >= 0, seen.visits[cells], np.nan)
@@ -91,7 +69,7 @@ def draw_visits(work: Drawing, seen: VisitMap) -> None:
     bar.outline.set_visible(False)
 
 
-def _board(domain: Domain[Any], ground: Ground) -> Board | None:
+def _board(domain: Domain[Any], ground: Ground) -> Board:
     """Return the board that visits are drawn on."""
     if isinstance(domain, PacMan):
         maze = domain.rules.maze
@@ -99,7 +77,9 @@ def _board(domain: Domain[Any], ground: Ground) -> Board | None:
         cells[tuple(np.transpose(maze.cells))] = range(len(maze.cells))
         return board_of(ground.rules, BoardSlice('the maze', cells))
     slices = domain.board_slices() if is_enumerable(domain) else []
-    return board_of(ground.rules, slices[0]) if slices else None
+    if not slices:
+        raise DomainError(f'{domain.name} has no board to draw visits on')
+    return board_of(ground.rules, slices[0])
 
 
 def _labels(targets: Sequence[int]) -> dict[int, str]:
