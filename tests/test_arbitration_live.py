@@ -4,6 +4,7 @@ from action_msgs.msg import GoalStatus
 from graph_support.acting import Acting, START, start_acting
 from graph_support.live import Graph
 from graph_support.player import PERSON
+from graph_support.tour import touring
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import OptionResult, PolicyResult
 from humanopts_interfaces.srv import RunOption
@@ -65,6 +66,25 @@ def test_a_policy_is_canceled_within_the_episode(paced: Acting, execution: str) 
     assert result.episodes == 0
     paced.graph.until(lambda: paced.runs, 'the run')
     assert paced.runs[-1].status == OptionResult.STATUS_CANCELED
+
+
+def test_modules_that_were_begun_are_not_changed_by_what_is_learned_meanwhile(
+    paced: Acting,
+) -> None:
+    goal = paced.begin('modular_mass')
+    paced.graph.until(lambda: len(paced.commands) > 2, 'some steps')
+    learned = paced.planning.teach([])
+    try:
+        known = len(paced.commands)
+        paced.graph.until(lambda: len(paced.commands) > known + 4, 'more steps')
+        goal.cancel()
+        _, result = goal.result(5.0)
+        assert result.status == PolicyResult.STATUS_CANCELED
+        again = paced.play('modular_mass')
+        assert again.status == PolicyResult.STATUS_NO_PLAN
+    finally:
+        assert paced.planning.teach(touring()) == learned + 1
+        paced.plan_id = paced.planning.plan('human').plan_id
 
 
 def test_a_person_takes_over_from_modules(paced: Acting) -> None:

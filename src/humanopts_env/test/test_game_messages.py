@@ -46,7 +46,7 @@ def test_sources_of_requests_are_those_of_the_game(message: Any) -> None:
     [
         (game.Moment, GameState, ENVELOPE),
         (game.Control, ControlState, ENVELOPE),
-        (game.Command, ActionCommand, {'header'}),
+        (game.Command, ActionCommand, {'header', 'option_name'}),  # which is for the bag
     ],
 )
 def test_fields_are_those_of_the_message(value: Any, message: Any, envelope: set[str]) -> None:

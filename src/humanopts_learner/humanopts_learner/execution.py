@@ -5,7 +5,7 @@ A caller asks for the next action, sends it to the game, and reports what came b
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -309,7 +309,7 @@ class ModularRun(Run):
     def __init__(
         self,
         arbiter: Arbiter,
-        options: Callable[[str], RunnableOption],
+        options: Mapping[str, RunnableOption],
         domain: Domain[Any],
         gamma: float,
         max_steps: int = 0,
@@ -319,7 +319,7 @@ class ModularRun(Run):
         """
         Prepare a run; errors as in ``Run``.
 
-        :param options: finds the option, or the primitive action, of a name.
+        :param options: by name, primitive actions too.
         :param max_steps: 0: none but the domain's.
         :raises RunError: it would never be cut off.
         """
@@ -332,7 +332,7 @@ class ModularRun(Run):
         return True
 
     def _actor(self) -> RunnableOption:
-        return self._options(self._arbiter.before_step(self._state, '').name)
+        return self._options[self._arbiter.before_step(self._state, '').name]
 
     def _ends(self) -> bool:
         return False

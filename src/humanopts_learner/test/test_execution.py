@@ -6,7 +6,17 @@ from typing import Any
 
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.taxi import Taxi, TaxiState
-from humanopts_learner.execution import End, OptionRun, refusal, RunError, Status, TEXT
+from humanopts_learner.execution import (
+    End,
+    execution_named,
+    ModularRun,
+    OptionRun,
+    refusal,
+    Run,
+    RunError,
+    Status,
+    TEXT,
+)
 from humanopts_learner.library import (
     AmbiguousOptionError,
     OptionLibrary,
@@ -14,6 +24,8 @@ from humanopts_learner.library import (
     UnknownOptionError,
 )
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
+from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.live import Ruling, Verdict
 from humanopts_learner.trees.encoding import encode_rows, encoding
 from humanopts_learner.trees.fitting import fit_tree
 import numpy as np
@@ -69,7 +81,7 @@ def feature(name: str) -> NDArray[np.int32]:
     return column
 
 
-def drive(run: OptionRun, start: TaxiState, cut_off: int = 1000) -> End:
+def drive(run: Run, start: TaxiState, cut_off: int = 1000) -> End:
     """Run in the rules of the game until it ends; episodes are cut off after so many steps."""
     state, rng = start, np.random.default_rng(0)
     ended = run.begin(state, episode=3, step=7)
@@ -189,6 +201,67 @@ def test_a_run_ended_from_outside_keeps_what_it_did(status: Status) -> None:
     assert end.final_state.startswith('taxi 3,0')
     with pytest.raises(RunError, match='ended'):
         run.next_action()
+
+
+class ByRow:
+    """A plan that has the taxi go up on even rows and to the right on odd ones."""
+
+    def before_step(self, state: TaxiState, running: str) -> Ruling:
+        """Return the module that wins."""
+        return Ruling(Verdict.ACT, ('up', 'right')[state.row % 2])
+
+
+MODULES = {'up': option(NORTH, False, 'up'), 'right': option(EAST, False, 'right')}
+
+
+def test_in_a_run_of_modules_the_winner_of_each_step_acts_and_is_counted() -> None:
+    """From row 4 up to row 3 and then to the right; it goes on where a module would end."""
+    end = drive(ModularRun(ByRow(), MODULES, TAXI, 0.9, max_steps=4), FAR)
+    assert (end.status, end.step_count, end.option_name) == (Status.MAX_STEPS, 4, '')
+    assert end.acted == {'up': 1, 'right': 3}
+    assert end.discounted_return == pytest.approx(-(1 + 0.9 + 0.81 + 0.729))
+
+
+def test_a_run_of_modules_ends_with_the_episode() -> None:
+    end = drive(ModularRun(ByRow(), MODULES, TAXI, 0.9), FAR, cut_off=9)
+    assert (end.status, end.truncated, end.step_count) == (Status.EPISODE_OVER, True, 9)
+
+
+def test_modules_that_nothing_would_cut_off_are_refused() -> None:
+    endless = Taxi()
+    endless.max_steps = 0
+    with pytest.raises(RunError, match='give max_steps'):
+        ModularRun(ByRow(), MODULES, endless, 0.9)
+
+
+class StopsAt:
+    """A plan that stops whatever runs in one row."""
+
+    def __init__(self, row: int) -> None:
+        """Stop there."""
+        self._row = row
+
+    def before_step(self, state: TaxiState, running: str) -> Ruling:
+        """Return the ruling."""
+        return Ruling(Verdict.STOP if state.row == self._row else Verdict.GO_ON, running)
+
+
+def test_a_plan_stops_a_run_before_its_next_action() -> None:
+    run = OptionRun(option(NORTH, False), TAXI, 0.9)
+    assert run.begin(FAR, 2, 1) is None
+    run.next_action()
+    assert run.observe(TaxiState(3, 0, 0, 1), -1.0, False, False) is None
+    assert run.stopped(StopsAt(2)) is None
+    end = run.stopped(StopsAt(3))
+    assert end is not None
+    assert (end.status, end.acted) == (Status.STOPPED_BY_PLAN, {'drive': 1})
+
+
+def test_an_execution_is_found_by_its_name_and_none_means_to_the_end() -> None:
+    assert execution_named('') is Execution.RUN_TO_END
+    assert [execution_named(execution) for execution in Execution] == list(Execution)
+    with pytest.raises(RunError, match="no execution 'fly'; there is run_to_end, interrupted"):
+        execution_named('fly')
 
 
 @pytest.mark.parametrize('status', [Status.BUSY, Status.UNKNOWN_OPTION, Status.NO_EPISODE])

@@ -8,7 +8,7 @@ from humanopts_env.nodes.node_base import NodeBase
 from humanopts_env.nodes.qos import CURRENT
 from humanopts_interfaces.msg import ExecutionState, OptionValues
 from humanopts_learner.convert import option_values_from_message
-from humanopts_learner.library import OptionLibrary, PRIMITIVE_PREFIX, RunnableOption
+from humanopts_learner.library import OptionLibrary, RunnableOption
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.live import Arbiter, make_arbiter
@@ -64,8 +64,7 @@ class Arbitration:
         :raises ValueError: the values do not fit the options or the domain.
         """
         assert self._message is not None
-        names = [name for name in self._message.names if not name.startswith(PRIMITIVE_PREFIX)]
-        found = [self.option(name, library) for name in names]
+        found = self.options(library).values()
         options = [option for option in found if isinstance(option, LearnedOption)]
         known, before = self._made_for
         if known is not library or not all(map(is_, options, before)):
@@ -75,9 +74,15 @@ class Arbitration:
             self._arbiters[execution] = make_arbiter(values, execution, domain, options)
         return self._arbiters[execution]
 
-    def option(self, name: str, library: OptionLibrary) -> RunnableOption:
-        """Return an option of the plan whose values are here; errors as ``resolve``."""
-        return library.resolve(name, self._message.participant if self._message else '')
+    def options(self, library: OptionLibrary) -> dict[str, RunnableOption]:
+        """
+        Return by name all that can act by the plan whose values are here, primitives too.
+
+        :raises UnknownOptionError: an option of the plan is not in the library.
+        """
+        assert self._message is not None
+        who, names = self._message.participant, [*self._message.names, *library.primitive_names]
+        return {name: library.resolve(name, who) for name in names}
 
     def wanted(self, execution: Execution, sequence: int, plan_id: str) -> Execution:
         """

@@ -29,6 +29,7 @@ from humanopts_learner.nodes.arbitration import Arbitration
 from humanopts_learner.options.option import Mode
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.live import Arbiter
 from rclpy.task import Future
 
 _CHECK_PERIOD = 0.1  # s between looks at deadlines
@@ -59,6 +60,7 @@ class _Active:
     run_id: str
     request: RunRequest
     execution: Execution
+    arbiter: Arbiter | None  # that may stop the run
     episode: int
     step: int  # of the state that the command under way answers
     done: Future = field(default_factory=Future)
@@ -159,28 +161,31 @@ class Runner:
         if state.terminated or state.truncated:
             return self._refused(request, Status.NO_EPISODE, 'the episode has ended')
         moment = state.episode, state.step
-        run = self._prepare(request, execution, moment)
+        run, arbiter = self._prepare(request, execution, moment)
         end = run.begin(self._domain.decode(state.state), *moment)
         if end is not None:
             return end_to_message(end, '')
         run_id = str(uuid.uuid4())
-        self._active = active = _Active(run, run_id, request, execution, *moment)
+        self._active = active = _Active(run, run_id, request, execution, arbiter, *moment)
         self._announce(active)
         self._send(active)
         end = await active.done
         return end_to_message(end, run_id, active.execution)
 
-    def _prepare(self, request: RunRequest, execution: Execution, moment: tuple[int, int]) -> Run:
-        """Return the run; errors are those of ``run``."""
+    def _prepare(
+        self, request: RunRequest, execution: Execution, moment: tuple[int, int]
+    ) -> tuple[Run, Arbiter | None]:
+        """Return the run, and what may stop it; errors are those of ``run``."""
         domain, library = self._domain, self.library
         rng = generator(self._seed, 'run', request.option_name or execution, *moment)
         rest = domain, domain.gamma, request.max_steps, self._mode, rng
-        if execution not in MODULAR:
-            if execution is not Execution.RUN_TO_END:
-                self._plans.arbiter(execution, domain, library)  # or an error, before it starts
-            return OptionRun(library.resolve(request.option_name, request.participant), *rest)
-        arbiter = self._plans.arbiter(execution, domain, library)
-        return ModularRun(arbiter, lambda name: self._plans.option(name, library), *rest)
+        arbiter = None
+        if execution is not Execution.RUN_TO_END:
+            arbiter = self._plans.arbiter(execution, domain, library)
+        if arbiter is not None and execution in MODULAR:
+            return ModularRun(arbiter, self._plans.options(library), *rest), None
+        option = library.resolve(request.option_name, request.participant)
+        return OptionRun(option, *rest), arbiter
 
     def _missing(self, request: RunRequest) -> str:
         if self.state is None or not request.episode:
@@ -272,19 +277,24 @@ class Runner:
         run, request, plans = active.run, active.request, self._plans
         if request.canceled() or plans.canceled(request.execution_sequence):
             return run.end(Status.CANCELED)
-        if not plans.has(request.plan_id):
-            return None
         before = active.execution
         wanted = plans.wanted(before, request.execution_sequence, request.plan_id)
-        if wanted is not before and (wanted in MODULAR or before in MODULAR):
-            return run.end(Status.EXECUTION_CHANGED, f'from {before} to {wanted}')
-        active.execution = wanted
-        if wanted is not Execution.INTERRUPTED:
-            return None
-        try:
-            return run.stopped(plans.arbiter(wanted, self._domain, self.library))
-        except ValueError as error:  # the options were taught anew meanwhile
-            return run.end(Status.FAILED, str(error))
+        if wanted is not before:
+            if wanted in MODULAR or before in MODULAR:
+                return run.end(Status.EXECUTION_CHANGED, f'from {before} to {wanted}')
+            try:
+                self._change(active, wanted)
+            except ValueError as error:  # the options were taught anew meanwhile
+                return run.end(Status.FAILED, str(error))
+        return run.stopped(active.arbiter) if active.arbiter is not None else None
+
+    def _change(self, active: _Active, wanted: Execution) -> None:
+        """Carry an option out in another way, unless the values for it are still on their way."""
+        if wanted is Execution.RUN_TO_END:
+            active.execution, active.arbiter = wanted, None
+        elif self._plans.has(active.request.plan_id):
+            active.arbiter = self._plans.arbiter(wanted, self._domain, self.library)
+            active.execution = wanted
 
     def _on_refusal(self, message: ActionRefusal) -> None:
         active = self._active

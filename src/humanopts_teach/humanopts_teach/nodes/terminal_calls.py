@@ -231,7 +231,8 @@ def _counts(result: Any) -> str:
         return f'Planned for {result.n_states} states in {seconds:.2f} s'
     played = f'{result.successes} of {result.episodes} episodes done'
     mean = f', mean return {result.mean_return:.2f}' if result.episodes else ''
-    return f'{played}, {result.fallbacks} fallbacks{mean}'
+    stops = f', {result.interruptions} options stopped' if result.interruptions else ''
+    return f'{played}, {result.fallbacks} fallbacks{stops}{mean}'
 
 
 def _progress_text(feedback: Any) -> str:
