@@ -12,6 +12,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Command, Game, Moment, Source
 from humanopts_interfaces.msg import (
+    ActionCommand,
     Criterion,
     GameState,
     LearningStatus,
@@ -63,7 +64,8 @@ def play(domain: Domain[Any], actions: list[str]) -> list[Moment]:
     assert first is not None
     moments = [first]
     for action in actions:
-        game.command(Command('/x#1', 1, Source.MACHINE, 1, len(moments) - 1, action))
+        number = len(moments)
+        game.command(Command('/x#1', number, Source.MACHINE, 1, number - 1, action))
         moments.append(game.moment)
     return moments
 
@@ -274,4 +276,22 @@ def test_the_film_is_of_the_last_game_even_where_two_count_alike(
     frames = bag_parts(write(tmp_path / 'bag', entries)).frames
     assert [frame.action for frame in frames] == ['', 'south', 'south', 'west']
     assert [frame.option for frame in frames] == ['', 'right', 'right', 'right']
+    assert [frame.ends_run for frame in frames] == [False, False, False, True]
+
+
+def test_the_film_of_modules_tells_which_of_them_acted(tmp_path: Path, taxi: Domain[Any]) -> None:
+    states = [moment_to_message(moment) for moment in play(taxi, ['south', 'west', 'west'])]
+    states[-1].terminated = True
+    entries: list[tuple[str, Any]] = [('/game_state', state) for state in states]
+    for state, name in zip(states[1:], ('down', 'left', 'action:west')):
+        command = ActionCommand(
+            publisher_id=state.action_publisher_id,
+            sequence=state.action_sequence,
+            option_name=name,
+        )
+        entries.append(('/action', command))
+    run = OptionResult(episode=1, step_count=3, terminated=True, execution='modular_mass')
+    entries.append(('/option_results', run))
+    frames = bag_parts(write(tmp_path / 'bag', entries)).frames
+    assert [frame.option for frame in frames] == ['', 'down', 'left', 'action:west']
     assert [frame.ends_run for frame in frames] == [False, False, False, True]

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from humanopts_env.game import Moment
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_teach.bags.demonstrations import Episode, read_episodes
 from humanopts_teach.bags.info import summarise
@@ -10,6 +11,7 @@ from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.summary import BagInfo
 from humanopts_teach.report.data import Frame, TopicRow
 
+_ACTION_COMMAND = 'humanopts_interfaces/msg/ActionCommand'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 
 
@@ -23,13 +25,13 @@ class BagParts:
 
 @dataclass(frozen=True)
 class _Run:
-    option: str
+    option: str  # empty: modules
     first_step: int
     last_step: int
 
 
 def bag_parts(bag: Bag) -> BagParts:
-    """Read the parts, in three passes over the bag."""
+    """Read the parts, in a few passes over the bag."""
     return BagParts(tuple(_film(bag)), tuple(_topic_rows(summarise(bag))))
 
 
@@ -42,8 +44,7 @@ def _film(bag: Bag) -> list[Frame]:
         if (message := recorded.message) is None:
             continue
         first = message.first_step
-        name = message.option_name or getattr(message, 'execution', '')  # empty: modules
-        run = _Run(name, first, first + message.step_count)
+        run = _Run(message.option_name, first, first + message.step_count)
         key = (_namespace(recorded.topic), message.episode)
         runs.setdefault(key, []).append(run)
         if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):
@@ -53,14 +54,32 @@ def _film(bag: Bag) -> list[Frame]:
         for episode in read_episodes(bag)
         if (_namespace(episode.topic), episode.number) == finished and episode.complete
     ]
-    return _frames(played[-1], runs[finished]) if played else []
+    if not played:
+        return []
+    modules = any(not run.option for run in runs[finished])
+    return _frames(played[-1], runs[finished], _actors(bag) if modules else {})
+
+
+def _actors(bag: Bag) -> dict[tuple[str, int], str]:
+    """Return whose each command was, an option or a primitive action, by publisher and number."""
+    commands = bag.of_type(_ACTION_COMMAND)
+    return {
+        (command.publisher_id, command.sequence): command.option_name
+        for recorded in (bag.messages(commands) if commands else ())
+        if (command := recorded.message) is not None
+    }
 
 
 def _namespace(topic: str) -> str:
     return topic.rpartition('/')[0]
 
 
-def _frames(episode: Episode, runs: list[_Run]) -> list[Frame]:
+def _frames(episode: Episode, runs: list[_Run], actors: dict[tuple[str, int], str]) -> list[Frame]:
+    """
+    Return what is seen, step by step.
+
+    :param actors: whose the commands of modules were.
+    """
     frames = []
     for at in episode.moments:
         run = next((run for run in runs if run.first_step < at.step <= run.last_step), None)
@@ -69,11 +88,15 @@ def _frames(episode: Episode, runs: list[_Run]) -> list[Frame]:
                 at.state,
                 at.previous_action,
                 at.reward,
-                run.option if run else '',
+                (run.option or actors.get(_command(at), '')) if run else '',
                 run is not None and run.last_step == at.step,
             )
         )
     return frames
+
+
+def _command(moment: Moment) -> tuple[str, int]:
+    return moment.action_publisher_id, moment.action_sequence
 
 
 def _topic_rows(info: BagInfo) -> Iterator[TopicRow]:
