@@ -13,7 +13,7 @@ from humanopts_interfaces.msg import ExtractionGoal, ExtractionResult, LearnedOp
 from humanopts_learner.automatic.as_learned import check_participant, learned_options
 from humanopts_learner.automatic.extract import AutomaticOptions, find_options
 from humanopts_learner.automatic.how import Extraction, USUAL
-from humanopts_learner.nodes.feedback import Feedback
+from humanopts_learner.nodes.goals import end_goal, Feedback
 from humanopts_learner.nodes.player import STOPS
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.option import LearnedOption
@@ -62,12 +62,8 @@ class ExtractionServer:
     async def _execute(self, handle: ServerGoalHandle) -> ExtractOptions.Result:
         result = await self._extract(handle)
         self._results.publish(result)
-        if result.status == ExtractionResult.STATUS_DONE:
-            handle.succeed()
-        elif result.status == ExtractionResult.STATUS_CANCELED:
-            handle.canceled()
-        else:
-            handle.abort()
+        canceled = result.status == ExtractionResult.STATUS_CANCELED
+        end_goal(handle, result.status == ExtractionResult.STATUS_DONE, canceled)
         return ExtractOptions.Result(result=result)
 
     async def _extract(self, handle: ServerGoalHandle) -> ExtractionResult:

@@ -20,7 +20,7 @@ from humanopts_learner.convert import (
     refused_plan,
 )
 from humanopts_learner.nodes.extraction import ExtractionServer
-from humanopts_learner.nodes.feedback import Feedback
+from humanopts_learner.nodes.goals import end_goal, Feedback
 from humanopts_learner.nodes.player import Made, STOPS
 from humanopts_learner.nodes.policy_server import PolicyServer
 from humanopts_learner.options.option import LearnedOption
@@ -114,7 +114,7 @@ class PlannerNode(NodeBase):
         result = await self._plan(handle)
         self._plan_results.publish(result)
         usable = (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED)
-        _end(handle, result.status in usable, result.status == PlanResult.STATUS_CANCELED)
+        end_goal(handle, result.status in usable, result.status == PlanResult.STATUS_CANCELED)
         return PlanAction.Result(result=result)
 
     async def _plan(self, handle: ServerGoalHandle) -> PlanResult:
@@ -215,15 +215,6 @@ class PlannerNode(NodeBase):
             self.destroy_timer(timer)
         if self._version < sequence:
             raise PlanError(f'learned_options {sequence} did not come, only {self._version}')
-
-
-def _end(handle: ServerGoalHandle, good: bool, canceled: bool) -> None:
-    if good:
-        handle.succeed()
-    elif canceled:
-        handle.canceled()
-    else:
-        handle.abort()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -12,6 +12,7 @@ from humanopts_interfaces.msg import ExecutionState, OptionValues, PolicyGoal, P
 from humanopts_interfaces.srv import SetExecution
 from humanopts_learner.convert import option_values_to_message
 from humanopts_learner.execution import execution_named, RunError
+from humanopts_learner.nodes.goals import end_goal
 from humanopts_learner.nodes.player import Episode, Made, Player, PolicyRun
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.arbitration import Execution
@@ -72,12 +73,8 @@ class PolicyServer:
     async def _execute(self, handle: ServerGoalHandle) -> RunPolicy.Result:
         result = await self._act(handle)
         self._results.publish(result)
-        if result.status == PolicyResult.STATUS_DONE:
-            handle.succeed()
-        elif result.status == PolicyResult.STATUS_CANCELED:
-            handle.canceled()
-        else:
-            handle.abort()
+        canceled = result.status == PolicyResult.STATUS_CANCELED
+        end_goal(handle, result.status == PolicyResult.STATUS_DONE, canceled)
         return RunPolicy.Result(result=result)
 
     async def _act(self, handle: ServerGoalHandle) -> PolicyResult:

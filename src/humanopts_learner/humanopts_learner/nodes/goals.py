@@ -1,4 +1,4 @@
-"""How far long work is: told to the client of an action now and then, and stopped for it."""
+"""Goals of actions: how far long work is, stopping it, and how it ended."""
 
 from collections.abc import Callable
 import time
@@ -40,3 +40,13 @@ class Feedback:
         if stage != self._stage or now >= self._next:
             self._stage, self._next = stage, now + _PERIOD
             self._handle.publish_feedback(self._message(stage, *numbers))
+
+
+def end_goal(handle: ServerGoalHandle, good: bool, canceled: bool) -> None:
+    """Set how a goal ended: as wanted, canceled by its client, or neither."""
+    if good:
+        handle.succeed()
+    elif canceled:
+        handle.canceled()
+    else:
+        handle.abort()
