@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 import csv
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
 import io
 import json
 from pathlib import Path
@@ -13,10 +11,10 @@ from typing import Any
 from humanopts_teach.evaluation.summary import write_text
 from humanopts_teach.experiments import paper
 from humanopts_teach.experiments.people import Participant
-from humanopts_teach.experiments.pictures import page_style, svg_for_page, write_picture
+from humanopts_teach.experiments.pictures import svg_for_page, write_picture
 from humanopts_teach.experiments.sections import Section, Table, Value, Verdict
+from humanopts_teach.report.pages import template
 from humanopts_teach.report.words import Finding, number, percent
-import jinja2
 from markupsafe import Markup
 
 PAGE = 'report.html'
@@ -76,7 +74,6 @@ def render(data: Reproduction) -> str:
     """Return the page."""
     values: dict[str, Any] = {
         'paper': paper.TITLE,
-        'style': Markup(page_style()),
         'sections': data.sections,
         'people': data.people,
         'bags': data.bags,
@@ -86,7 +83,7 @@ def render(data: Reproduction) -> str:
         'percent': percent,
         'provenance': data.provenance,
     }
-    return _template().render(values)
+    return template('humanopts_teach.experiments', 'page.html').render(values)
 
 
 def _findings(data: Reproduction) -> list[Finding]:
@@ -114,12 +111,3 @@ def _written(value: Value) -> str:
     if isinstance(value, float) or value is None:
         return number(value)
     return str(value)
-
-
-@cache
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    text = files('humanopts_teach.experiments').joinpath('page.html').read_text('utf-8')
-    return environment.from_string(text)

@@ -1,23 +1,16 @@
 """Figures for the page, which gives them its colours, and for files, which have their own."""
 
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 import re
 from typing import Any
 
 from humanopts_teach.experiments.sections import Picture
 from humanopts_teach.report.figures import Drawing, drawing, SETTINGS, VARIABLES
+from humanopts_teach.report.pages import page_style
 import matplotlib
 
 DPI = 160
-
-
-@cache
-def page_style() -> str:
-    """Return the style sheet of every report."""
-    text = files('humanopts_teach.report').joinpath('report.html').read_text('utf-8')
-    return text[text.index('<style>') + len('<style>') : text.index('</style>')]
 
 
 @cache

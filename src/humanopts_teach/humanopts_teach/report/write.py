@@ -3,9 +3,7 @@
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from importlib.resources import files
 from pathlib import Path
 import platform
 from typing import Any
@@ -22,6 +20,7 @@ from humanopts_teach.report.figures import CaptionedFigure
 from humanopts_teach.report.film import filmstrip
 from humanopts_teach.report.games_figure import games_figures
 from humanopts_teach.report.games_words import games_findings, games_table, GamesTable
+from humanopts_teach.report.pages import template
 from humanopts_teach.report.plan_figure import planning_figures
 from humanopts_teach.report.rules import option_rules, TreeRules
 from humanopts_teach.report.sweeps import sweep_report
@@ -33,7 +32,6 @@ from humanopts_teach.report.words import (
     percent,
     planning_rows,
 )
-import jinja2
 from markupsafe import Markup
 
 MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
@@ -144,7 +142,7 @@ def render_report(data: ReportData) -> str:
         'svg': Markup,
         'number': number,
     }
-    return _template().render(values)
+    return template('humanopts_teach.report', 'report.html').render(values)
 
 
 def _games_sections(evaluation: BagEvaluation) -> list[GamesSection]:
@@ -159,18 +157,6 @@ def _games_sections(evaluation: BagEvaluation) -> list[GamesSection]:
         )
         for place, (person, games) in enumerate(evaluation.games.items())
     ]
-
-
-@cache
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    text = files('humanopts_teach.report').joinpath('report.html').read_text('utf-8')
-    return environment.from_string(text)
 
 
 def _option_section(
