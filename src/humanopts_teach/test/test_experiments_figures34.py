@@ -61,7 +61,7 @@ def test_it_is_counted_how_often_each_option_of_the_paper_was_found(
     fewer = {**extraction, 'options': [{**extraction['options'][0], 'name': 'pickup at R'}]}
     first, second = figure3.cells(study)[:2]
     section = figure3.present(study, {first.key: extraction, second.key: fewer})
-    rows = {row[1]: row[2:] for row in section.tables[0].rows}
+    rows = {row[0]: row[1:] for row in section.tables[0].rows}
     assert rows['pickup at R'] == ['yes', 2, 2]
     assert rows['dropoff at Y'] == ['yes', 1, 2]
     assert rows[figure3.CENTRE][0] == 'yes'
@@ -80,7 +80,7 @@ def test_pacman_has_a_map_of_its_maze_and_is_not_compared() -> None:
     section = figure3.present(study, {cell.key: known})
     assert cell.parameters['domain'] == 'pacman'
     assert not section.comparisons
-    assert section.tables[0].rows == [['Pac-Man', 'go to cell 0,3', None, 1, 1]]
+    assert section.tables[0].rows == [['go to cell 0,3', None, 1, 1]]
     work = Drawing(*section.pictures[0].size)
     section.pictures[0].draw(work, str)
     assert [text.get_text() for text in work.axes.texts] == ['1']

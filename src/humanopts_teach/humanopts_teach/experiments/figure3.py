@@ -35,6 +35,7 @@ NAME, VERSION = 'fig3', 2
 DOMAINS = {'taxi': 'Taxi', 'pacman': 'Pac-Man'}
 TITLE = 'Figure 3: automatic options'
 CENTRE = 'go to cell 2,2'  # of the 5 x 5 grid
+MIDDLE = 12  # index of that cell
 PAPERS = (*(f'{event} at {name}' for event in ('pickup', 'dropoff') for name in 'RGYB'), CENTRE)
 Found = Mapping[str, Mapping[int, Mapping[str, Any]]]  # by domain and seed
 
@@ -95,7 +96,11 @@ def present(study: Study, results: Mapping[str, Any]) -> Section:
         [text],
         _comparisons(members) if members else [],
         [_picture(domain, next(iter(of_domain.values()))) for domain, of_domain in found.items()],
-        [_found_table(found), _option_table(found), _seed_table(found)],
+        [
+            *(_found_table(domain, of_domain) for domain, of_domain in found.items()),
+            _option_table(found),
+            _seed_table(found),
+        ],
         {'version': VERSION},
     )
 
@@ -118,7 +123,11 @@ def _comparisons(found: Sequence[Mapping[str, Any]]) -> list[Comparison]:
         f'{alike} of {len(found)} extractions found four pickups, four dropoffs and one cell; '
         f'each pickup and dropoff is among the options of at least {fewest}.'
     )
-    where = f'The centre in {centre} of {len(found)} extractions. Cells: {cells_found or "none"}.'
+    share = np.mean([one['visits'][MIDDLE] / max(one['visits']) for one in found])
+    where = (
+        f'The centre in {centre} of {len(found)} extractions. Cells: {cells_found or "none"}. The '
+        f'centre has {share:.1%} of the visits of the cell that has most, on average.'
+    )
     counts = [len(one['options']) for one in found]
     actions = len(Taxi().actions)
     more = f'{np.mean(counts):.1f} options on average, {actions} primitive actions.'
@@ -169,18 +178,17 @@ def _draw(seen: VisitMap, work: Drawing, paint: Paint) -> None:
     draw_visits(work, seen)
 
 
-def _found_table(found: Found) -> Table:
+def _found_table(domain: str, by_seed: Mapping[int, Mapping[str, Any]]) -> Table:
     """Return in how many extractions each option was found, those of the paper in any case."""
-    rows: list[list[Value]] = []
-    for domain, by_seed in found.items():
-        seen = _seeds_by_name(list(by_seed.values()))
-        papers = PAPERS if domain == 'taxi' else ()
-        others = sorted(set(seen) - set(papers), key=lambda name: (-seen[name], name))
-        for name in (*papers, *others):
-            known = ('yes' if name in papers else 'no') if papers else None
-            rows.append([DOMAINS[domain], name, known, seen[name], len(by_seed)])
-    columns = ['domain', 'option', 'in the paper', 'found in', 'of extractions']
-    return Table('fig3-found', 'Which options were found, and how often', columns, rows)
+    seen, papers = _seeds_by_name(list(by_seed.values())), PAPERS if domain == 'taxi' else ()
+    others = sorted(set(seen) - set(papers), key=lambda name: (-seen[name], name))
+    rows: list[list[Value]] = [
+        [name, ('yes' if name in papers else 'no') if papers else None, seen[name], len(by_seed)]
+        for name in (*papers, *others)
+    ]
+    columns = ['option', 'in the paper', 'found in', 'of extractions']
+    title = f'{DOMAINS[domain]}: which options were found, and how often'
+    return Table(f'fig3-found-{domain}', title, columns, rows, shown=bool(papers))
 
 
 def _option_table(found: Found) -> Table:
