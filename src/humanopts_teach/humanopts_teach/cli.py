@@ -12,7 +12,7 @@ from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.demos.store import CODE, CODE_RULE
 from humanopts_teach.launching.launcher import LaunchError
 
-REPRODUCED = ('fig2', 'fig3', 'fig4', 'all')
+REPRODUCED = ('fig2', 'fig3', 'fig4', 'table2', 'all')
 SECTIONS = ('planning', 'learning', 'games', 'graph')
 STRATEGIES = ('random', 'coverage', 'failures')
 

@@ -21,11 +21,14 @@ from humanopts_teach.experiments.page import PAGE, Reproduction, write_reproduct
 from humanopts_teach.experiments.people import Participant
 from humanopts_teach.experiments.running import ClusterError, Outcome, run_cells
 from humanopts_teach.experiments.study import Experiment, read_bag_lessons, Study
+from humanopts_teach.experiments.table2_section import EXPERIMENT as TABLE_2
 from humanopts_teach.report.words import counted, duration
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-EXPERIMENTS: dict[str, Experiment] = {one.name: one for one in (FIGURE_2, FIGURE_3, FIGURE_4)}
+EXPERIMENTS: dict[str, Experiment] = {
+    one.name: one for one in (FIGURE_2, FIGURE_3, FIGURE_4, TABLE_2)
+}
 _LINE_EVERY = 15.0  # s between lines, where there is no terminal
 
 

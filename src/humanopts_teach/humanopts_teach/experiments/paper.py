@@ -71,3 +71,52 @@ TAUGHT = {  # section 7: what each participant taught
     'taxi': ('go to passenger and pickup', 'go to destination and dropoff'),
     'pacman': ('go to the closest food', 'avoid ghost', 'go to the nearest power pellet'),
 }
+ALSO_NAMED = {  # table 1: a button that was named and, in section 7, not taught
+    'pacman': ('eat the ghost',),
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of table 2."""
+
+    seconds: float
+    mean_return: float
+
+
+TABLE_2 = {  # by domain and action set
+    'taxi': {
+        'primitive': Row(17.45, -2.294),
+        'human': Row(10.45, -4.294),
+        'automatic': Row(25.75, -4.311),
+    },
+    'pacman': {
+        'primitive': Row(600.0, 1890.0),
+        'human': Row(60.45, 1790.0),
+        'automatic': Row(120.47, 1442.0),
+    },
+}
+TABLE_2_SAID = {
+    'efficient': Statement(
+        'Human options are more efficient than automatic ones, in time and return.',
+        'section 7.3, table 2',
+    ),
+    'human faster': Statement(
+        'Planning with human options is faster than with primitive actions.',
+        'section 7.3, table 2',
+    ),
+    'automatic faster': Statement(
+        'Planning with automatic options is faster than with primitive actions.',
+        'section 7.3, in words; table 2 has the opposite in Taxi',
+    ),
+    'never as good': Statement(
+        'What options come to is never as good as what primitive actions do.',
+        'section 7.3, table 2',
+    ),
+    'interrupted': Statement(
+        'Human options in Pac-Man rarely should run to their end, and might run as modules.',
+        'section 8',
+    ),
+    'seconds': Statement('Seconds of computation.', 'table 2'),
+    'returns': Statement('Average reward of the policy.', 'table 2'),
+}

@@ -11,14 +11,17 @@ import math
 import time
 from typing import Any
 
+from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.extract import find_options
+from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.sampled.comparison import carried_over
+from humanopts_teach.experiments import paper
 from humanopts_teach.experiments.cells import Cell
 from humanopts_teach.experiments.study import Study
 from humanopts_teach.experiments.table2_exact import plan_exactly
-from humanopts_teach.experiments.table2_kinds import GAMES, KINDS, MACHINE, NOBODY, PERSON
+from humanopts_teach.experiments.table2_kinds import GAMES, Kind, KINDS, MACHINE, NOBODY, PERSON
 from humanopts_teach.experiments.table2_sampled import Effort, plan_from_samples
 from humanopts_teach.experiments.taught import options_of, teachers
 
@@ -50,11 +53,13 @@ class Owned:
 
 
 def cells(study: Study) -> list[Cell]:
-    """Return one cell for each domain, and person, extraction or repetition."""
+    """Return one cell for each domain that somebody taught, and person, extraction, repetition."""
     found = []
     for domain in dict.fromkeys(game.domain for game in GAMES):
         people = [teacher.parameters for teacher in teachers(study, domain)]
-        count = len(people) or study.participants
+        count = len(people)
+        if not count:
+            continue
         sources: dict[str, list[dict[str, Any]]] = {
             NOBODY: [{'number': number} for number in range(1, count + 1)],
             PERSON: [{'teacher': dict(known)} for known in people],
@@ -84,37 +89,64 @@ def compute(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """
     Plan with every action set that some options belong to, in every game of their domain.
 
-    :return: cost of the options, and what planning came to by game and action set.
+    :return: by game and kind the cost of its options, and what planning came to.
     """
-    owned, effort = _get(parameters), Effort(**parameters['effort'])
-    kinds = [kind for kind in KINDS if kind.whose == parameters['whose']]
+    effort, found = Effort(**parameters['effort']), _owned(parameters)
     played: dict[str, Any] = {}
     for game in GAMES:
         if game.domain != parameters['domain']:
             continue
-        domain, options = make_domain(game.domain, game.parameters), owned.options
-        if parameters['whose'] == PERSON:
-            options = [carried_over(option, domain) for option in options]
-        if game.exact:
-            played[game.name] = plan_exactly(domain, kinds, options, parameters['plans'])
+        domain = make_domain(game.domain, game.parameters)
+        asked = [(kind, _in_game(owned, domain)) for kind, owned in found]
+        if is_enumerable(domain):
+            played[game.name] = plan_exactly(domain, asked, parameters['plans'])
         else:
             seed, settings = _seed(parameters, game.name), parameters['seed']
             played[game.name] = plan_from_samples(
-                domain, kinds, options, parameters['plans'], effort, seed, settings
+                domain, asked, parameters['plans'], effort, seed, settings
             )
-    return {'cost': owned.cost, 'games': played}
+    return {'costs': {kind.name: owned.cost for kind, owned in found}, 'games': played}
 
 
-def _get(parameters: Mapping[str, Any]) -> Owned:
+def _in_game(owned: Owned, domain: Any) -> list[Any]:
+    """Return options for use in a game with other parameters than they were taught in."""
+    return [
+        carried_over(option, domain) if isinstance(option, LearnedOption) else option
+        for option in owned.options
+    ]
+
+
+def _owned(parameters: Mapping[str, Any]) -> list[tuple[Kind, Owned]]:
+    """Return what is planned with, each with its options."""
     domain, whose = make_domain(parameters['domain']), parameters['whose']
+    mine = [kind for kind in KINDS if kind.whose == whose and not kind.of_section_7]
     if whose == PERSON:
-        taught = options_of(parameters['teacher'], domain)
-        return Owned(taught.options, taught.demonstrations, taught.minutes)
+        taught = _taught(parameters['teacher'], domain)
+        paper_only = [kind for kind in KINDS if kind.of_section_7] if len(taught) > 1 else []
+        return [*((k, taught[-1]) for k in mine), *((k, taught[0]) for k in paper_only)]
     if whose == MACHINE:
         found = find_options(domain, parameters['extraction'], clock=time.process_time)
         options = found.tabled if domain.name == 'taxi' else found.batched
-        return Owned(options, seconds=found.seconds, game_steps=found.game_steps)
-    return Owned(())
+        owned = Owned(options, seconds=found.seconds, game_steps=found.game_steps)
+        return [(kind, owned) for kind in mine]
+    return [(kind, Owned(())) for kind in mine]
+
+
+def _taught(teacher: Mapping[str, Any], domain: Domain[Any]) -> list[Owned]:
+    """Return what a person taught: as in section 7, and then, if there is more, all of it."""
+    first = options_of(teacher, domain)
+    found = [Owned(first.options, first.demonstrations, first.minutes)]
+    names = paper.ALSO_NAMED.get(domain.name, ())
+    if names and 'person' in teacher:
+        more = options_of(teacher, domain, names)
+        found.append(
+            Owned(
+                first.options + more.options,
+                first.demonstrations + more.demonstrations,
+                first.minutes + more.minutes,
+            )
+        )
+    return found
 
 
 def _seed(parameters: Mapping[str, Any], game: str) -> int:

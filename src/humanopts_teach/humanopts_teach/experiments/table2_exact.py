@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import count
 import time
 from typing import Any
 
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_learner.options.option import LearnedOption, option_tables
 from humanopts_learner.planning.any_domain import MAX_SWEEPS
-from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.continuation import carried_out, policy_values
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.plan import Plan, plan_with_tables, TabledOption
@@ -17,24 +15,21 @@ from humanopts_teach.experiments.table2_kinds import Kind, OTHER_WAYS
 import numpy as np
 
 CLOCK = time.process_time
+Options = Sequence[LearnedOption | TabledOption]
 
 
 def plan_exactly(
-    domain: EnumerableDomain[Any],
-    kinds: Sequence[Kind],
-    options: Sequence[LearnedOption | TabledOption],
-    plans: int,
+    domain: EnumerableDomain[Any], asked: Sequence[tuple[Kind, Options]], plans: int
 ) -> dict[str, Any]:
     """
-    Plan with each kind.
+    Plan with each kind, and its options.
 
-    :param options: all of the same owner.
     :param plans: how often the same plan is made, for its seconds.
     :return: by kind a curve (an entry for each number of sweeps, doubled until converged) and
         the plans; and what each other way to carry out the human plan gains, by state.
     """
     domain.feature_table()  # built once for all plans, so no part of their time
-    _made(domain, kinds[0], options)  # what is loaded by the first plan is no part of it either
+    _made(domain, *asked[0])  # what is loaded by the first plan is no part of it either
     return {
         'kinds': {
             kind.name: {
@@ -43,10 +38,12 @@ def plan_exactly(
                 'tried': [],
                 'chosen': None,
             }
-            for kind in kinds
+            for kind, options in asked
         },
         'gains': {
-            kind.name: _gain(domain, kind, options) for kind in kinds if kind in OTHER_WAYS
+            kind.name: _gain(domain, kind, options)
+            for kind, options in asked
+            if kind in OTHER_WAYS
         },
     }
 
@@ -54,23 +51,14 @@ def plan_exactly(
 def _made(
     domain: EnumerableDomain[Any],
     kind: Kind,
-    options: Sequence[LearnedOption | TabledOption],
+    options: Options,
     max_sweeps: int = MAX_SWEEPS,
 ) -> tuple[Plan, Plan]:
     """Return a plan, with all its seconds, and what carries it out."""
     began = CLOCK()
     tabled = [_tabled(option, domain) for option in options]
-    seconds = CLOCK() - began
-    gamma = domain.gamma
-    plan = plan_with_tables(
-        domain,
-        kind.action_set,
-        tabled,
-        gamma,
-        max_sweeps=max_sweeps,
-        clock=CLOCK,
-        table_seconds=seconds,
-    )
+    limits: Any = {'max_sweeps': max_sweeps, 'clock': CLOCK, 'table_seconds': CLOCK() - began}
+    plan = plan_with_tables(domain, kind.action_set, tabled, domain.gamma, **limits)
     began = CLOCK()
     carrying = carried_out(plan, kind.execution)
     return replace(plan, model_seconds=plan.model_seconds + CLOCK() - began), carrying
@@ -100,24 +88,19 @@ def _judged(plan: Plan, carrying: Plan) -> dict[str, Any]:
     }
 
 
-def _curve(
-    domain: EnumerableDomain[Any], kind: Kind, options: Sequence[LearnedOption | TabledOption]
-) -> list[dict[str, Any]]:
+def _curve(domain: EnumerableDomain[Any], kind: Kind, options: Options) -> list[dict[str, Any]]:
     """Judge plans of 1, 2, 4 ... sweeps, each made from scratch, until one has converged."""
-    found = []
-    for power in count():
-        plan, carrying = _made(domain, kind, options, 2**power)
-        found.append({'budget': 2**power, **_judged(plan, carrying)})
-        if plan.solution.converged or 2**power >= MAX_SWEEPS:
-            return found
-    raise AssertionError('not reached')
+    found: list[dict[str, Any]] = []
+    converged, sweeps = False, 1
+    while not converged and sweeps <= MAX_SWEEPS:
+        plan, carrying = _made(domain, kind, options, sweeps)
+        found.append({'budget': sweeps, **_judged(plan, carrying)})
+        converged, sweeps = plan.solution.converged, 2 * sweeps
+    return found
 
 
-def _gain(
-    domain: EnumerableDomain[Any], kind: Kind, options: Sequence[LearnedOption | TabledOption]
-) -> dict[str, float]:
+def _gain(domain: EnumerableDomain[Any], kind: Kind, options: Options) -> dict[str, float]:
     """Return by how much a way to carry a plan out is worth more than running to the end."""
     plan, carrying = _made(domain, kind, options)
-    assert kind.execution is not Execution.RUN_TO_END
     more = policy_values(carrying) - policy_values(plan)
     return {'least': float(more.min()), 'most': float(more.max()), 'mean': float(np.mean(more))}

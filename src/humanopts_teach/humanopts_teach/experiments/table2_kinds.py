@@ -14,6 +14,7 @@ from humanopts_learner.planning.action_sets import (
 from humanopts_learner.planning.arbitration import Execution
 
 NOBODY, PERSON, MACHINE = 'nobody', 'person', 'machine'  # whose options
+AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class Kind:
     whose: str  # options
     action_set: str
     execution: Execution = Execution.RUN_TO_END
+    of_section_7: bool = False  # only options that the paper's participants taught
 
 
 TAXI = Game('Taxi', 'taxi', exact=True)
@@ -41,9 +43,11 @@ UNIFORM = Game('Pac-Man, random ghosts', 'pacman', exact=False)
 CHASE = Game('Pac-Man, chasing ghosts', 'pacman', exact=False, parameters={'ghosts': 'chase'})
 GAMES = (TAXI, UNIFORM, CHASE)
 
+TO_END = Kind('human', PERSON, HUMAN)
 KINDS = (
     Kind('primitive', NOBODY, PRIMITIVE),
-    Kind('human', PERSON, HUMAN),
+    TO_END,
+    Kind(AS_IN_PAPER, PERSON, HUMAN, of_section_7=True),
     Kind('automatic', MACHINE, AUTOMATIC),
     Kind('human + primitive', PERSON, HUMAN_AND_PRIMITIVE),
     Kind('automatic + primitive', MACHINE, AUTOMATIC_AND_PRIMITIVE),

@@ -14,7 +14,7 @@ from humanopts_learner.planning.sampled.columns import BatchOption
 from humanopts_learner.planning.sampled.curve import Budgets
 from humanopts_learner.planning.sampled.judging import GameReturns
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
-from humanopts_teach.experiments.table2_kinds import Kind, OTHER_WAYS
+from humanopts_teach.experiments.table2_kinds import Kind, OTHER_WAYS, TO_END
 import numpy as np
 
 Options = Sequence[LearnedOption | BatchOption]
@@ -30,19 +30,22 @@ CHOICES: dict[str, tuple[float, ...]] = {  # of ``Sampling``, that are tried
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is sampled and played; the same for every kind, but for the largest budget."""
+    """How much is sampled and played; with primitive actions alone more, as steps cost less."""
 
     tried: int = 6  # settings
-    search_steps: int = 50_000  # game steps that a plan is made from in the search
     search_games: int = 100
-    first: int = 12_500  # game steps of the first point of the curve; then doubled
-    largest: int = 200_000  # of the last one, and of the plans of the table
-    largest_primitive: int = 1_600_000  # the same where there are no options
-    games: int = 300  # that every plan is judged in
+    search_steps: int = 50_000  # game steps that a plan is made from in the search
+    largest: int = 200_000  # of the last point of the curve, and of the plans of the table
+    primitive_search_steps: int = 400_000
+    primitive_largest: int = 3_200_000
+    first: int = 12_500  # of the first point of the curve; then doubled
+    games: int = 200  # that every plan is judged in
 
-    def most(self, kind: Kind) -> int:
-        """Return the game steps of the plans of the table."""
-        return self.largest_primitive if kind.action_set == PRIMITIVE else self.largest
+    def steps(self, kind: Kind) -> tuple[int, int]:
+        """Return the game steps of a plan in the search, and of one in the table."""
+        if kind.action_set == PRIMITIVE:
+            return self.primitive_search_steps, self.primitive_largest
+        return self.search_steps, self.largest
 
 
 @dataclass(frozen=True)
@@ -80,17 +83,15 @@ def _setting(rng: np.random.Generator) -> Setting:
 
 def plan_from_samples(
     domain: Domain[Any],
-    kinds: Sequence[Kind],
-    options: Options,
+    asked: Sequence[tuple[Kind, Options]],
     plans: int,
     effort: Effort,
     seed: int,
     settings_seed: int,
 ) -> dict[str, Any]:
     """
-    Search, then plan with each kind.
+    Search with each kind and its options, then plan with what was best.
 
-    :param options: all of the same owner.
     :param plans: how many are made of the largest budget, each by chance of its own.
     :param seed: of plans and games; those of the search are others.
     :param settings_seed: of the settings to try.
@@ -99,28 +100,52 @@ def plan_from_samples(
     """
     settings = drawn_settings(domain.gamma, settings_seed, effort.tried)
     found: dict[str, Any] = {}
-    gains: dict[str, list[float]] = {kind.name: [] for kind in kinds if kind in OTHER_WAYS}
-    for kind in kinds:
+    gains: dict[str, list[float]] = {}
+    for kind, options in asked:
         work = _Work(domain, kind, options, effort, seed)
-        tried = [work.searched(setting) for setting in settings]
+        few, most = effort.steps(kind)
+        tried = [work.searched(setting, few) for setting in settings]
         best = settings[int(np.argmax(tried))]
-        curve = [work.point(best, budget) for budget in Budgets(effort.first, effort.most(kind))]
-        judged = []
-        for number in range(plans):
-            plan = work.plan(best, effort.most(kind), number)
-            returns = work.play(plan, number)
-            judged.append(_judged(plan, returns))
-            if gains and kind.execution is Execution.RUN_TO_END and plan.first_fallback == len(options):
-                for other in OTHER_WAYS:
-                    more = work.play(plan, number, other.execution).total.mean()
-                    gains[other.name].append(float(more - returns.total.mean()))
+        *curve, last = [work.judged(best, budget, 0) for budget in Budgets(effort.first, most)]
+        judged = [last, *(work.judged(best, most, number) for number in range(1, plans))]
         found[kind.name] = {
-            'curve': curve,
-            'plans': judged,
+            'curve': [*(one.record for one in curve), last.record],
+            'plans': [one.record for one in judged],
             'tried': tried,
             'chosen': asdict(best),
         }
+        if kind == TO_END:
+            gains = {way.name: [work.gain(one, way) for one in judged] for way in OTHER_WAYS}
     return {'kinds': found, 'gains': gains}
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A plan, and the games that it was judged in."""
+
+    number: int
+    budget: int
+    plan: SampledPlan
+    returns: GameReturns
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What is told of it."""
+        plan, returns = self.plan, self.returns
+        return {
+            'budget': self.budget,
+            'table_seconds': plan.table_seconds,
+            'model_seconds': plan.model_seconds,
+            'sweep_seconds': plan.sweep_seconds,
+            'sweeps': plan.solution.sweeps,
+            'states': len(plan.solution.values),
+            'game_steps': plan.game_steps,
+            'mean': float(returns.total.mean()),
+            'discounted': float(returns.discounted.mean()),
+            'done': float(returns.outcomes['cleared'].mean()),
+            'fallbacks': float(returns.fallbacks.mean()),
+            'games': len(returns.total),
+        }
 
 
 @dataclass(frozen=True)
@@ -133,25 +158,25 @@ class _Work:
     effort: Effort
     seed: int
 
-    def searched(self, setting: Setting) -> float:
+    def searched(self, setting: Setting, budget: int) -> float:
         """Return the mean return of a small plan in a few games."""
         seed = self._seed('search', 0)
-        plan = self._made(setting, self.effort.search_steps, seed)
+        plan = self._made(setting, budget, seed)
         return float(plan.play(seed, self.effort.search_games).total.mean())
 
-    def point(self, setting: Setting, budget: int) -> dict[str, Any]:
-        """Return one point of the curve."""
-        plan = self.plan(setting, budget, 0)
-        return {'budget': budget, **_judged(plan, self.play(plan, 0))}
+    def judged(self, setting: Setting, budget: int, number: int) -> _Judged:
+        """Make one of the plans that are judged, and play."""
+        plan = self._made(setting, budget, self._seed('plan', number))
+        return _Judged(number, budget, plan, self._play(plan, number))
 
-    def plan(self, setting: Setting, budget: int, number: int) -> SampledPlan:
-        """Return one of the plans that are judged."""
-        return self._made(setting, budget, self._seed('plan', number))
+    def gain(self, one: _Judged, way: Kind) -> float:
+        """Return what is gained when the same plan is carried out in another way."""
+        returns = self._play(one.plan, one.number, way.execution)
+        return float(returns.total.mean() - one.returns.total.mean())
 
-    def play(
+    def _play(
         self, plan: SampledPlan, number: int, execution: Execution | None = None
     ) -> GameReturns:
-        """Play the games that a plan is judged in."""
         return plan.play(self._seed('games', number), self.effort.games, execution)
 
     def _made(self, setting: Setting, budget: int, seed: int) -> SampledPlan:
@@ -169,19 +194,3 @@ class _Work:
 
     def _seed(self, purpose: str, number: int) -> int:
         return int(generator(self.seed, 'table 2', purpose, number).integers(2**31))
-
-
-def _judged(plan: SampledPlan, returns: GameReturns) -> dict[str, Any]:
-    return {
-        'table_seconds': plan.table_seconds,
-        'model_seconds': plan.model_seconds,
-        'sweep_seconds': plan.sweep_seconds,
-        'sweeps': plan.solution.sweeps,
-        'states': len(plan.solution.values),
-        'game_steps': plan.game_steps,
-        'mean': float(returns.total.mean()),
-        'discounted': float(returns.discounted.mean()),
-        'done': float(returns.outcomes['cleared'].mean()),
-        'fallbacks': float(returns.fallbacks.mean()),
-        'games': len(returns.total),
-    }

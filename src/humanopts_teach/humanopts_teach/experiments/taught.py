@@ -1,6 +1,6 @@
 """The options of a participant for planning and learning, from a whole lesson in one process."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,22 +56,26 @@ def teachers(study: Study, domain: str) -> list[Teacher]:
     ]
 
 
-def options_of(parameters: Mapping[str, Any], domain: Domain[Any]) -> TaughtOptions:
+def options_of(
+    parameters: Mapping[str, Any], domain: Domain[Any], names: Sequence[str] = ()
+) -> TaughtOptions:
     """
     Return all that one person taught, with the criteria that end a lesson.
 
     :param parameters: of a ``Teacher``.
+    :param names: what a simulated one teaches; empty: what the paper's participants did.
     """
     if 'person' in parameters:
-        return _from_lesson(Participant.from_dict(parameters['person']), domain)
+        person = Participant.from_dict(parameters['person'])
+        return _from_lesson(person, domain, names or paper.TAUGHT[domain.name])
     return _from_bag(parameters)
 
 
-def _from_lesson(person: Participant, domain: Domain[Any]) -> TaughtOptions:
+def _from_lesson(person: Participant, domain: Domain[Any], names: Sequence[str]) -> TaughtOptions:
     rules, limits = LessonRules(STRATEGY, BUDGET, person.seed), usual_thresholds(domain.name)
     taught = teach(
         domain,
-        person.teaching(*paper.TAUGHT[domain.name]),
+        person.teaching(*names),
         rules,
         lambda shown, option: judge(shown, domain, limits, person.seed, option).criteria_met,
         until_no_failures=True,
