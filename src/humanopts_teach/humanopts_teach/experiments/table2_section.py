@@ -9,18 +9,19 @@ from typing import Any
 from humanopts_teach.experiments import paper, table2
 from humanopts_teach.experiments.sections import Paint, Picture, Section, Table, Value
 from humanopts_teach.experiments.study import Experiment, Study
-from humanopts_teach.experiments.table2_kinds import Game, GAMES
+from humanopts_teach.experiments.table2_kinds import AS_IN_PAPER, Game, GAMES, TAXI, UNIFORM
 from humanopts_teach.experiments.table2_sampled import CHOICES, GAMMAS
 from humanopts_teach.experiments.table2_series import Gain, gather, gather_gains, Line, SECONDS
 from humanopts_teach.experiments.table2_words import comparisons
 from humanopts_teach.report.figures import Drawing, SERIES
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 import numpy as np
 
 TITLE = 'Table 2: planning time and return'
 STYLES = {  # colour, line, marker by kind
     'primitive': (SERIES[0], '-', 'o'),
     'human': (SERIES[1], '-', 's'),
-    'human, without eating ghosts': (SERIES[1], ':', 'x'),
+    AS_IN_PAPER: (SERIES[1], ':', 'x'),
     'automatic': (SERIES[2], '-', '^'),
     'human + primitive': (SERIES[1], '--', 'D'),
     'automatic + primitive': (SERIES[2], '--', 'v'),
@@ -155,8 +156,9 @@ def _paper_table(lines: Sequence[Line]) -> Table:
     """Set the paper's numbers beside ours; in Pac-Man, beside the game with random ghosts."""
     mine = {(line.game.name, line.kind.name): line for line in lines}
     rows: list[list[Value]] = []
-    for game in GAMES[:2]:
-        for name, row in paper.TABLE_2[game.domain].items():
+    for game in (TAXI, UNIFORM):
+        known = paper.TABLE_2[game.domain]
+        for name, row in {**known, AS_IN_PAPER: known['human']}.items():
             line = mine.get((game.name, name))
             if line is not None:
                 value = line.value()
@@ -219,13 +221,13 @@ def _pictures(lines: Sequence[Line]) -> list[Picture]:
 
 
 def _draw(lines: Sequence[Line], title: str, work: Drawing, paint: Paint) -> None:
-    axes = work.axes
+    axes, exact = work.axes, lines[0].game.exact
     for line in lines:
         colour, style, marker = STYLES[line.kind.name]
         points, own = line.points, paint(colour)
-        seconds = [p.seconds for p in points]
+        time = [p.seconds * (1e3 if exact else 1.0) for p in points]
         axes.plot(
-            seconds,
+            time,
             [p.value.mean for p in points],
             style,
             color=own,
@@ -236,8 +238,12 @@ def _draw(lines: Sequence[Line], title: str, work: Drawing, paint: Paint) -> Non
         )
         limits = [(p.value.low, p.value.high) for p in points]
         if all(low is not None for low, _ in limits):
-            axes.fill_between(seconds, *np.array(limits).T, color=own, alpha=0.1, lw=0)
-    axes.set(title=title, xlabel='planning seconds, of a processor', ylabel='mean return')
+            axes.fill_between(time, *np.array(limits).T, color=own, alpha=0.1, lw=0)
+    unit = 'ms' if exact else 's'
+    axes.set(title=title, xlabel=f'planning time of a processor, {unit}', ylabel='mean return')
     axes.set_xscale('log')
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
+    axes.xaxis.set_minor_locator(NullLocator())
     axes.grid(axis='y')
     axes.legend(loc='center left', bbox_to_anchor=(1.01, 0.5))
