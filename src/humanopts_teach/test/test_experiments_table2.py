@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 import csv
-from dataclasses import asdict
+from dataclasses import asdict, replace
 import io
 import json
 from typing import Any
@@ -104,28 +104,37 @@ def test_person_plans_taxi_as_well_as_primitive_actions_do() -> None:
     assert found['gains']['human, modular (strongest)']['least'] > -1e-9
 
 
-def test_same_seed_gives_the_same_numbers_and_another_owner_others() -> None:
-    known = {**cell_of('pacman', NOBODY).parameters, 'effort': asdict(TINY)}
+def test_both_games_of_pacman_are_planned_with_budgets_that_double() -> None:
+    effort = replace(TINY, tried=1, games=2, primitive_largest=1600)
+    cell = cell_of('pacman', NOBODY, Study(participants=1, seeds=1))
+    found = table2.compute({**cell.parameters, 'effort': asdict(effort)})
+    assert list(found['games']) == [UNIFORM.name, CHASE.name]
+    for game in found['games'].values():
+        curve = game['kinds']['primitive']['curve']
+        assert [point['budget'] for point in curve] == [800, 1600]
+        assert all(point['game_steps'] >= point['budget'] for point in curve)
+
+
+def test_same_seed_gives_the_same_numbers_and_another_one_others() -> None:
+    domain, kind = PacMan(maze='yard', max_steps=50), KINDS[0]
     first, again, other = (
-        without_seconds(table2.compute({**known, 'number': number})) for number in (1, 1, 2)
+        without_seconds(plan_from_samples(domain, [(kind, ())], 1, TINY, seed, 1))
+        for seed in (1, 1, 2)
     )
     assert first == again
     assert first != other
-    curve = first['games'][UNIFORM.name]['kinds']['primitive']['curve']
-    assert [point['budget'] for point in curve] == [800, 1600, 3200]
-    assert all(point['game_steps'] >= point['budget'] for point in curve)
 
 
-def test_gain_is_that_of_the_same_plan() -> None:
-    domain = PacMan(maze='yard')
+def test_gains_are_of_every_plan_that_runs_to_the_end() -> None:
+    domain = PacMan(maze='yard', max_steps=50)
     small = Extraction(options=2, tasks=30, train_episodes=50, option_episodes=50)
     options = find_options(domain, 1, small).batched
-    found = plan_from_samples(domain, [(TO_END, options)], 2, TINY, seed=1, settings_seed=1)
-    assert list(found['kinds']) == ['human']
+    asked = [(kind, options) for kind in (TO_END, OTHER_WAYS[0])]
+    found = plan_from_samples(domain, asked, 2, TINY, seed=1, settings_seed=1)
+    assert list(found['kinds']) == ['human', 'human, interrupted']
     assert {name: len(gains) for name, gains in found['gains'].items()} == {
         kind.name: 2 for kind in OTHER_WAYS
     }
-    assert len(found['kinds']['human']['tried']) == TINY.tried
 
 
 def plan(mean: float, seconds: float, budget: int) -> dict[str, Any]:
