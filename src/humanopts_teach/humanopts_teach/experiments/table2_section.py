@@ -73,7 +73,9 @@ def _text(study: Study) -> list[str]:
         f'{"/".join(map(str, GAMMAS))}, {tried}. With the best of them, plans are made and judged '
         f'with other seeds, {effort.games} games each, from {effort.largest:,} game steps. '
         'Primitive actions alone have finer planning states, and their steps cost less: they get '
-        f'{effort.primitive_search_steps:,} in the search and {effort.primitive_largest:,} then.',
+        f'{effort.primitive_search_steps:,} in the search and {effort.primitive_largest:,} then. '
+        'Since a sampled plan takes as long as it is let, times are compared by when two curves '
+        'come to the same return.',
         'Means are over people, extractions or repetitions; each counts once, with the mean of '
         f'its plans, so that there are at least {study.seeds} plans of each kind. Intervals are '
         "Student's t, 95 %; what varies is whose options they are and, in Pac-Man, the chance of "

@@ -44,12 +44,8 @@ def _of_the_paper(mine: Lines) -> Iterator[Comparison]:
         return
     for other, key in ((human, 'human faster'), (automatic, 'automatic faster')):
         if other is not None:
-            yield Comparison(
-                said[key].text,
-                said[key].where,
-                f'{_times(other, primitive)}. {_reached(other, primitive)}',
-                agreement(other.seconds < primitive.seconds),
-            )
+            faster, text = _race(other, primitive)
+            yield Comparison(said[key].text, said[key].where, text, agreement(faster))
     options = [line for line in (human, automatic) if line is not None]
     if options:
         best = max(line.value().mean for line in options)
@@ -96,7 +92,7 @@ def _beats_automatic(mine: Lines) -> Iterator[Comparison]:
     if 'human' not in mine or 'automatic' not in mine:
         return
     human, automatic = mine['human'], mine['automatic']
-    faster = human.seconds < automatic.seconds
+    faster, times = _race(human, automatic)
     better = human.value().mean > automatic.value().mean
     words = {
         (True, True): 'Human options are ahead in both',
@@ -108,7 +104,7 @@ def _beats_automatic(mine: Lines) -> Iterator[Comparison]:
     cost = (
         f'Not counted: {minutes:.1f} minutes of teaching, and {_seconds(seconds)} of extraction.'
     )
-    text = f'{words}. {_times(human, automatic)}. {_returns([human, automatic])} {cost}'
+    text = f'{words}. {times} {_returns([human, automatic])} {cost}'
     said = paper.TABLE_2_SAID['efficient']
     yield Comparison(said.text, said.where, text, agreement(faster and better))
 
@@ -200,12 +196,22 @@ def _times(first: Line, second: Line) -> str:
     )
 
 
-def _reached(other: Line, primitive: Line) -> str:
-    """Tell when primitive actions come to what some options do."""
-    seconds = primitive.seconds_to_reach(_mean(other))
-    if seconds is None:
-        return 'Primitive actions did not come to the return of these options.'
-    return f'Primitive actions came to the return of these options in {_seconds(seconds)}.'
+def _race(first: Line, second: Line) -> tuple[bool, str]:
+    """
+    Tell whether one kind of plan takes less time than another, and how long both take.
+
+    Plans with exact models end by themselves. Sampled ones take as long as they are let, so they
+    are compared by when they come to what the worse of the two comes to.
+    """
+    if first.game.exact:
+        return first.seconds < second.seconds, f'{_times(first, second)}.'
+    level = min(max(p.value.mean for p in line.points) for line in (first, second))
+    mine, other = (line.seconds_to_reach(level) or 0.0 for line in (first, second))
+    text = (
+        f'{first.game.name}, planning until {level:,.0f} points: {first.kind.name} '
+        f'{_seconds(mine)}, {second.kind.name} {_seconds(other)}.'
+    )
+    return mine < other, text
 
 
 def _seconds(value: float) -> str:
