@@ -23,7 +23,7 @@ KEYS = {
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }
-OPTIONAL = {'distributed', 'quantecon'}  # used where they are installed
+OPTIONAL = {'distributed', 'minari', 'pyarrow', 'quantecon'}  # used where they are installed
 UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # fields of messages; launch files
 
 

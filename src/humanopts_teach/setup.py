@@ -14,7 +14,11 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/launch', glob('launch/*.launch.py')),
     ],
-    extras_require={'dask': ['dask', 'distributed']},
+    extras_require={
+        'dask': ['dask', 'distributed'],
+        'minari': ['minari[arrow]'],
+        'parquet': ['pyarrow'],
+    },
     entry_points={
         'console_scripts': [
             'humanopts = humanopts_teach.cli:main',

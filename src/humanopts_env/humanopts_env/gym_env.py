@@ -14,10 +14,12 @@ from functools import cached_property
 from typing import Any
 
 import gymnasium
+from gymnasium.envs.registration import EnvSpec
 from humanopts_env.domains.base import Domain, DomainError, is_enumerable, Parameter
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.paths import HAS_MOVE
 from humanopts_env.domains.registry import make_domain
+from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
 
@@ -71,11 +73,14 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         """
         Begin an episode.
 
-        :param options: ``{'state': text}`` begins in a state in the domain's notation.
+        :param options: ``{'state': text}`` begins in a state in the domain's notation;
+            ``{'game_seed': number}`` draws as the node game does when reset with that seed.
         :raises StateError: that text is not a state.
         """
         super().reset(seed=seed)
-        text = (options or {}).get('state')
+        text, game_seed = map((options or {}).get, ('state', 'game_seed'))
+        if game_seed is not None:
+            self.np_random = generator(game_seed, 'episode', self.domain.name)
         self._now = self.domain.reset(self.np_random) if text is None else self.domain.decode(text)
         self._steps = 0
         return self.observe(self._now), {'action_mask': self.action_mask(self._now)}
@@ -196,6 +201,24 @@ class PacManEnv(DomainEnv):
         legal = self.domain.rules.paths.legal[state.pacman]
         mask: Mask = HAS_MOVE[legal].astype(np.int8)
         return mask
+
+
+def spec_of(domain: Domain[Any]) -> EnvSpec:
+    """
+    Return what ``gymnasium.make`` makes an environment of this domain from.
+
+    :raises DomainError: its states cannot be listed, and it has no environment of its own.
+    """
+    ours = f'humanopts/{domain.name}-v0'.lower()
+    name = next((name for name in ENVIRONMENTS if name.lower() == ours), None)
+    if name is not None:
+        kind, kwargs = ENVIRONMENTS[name]
+    elif is_enumerable(domain):
+        name, kind, kwargs = 'humanopts/Table-v0', 'TableEnv', {'domain': domain.name}
+    else:
+        raise DomainError(f'there is no Gymnasium environment of {domain.name}')
+    point = f'humanopts_env.gym_env:{kind}'
+    return EnvSpec(name, point, kwargs={**kwargs, **domain.parameters})
 
 
 def register_all() -> None:

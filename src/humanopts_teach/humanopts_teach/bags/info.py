@@ -26,7 +26,7 @@ from humanopts_teach.bags.summary import BagInfo, OptionRow, StreamRow, TopicRow
 
 _STATUS = 'humanopts_interfaces/msg/LearningStatus'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
-_PLAN_RESULT = 'humanopts_interfaces/msg/PlanResult'
+PLAN_RESULT = 'humanopts_interfaces/msg/PlanResult'
 _POLICY_RESULT = 'humanopts_interfaces/msg/PolicyResult'
 
 
@@ -63,8 +63,9 @@ class _Survey:
         self._episodes: dict[tuple[str, str, int], bool] = {}  # whether its end was recorded
         self._domains: dict[str, None] = {}
         self._results: dict[str, Counter[str]] = {
-            kind: Counter() for kind in (_OPTION_RESULT, _PLAN_RESULT, _POLICY_RESULT)
+            kind: Counter() for kind in (_OPTION_RESULT, PLAN_RESULT, _POLICY_RESULT)
         }
+        self._interruptions = self._execution_changes = 0
         self._handlers: dict[str, Callable[[Recorded, Any], None]] = {
             DEMONSTRATION: self._demonstration,
             DOMAIN_INFO: self._domain,
@@ -104,8 +105,10 @@ class _Survey:
             topics=tuple(self._topic_rows()),
             options=tuple(self._option_rows()),
             option_runs=dict(self._results[_OPTION_RESULT]),
-            plans=dict(self._results[_PLAN_RESULT]),
+            plans=dict(self._results[PLAN_RESULT]),
             policy_runs=dict(self._results[_POLICY_RESULT]),
+            interruptions=self._interruptions,
+            execution_changes=self._execution_changes,
             episodes=len(self._episodes),
             episodes_ended=sum(self._episodes.values()),
             streams=tuple(
@@ -162,3 +165,6 @@ class _Survey:
         names = constants(self._bag.topics[recorded.topic].schema, 'STATUS_')
         name = names.get(message.status, f'status {message.status}')
         self._results[recorded.type][name.lower()] += 1
+        if recorded.type == _POLICY_RESULT:  # older versions have no such fields
+            self._interruptions += getattr(message, 'interruptions', 0)
+            self._execution_changes += getattr(message, 'execution_changes', 0)

@@ -63,6 +63,8 @@ class BagInfo:
     option_runs: Mapping[str, int]  # by status
     plans: Mapping[str, int]
     policy_runs: Mapping[str, int]
+    interruptions: int  # options that policies stopped early: choosing anew was worth more
+    execution_changes: int  # of policies while they ran
     episodes: int
     episodes_ended: int  # whose last state was recorded
     streams: tuple[StreamRow, ...]
@@ -149,6 +151,11 @@ class BagInfo:
             if counts:
                 each = ', '.join(f'{status} {count}' for status, count in sorted(counts.items()))
                 lines.append(f'{name}: {each}')
+        if self.policy_runs:
+            lines.append(
+                f'in policy runs: {self.interruptions} options stopped by the plan, '
+                f'{self.execution_changes} changes of execution'
+            )
         return '\n'.join(lines)
 
     def _topics(self) -> str:

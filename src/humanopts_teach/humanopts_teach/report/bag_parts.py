@@ -3,15 +3,14 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from humanopts_env.game import Moment
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_teach.bags.demonstrations import Episode, read_episodes
 from humanopts_teach.bags.info import summarise
+from humanopts_teach.bags.played import actor_of, Actors, namespace, read_actors
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.summary import BagInfo
 from humanopts_teach.report.data import Frame, TopicRow
 
-_ACTION_COMMAND = 'humanopts_interfaces/msg/ActionCommand'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 
 
@@ -45,36 +44,22 @@ def _film(bag: Bag) -> list[Frame]:
             continue
         first = message.first_step
         run = _Run(message.option_name, first, first + message.step_count)
-        key = (_namespace(recorded.topic), message.episode)
+        key = (namespace(recorded.topic), message.episode)
         runs.setdefault(key, []).append(run)
         if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):
             finished = key
     played = [
         episode
         for episode in read_episodes(bag)
-        if (_namespace(episode.topic), episode.number) == finished and episode.complete
+        if (namespace(episode.topic), episode.number) == finished and episode.complete
     ]
     if not played:
         return []
     modules = any(not run.option for run in runs[finished])
-    return _frames(played[-1], runs[finished], _actors(bag) if modules else {})
+    return _frames(played[-1], runs[finished], read_actors(bag) if modules else {})
 
 
-def _actors(bag: Bag) -> dict[tuple[str, int], str]:
-    """Return whose each command was, an option or a primitive action, by publisher and number."""
-    commands = bag.of_type(_ACTION_COMMAND)
-    return {
-        (command.publisher_id, command.sequence): command.option_name
-        for recorded in (bag.messages(commands) if commands else ())
-        if (command := recorded.message) is not None
-    }
-
-
-def _namespace(topic: str) -> str:
-    return topic.rpartition('/')[0]
-
-
-def _frames(episode: Episode, runs: list[_Run], actors: dict[tuple[str, int], str]) -> list[Frame]:
+def _frames(episode: Episode, runs: list[_Run], actors: Actors) -> list[Frame]:
     """
     Return what is seen, step by step.
 
@@ -88,15 +73,11 @@ def _frames(episode: Episode, runs: list[_Run], actors: dict[tuple[str, int], st
                 at.state,
                 at.previous_action,
                 at.reward,
-                (run.option or actors.get(_command(at), '')) if run else '',
+                (run.option or actor_of(at, actors)) if run else '',
                 run is not None and run.last_step == at.step,
             )
         )
     return frames
-
-
-def _command(moment: Moment) -> tuple[str, int]:
-    return moment.action_publisher_id, moment.action_sequence
 
 
 def _topic_rows(info: BagInfo) -> Iterator[TopicRow]:

@@ -81,6 +81,10 @@ class Device:
             presses += self._input.flush_keys()
         return [key for key in map(key_of, presses) if key]
 
+    def wait(self, seconds: float) -> None:
+        """Wait for a key, at most so long."""
+        self._poll.poll(1e3 * seconds)
+
     def resized(self) -> bool:
         """Tell whether the window has another size than what was drawn."""
         return self._window() != self._size

@@ -28,14 +28,19 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
     :param colours: as rich names what the terminal can do; None: plain text.
     """
     if width < SMALLEST[0] or height < SMALLEST[1]:
-        return _fit(_lines(_too_small(width, height), width, colours), height)
-    bottom = _lines(_foot(app, width), width, colours)
+        return fit(lines_of(_too_small(width, height), width, colours), height)
+    bottom = lines_of(_foot(app, width), width, colours)
     gap = [Text()] if height > _ROOMY else []
-    top = _lines(Group(_head(app, width), *gap, _middle(app)), width, colours)
-    return _fit(top, height - len(bottom)) + bottom
+    top = lines_of(Group(_head(app, width), *gap, _middle(app)), width, colours)
+    return fit(top, height - len(bottom)) + bottom
 
 
-def _lines(renderable: RenderableType, width: int, colours: Colours | None) -> list[str]:
+def lines_of(renderable: RenderableType, width: int, colours: Colours | None) -> list[str]:
+    """
+    Lay something out.
+
+    :param colours: as for ``frame``.
+    """
     file = StringIO()
     console = Console(
         file=file,
@@ -51,7 +56,7 @@ def _lines(renderable: RenderableType, width: int, colours: Colours | None) -> l
     return [line.rstrip() for line in file.getvalue().rstrip('\n').split('\n')]
 
 
-def _fit(lines: list[str], height: int) -> list[str]:
+def fit(lines: list[str], height: int) -> list[str]:
     """Cut or fill to the height, and say so when something is cut."""
     if len(lines) > height:
         lines = [*lines[: max(height - 1, 0)], '... (a higher window shows more)']
@@ -116,10 +121,10 @@ def _shown(app: App) -> Collection[str] | None:
 
 
 def _foot(app: App, width: int) -> Group:
-    return Group(Text('─' * width, 'dim'), _said(app), *_key_bar(app.screen.keys(app), width))
+    return Group(Text('─' * width, 'dim'), _said(app), *key_bar(app.screen.keys(app), width))
 
 
-def _key_bar(keys: Sequence[tuple[str, str]], width: int) -> list[Text]:
+def key_bar(keys: Sequence[tuple[str, str]], width: int) -> list[Text]:
     """Return keys and what they do in as few lines as they fit in, none broken in two."""
     lines = [Text()]
     for key, words in keys:

@@ -1,0 +1,46 @@
+"""``humanopts bag export``: a bag for other tools."""
+
+import argparse
+from pathlib import Path
+import sys
+
+from humanopts_env.domains.base import StateError
+from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.export.files import ExportError, write_csv, write_parquet
+from humanopts_teach.export.minari_dataset import FOLDER, write_dataset
+from humanopts_teach.export.tables import bag_tables
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the files, and print what was written."""
+    bag, out = open_bag(arguments.bag), arguments.out
+    try:
+        if arguments.to == 'minari':
+            print(_dataset(bag, out))
+        else:
+            write = {'csv': write_csv, 'parquet': write_parquet}[arguments.to]
+            out.mkdir(parents=True, exist_ok=True)
+            for path in write(bag_tables(bag), out):
+                print(path)
+    except (ExportError, StateError) as error:
+        raise CommandError(str(error)) from error
+    except OSError as error:
+        raise CommandError(f'cannot write in {out}: {error.strerror or error}') from error
+    for line in bag.damage.splitlines():
+        print(f'humanopts bag export: {line}', file=sys.stderr)
+    return 0
+
+
+def _dataset(bag: Bag, out: Path) -> str:
+    found = write_dataset(bag, out)
+    if found.left_out:
+        print(
+            f'humanopts bag export: {found.left_out} episodes are left out: of one state, or with '
+            'steps missing',
+            file=sys.stderr,
+        )
+    return (
+        f'{found.episodes} episodes; with {FOLDER}={out} in the environment:\n'
+        f'minari.load_dataset({found.dataset_id!r})'
+    )

@@ -1,0 +1,1 @@
+"""Bags in forms that other tools read."""

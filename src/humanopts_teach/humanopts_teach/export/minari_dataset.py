@@ -1,0 +1,137 @@
+"""Episodes of a bag as a Minari dataset, which steps through our Gymnasium environments."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import re
+from typing import Any
+
+from humanopts_env.domains.base import action_index, Domain, DomainError
+from humanopts_env.gym_env import spec_of
+from humanopts_teach.bags.demonstrations import Episode, read_domain, read_episodes
+from humanopts_teach.bags.played import namespace, read_beginnings
+from humanopts_teach.bags.reader import Bag
+from humanopts_teach.export.files import ExportError
+import numpy as np
+
+FOLDER = 'MINARI_DATASETS_PATH'  # where Minari looks for datasets
+FORMAT = 'arrow'
+AUTHOR = 'humanopts'
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A dataset that was written."""
+
+    dataset_id: str
+    episodes: int
+    left_out: int  # episodes of one state, or with steps missing
+
+
+def write_dataset(bag: Bag, out: Path) -> Exported:
+    """
+    Write the episodes that were recorded from their first state without a gap.
+
+    Each carries ``options`` for ``reset``: with them, and the recorded actions, our environment
+    gives the recorded observations, rewards and ends again.
+
+    :param out: folder that Minari is to look in.
+    :raises BagError: the bag does not say which domain was played, or it is not installed.
+    :raises ExportError: Minari is not installed, there is nothing to write, the domain is no
+        Gymnasium environment, or the dataset is there already.
+    """
+    try:
+        import minari
+        from minari.data_collector import EpisodeBuffer
+        import pyarrow  # noqa: F401, what Minari stores with
+    except ImportError as error:
+        raise ExportError(
+            'a Minari dataset needs minari, which is not installed: pip install "minari[arrow]"'
+        ) from error
+    domain, episodes = read_domain(bag), read_episodes(bag)
+    whole = [episode for episode in episodes if _is_whole(episode)]
+    if not whole:
+        raise ExportError(f'{bag.path} holds no episode that was recorded without a gap')
+    try:
+        spec = spec_of(domain)
+    except DomainError as error:
+        raise ExportError(str(error)) from error
+    env = spec.make()
+    options = _reset_options(bag, whole)
+    buffers = [
+        EpisodeBuffer(id=number, options=options[number], **_columns(env.unwrapped, episode))
+        for number, episode in enumerate(whole)
+    ]
+    name = dataset_name(domain, bag.path)
+    with _looking_in(out):
+        try:
+            minari.create_dataset_from_buffers(
+                name, buffers, env=spec, data_format=FORMAT, description=_description(domain)
+            )
+        except ValueError as error:
+            raise ExportError(f'the dataset cannot be written: {error}') from error
+    return Exported(name, len(whole), len(episodes) - len(whole))
+
+
+def dataset_name(domain: Domain[Any], bag: Path) -> str:
+    """Return the id of a bag's dataset."""
+    parts = (re.sub(r'\W+', '-', text).strip('-') for text in (domain.name, bag.stem))
+    return '/'.join([AUTHOR, *parts]) + '-v0'
+
+
+def _is_whole(episode: Episode) -> bool:
+    steps = [moment.step for moment in episode.moments]
+    return len(steps) > 1 and steps == list(range(len(steps)))
+
+
+def _reset_options(bag: Bag, episodes: Sequence[Episode]) -> list[dict[str, Any]]:
+    """Return what takes the environment to the start of each episode, and to its chance."""
+    begun = read_beginnings(bag)
+    found: list[dict[str, Any]] = []
+    for episode in episodes:
+        first = episode.moments[0].state
+        how = begun.get((namespace(episode.topic), episode.number, first))
+        if how is None:  # the request was not recorded: chance cannot be repeated
+            found.append({'state': first})
+        elif how.start_state:
+            found.append({'state': how.start_state, 'game_seed': how.seed})
+        else:
+            found.append({'game_seed': how.seed})
+    return found
+
+
+def _columns(env: Any, episode: Episode) -> dict[str, Any]:
+    """Return observations (T + 1), and actions, rewards and ends (T)."""
+    domain: Domain[Any] = env.domain
+    taken = episode.moments[1:]
+    states = [domain.decode(moment.state) for moment in episode.moments]
+    return {
+        'observations': np.array([env.observe(state) for state in states]),
+        'actions': np.array([action_index(domain, moment.previous_action) for moment in taken]),
+        'rewards': [moment.reward for moment in taken],
+        'terminations': [moment.terminated for moment in taken],
+        'truncations': [moment.truncated for moment in taken],
+    }
+
+
+def _description(domain: Domain[Any]) -> str:
+    return (
+        f'Recorded episodes of {domain.name}. Begin each with '
+        'env.reset(options=dataset.storage.get_episode_metadata([id])["options"]).'
+    )
+
+
+@contextmanager
+def _looking_in(folder: Path) -> Iterator[None]:
+    """Have Minari keep its datasets in a folder."""
+    before = os.environ.get(FOLDER)
+    os.environ[FOLDER] = str(folder)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[FOLDER]
+        else:
+            os.environ[FOLDER] = before

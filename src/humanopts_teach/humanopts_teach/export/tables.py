@@ -1,0 +1,108 @@
+"""What a bag holds as tables: steps of episodes, demonstrations, options and plans."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+import json
+import math
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_teach.bags.demonstrations import (
+    DEMONSTRATION,
+    Episode,
+    read_demonstrations,
+    read_domain,
+    read_episodes,
+)
+from humanopts_teach.bags.info import PLAN_RESULT, summarise
+from humanopts_teach.bags.played import actor_of, Actors, read_actors, source_of
+from humanopts_teach.bags.reader import Bag
+from humanopts_teach.bags.schemas import constants
+from humanopts_teach.bags.summary import OptionRow
+
+FEATURE_PREFIX = 'feature:'  # before the name of a feature, in the head of a column
+_STEPS = ('episode', 'game', 'game_episode', 'step', 'state')
+_MOVES = ('action', 'reward', 'terminated', 'truncated', 'source', 'option')
+_DEMONSTRATION = (*(field.name for field in fields(Demonstration)), 'steps', 'total_reward')
+_OPTION = tuple(field.name for field in fields(OptionRow))
+_PLAN = (  # of PlanResult
+    *('plan_id', 'status', 'action_set', 'option_names', 'gamma', 'n_states', 'game_steps'),
+    *('table_seconds', 'model_seconds', 'sweep_seconds', 'sweeps', 'residual', 'converged'),
+    *('evaluation_episodes', 'mean_return', 'mean_return_low', 'mean_return_high'),
+    *('mean_discounted_return', 'fallbacks'),
+    *('outcome_names', 'outcome_means', 'outcome_low', 'outcome_high'),
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of plain values, all of one length; a list is JSON text, None is unknown."""
+
+    name: str
+    columns: Mapping[str, Sequence[Any]]
+
+
+def bag_tables(bag: Bag) -> list[Table]:
+    """
+    Return the four tables.
+
+    :raises BagError: the bag does not say which domain was played, or it is not installed.
+    """
+    demonstrations = read_demonstrations(bag) if bag.of_type(DEMONSTRATION) else []
+    return [
+        steps_table(read_domain(bag), read_episodes(bag), read_actors(bag)),
+        _table('demonstrations', _DEMONSTRATION, map(_demonstration, demonstrations)),
+        _table('options', _OPTION, map(asdict, summarise(bag).options)),
+        _table('plans', _PLAN, _plans(bag)),
+    ]
+
+
+def steps_table(domain: Domain[Any], episodes: Sequence[Episode], actors: Actors) -> Table:
+    """Return a row for each recorded state, with the step that led to it."""
+    names = [f'{FEATURE_PREFIX}{feature.name}' for feature in domain.features]
+    values = [feature.values for feature in domain.features]
+    columns: dict[str, list[Any]] = {name: [] for name in (*_STEPS, *names, *_MOVES)}
+    for place, episode in enumerate(episodes, start=1):
+        for at in episode.moments:
+            row = (
+                *(place, episode.publisher_id, episode.number, at.step, at.state),
+                *(words[value] for words, value in zip(values, at.features, strict=True)),
+                *(at.previous_action, at.reward, at.terminated, at.truncated),
+                *(source_of(at), actor_of(at, actors)),
+            )
+            for column, value in zip(columns.values(), row, strict=True):
+                column.append(value)
+    return Table('steps', columns)
+
+
+def _demonstration(demo: Demonstration) -> dict[str, Any]:
+    counted = {'steps': len(demo.actions), 'total_reward': demo.total_reward}
+    return {**asdict(demo), 'kind': demo.kind.value, **counted}
+
+
+def _plans(bag: Bag) -> Iterator[dict[str, Any]]:
+    """Yield what plans came to; bags of older versions do not have every field."""
+    topics = bag.of_type(PLAN_RESULT)
+    for recorded in bag.messages(topics) if topics else ():
+        if (result := recorded.message) is not None:
+            names = constants(bag.topics[recorded.topic].schema, 'STATUS_')
+            status = names.get(result.status, str(result.status)).lower()
+            yield {**{name: getattr(result, name, None) for name in _PLAN}, 'status': status}
+
+
+def _plain(value: Any) -> Any:
+    """Return a list as JSON, and nothing in place of NaN, in lists too."""
+    value = _known(value)
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, list) else value
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_known(part) for part in value]
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _table(name: str, head: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> Table:
+    listed = list(rows)
+    return Table(name, {key: [_plain(row[key]) for row in listed] for key in head})

@@ -1,0 +1,142 @@
+"""A text replay of recorded episodes: what a key does, and what is seen."""
+
+from collections.abc import Iterator, Sequence
+import math
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_teach.bags.demonstrations import Episode
+from humanopts_teach.bags.played import actor_of, Actors, source_of
+from humanopts_teach.terminal.board import board_text
+from humanopts_teach.terminal.drawing import Colours, fit, key_bar, lines_of
+from humanopts_teach.terminal.keys import END_OF_FILE, ESCAPE, INTERRUPT, SPACE
+from rich.cells import set_cell_size
+from rich.console import Group
+from rich.text import Text
+
+STEP_SECONDS = 0.5  # of a step, at speed 1
+SLOWEST, FASTEST = 1 / 16, 64.0
+_KEYS = (
+    *(('Space', 'pause, go on'), ('← →', 'one step'), ('+ -', 'speed')),
+    *(('n p', 'next, previous episode'), ('q', 'quit')),
+)
+_QUIT = {'q', 'Q', ESCAPE, INTERRUPT, END_OF_FILE}
+
+
+class Replay:
+    """
+    Where the replay is, and how it goes on.
+
+    :ivar running: steps follow each other until the episode is over.
+    :ivar over: the person has had enough.
+    """
+
+    def __init__(
+        self,
+        domain: Domain[Any],
+        episodes: Sequence[Episode],
+        actors: Actors,
+        place: int = 0,
+        speed: float = 1.0,
+    ) -> None:
+        """
+        Stand at the first step of an episode.
+
+        :param episodes: one or more.
+        :param actors: whose the commands were.
+        :param place: of the episode, from 0.
+        :param speed: 2 is twice as fast.
+        """
+        self._domain, self._episodes, self._actors = domain, episodes, actors
+        self._place, self._step = place, 0
+        self.speed = speed
+        self.running, self.over = True, False
+
+    @property
+    def seconds(self) -> float:
+        """How long a step is shown."""
+        return STEP_SECONDS / self.speed
+
+    @property
+    def _episode(self) -> Episode:
+        return self._episodes[self._place]
+
+    @property
+    def _last(self) -> int:
+        return len(self._episode.moments) - 1
+
+    def advance(self) -> None:
+        """Show the next step, if the replay runs; it stops at the last."""
+        if self.running:
+            self._go(self._step + 1)
+            self.running = self._step < self._last
+
+    def press(self, key: str) -> None:
+        """Do what a key means; others mean nothing."""
+        if key in _QUIT:
+            self.over = True
+        elif key == SPACE:
+            if self._step == self._last and not self.running:
+                self._step = 0
+            self.running = not self.running
+        elif key in ('left', 'right'):
+            self.running = False
+            self._go(self._step + (1 if key == 'right' else -1))
+        elif key in ('+', '=', '-'):
+            faster = self.speed * (0.5 if key == '-' else 2)
+            self.speed = min(max(faster, SLOWEST), FASTEST)
+        elif key in ('n', 'p'):
+            self._turn(1 if key == 'n' else -1)
+
+    def frame(self, width: int, height: int, colours: Colours | None = None) -> list[str]:
+        """Return the screen as ``height`` lines, each ``width`` cells wide at most."""
+        board, notes = self._board()
+        how = f'speed {self.speed:g}' if self.running else 'paused'
+        head = Text(set_cell_size(f' humanopts · {self._domain.name} · {how}', width), 'reverse')
+        words = Text(self._words(), 'bold')
+        top = lines_of(Group(head, Text(), board, notes, Text(), words), width, colours)
+        bottom = lines_of(Group(Text('─' * width, 'dim'), *key_bar(_KEYS, width)), width, colours)
+        return fit(top, height - len(bottom)) + bottom
+
+    def plain(self) -> Iterator[str]:
+        """Yield what is seen in each step of the episode, as text."""
+        for step in range(self._last + 1):
+            self._step = step
+            board, notes = (part.plain for part in self._board())
+            yield '\n'.join([self._words(), board, *([notes] if notes else []), ''])
+
+    def _go(self, step: int) -> None:
+        self._step = min(max(step, 0), self._last)
+
+    def _turn(self, by: int) -> None:
+        place = self._place + by
+        if 0 <= place < len(self._episodes):
+            self._place, self._step, self.running = place, 0, True
+
+    def _board(self) -> tuple[Text, Text]:
+        state = self._episode.moments[self._step].state
+        return board_text(self._domain, self._domain.decode(state))
+
+    def _words(self) -> str:
+        """Return where we are, who did what, and what it brought."""
+        episode, moments = self._episode, self._episode.moments
+        at = moments[self._step]
+        parts = [
+            f'episode {self._place + 1} of {len(self._episodes)}',
+            f'step {at.step} of {moments[-1].step}',
+        ]
+        if at.previous_action:
+            who = actor_of(at, self._actors) or source_of(at)
+            gained = math.fsum(moment.reward for moment in moments[: self._step + 1])
+            parts.append(f'{who}: {at.previous_action}')
+            parts.append(f'reward {at.reward:g}, in all {gained:g}')
+        if self._step == self._last:
+            parts.append(_ending(episode))
+        return ' · '.join(parts)
+
+
+def _ending(episode: Episode) -> str:
+    last = episode.moments[-1]
+    if last.terminated:
+        return 'the task is over'
+    return 'cut off at the step limit' if last.truncated else 'left here'
