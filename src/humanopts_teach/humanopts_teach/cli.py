@@ -14,6 +14,7 @@ from humanopts_teach.launching.launcher import LaunchError
 
 REPRODUCED = ('fig2', 'fig3', 'fig4', 'table2', 'all')
 SECTIONS = ('planning', 'learning', 'games', 'graph')
+EXPORTED = ('csv', 'parquet', 'minari')
 STRATEGIES = ('random', 'coverage', 'failures')
 
 
@@ -157,10 +158,49 @@ def _add_bag_commands(bag: argparse.ArgumentParser) -> None:
         help='also compare plans with chance and a hand-written rule in so many games each, where '
         'plans are made from samples; takes minutes; default: not',
     )
-    for command in (info, evaluate):
-        command.add_argument(
-            'bag', type=Path, metavar='BAG', help='a rosbag2 folder or .mcap file'
-        )
+    check = commands.add_parser(
+        'check', help='what of a bag is damaged or missing; status 1: something is'
+    )
+    check.add_argument(
+        '--repair', type=Path, metavar='OUT', help='write all that can be saved to this new folder'
+    )
+    differ = commands.add_parser(
+        'diff', help='what differs between two lessons; status 1: it does'
+    )
+    play = commands.add_parser('play', help='an episode again, as text, in this terminal')
+    play.add_argument(
+        '--episode',
+        type=_positive,
+        default=1,
+        metavar='N',
+        help='counted from the first in the bag; default: %(default)s',
+    )
+    play.add_argument(
+        '--speed',
+        type=_speed,
+        default=1.0,
+        metavar='X',
+        help='2 is twice as fast; default: %(default)s, two steps a second',
+    )
+    export = commands.add_parser('export', help='tables or a dataset for other tools')
+    export.add_argument(
+        '--to',
+        choices=EXPORTED,
+        required=True,
+        help='csv; parquet, which needs pyarrow; minari, which needs minari[arrow]',
+    )
+    export.add_argument(
+        '--out', type=Path, required=True, metavar='DIR', help='folder for the files'
+    )
+    what = 'a rosbag2 folder or .mcap file'
+    for command in (info, check, play, export):
+        command.add_argument('bag', type=Path, metavar='BAG', help=what)
+    for name in ('a', 'b'):
+        differ.add_argument(name, type=Path, metavar=name.upper(), help=what)
+    evaluate.add_argument(
+        'bags', type=Path, nargs='+', metavar='BAG', help=f'{what}; each of several by itself'
+    )
+    for command in (info, check, evaluate, differ):
         command.add_argument('--json', action='store_true', help='print JSON')
 
 
@@ -264,6 +304,13 @@ def _share(text: str) -> float:
     value = _number(text)
     if not 0 <= value < 1:
         raise argparse.ArgumentTypeError(f'{text} is not from 0 to below 1')
+    return value
+
+
+def _speed(text: str) -> float:
+    value = _number(text)
+    if not 1 / 16 <= value <= 64:
+        raise argparse.ArgumentTypeError(f'{text} is not from 1/16 to 64')
     return value
 
 

@@ -14,7 +14,8 @@ from mcap.stream_reader import breakup_chunk, CRCValidationError
 import zstandard
 
 HEAD = 9  # bytes before the content of a record: opcode and length
-_LARGEST_CHUNK = 1 << 30  # uncompressed; more is damage, not data
+_LARGEST_CHUNK = 1 << 28  # uncompressed; more is damage, not data
+_COMPRESSION = 28  # where a chunk's content names its compression
 # What damaged bytes make the parsers raise.
 DAMAGE = (
     McapError,
@@ -39,6 +40,7 @@ class Block:
     start: int  # earliest log time, ns
     channels: frozenset[int]  # ids of the channels that have messages in it
     loose: bool = False  # a run of records outside chunks
+    cut: bool = False  # a chunk whose end is not in the file
 
 
 @dataclass
@@ -53,6 +55,7 @@ class FileIndex:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, int] = field(default_factory=dict)  # offset of the record by name
     damage: list[str] = field(default_factory=list)
+    library: str = ''  # that wrote the file
 
     def note(self, damage: str) -> None:
         """Keep what is wrong with the file, in words."""
@@ -79,7 +82,45 @@ def read_block(stream: BinaryIO, block: Block) -> list[McapRecord]:
         data = stream.read(block.length)
         return breakup_chunk(Chunk('', data, 0, 0, 0, len(data)))
     stream.seek(block.offset + HEAD)
-    chunk = Chunk.read(ReadDataStream(BytesIO(stream.read(block.length - HEAD))))
-    if chunk.uncompressed_size > _LARGEST_CHUNK:
-        raise ValueError(f'a chunk claims {chunk.uncompressed_size} bytes')
+    content = stream.read(block.length - HEAD)
+    if block.cut:
+        return _leading_records(content)
+    chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+    _check_size(chunk.uncompressed_size)
+    if chunk.compression == 'zstd':
+        _check_size(zstandard.frame_content_size(chunk.data))
     return breakup_chunk(chunk, validate_crc=True)
+
+
+def _leading_records(content: bytes) -> list[McapRecord]:
+    """
+    Return the whole records at the beginning of a chunk that was cut short.
+
+    zstd compresses in parts of up to 128 KiB, of which only whole ones can be had.
+    """
+    (size,) = struct.unpack_from('<Q', content, 16)
+    (length,) = struct.unpack_from('<I', content, _COMPRESSION)
+    _check_size(size)
+    start = _COMPRESSION + 4 + length
+    compression, data = content[_COMPRESSION + 4 : start], content[start + 8 :]
+    if compression == b'zstd':
+        data = zstandard.ZstdDecompressor().stream_reader(data).read(size)
+    elif compression:
+        return []
+    end = 0
+    while end + HEAD <= len(data):
+        after = end + HEAD + int.from_bytes(data[end + 1 : end + HEAD], 'little')
+        if after > len(data):
+            break
+        end = after
+    return breakup_chunk(Chunk('', data[:end], 0, 0, 0, end))
+
+
+def _check_size(size: int) -> None:
+    """
+    Refuse to make room for what no recorder writes.
+
+    :raises ValueError: a chunk claims to be that large.
+    """
+    if size > _LARGEST_CHUNK:
+        raise ValueError(f'a chunk claims {size} bytes')

@@ -1,5 +1,6 @@
 """Which MCAP files make up a bag."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -8,39 +9,59 @@ from humanopts_teach.bags.metadata import FILE, ROOT
 import yaml
 
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+# What damaged text makes the loader raise, ValueError apart.
+_NO_YAML = (
+    yaml.YAMLError,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    RecursionError,
+    TypeError,
+)
 
 
-def bag_files(path: Path) -> tuple[list[Path], list[str]]:
+@dataclass(frozen=True)
+class Directory:
+    """The files of a bag, and what metadata.yaml says of them."""
+
+    files: list[Path]  # in order
+    information: dict[str, Any]  # {}: it says nothing, or is not there
+    damage: list[str]
+
+
+def find_files(path: Path) -> Directory:
     """
-    Return the files of a bag in order, and what is wrong with the list of them.
+    Find the files of a bag.
 
     :raises BagError: there is nothing, or no MCAP file of a bag.
     """
     if path.is_file():
-        return [path], []
+        return Directory([path], {}, [])
     if not path.is_dir():
         raise BagError(f'there is no bag at {path}')
     found = sorted(path.glob('*.mcap'))
     information, damage = _information(path / FILE)
     storage = information.get('storage_identifier', 'mcap')
-    if storage != 'mcap':
+    if storage != 'mcap' and not found:
         raise BagError(f'{path} is a bag in {storage} format; convert it to mcap first')
     listed = [path / Path(str(name)).name for name in information.get('relative_file_paths', [])]
     missing = [file for file in listed if file not in found]
+    unlisted = [file for file in found if file not in listed] if listed else []
     damage += [f'{file.name} is in {FILE} but is not there' for file in missing]
-    files = [file for file in listed if file in found] or found
+    damage += [f'{file.name} is not in {FILE}, and is read too' for file in unlisted]
+    files = [*dict.fromkeys(file for file in listed if file in found), *unlisted] or found
     if not files:
         raise BagError(f'{path} is not a bag: there is no MCAP file in it')
-    return files, damage
+    return Directory(files, information, damage)
 
 
 def _information(path: Path) -> tuple[dict[str, Any], list[str]]:
     """Return what metadata.yaml says; {} and why where it cannot be used."""
     try:
-        document = yaml.load(path.read_text('utf-8'), Loader=_LOADER)
+        document = load(path.read_text('utf-8'))
     except OSError as error:
         return {}, [f'{path.name} cannot be read: {error.strerror}']
-    except (yaml.YAMLError, UnicodeDecodeError):
+    except ValueError:
         return {}, [f'{path.name} is damaged']
     information = document.get(ROOT) if isinstance(document, dict) else None
     if not isinstance(information, dict):
@@ -48,3 +69,15 @@ def _information(path: Path) -> tuple[dict[str, Any], list[str]]:
     if not isinstance(information.get('relative_file_paths', []), list):
         return {}, [f'{path.name} is damaged']
     return information, []
+
+
+def load(text: str) -> Any:
+    """
+    Read YAML.
+
+    :raises ValueError: it is none.
+    """
+    try:
+        return yaml.load(text, Loader=_LOADER)
+    except _NO_YAML as error:
+        raise ValueError(str(error)) from error

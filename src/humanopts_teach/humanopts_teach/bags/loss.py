@@ -20,6 +20,7 @@ class Stream:
     last: int = 0  # largest number received
     received: int = 0  # repetitions left out
     duplicates: int = 0
+    late: int = 0  # received after a larger number
     _gaps: list[tuple[int, int]] = field(default_factory=list)  # first and last missing, ascending
 
     def add(self, sequence: int) -> None:
@@ -28,7 +29,9 @@ class Stream:
             if sequence > self.last + 1:
                 self._gaps.append((self.last + 1, sequence - 1))
             self.last = sequence
-        elif not self._fill(sequence):
+        elif self._fill(sequence):
+            self.late += 1
+        else:
             self.duplicates += 1
             return
         self.received += 1

@@ -9,10 +9,12 @@ from typing import Any, BinaryIO
 
 from humanopts_teach.bags.blocks import Block, DAMAGE, FileIndex, read_block
 from humanopts_teach.bags.decoding import decode, Decoder, make_decoder
-from humanopts_teach.bags.directory import bag_files
+from humanopts_teach.bags.directory import find_files, load
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.index import read_attachment, read_index
-from mcap.records import Message
+from humanopts_teach.bags.metadata import FILE
+from humanopts_teach.bags.writer import LIBRARY, RECORD, SELF, SELF_TEXT
+from mcap.records import Attachment, Message
 
 INTERFACES = 'humanopts_interfaces/'
 
@@ -37,6 +39,7 @@ class Recorded:
     type: str
     log_time: int  # when it was received, ns since the epoch
     publish_time: int  # when it was sent, ns since the epoch
+    sequence: int  # as the program that wrote the file numbered it; see ``Bag.numbered``
     data: bytes  # CDR, as received
     message: Any  # decoded; None: it was not asked for, or it does not decode
 
@@ -44,12 +47,16 @@ class Recorded:
 class Bag:
     """A bag that was opened; it can be read any number of times."""
 
-    def __init__(self, path: Path, files: list[FileIndex], damage: list[str]) -> None:
+    def __init__(
+        self, path: Path, files: list[FileIndex], information: dict[str, Any], damage: list[str]
+    ) -> None:
         self.path = path
+        self.information = information  # of metadata.yaml; {}: there is none
         self._files = files
         self._damage = [*damage, *(text for file in files for text in file.damage)]
         self._decoders: dict[str, Decoder] = {}
         self.topics = _topics(files)
+        self._compare_facts()
 
     @property
     def damage(self) -> str:
@@ -67,6 +74,11 @@ class Bag:
         return [file.path for file in self._files]
 
     @property
+    def numbered(self) -> bool:
+        """Whether the recorder was ours, which numbers the messages on a topic from 1."""
+        return all(file.library == LIBRARY for file in self._files)
+
+    @property
     def n_messages(self) -> int:
         """Number of messages that can be read."""
         return sum(topic.messages for topic in self.topics.values())
@@ -77,7 +89,20 @@ class Bag:
 
         :raises BagError: one of them is damaged.
         """
-        return {name: read_attachment(f, name) for f in self._files for name in f.attachments}
+        return {
+            name: bytes(read_attachment(file, name).data)
+            for file in self._files
+            for name in file.attachments
+        }
+
+    def attached(self) -> Iterator[Attachment]:
+        """Yield the attached files that are whole; ``damage`` then says which are not."""
+        for file in self._files:
+            for name in file.attachments:
+                try:
+                    yield read_attachment(file, name)
+                except BagError as error:
+                    self.note(str(error))
 
     def of_type(self, type_name: str) -> list[str]:
         """Return the names of the topics of a type, sorted."""
@@ -102,6 +127,7 @@ class Bag:
                     topic.type,
                     log_time,
                     message.publish_time,
+                    message.sequence,
                     message.data,
                     self.decode(topic.name, message.data) if decoded else None,
                 )
@@ -121,6 +147,19 @@ class Bag:
         """Keep what was found to be wrong, once."""
         if damage not in self._damage:
             self._damage.append(damage)
+
+    def _compare_facts(self) -> None:
+        """Note where two places tell differently what the recorder was told."""
+        told = self.metadata.get(RECORD, {})
+        copies = {FILE: self.information} if self.information else {}
+        try:
+            own = load(self.metadata.get(SELF, {}).get(SELF_TEXT, ''))
+            copies.update({f'the record {SELF}': own} if isinstance(own, dict) else {})
+        except ValueError:
+            self.note(f'the record {SELF} is damaged')
+        for place, copy in copies.items():
+            if copy.get('custom_data', {}) != told:
+                self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
     def _merged(
         self, streams: Sequence[BinaryIO], topics: Collection[str] | None
@@ -175,8 +214,9 @@ def open_bag(path: Path | str) -> Bag:
         humanopts topics.
     """
     path = Path(path)
-    files, damage = bag_files(path)
-    bag = Bag(path, [read_index(file) for file in files], damage)
+    found = find_files(path)
+    files = [read_index(file) for file in found.files]
+    bag = Bag(path, files, found.information, found.damage)
     if not bag.topics:
         reason = f' ({bag.damage})' if bag.damage else ''
         raise BagError(f'{path} holds no messages{reason}')

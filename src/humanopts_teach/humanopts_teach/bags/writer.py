@@ -23,7 +23,10 @@ from humanopts_teach.bags.sink import Sink
 from mcap.writer import CompressionType, Writer
 
 CHUNK_BYTES = 256 * 1024
+LIBRARY = 'humanopts'  # who wrote the file, in its header
 RECORD = 'humanopts'  # name of the MCAP metadata record with our facts
+SELF = 'rosbag2'  # name of that with what metadata.yaml says ...
+SELF_TEXT = 'serialized_metadata'  # ... under this key
 
 
 class BagWriter:
@@ -59,9 +62,12 @@ class BagWriter:
         self._closed = False
         self._sink = self._create()
         self._writer: Any = Writer(
-            cast(IO[Any], self._sink), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
+            cast(IO[Any], self._sink),
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
         )
-        self._writer.start(profile='ros2', library='humanopts')
+        self._writer.start(profile='ros2', library=LIBRARY)
         self._writer.add_metadata(RECORD, self._facts)
         self.flush()
 
@@ -124,15 +130,30 @@ class BagWriter:
         entry.messages += 1
         self.extent.add(log_time)
 
-    def attach(self, name: str, data: bytes, media_type: str = 'application/json') -> None:
+    def attach(
+        self,
+        name: str,
+        data: bytes,
+        media_type: str = 'application/json',
+        times: tuple[int, int] | None = None,
+    ) -> None:
         """
         Keep a file in the bag.
 
+        :param times: when it was made and when recorded, ns; None: those of the last message.
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
         self._writer.flush()
-        time = self.extent.last
-        self._writer.add_attachment(time, time, name, media_type, data)
+        made, recorded = times or (self.extent.last, self.extent.last)
+        self._writer.add_attachment(made, recorded, name, media_type, data)
+
+    def note(self, name: str, values: Mapping[str, str]) -> None:
+        """
+        Keep facts in an MCAP metadata record.
+
+        :raises BagWriteError: the disk is full or the file cannot be written.
+        """
+        self._writer.add_metadata(name, dict(values))
 
     def flush(self) -> None:
         """
@@ -155,9 +176,7 @@ class BagWriter:
         self._closed = True
         try:
             self._writer.flush()
-            self._writer.add_metadata(
-                'rosbag2', {'serialized_metadata': dump(self._information())}
-            )
+            self.note(SELF, {SELF_TEXT: dump(self._information())})
             self._writer.finish()
             self._describe()
         finally:

@@ -1,20 +1,25 @@
 """``humanopts bag``: looks into a recorded bag, with no ROS."""
 
 import argparse
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
 import json
 import sys
 
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
-from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.summary import BagInfo
+from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.commands import bag_check, bag_export, bag_play
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate_bag,
     EvaluationError,
+    OnProgress,
     with_games,
 )
+from humanopts_teach.evaluation.difference import compare, difference_text, read_lesson
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.report.bag_parts import bag_parts
 from humanopts_teach.report.write import write_evaluation_report
@@ -24,7 +29,14 @@ from rich.progress import Progress
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the bag subcommand says."""
-    commands = {'info': _info, 'eval': _eval}
+    commands = {
+        'info': _info,
+        'check': bag_check.run,
+        'eval': _eval,
+        'diff': _diff,
+        'play': bag_play.run,
+        'export': bag_export.run,
+    }
     try:
         return commands[arguments.bag_command](arguments)
     except (BagError, EvaluationError) as error:
@@ -33,43 +45,76 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _info(arguments: argparse.Namespace) -> int:
     info = summarise(open_bag(arguments.bag))
-    _print(arguments.json, info)
+    print(json.dumps(info.to_dict(), indent=2) if arguments.json else info.to_text())
     return 0
 
 
 def _eval(arguments: argparse.Namespace) -> int:
+    if arguments.html and len(arguments.bags) > 1:
+        raise CommandError('--html reports on one bag: give one')
     if arguments.html and not arguments.html.parent.is_dir():
         raise CommandError(f'cannot write {arguments.html}: there is no such folder')
-    bag = open_bag(arguments.bag)
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task('reading', total=None)
-        evaluation = evaluate_bag(
-            bag,
-            lambda done, total, text: progress.update(
-                task, completed=done, total=total, description=text
-            ),
-        )
-        if arguments.games:
-            evaluation = with_games(
-                evaluation,
-                arguments.games,
-                lambda text, share: progress.update(
-                    task, completed=share, total=1.0, description=text
-                ),
-            )
-    _print(arguments.json, evaluation)
-    for warning in evaluation.warnings:
-        print(f'humanopts bag eval: {warning}', file=sys.stderr)
+    bags = [open_bag(path) for path in arguments.bags]
+    found = [_evaluated(bag, arguments.games) for bag in bags]
+    _print(arguments.json, bags, found)
+    for bag, evaluation in zip(bags, found):
+        whose = f'{bag.path}: ' if len(bags) > 1 else ''
+        for warning in evaluation.warnings:
+            print(f'humanopts bag eval: {whose}{warning}', file=sys.stderr)
     if arguments.html:
-        parts = bag_parts(bag)
+        parts = bag_parts(bags[0])
         try:
-            write_evaluation_report(arguments.html, evaluation, parts.frames, parts.topics)
+            write_evaluation_report(arguments.html, found[0], parts.frames, parts.topics)
         except SummaryError as error:
             raise CommandError(str(error)) from error
         print(f'report: {arguments.html}', file=sys.stderr)
     return 0
 
 
-def _print(as_json: bool, found: BagInfo | BagEvaluation) -> None:
-    print(json.dumps(found.to_dict(), indent=2) if as_json else found.to_text())
+def _evaluated(bag: Bag, games: int) -> BagEvaluation:
+    with _progress() as tell:
+        evaluation = evaluate_bag(bag, tell)
+        if games:
+            evaluation = with_games(
+                evaluation, games, lambda text, share: tell(round(1000 * share), 1000, text)
+            )
+    return evaluation
+
+
+def _diff(arguments: argparse.Namespace) -> int:
+    bags = [open_bag(path) for path in (arguments.a, arguments.b)]
+    with _progress() as tell:
+        lessons = [read_lesson(bag, tell) for bag in bags]
+    found = compare(*lessons)
+    for bag, lesson in zip(bags, lessons):
+        for warning in lesson.evaluation.warnings:
+            print(f'humanopts bag diff: {bag.path}: {warning}', file=sys.stderr)
+    listed = {'same': not found, 'differences': [asdict(difference) for difference in found]}
+    print(json.dumps(listed, indent=2) if arguments.json else difference_text(found))
+    return 1 if found else 0
+
+
+@contextmanager
+def _progress() -> Iterator[OnProgress]:
+    """Show a bar on standard error where it is a terminal."""
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task('reading', total=None)
+        yield lambda done, total, text: progress.update(
+            task, completed=done, total=total, description=text
+        )
+
+
+def _print(as_json: bool, bags: Sequence[Bag], found: Sequence[BagEvaluation]) -> None:
+    """Print one evaluation by itself, several as a list."""
+    if as_json:
+        listed = [
+            {'bag': str(bag.path), **evaluation.to_dict()} for bag, evaluation in zip(bags, found)
+        ]
+        print(json.dumps(listed if len(bags) > 1 else found[0].to_dict(), indent=2))
+        return
+    texts = [
+        f'bag {bag.path}\n{evaluation.to_text()}' if len(bags) > 1 else evaluation.to_text()
+        for bag, evaluation in zip(bags, found)
+    ]
+    print('\n\n'.join(texts))

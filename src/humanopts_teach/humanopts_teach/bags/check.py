@@ -1,0 +1,153 @@
+"""What of a bag is damaged or missing: the file itself, and every publisher's numbers."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from humanopts_teach.bags.index import data_fits
+from humanopts_teach.bags.loss import Ledger
+from humanopts_teach.bags.metadata import FILE
+from humanopts_teach.bags.reader import Bag, Recorded
+from humanopts_teach.bags.stamps import is_stamped, read_stamp, Stamp
+from humanopts_teach.bags.summary import table
+
+RECORDER = '(recorder)'  # in place of a publisher, where only the recorder numbers messages
+UNNUMBERED = '(nobody)'  # where no one does, so that loss does not show
+OnProgress = Callable[[int, int], object]  # messages done, of how many
+
+
+@dataclass(frozen=True)
+class Account:
+    """What became of the messages of one publisher on one topic; see ``loss.Stream``."""
+
+    topic: str
+    publisher: str
+    sent: int  # up to the last that was recorded
+    recorded: int  # repetitions left out
+    missing: int
+    repeated: int
+    late: int  # recorded after one that was sent later
+
+    @property
+    def whole(self) -> bool:
+        """Whether every message is there once and in order."""
+        return not (self.missing or self.repeated or self.late)
+
+
+@dataclass(frozen=True)
+class Check:
+    """What is wrong with a bag."""
+
+    path: str
+    messages: int  # that can be read
+    damage: tuple[str, ...]  # of its files, in words
+    accounts: tuple[Account, ...]
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """All that is wrong, in words; none: the bag is whole."""
+        found = list(self.damage)
+        for name, text in (
+            ('missing', 'messages were sent and are missing'),
+            ('repeated', 'messages are there more than once'),
+            ('late', 'messages are after one that was sent later'),
+        ):
+            counts = [getattr(account, name) for account in self.accounts]
+            if total := sum(counts):
+                found.append(f'{total} {text} (in {sum(map(bool, counts))} streams)')
+        return tuple(found)
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.findings
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the check as JSON data."""
+        return {**asdict(self), 'whole': self.whole, 'findings': list(self.findings)}
+
+    def to_text(self) -> str:
+        """Return the check for reading."""
+        numbers = table(
+            ('topic', 'publisher', 'sent', 'recorded', 'missing', 'repeated', 'late'),
+            [tuple(asdict(account).values()) for account in self.accounts],
+        )
+        if self.whole:
+            verdict = f'{self.path} is whole: {self.messages} messages, none missing'
+        else:
+            verdict = f'{self.path} is damaged or incomplete: {self.messages} messages were read'
+        return '\n'.join([verdict, *(f'- {text}' for text in self.findings), '', numbers])
+
+
+def check_bag(bag: Bag, progress: OnProgress | None = None) -> Check:
+    """
+    Read a bag once and compare it with its checksums, numbers and metadata.yaml.
+
+    It needs memory for a few chunks and the index only.
+    """
+    for file in bag.files:
+        if not data_fits(file):
+            bag.note(f'{file.name}: its bytes do not fit the checksum over all of them')
+    counts: Counter[str] = Counter()
+    numbers = Numbers(bag)
+    for done, recorded in enumerate(bag.messages(decoded=False), start=1):
+        counts[recorded.topic] += 1
+        numbers.add(recorded)
+        if progress is not None and done % 1000 == 0:
+            progress(done, max(done, bag.n_messages))
+    _compare_counts(bag, counts)
+    accounts = [
+        Account(topic, who, s.last, s.received, s.missing, s.duplicates, s.late)
+        for topic, who, s in numbers.ledger
+    ]
+    silent = set(counts) - {account.topic for account in accounts}
+    accounts += [Account(name, UNNUMBERED, counts[name], counts[name], 0, 0, 0) for name in silent]
+    return Check(
+        str(bag.path),
+        counts.total(),
+        tuple(bag.damage.splitlines()),
+        tuple(sorted(accounts, key=lambda account: (account.topic, account.publisher))),
+    )
+
+
+class Numbers:
+    """The numbers of messages: their publishers', or else those that our recorder gave them."""
+
+    def __init__(self, bag: Bag) -> None:
+        self.ledger = Ledger()
+        self._bag = bag
+        self._stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
+
+    def add(self, recorded: Recorded) -> None:
+        """Count one message."""
+        if recorded.topic in self._stamped:
+            stamp = read_stamp(recorded.data)
+            if stamp is None:
+                self._bag.note(f'a message on {recorded.topic} does not decode')
+            else:
+                self.ledger.add(recorded.topic, stamp)
+        elif self._bag.numbered:
+            self.ledger.add(recorded.topic, Stamp(RECORDER, recorded.sequence))
+
+
+def _compare_counts(bag: Bag, counts: Counter[str]) -> None:
+    """Note where metadata.yaml or an index counts other messages than were read."""
+    for topic in bag.topics.values():
+        if topic.messages != counts[topic.name]:
+            bag.note(f'{topic.name}: {counts[topic.name]} of {topic.messages} messages were read')
+    if not bag.information:
+        return
+    told = {}
+    try:
+        for entry in bag.information['topics_with_message_count']:
+            told[entry['topic_metadata']['name']] = int(entry['message_count'])
+        total = int(bag.information['message_count'])
+    except (KeyError, TypeError, ValueError):
+        bag.note(f'{FILE} does not count the messages')
+        return
+    if total != counts.total():
+        bag.note(f'{FILE} tells of {total} messages, and {counts.total()} were read')
+    for name in sorted(set(told) | set(counts)):
+        if told.get(name, 0) != counts[name]:
+            bag.note(f'{name}: {FILE} tells of {told.get(name, 0)}, {counts[name]} were read')
