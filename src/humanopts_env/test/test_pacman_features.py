@@ -3,7 +3,9 @@
 from humanopts_env.domains.base import FeatureKind
 from humanopts_env.domains.pacman.batch import PacManBatch
 from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.pacman.paths import STAY
 from humanopts_env.domains.pacman.planning_features import (
+    arrival_steps,
     PLANNING_FEATURES,
     planning_features,
     planning_keys,
@@ -176,23 +178,42 @@ def buckets_of(text: str) -> dict[str, int]:
 
 
 def test_planning_features_by_hand() -> None:
-    """Distances 3 and 6; the pill is 4 away and 2 from a ghost; food is 1 away and 4 from one."""
+    """A ghost is 3 steps away, and 4 from either cell beside Pac-Man; the pill is 4 away."""
     assert buckets_of(START) == {
-        'danger_distance': 2,  # 3
-        'second_danger_distance': 2,  # 5 to 7
-        'prey_distance': 5,  # none
-        'fear_left': 0,
-        'pill_distance': 2,  # 4 to 6
-        'pill_margin': 0,  # negative
+        'danger': 2,  # 3
+        'danger_to_food': 3,  # 4 to 5
+        'danger_to_pill': 3,  # 4 or more
+        'danger_to_prey': 0,  # none
+        'danger_in_flight': 3,  # 4 to 5
         'food_distance': 0,  # 1
-        'food_margin': 2,  # 2 or 3
-        'food_left': 2,  # 6 to 15
-        'lives': 3,
+        'pill_distance': 2,  # 4 to 6
+        'prey_distance': 5,  # none
+        'prey_time': 0,  # none
+        'fruit_distance': 1,  # none
+        'food_left': 1,  # 6 to 35
+        'pills_left': 1,
+        'lives': 1,  # 2 or more
     }
     later = buckets_of(LATER)
-    assert (later['danger_distance'], later['second_danger_distance']) == (4, 4)  # 5 to 6; none
-    assert (later['prey_distance'], later['fear_left']) == (1, 2)  # 2 to 3; 6 to 12
-    assert (later['pill_distance'], later['pill_margin']) == (5, 1)  # none; 0
+    assert (later['prey_distance'], later['prey_time']) == (1, 2)  # 2 to 3; 7 - 3 = 4
+    assert (later['pill_distance'], later['pills_left']) == (5, 0)  # none
+    assert (later['fruit_distance'], later['food_left']) == (0, 0)  # 3; 3
+
+
+@pytest.mark.parametrize(('heading', 'bucket'), [('east', 4), ('west', 3), ('none', 3)])
+def test_a_ghost_that_has_passed_is_as_far_away_as_it_must_go(heading: str, bucket: int) -> None:
+    """To the cell 5 steps west of it a ghost that heads east goes 7 steps, all the way round."""
+    text = LATER.replace('ghost 0,3 heading east', f'ghost 0,3 heading {heading}')
+    assert buckets_of(text)['danger'] == bucket
+
+
+def test_nobody_arrives_sooner_than_by_a_shortest_path() -> None:
+    """Without a heading a ghost comes by a shortest path; with one, no sooner."""
+    for maze in ('gardens', 'yard', MAZE):
+        paths = PacMan(maze).rules.paths
+        steps = arrival_steps(paths)
+        assert (steps[:, STAY] == paths.distance).all()
+        assert (steps >= paths.distance[:, None]).all()
 
 
 @pytest.mark.parametrize('maze', ['gardens', 'yard', '%%%%%\n%P..%\n%%%%%'])

@@ -1,14 +1,19 @@
 """
 A coarse view of many games, for planning: what decides which option is worth starting.
 
-Distances, times and numbers are put in buckets. "Margin" is how many steps later than Pac-Man the
-nearest dangerous ghost can be at a thing, by shortest paths; 0 where there is no such thing.
+Distances, times and numbers are put in buckets. "Arrival" at a cell is in how many steps a
+dangerous ghost can be there, if it wants to: dangerous ghosts do not turn round unless they must,
+so that one that has just passed is farther away than its distance says. What an option risks is
+told by the arrival at the cell that its first step leads to, where 1 may cost a life at once.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from humanopts_env.domains.pacman.batch import Ints, PacManBatch
+from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, Masks, Paths, STAY
 from humanopts_env.domains.pacman.surroundings import look_around, Surroundings
+from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,17 +34,21 @@ class Bucketed:
 
 
 PLANNING_FEATURES = (
-    Bucketed('danger_distance', (2, 3, 4, 5, 7, 10, AFAR)),  # nearest dangerous ghost
-    Bucketed('second_danger_distance', (3, 5, 8, AFAR)),  # the one after that
-    Bucketed('prey_distance', (2, 4, 7, 11, AFAR)),  # nearest scared ghost
-    Bucketed('fear_left', (1, 6, 13, 25)),  # of that ghost
-    Bucketed('pill_distance', (2, 4, 7, 11, AFAR)),
-    Bucketed('pill_margin', (0, 2, 5)),
+    Bucketed('danger', (2, 3, 4, 6, AFAR)),  # arrival where Pac-Man is
+    Bucketed('danger_to_food', (2, 3, 4, 6)),  # arrival after the first step to the nearest food
+    Bucketed('danger_to_pill', (2, 3, 4)),
+    Bucketed('danger_to_prey', (2, 3, 4)),
+    Bucketed('danger_in_flight', (2, 3, 4, 6)),  # after the step farthest from dangerous ghosts
     Bucketed('food_distance', (2, 3, 5, 9)),
-    Bucketed('food_margin', (0, 2, 4)),
-    Bucketed('food_left', (1, 6, 16, 41, 71)),
-    Bucketed('lives', (1, 2, 3)),
+    Bucketed('pill_distance', (2, 4, 7, 11, AFAR)),
+    Bucketed('prey_distance', (2, 4, 7, 11, AFAR)),  # nearest scared ghost
+    Bucketed('prey_time', (0, 3, 8)),  # for how much longer than the way there it is scared
+    Bucketed('fruit_distance', (10,)),
+    Bucketed('food_left', (6, 36)),
+    Bucketed('pills_left', (1, 2)),
+    Bucketed('lives', (2,)),
 )
+CONTEXT = ('food_left', 'pills_left')  # what is left to gain, rather than what is near
 
 
 def planning_features(batch: PacManBatch, seen: Surroundings | None = None) -> NDArray[np.int32]:
@@ -50,15 +59,22 @@ def planning_features(batch: PacManBatch, seen: Surroundings | None = None) -> N
     :return: (N, P), columns as in PLANNING_FEATURES.
     """
     seen = seen or look_around(batch)
+    paths, here = batch.rules.paths, batch.pacman
+    prey = _or_afar(seen.prey, seen)
+    fruit = paths.distance[here, np.where(batch.fruit > 0, batch.fruit_at, here)].astype(np.intp)
     numbers = (
-        *_two_nearest(batch, seen),
-        _or_afar(seen.prey, seen),
-        seen.fear,
-        _or_afar(seen.pill, seen),
-        _margin(batch, seen.pill, seen.pill_at, seen),
+        _arrival(batch, here),
+        _after(batch, seen.to_food),
+        _after(batch, seen.to_pill),
+        _after(batch, seen.to_prey),
+        _arrival(batch, _refuge(batch)),
         seen.food,
-        _margin(batch, seen.food, seen.food_at, seen),
+        _or_afar(seen.pill, seen),
+        prey,
+        np.where(prey < AFAR, seen.fear - seen.prey, -1),
+        np.where(batch.fruit > 0, fruit, AFAR),
         batch.food_left,
+        (batch.pills_taken == 0).sum(axis=1),
         batch.lives,
     )
     values = np.empty((len(batch), len(PLANNING_FEATURES)), dtype=np.int32)
@@ -74,21 +90,52 @@ def planning_keys(values: NDArray[np.int32]) -> NDArray[np.int64]:
     return keys
 
 
-def _two_nearest(batch: PacManBatch, seen: Surroundings) -> tuple[Ints, Ints]:
-    """Return the steps to the nearest two dangerous ghosts."""
-    steps = batch.rules.paths.distance[batch.ghosts, batch.pacman].astype(np.intp)
-    steps = np.where(batch.scared > 0, AFAR, steps)
-    none = np.full((2, len(batch)), AFAR, dtype=np.intp)
-    first, second, *_ = np.sort(np.concatenate((steps, none)), axis=0)
-    return first, second
+@lru_cache(maxsize=8)
+def arrival_steps(paths: Paths) -> NDArray[np.int16]:
+    """
+    Return the fewest steps in which a dangerous ghost can be in a cell, by dynamic programming.
+
+    :return: (C, 5, C) from each cell with each heading to each cell; AFAR where it never can.
+    """
+    cells = np.arange(len(paths.step))
+    steps = np.full((len(cells), 5, len(cells)), AFAR, dtype=np.int16)
+    steps[cells, :, cells] = 0
+    while True:
+        onward = np.minimum(steps[paths.step[:, :4], range(4)] + 1, AFAR).astype(np.int16)
+        found = steps.copy()
+        for heading in range(5):
+            may = HAS_MOVE[paths.allowed[:, heading], :, None]
+            soonest = np.where(may, onward, AFAR).min(axis=1)
+            np.minimum(steps[:, heading], soonest, out=found[:, heading])
+        if (found == steps).all():
+            return read_only(steps)
+        steps = found
+
+
+def _arrival(batch: PacManBatch, cell: Ints) -> Ints:
+    """Return in how many steps the soonest dangerous ghost can be in a cell (N,)."""
+    steps = arrival_steps(batch.rules.paths)[batch.ghosts, batch.headings, cell].astype(np.intp)
+    soonest: Ints = np.where(batch.scared > 0, AFAR, steps).min(axis=0, initial=AFAR)
+    return soonest
+
+
+def _after(batch: PacManBatch, ways: Masks) -> Ints:
+    """Return the arrival after the first of some moves (N,), 0 where there is none."""
+    move = FIRST_MOVE[ways]
+    return np.where(move < STAY, _arrival(batch, batch.rules.paths.step[batch.pacman, move]), 0)
+
+
+def _refuge(batch: PacManBatch) -> Ints:
+    """Return the cell a step away that is farthest from the nearest dangerous ghost, (N,)."""
+    paths = batch.rules.paths
+    after = paths.step[batch.pacman, :4]  # (N, 4)
+    steps = paths.distance[batch.ghosts[:, :, None], after].astype(np.intp)  # (G, N, 4)
+    steps = np.where(batch.scared[:, :, None] > 0, AFAR, steps).min(axis=0, initial=AFAR)
+    legal = HAS_MOVE[paths.legal[batch.pacman]]
+    best = np.where(legal, steps, -1).argmax(axis=1)
+    refuge: Ints = after[np.arange(len(batch)), best]
+    return refuge
 
 
 def _or_afar(steps: Ints, seen: Surroundings) -> Ints:
     return np.where(steps < seen.far, steps, AFAR)
-
-
-def _margin(batch: PacManBatch, steps: Ints, cell: Ints, seen: Surroundings) -> Ints:
-    """Return by how much Pac-Man is sooner in a cell than the nearest dangerous ghost."""
-    theirs = batch.rules.paths.distance[batch.ghosts, cell].astype(np.intp)
-    theirs = np.where(batch.scared > 0, seen.far, theirs).min(axis=0, initial=seen.far)
-    return np.where(steps < seen.far, theirs - steps, 0)

@@ -11,7 +11,11 @@ from typing import Any
 from humanopts_env.domains.pacman.batch import PacManBatch
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.features import DIRECTIONS, FeatureReader
-from humanopts_env.domains.pacman.planning_features import PLANNING_FEATURES, planning_features
+from humanopts_env.domains.pacman.planning_features import (
+    CONTEXT,
+    PLANNING_FEATURES,
+    planning_features,
+)
 from humanopts_env.domains.pacman.state import PacManState
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +27,6 @@ FAR = 1000  # more than any bucket of a distance that is one
 # direction is left out, but for food.
 NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL = (2, 3, 4, 5, 7), (3, 5), (3, 6, 13), (3, 9)
 NEAR_FOOD = (2, 3, 5, 9)
-CONTEXT = ('food_left', 'lives')
 
 
 class PacManGames:
@@ -79,7 +82,7 @@ class PacManGames:
         return (16, N_DIRECTIONS, len(NEAR_FOOD) + 1, *ways)
 
     def planning_context(self, *, fine: bool) -> tuple[int, ...]:
-        """Return the columns of what is left to gain and to lose, rather than of what is near."""
+        """Return the columns of what is left to gain, rather than of what is near."""
         names = () if fine else [feature.name for feature in PLANNING_FEATURES]
         return tuple(column for column, name in enumerate(names) if name in CONTEXT)
 
