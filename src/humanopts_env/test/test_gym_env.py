@@ -7,7 +7,9 @@ import gymnasium
 from gymnasium.utils.env_checker import check_env
 from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_env.gym_env import DomainEnv, ENVIRONMENTS, register_all, TableEnv
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.game import Command, Game, Source
+from humanopts_env.gym_env import DomainEnv, ENVIRONMENTS, register_all, spec_of, TableEnv
 from humanopts_env.seeding import generator
 import numpy as np
 import pytest
@@ -171,3 +173,32 @@ def test_games_of_pacman_are_played_side_by_side() -> None:
     after, rewards, *_ = envs.step(np.array([1, 2, 1]))
     assert observations.shape == after.shape == (3, len(envs.get_attr('domain')[0].features))
     assert rewards.shape == (3,)
+
+
+@pytest.mark.parametrize('start', [False, True])
+@pytest.mark.parametrize('name', ['taxi', 'rooms', 'pacman'])
+def test_game_seed_gives_the_episode_of_the_node_game(name: str, start: bool) -> None:
+    """Its start state where none is given, and its chance."""
+    domain = make_domain(name)
+    text = domain.encode(domain.reset(generator(3, 'start'))) if start else ''
+    env, game = spec_of(domain).make().unwrapped, Game(domain)
+    moment = game.reset(text, 9, Source.MACHINE).moment
+    env.reset(options={'game_seed': 9, **({'state': text} if start else {})})
+    rng = generator(0, 'gymnasium')
+    while moment is not None and moment.open and moment.step < 30:
+        action = int(rng.integers(4))
+        at = moment.episode, moment.step
+        game.command(Command('/x#1', 1, Source.MACHINE, *at, domain.actions[action].name))
+        moment = game.moment
+        observed, *outcome, _ = env.step(action)
+        assert np.array_equal(observed, env.observe(domain.decode(moment.state)))
+        assert outcome == [moment.reward, moment.terminated, moment.truncated]
+
+
+def test_any_domain_whose_states_can_be_listed_has_an_environment() -> None:
+    """With its own name and parameters; others are refused."""
+    lake = make_domain('gymnasium:FrozenLake-v1')
+    assert spec_of(lake).make().unwrapped.domain.name == lake.name
+    assert (
+        spec_of(make_domain('taxi', {'rows': 7})).make().unwrapped.domain.parameters['rows'] == 7
+    )

@@ -19,6 +19,7 @@ from humanopts_interfaces.msg import (
     OptionResult,
     OptionStatus,
     PlanResult,
+    PolicyResult,
 )
 from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import check_demonstration, Demonstration, DemonstrationError
@@ -230,8 +231,10 @@ def test_the_summary_counts_what_was_taught_and_done(
         ('/demonstrations', demonstration_to_message(taxi_lesson[0])),  # repeated
         ('/learning_status', status),
         *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
-        *(('/option_results', OptionResult(status=code)) for code in (1, 1, 5)),
+        *(('/option_results', OptionResult(status=code)) for code in (1, 1, 5, 12)),
         ('/plan_results', PlanResult(status=1)),
+        ('/policy_results', PolicyResult(status=1, interruptions=3, execution_changes=1)),
+        ('/policy_results', PolicyResult(status=2, interruptions=2)),
     ]
     info = summarise(write(tmp_path / 'bag', entries))
     pickup = next(row for row in info.options if row.option == PICKUP)
@@ -241,15 +244,18 @@ def test_the_summary_counts_what_was_taught_and_done(
     assert pickup.criteria_met
     assert info.participants == ('p1',)
     assert info.sessions == ('s1',)
-    assert info.option_runs == {'reached': 2, 'interrupted': 1}
+    assert info.option_runs == {'reached': 2, 'interrupted': 1, 'stopped_by_plan': 1}
     assert info.plans == {'converged': 1}
+    assert info.policy_runs == {'done': 1, 'canceled': 1}
+    assert (info.interruptions, info.execution_changes) == (5, 1)
     assert (info.episodes, info.episodes_ended) == (1, 0)
     assert info.messages == len(entries)
     assert info.duration == (len(entries) - 1) * 10**9
     assert info.missing == 0
     assert json.loads(info.to_json())['options'][0]['option'] == PICKUP
     text = info.to_text()
-    assert 'option runs: interrupted 1, reached 2' in text
+    assert 'option runs: interrupted 1, reached 2, stopped_by_plan 1' in text
+    assert 'policy runs: 5 options stopped by the plan, 1 changes of execution' in text
     assert PICKUP in text
 
 

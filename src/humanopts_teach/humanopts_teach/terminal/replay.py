@@ -16,6 +16,7 @@ from rich.text import Text
 
 STEP_SECONDS = 0.5  # of a step, at speed 1
 SLOWEST, FASTEST = 1 / 16, 64.0
+_ROOM_FOR_KEYS = 16  # rows
 _KEYS = (
     *(('Space', 'pause, go on'), ('← →', 'one step'), ('+ -', 'speed')),
     *(('n p', 'next, previous episode'), ('q', 'quit')),
@@ -95,7 +96,8 @@ class Replay:
         head = Text(set_cell_size(f' humanopts · {self._domain.name} · {how}', width), 'reverse')
         words = Text(self._words(), 'bold')
         top = lines_of(Group(head, Text(), board, notes, Text(), words), width, colours)
-        bottom = lines_of(Group(Text('─' * width, 'dim'), *key_bar(_KEYS, width)), width, colours)
+        keys = Group(Text('─' * width, 'dim'), *key_bar(_KEYS, width))
+        bottom = lines_of(keys, width, colours) if height >= _ROOM_FOR_KEYS else []
         return fit(top, height - len(bottom)) + bottom
 
     def plain(self) -> Iterator[str]:

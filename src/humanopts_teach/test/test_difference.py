@@ -1,0 +1,86 @@
+"""What differs between two lessons."""
+
+from dataclasses import replace
+import json
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_teach.evaluation.bag_evaluation import evaluate
+from humanopts_teach.evaluation.difference import compare, Difference, difference_text, Lesson
+from humanopts_teach.evaluation.settings import Settings
+import pytest
+
+
+def lesson(domain: Domain[Any], demos: list[Demonstration], seed: int = 5) -> Lesson:
+    evaluation = evaluate(demos, domain, Settings(seed))
+    return Lesson(evaluation, {demo.uuid: demo for demo in demos})
+
+
+@pytest.fixture(scope='module')
+def short(taxi_lesson: list[Demonstration]) -> list[Demonstration]:
+    """At most four demonstrations of each option."""
+    shown = [demo for demo in taxi_lesson if demo.kind is Kind.TRAJECTORY]
+    names = dict.fromkeys(demo.option_name for demo in shown)
+    return [d for name in names for d in [d for d in shown if d.option_name == name][:4]]
+
+
+@pytest.fixture(scope='module')
+def whole(taxi: Domain[Any], short: list[Demonstration]) -> Lesson:
+    return lesson(taxi, short)
+
+
+def kinds(found: list[Difference]) -> set[str]:
+    return {difference.what for difference in found}
+
+
+def test_a_lesson_does_not_differ_from_itself(
+    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+) -> None:
+    found = compare(whole, lesson(taxi, short))
+    assert found == []
+    assert difference_text(found) == 'the lessons are the same'
+
+
+def test_settings_are_compared_by_name(
+    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+) -> None:
+    assert Difference('setting', 'seed', 5, 6) in compare(whole, lesson(taxi, short, seed=6))
+
+
+def test_a_demonstration_that_is_missing_is_named_and_changes_what_is_learned(
+    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+) -> None:
+    found = compare(whole, lesson(taxi, short[1:]))
+    (missing,) = (d for d in found if d.what == 'demonstration')
+    assert (missing.of, missing.b) == (short[0].uuid, None)
+    assert missing.a['option'] == short[0].option_name
+    assert all(short[0].option_name in d.of for d in found if d.what in ('tree', 'criteria'))
+    assert 'tree' in kinds(found)
+    assert f'of {short[0].option_name} by p1' in difference_text(found)
+    json.dumps([d.a for d in found])
+
+
+def test_a_demonstration_that_was_changed_is_told_by_field(
+    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+) -> None:
+    slower = [replace(short[0], seconds=99.0), *short[1:]]
+    (found,) = compare(whole, lesson(taxi, slower))
+    assert found == Difference(
+        'demonstration', f'seconds of {short[0].uuid}', short[0].seconds, 99.0
+    )
+
+
+def test_participants_options_features_and_plans_are_compared(
+    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+) -> None:
+    found = compare(whole, lesson(taxi, [replace(d, participant='p2') for d in short]))
+    assert Difference('participant', 'p1', True, None) in found
+    assert kinds(found) >= {'participant', 'option', 'demonstration'}
+    fewer = [replace(d, chosen_features=d.chosen_features[1:]) for d in short[:4]]
+    found = compare(whole, lesson(taxi, [*fewer, *short[4:]]))
+    chosen = next(d for d in found if d.what == 'features chosen')
+    assert (chosen.a[1:], 'taxi_row' in chosen.b) == (chosen.b, False)
+    assert Difference('option', f'{short[4].option_name} by p1', True, None) in compare(
+        whole, lesson(taxi, short[:4])
+    )

@@ -1,0 +1,200 @@
+"""Bags for other tools: tables and datasets say what was recorded, and step again."""
+
+from collections.abc import Iterator
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+from humanopts_env.convert import domain_to_info, moment_to_message
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.game import Command, Game, Source
+from humanopts_env.seeding import generator
+from humanopts_interfaces.msg import ActionCommand, PlanResult
+from humanopts_interfaces.srv import ResetGame
+from humanopts_learner.convert import demonstration_to_message
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.export.files import ExportError, write_csv, write_parquet
+from humanopts_teach.export.minari_dataset import dataset_name, FOLDER, write_dataset
+from humanopts_teach.export.tables import bag_tables, Table
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+from service_msgs.msg import ServiceEventInfo
+
+MESSAGES = 'humanopts_interfaces/msg/'
+EVENT = 'humanopts_interfaces/srv/ResetGame_Event'
+STEPS = 30
+
+
+def entries(
+    domain: Domain[Any], episodes: int, demos: list[Demonstration]
+) -> Iterator[tuple[str, str, Any]]:
+    """Yield (topic, type, message) of some episodes with random actions by two modules."""
+    yield '/domain_info', f'{MESSAGES}DomainInfo', domain_to_info(domain)
+    for demo in demos:
+        yield '/demonstrations', f'{MESSAGES}Demonstration', demonstration_to_message(demo)
+    game, rng = Game(domain), generator(1, 'actions of a test')
+    sent = 0
+    for number in range(1, episodes + 1):
+        start = domain.encode(domain.reset(rng)) if number % 2 else ''
+        moment = game.reset(start, number + 40, Source.MACHINE).moment
+        assert moment is not None
+        yield from events(number, start, moment.state)
+        yield '/game_state', f'{MESSAGES}GameState', moment_to_message(moment)
+        while game.moment.open and game.moment.step < STEPS:
+            sent += 1
+            action = domain.actions[rng.integers(len(domain.actions))].name
+            at = game.moment.step
+            command = Command('/option_server#1', sent, Source.MACHINE, number, at, action)
+            game.command(command)
+            yield (
+                '/action',
+                f'{MESSAGES}ActionCommand',
+                ActionCommand(
+                    publisher_id='/option_server#1',
+                    sequence=sent,
+                    action=action,
+                    option_name=f'module {sent % 2}',
+                ),
+            )
+            yield '/game_state', f'{MESSAGES}GameState', moment_to_message(game.moment)
+    yield (
+        '/plan_results',
+        f'{MESSAGES}PlanResult',
+        PlanResult(
+            plan_id='p', status=1, option_names=['eat', 'flee'], mean_return=float('nan'), sweeps=3
+        ),
+    )
+
+
+def events(number: int, start: str, state: str) -> Iterator[tuple[str, str, Any]]:
+    """Yield what introspection tells of a reset."""
+    asked = ResetGame.Request(source=2, start_state=start, seed=number + 40)
+    answer = ResetGame.Response(status=1, episode=number, state=state)
+    for kind, parts in ((1, {'request': [asked]}), (2, {'response': [answer]})):
+        info = ServiceEventInfo(event_type=kind, sequence_number=number)
+        yield '/reset_game/_service_event', EVENT, ResetGame.Event(info=info, **parts)
+
+
+def record(
+    path: Path, domain: Domain[Any], episodes: int, demos: list[Demonstration] | None = None
+) -> Bag:
+    """Write a bag."""
+    with BagWriter(path) as bag:
+        for time, (topic, kind, message) in enumerate(entries(domain, episodes, demos or [])):
+            bag.add_topic(topic, kind)
+            if hasattr(message, 'publisher_id') and not message.publisher_id:
+                message.publisher_id, message.sequence = '/game#1', time + 1
+            bag.write(topic, serialize_message(message), time + 1)
+    return open_bag(path)
+
+
+@pytest.fixture(scope='module')
+def bag(
+    tmp_path_factory: pytest.TempPathFactory,
+    taxi: Domain[Any],
+    taxi_lesson: list[Demonstration],
+) -> Bag:
+    """Two demonstrations, three episodes and a plan."""
+    return record(tmp_path_factory.mktemp('exported') / 'bag', taxi, 3, taxi_lesson[:2])
+
+
+def by_name(tables: list[Table]) -> dict[str, Table]:
+    return {table.name: table for table in tables}
+
+
+def test_step_table_has_every_state_with_the_step_that_led_to_it(
+    bag: Bag, taxi: Domain[Any]
+) -> None:
+    steps = by_name(bag_tables(bag))['steps'].columns
+    assert set(map(len, steps.values())) == {3 * (STEPS + 1)}
+    assert list(steps['episode']) == [1] * 31 + [2] * 31 + [3] * 31
+    assert list(steps['step'][:32]) == [*range(31), 0]
+    first, second = (taxi.decode(text) for text in steps['state'][:2])
+    action = [a.name for a in taxi.actions].index(steps['action'][1])
+    outcome = taxi.step(first, action, generator(0, 'not used'))
+    assert (outcome.state, outcome.reward) == (second, steps['reward'][1])
+    row = taxi.features[0].values[taxi.feature_values(second)[0]]
+    assert steps['feature:taxi_row'][1] == row
+    assert steps['option'][:4] == ['', 'module 1', 'module 0', 'module 1']
+    assert steps['source'][:2] == ['', 'machine']
+
+
+def test_tables_of_demonstrations_options_and_plans_say_what_was_recorded(
+    bag: Bag, taxi_lesson: list[Demonstration]
+) -> None:
+    tables = by_name(bag_tables(bag))
+    demos, options = tables['demonstrations'].columns, tables['options'].columns
+    assert list(demos['uuid']) == [demo.uuid for demo in taxi_lesson[:2]]
+    assert [tuple(json.loads(text)) for text in demos['states']] == [
+        demo.states for demo in taxi_lesson[:2]
+    ]
+    assert json.loads(demos['features'][0]) == [list(row) for row in taxi_lesson[0].features]
+    assert options['option'] == [taxi_lesson[0].option_name]
+    plans = tables['plans'].columns
+    assert plans['status'] == ['converged']
+    assert plans['option_names'] == ['["eat", "flee"]']
+    assert plans['mean_return'] == [None]  # NaN: not evaluated
+
+
+def test_csv_files_hold_the_tables(tmp_path: Path, bag: Bag) -> None:
+    tables = bag_tables(bag)
+    paths = write_csv(tables, tmp_path)
+    assert [path.name for path in paths] == [f'{table.name}.csv' for table in tables]
+    for path, table in zip(paths, tables):
+        with path.open(encoding='utf-8', newline='') as file:
+            head, *rows = csv.reader(file)
+        assert head == list(table.columns)
+        values = zip(*table.columns.values())
+        assert rows == [['' if v is None else str(v) for v in row] for row in values]
+
+
+def test_parquet_files_hold_the_tables(tmp_path: Path, bag: Bag) -> None:
+    parquet = pytest.importorskip('pyarrow.parquet')
+    tables = bag_tables(bag)
+    for path, table in zip(write_parquet(tables, tmp_path), tables):
+        assert parquet.read_table(path).to_pydict() == dict(table.columns)
+
+
+@pytest.mark.parametrize('write', ['parquet', 'minari'])
+def test_export_says_which_package_is_missing(
+    tmp_path: Path, bag: Bag, monkeypatch: pytest.MonkeyPatch, write: str
+) -> None:
+    monkeypatch.setitem(__import__('sys').modules, 'pyarrow', None)  # import fails
+    with pytest.raises(ExportError, match='not installed: pip install'):
+        write_parquet([], tmp_path) if write == 'parquet' else write_dataset(bag, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.filterwarnings('ignore::UserWarning')  # Minari asks for authors and the like
+@pytest.mark.parametrize(
+    ('name', 'parameters'), [('taxi', {}), ('rooms', {}), ('pacman', {'maze': 'yard'})]
+)
+def test_episodes_of_a_minari_dataset_step_through_our_environments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, parameters: dict[str, Any]
+) -> None:
+    minari = pytest.importorskip('minari')
+    pytest.importorskip('pyarrow')
+    written = write_dataset(record(tmp_path / 'b', make_domain(name, parameters), 4), tmp_path)
+    assert (written.dataset_id, written.episodes) == (f'humanopts/{name}/b-v0', 4)
+    monkeypatch.setenv(FOLDER, str(tmp_path))
+    dataset = minari.load_dataset(written.dataset_id)
+    env = dataset.recover_environment()
+    assert dataset.total_episodes == 4
+    for episode in dataset.iterate_episodes():
+        (kept,) = dataset.storage.get_episode_metadata([episode.id])
+        seen = [(env.reset(options=kept['options'])[0], 0.0, False, False)]
+        seen += [env.step(int(action))[:4] for action in episode.actions]
+        observations, *others = zip(*seen)
+        assert np.array_equal(np.array(observations), episode.observations)
+        recorded = episode.rewards, episode.terminations, episode.truncations
+        for here, there in zip(others, recorded, strict=True):
+            assert list(here[1:]) == there.tolist()
+
+
+def test_dataset_is_named_by_domain_and_bag(taxi: Domain[Any]) -> None:
+    assert dataset_name(taxi, Path('runs/up 2026.11.mcap')) == 'humanopts/taxi/up-2026-11-v0'
