@@ -33,13 +33,13 @@ class Effort:
     """How much is sampled and played; with primitive actions alone more, as steps cost less."""
 
     tried: int = 5  # settings
-    search_games: int = 100
+    search_games: int = 60
     search_steps: int = 50_000  # game steps that a plan is made from in the search
     largest: int = 200_000  # of the last point of the curve, and of the plans of the table
-    primitive_search_steps: int = 400_000
+    primitive_search_steps: int = 200_000
     primitive_largest: int = 3_200_000
     first: int = 25_000  # of the first point of the curve; then doubled
-    games: int = 200  # that every plan is judged in
+    games: int = 150  # that every plan is judged in
 
     def steps(self, kind: Kind) -> tuple[int, int]:
         """Return the game steps of a plan in the search, and of one in the table."""

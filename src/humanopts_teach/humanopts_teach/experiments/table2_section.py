@@ -79,7 +79,8 @@ def _text(study: Study) -> list[str]:
         'Means are over people, extractions or repetitions; each counts once, with the mean of '
         f'its plans, so that there are at least {study.seeds} plans of each kind. Intervals are '
         "Student's t, 95 %; what varies is whose options they are and, in Pac-Man, the chance of "
-        'the samples and games too. “Done” is the passenger delivered, or the maze cleared.',
+        'the samples and games too. “Done” is the passenger delivered, or the maze cleared. '
+        'Discounted returns are told where gamma is not searched for.',
         'Simulated people teach the options of section 7 and, in Pac-Man, “eat the ghost”, which '
         'people named in table 1: each scared ghost that is eaten counts 200 points, and no other '
         'option goes for them. The row “human, without eating ghosts” has only those of section '
@@ -104,7 +105,7 @@ def _game_table(game: Game, lines: Sequence[Line]) -> Table:
                     value.mean,
                     value.low,
                     value.high,
-                    line.value('discounted').mean,
+                    line.value('discounted').mean if game.exact else None,
                     done.mean,
                     line.mean('fallbacks'),
                 ]
@@ -164,7 +165,7 @@ def _paper_table(lines: Sequence[Line]) -> Table:
             line = mine.get((game.name, name))
             if line is not None:
                 value = line.value()
-                ours: list[Value] = [line.seconds, value.mean, value.low, value.high]
+                ours: list[Value] = [round(line.seconds, 6), value.mean, value.low, value.high]
                 rows.append([game.name, name, row.seconds, row.mean_return, *ours])
     columns = ['game', 'action set', "paper's seconds", "paper's average reward", 'seconds']
     title = "The paper's table, and ours"

@@ -52,12 +52,23 @@ def _of_the_paper(mine: Lines) -> Iterator[Comparison]:
         yield Comparison(
             said['never as good'].text,
             said['never as good'].where,
-            _returns([primitive, *options]),
+            _returns([primitive, *options]) + _still_rising(primitive),
             agreement(best < primitive.value().mean - ROUNDING),
         )
     if primitive.game in (TAXI, UNIFORM):
         three = [mine[AS_IN_PAPER]] if AS_IN_PAPER in mine else []
         yield from _not_comparable(primitive.game.domain, [primitive, *options, *three])
+
+
+def _still_rising(line: Line) -> str:
+    """Tell what more samples would bring, by what the last doubling brought."""
+    if line.game.exact or len(line.points) < 2:
+        return ''
+    before, last = line.points[-2:]
+    return (
+        f' The last doubling of game steps brought {line.kind.name} actions '
+        f'{last.value.mean - before.value.mean:+,.0f} points.'
+    )
 
 
 def _not_comparable(domain: str, lines: Sequence[Line]) -> Iterator[Comparison]:
@@ -176,8 +187,14 @@ def _gains(gains: Sequence[Gain]) -> Iterator[Comparison]:
                 said.text,
                 said.where,
                 f'{game.name}, points gained by the same plan over running to the end: {text}.',
-                agreement(any((gain.games.low or 0.0) > 0.0 for gain in mine)),
+                agreement(any(_least(gain) > 0.0 for gain in mine)),
             )
+
+
+def _least(gain: Gain) -> float:
+    """Return the low limit of a gain in games; of one person, what it was."""
+    found = gain.games
+    return found.mean if found.low is None else found.low
 
 
 def _mean(line: Line) -> float:
