@@ -12,6 +12,7 @@ from humanopts_learner.planning.continuation import carried_out, policy_values
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.plan import Plan, plan_with_tables, TabledOption
 from humanopts_teach.experiments.table2_kinds import Kind, OTHER_WAYS
+from humanopts_teach.experiments.table2_record import record, SECONDS
 import numpy as np
 
 CLOCK = time.process_time
@@ -35,7 +36,9 @@ def plan_exactly(
         'kinds': {
             kind.name: {
                 'curve': _curve(domain, kind, options),
-                'plans': [_judged(*_timed(domain, kind, options)) for _ in range(plans)],
+                'plans': [
+                    _judged(MAX_SWEEPS, *_timed(domain, kind, options)) for _ in range(plans)
+                ],
                 'tried': [],
                 'chosen': None,
             }
@@ -58,7 +61,7 @@ def _timed(
 
 
 def _seconds(plan: Plan) -> float:
-    return plan.table_seconds + plan.model_seconds + plan.sweep_seconds
+    return sum(getattr(plan, name) for name in SECONDS)
 
 
 def _made(
@@ -83,22 +86,10 @@ def _tabled(option: LearnedOption | TabledOption, domain: EnumerableDomain[Any])
     return TabledOption(option.name, option.max_steps, option_tables(option, domain))
 
 
-def _judged(plan: Plan, carrying: Plan) -> dict[str, Any]:
+def _judged(budget: int, plan: Plan, carrying: Plan) -> dict[str, Any]:
     """Play from every start state, once."""
     returns = play(carrying, plan.domain.start_states())
-    return {
-        'table_seconds': plan.table_seconds,
-        'model_seconds': plan.model_seconds,
-        'sweep_seconds': plan.sweep_seconds,
-        'sweeps': plan.solution.sweeps,
-        'states': len(plan.solution.values),
-        'game_steps': 0,
-        'mean': float(returns.total.mean()),
-        'discounted': float(returns.discounted.mean()),
-        'done': float(returns.successes.mean()),
-        'fallbacks': float(returns.fallbacks.mean()),
-        'games': len(returns.total),
-    }
+    return record(budget, plan, returns, returns.successes)
 
 
 def _curve(domain: EnumerableDomain[Any], kind: Kind, options: Options) -> list[dict[str, Any]]:
@@ -107,7 +98,7 @@ def _curve(domain: EnumerableDomain[Any], kind: Kind, options: Options) -> list[
     converged, sweeps = False, 1
     while not converged and sweeps <= MAX_SWEEPS:
         plan, carrying = _timed(domain, kind, options, sweeps)
-        found.append({'budget': sweeps, **_judged(plan, carrying)})
+        found.append(_judged(sweeps, plan, carrying))
         converged, sweeps = plan.solution.converged, 2 * sweeps
     return found
 

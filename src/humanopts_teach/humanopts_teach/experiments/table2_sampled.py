@@ -15,6 +15,7 @@ from humanopts_learner.planning.sampled.curve import Budgets
 from humanopts_learner.planning.sampled.judging import GameReturns
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from humanopts_teach.experiments.table2_kinds import Kind, OTHER_WAYS, TO_END
+from humanopts_teach.experiments.table2_record import record
 import numpy as np
 
 Options = Sequence[LearnedOption | BatchOption]
@@ -130,22 +131,9 @@ class _Judged:
 
     @property
     def record(self) -> dict[str, Any]:
-        """What is told of it."""
-        plan, returns = self.plan, self.returns
-        return {
-            'budget': self.budget,
-            'table_seconds': plan.table_seconds,
-            'model_seconds': plan.model_seconds,
-            'sweep_seconds': plan.sweep_seconds,
-            'sweeps': plan.solution.sweeps,
-            'states': len(plan.solution.values),
-            'game_steps': plan.game_steps,
-            'mean': float(returns.total.mean()),
-            'discounted': float(returns.discounted.mean()),
-            'done': float(returns.outcomes['cleared'].mean()),
-            'fallbacks': float(returns.fallbacks.mean()),
-            'games': len(returns.total),
-        }
+        """What is kept of it."""
+        done = self.returns.outcomes['cleared']
+        return record(self.budget, self.plan, self.returns, done)
 
 
 @dataclass(frozen=True)

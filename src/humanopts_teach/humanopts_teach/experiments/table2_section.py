@@ -10,8 +10,9 @@ from humanopts_teach.experiments import paper, table2
 from humanopts_teach.experiments.sections import Paint, Picture, Section, Table, Value
 from humanopts_teach.experiments.study import Experiment, Study
 from humanopts_teach.experiments.table2_kinds import AS_IN_PAPER, Game, GAMES, TAXI, UNIFORM
+from humanopts_teach.experiments.table2_record import SECONDS
 from humanopts_teach.experiments.table2_sampled import CHOICES, GAMMAS
-from humanopts_teach.experiments.table2_series import Gain, gather, gather_gains, Line, SECONDS
+from humanopts_teach.experiments.table2_series import Gain, gather, gather_gains, Line
 from humanopts_teach.experiments.table2_words import comparisons
 from humanopts_teach.report.figures import Drawing, SERIES
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter

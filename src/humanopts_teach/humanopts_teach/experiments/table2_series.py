@@ -7,10 +7,10 @@ from typing import Any
 from humanopts_teach.experiments.bands import band
 from humanopts_teach.experiments.cells import Cell
 from humanopts_teach.experiments.table2_kinds import Game, GAMES, Kind, KINDS
+from humanopts_teach.experiments.table2_record import SECONDS
 import numpy as np
 from numpy.typing import NDArray
 
-SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')
 Record = Mapping[str, Any]  # one plan
 
 
