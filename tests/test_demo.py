@@ -83,10 +83,17 @@ SCHEMA = {
 # What nothing in a demo sends on: nobody is refused, and options are run by the service.
 QUIET = {
     '/action_refused',
+    '/automatic_options',
     '/execute_option/_action/feedback',
     '/execute_option/_action/status',
+    '/extract_options/_action/feedback',
+    '/extract_options/_action/status',
+    '/extraction_goals',
+    '/extraction_results',
     '/list_options/_service_event',
+    '/option_values',
     '/query_option/_service_event',
+    '/set_execution/_service_event',
 }
 OWN_OF_RCLPY = {'/rosout', '/parameter_events'}
 

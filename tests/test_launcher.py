@@ -68,9 +68,10 @@ def test_a_node_that_ends_is_named_with_its_last_lines(launch: Launch) -> None:
 def test_a_node_that_was_killed_in_silence_is_named_with_the_signal(
     launch: Launch, live: Graph
 ) -> None:
+    others = set(children())
     launcher = launch(spec('game', GAME))
     live.ready('/game')
-    (number,) = children()
+    (number,) = set(children()) - others
     os.kill(number, signal.SIGKILL)
     assert death(launcher) == (
         'the node game ended (by signal SIGKILL) while it was needed; it wrote nothing'
@@ -152,8 +153,9 @@ def test_two_namespaces_work_side_by_side(up: Up, live: Graph) -> None:
     both = {name: up(name) for name in ('/east', '/west')}
     for name, command in both.items():
         command.until(lambda n=name, c=command: f'ready: {n}/game' in c.output, 'the nodes')
-    names = {f'{space}/{node}' for node, space in live.node.get_node_names_and_namespaces()}
-    assert {'/east/game', '/west/game', '/east/planner', '/west/planner'} <= names
+    for name in both:
+        live.watch(name)
+    live.ready('/east/game', '/west/game', '/east/planner', '/west/planner')
     for command in both.values():
         command.send(signal.SIGINT)
     for command in both.values():

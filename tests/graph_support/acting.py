@@ -29,8 +29,13 @@ class Acting:
         self.plan_id = planning.plan('human').plan_id
 
     def play(self, execution: str, **fields: Any) -> PolicyResult:
-        """Play to the end."""
+        """Play to the end, and until the result of every run has come as well."""
         _, result = self.begin(execution, **fields).result(60.0)
+
+        def decided() -> tuple[int, int]:
+            return len(self.runs), sum(run.step_count for run in self.runs)  # the one of modules
+
+        self.graph.until(lambda: result.decisions in decided(), 'the runs')
         return result
 
     def begin(self, execution: str, **fields: Any) -> Goal:
