@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_teach.bags.index import data_fits
 from humanopts_teach.bags.loss import Ledger
-from humanopts_teach.bags.metadata import FILE
+from humanopts_teach.bags.metadata import Extent, FILE
 from humanopts_teach.bags.reader import Bag, Recorded
 from humanopts_teach.bags.stamps import is_stamped, read_stamp, Stamp
 from humanopts_teach.bags.summary import table
@@ -90,13 +90,16 @@ def check_bag(bag: Bag, progress: OnProgress | None = None) -> Check:
         if not data_fits(file):
             bag.note(f'{file.name}: its bytes do not fit the checksum over all of them')
     counts: Counter[str] = Counter()
-    numbers = Numbers(bag)
+    extent = Extent()
+    numbers = _Numbers(bag)
     for done, recorded in enumerate(bag.messages(decoded=False), start=1):
         counts[recorded.topic] += 1
+        extent.add(recorded.log_time)
         numbers.add(recorded)
         if progress is not None and done % 1000 == 0:
             progress(done, max(done, bag.n_messages))
     _compare_counts(bag, counts)
+    _compare_times(bag, extent)
     accounts = [
         Account(topic, who, s.last, s.received, s.missing, s.duplicates, s.late)
         for topic, who, s in numbers.ledger
@@ -111,7 +114,7 @@ def check_bag(bag: Bag, progress: OnProgress | None = None) -> Check:
     )
 
 
-class Numbers:
+class _Numbers:
     """The numbers of messages: their publishers', or else those that our recorder gave them."""
 
     def __init__(self, bag: Bag) -> None:
@@ -151,3 +154,17 @@ def _compare_counts(bag: Bag, counts: Counter[str]) -> None:
     for name in sorted(set(told) | set(counts)):
         if told.get(name, 0) != counts[name]:
             bag.note(f'{name}: {FILE} tells of {told.get(name, 0)}, {counts[name]} were read')
+
+
+def _compare_times(bag: Bag, extent: Extent) -> None:
+    """Note where metadata.yaml tells of other times than were read."""
+    if not bag.information:
+        return
+    try:
+        start = bag.information['starting_time']['nanoseconds_since_epoch']
+        duration = bag.information['duration']['nanoseconds']
+    except (KeyError, TypeError):
+        bag.note(f'{FILE} does not tell the times')
+        return
+    if (start, duration) != (extent.first, extent.duration):
+        bag.note(f'{FILE} tells of another beginning or duration than its messages')

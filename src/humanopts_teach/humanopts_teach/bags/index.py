@@ -74,9 +74,8 @@ def data_fits(path: Path) -> bool:
         stream.seek(0)
         found = 0
         while checksum and place > 0:
-            piece = stream.read(min(place, _PIECE))
-            found = zlib.crc32(piece, found)
-            place -= len(piece)
+            found = zlib.crc32(stream.read(min(place, _PIECE)), found)
+            place -= _PIECE
         return bool(found == checksum)
 
 
@@ -95,7 +94,8 @@ def read_attachment(index: FileIndex, name: str) -> Attachment:
             if length > index.path.stat().st_size:
                 raise ValueError('it is cut short')
             content = stream.read(length)
-            if zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], 'little'):
+            checksum = int.from_bytes(content[-4:], 'little')
+            if checksum and zlib.crc32(content[:-4]) != checksum:
                 raise ValueError('it does not fit its checksum')
             attachment: Attachment = Attachment.read(ReadDataStream(BytesIO(content)))
             return attachment

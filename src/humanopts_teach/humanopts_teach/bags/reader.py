@@ -76,7 +76,7 @@ class Bag:
     @property
     def numbered(self) -> bool:
         """Whether the recorder was ours, which numbers the messages on a topic from 1."""
-        return all(file.library == LIBRARY for file in self._files)
+        return all(file.library == LIBRARY or RECORD in file.metadata for file in self._files)
 
     @property
     def n_messages(self) -> int:

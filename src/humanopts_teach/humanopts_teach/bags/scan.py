@@ -94,7 +94,10 @@ def _walk(stream: BinaryIO, index: FileIndex) -> Iterator[tuple[int, int, int]]:
                 index.note(f'it is cut short in the record at byte {offset} of {size}')
                 _save_leading(index, stream, offset, size)
                 return
-            index.note(f'{found - offset} bytes from byte {offset} on are no whole record')
+            if found == offset:
+                index.note(f'the head of the chunk at byte {offset} is damaged; it is read')
+            else:
+                index.note(f'{found - offset} bytes from byte {offset} on are no whole record')
             offset = found
             yield Opcode.CHUNK, offset, length
         offset += length

@@ -1,0 +1,313 @@
+"""``bag check``: damage has a name, what is missing a number, and a repair saves the rest."""
+
+from collections.abc import Callable
+import hashlib
+import json
+import os
+from pathlib import Path
+import resource
+import struct
+import subprocess
+import sys
+
+from humanopts_interfaces.msg import GameState
+from humanopts_teach.bags.check import check_bag, RECORDER
+from humanopts_teach.bags.errors import BagError, BagWriteError
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.repair import REPAIR, repair
+from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.cli import main
+from mcap.reader import make_reader
+import pytest
+from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
+from std_msgs.msg import String
+
+GAME = 'humanopts_interfaces/msg/GameState'
+TEXT = 'std_msgs/msg/String'
+START = 10**18  # ns since the epoch
+SHORT = 40  # bytes of a state that do not compress
+MEASURE = """
+import resource, sys
+from humanopts_teach.cli import main
+status = main(['bag', *sys.argv[1:]])
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, status, file=sys.stderr)
+"""
+
+
+def write(
+    path: Path, sequences: list[int], flush_every: int = 10, size: int = SHORT, close: bool = True
+) -> BagWriter:
+    """Write game states with these numbers, and a text for each."""
+    writer = BagWriter(path, {'seed': '7'})
+    writer.add_topic('/game_state', GAME)
+    writer.add_topic('/chatter', TEXT)
+    for place, sequence in enumerate(sequences):
+        time = START + 2 * place * 10**6
+        state = os.urandom(size // 2).hex()
+        message = GameState(publisher_id='/game#1', sequence=sequence, state=state)
+        writer.write('/game_state', serialize_message(message), time, time - 5)
+        writer.write('/chatter', serialize_message(String(data=str(place))), time + 1)
+        if flush_every and (place + 1) % flush_every == 0:
+            writer.flush()
+    writer.attach('options.json', b'{"a": 1}')
+    if close:
+        writer.close()
+    return writer
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """A whole bag of 100 game states and 100 texts in 10 chunks."""
+    write(tmp_path / 'bag', list(range(1, 101)))
+    return tmp_path / 'bag'
+
+
+def chunk_at(bag: Path, number: int) -> tuple[int, int]:
+    """Return begin and end of a chunk in the file."""
+    with (bag / f'{bag.name}_0.mcap').open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[number]
+    return chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length
+
+
+def change(bag: Path, edit: Callable[[bytearray], object]) -> None:
+    """Change the bytes of a bag's file."""
+    file = bag / f'{bag.name}_0.mcap'
+    data = bytearray(file.read_bytes())
+    edit(data)
+    file.write_bytes(data)
+
+
+def contents(bag: Path) -> list[tuple[str, int, int, bytes]]:
+    """Return all messages in order."""
+    found = open_bag(bag).messages(decoded=False)
+    return [(r.topic, r.log_time, r.publish_time, r.data) for r in found]
+
+
+def numbers(bag: Path) -> dict[str, tuple[int, int, int, int, int]]:
+    """Return sent, recorded, missing, repeated and late by publisher."""
+    accounts = check_bag(open_bag(bag)).accounts
+    return {a.publisher: (a.sent, a.recorded, a.missing, a.repeated, a.late) for a in accounts}
+
+
+def test_a_whole_bag_is_said_to_be_whole(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['bag', 'check', str(bag)]) == 0
+    assert 'is whole: 200 messages' in capsys.readouterr().out
+    assert numbers(bag) == {'/game#1': (100, 100, 0, 0, 0), RECORDER: (100, 100, 0, 0, 0)}
+
+
+def test_what_is_missing_repeated_and_late_is_counted_for_its_publisher(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / 'bag', [2, 3, 7, 6, 6, 8])
+    assert numbers(tmp_path / 'bag')['/game#1'] == (8, 5, 3, 1, 1)
+    assert main(['bag', 'check', str(tmp_path / 'bag'), '--json']) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found['damage'] == []
+    assert found['findings'] == [
+        '3 messages were sent and are missing (in 1 streams)',
+        '1 messages are there more than once (in 1 streams)',
+        '1 messages are after one that was sent later (in 1 streams)',
+    ]
+
+
+def test_no_bag_is_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['bag', 'check', str(tmp_path / 'nothing')]) == 2
+    assert 'there is no bag at' in capsys.readouterr().err
+
+
+def flip_in_chunk(bag: Path) -> None:
+    """Change a byte in the fifth chunk."""
+    start, end = chunk_at(bag, 4)
+    change(bag, lambda data: data.__setitem__((start + end) // 2, data[(start + end) // 2] ^ 0xFF))
+
+
+def flip_in_attachment(bag: Path) -> None:
+    """Change a byte of the attached file."""
+    change(bag, lambda data: data.__setitem__(data.index(b'{"a": 1}') + 6, ord('2')))
+
+
+def cut_in_chunk(bag: Path) -> None:
+    """End the file within the last chunk."""
+    start, end = chunk_at(bag, 9)
+    change(bag, lambda data: data.__delitem__(slice((start + end) // 2, None)))
+
+
+def drop_chunk(bag: Path) -> None:
+    """Take a chunk out."""
+    change(bag, lambda data: data.__delitem__(slice(*chunk_at(bag, 4))))
+
+
+def repeat_chunk(bag: Path) -> None:
+    """Write a chunk twice."""
+    start, end = chunk_at(bag, 4)
+    change(bag, lambda data: data.__setitem__(slice(end, end), data[start:end]))
+
+
+def overwrite_length(bag: Path) -> None:
+    """Change the length of a chunk, so that those after it cannot be found by it."""
+    start, _ = chunk_at(bag, 4)
+    change(bag, lambda data: data.__setitem__(slice(start + 1, start + 9), bytes([255] * 8)))
+
+
+def change_seed(bag: Path) -> None:
+    """Change what the recorder was told."""
+    change(bag, lambda data: data.__setitem__(data.index(b'seed\1\0\0\0') + 8, ord('8')))
+
+
+def lose_metadata(bag: Path) -> None:
+    """Take metadata.yaml away."""
+    (bag / 'metadata.yaml').unlink()
+
+
+def miscount(bag: Path) -> None:
+    """Have metadata.yaml tell of other messages."""
+    text = (bag / 'metadata.yaml').read_text()
+    (bag / 'metadata.yaml').write_text(text.replace('message_count: 100', 'message_count: 99'))
+
+
+@pytest.mark.parametrize(
+    ('damage', 'words', 'left'),
+    [
+        (flip_in_chunk, 'is damaged and left out', 180),
+        (flip_in_attachment, 'checksum', 200),
+        (cut_in_chunk, 'cut short', 180),
+        (drop_chunk, 'index is damaged', 180),
+        (repeat_chunk, '20 messages are there more than once', 200),
+        (overwrite_length, 'the head of the chunk', 200),
+        (change_seed, 'differ: one of them is damaged', 200),
+        (lose_metadata, 'metadata.yaml cannot be read', 200),
+        (miscount, 'metadata.yaml tells of 99, 100 were read', 200),
+    ],
+)
+def test_damage_is_named_and_the_rest_is_saved(
+    bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    damage: Callable[[Path], None],
+    words: str,
+    left: int,
+) -> None:
+    sent = contents(bag)
+    damage(bag)
+    before = hashlib.sha256(b''.join(f.read_bytes() for f in sorted(bag.iterdir()))).digest()
+    assert main(['bag', 'check', str(bag), '--repair', str(tmp_path / 'out')]) == 1
+    assert words in capsys.readouterr().out
+    after = hashlib.sha256(b''.join(f.read_bytes() for f in sorted(bag.iterdir()))).digest()
+    assert after == before
+    saved = contents(tmp_path / 'out')
+    assert len(saved) == left
+    assert [message for message in sent if message in set(saved)] == saved
+    assert check_bag(open_bag(tmp_path / 'out')).damage == ()
+
+
+def test_a_repaired_bag_is_whole_for_other_tools(bag: Path, tmp_path: Path) -> None:
+    flip_in_chunk(bag)
+    repair(open_bag(bag), tmp_path / 'out')
+    with Reader(tmp_path / 'out') as reader:
+        assert reader.message_count == 180
+        assert sum(1 for _ in reader.messages()) == 180
+    with (tmp_path / 'out' / 'out_0.mcap').open('rb') as stream:
+        other = make_reader(stream, validate_crcs=True)
+        summary = other.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == 180
+        assert other.get_header().profile == 'ros2'
+        (file,) = other.iter_attachments()
+        assert (file.name, file.data) == ('options.json', b'{"a": 1}')
+        assert {m.name for m in other.iter_metadata()} == {'humanopts', 'rosbag2', REPAIR}
+    out = open_bag(tmp_path / 'out')
+    assert out.metadata['humanopts'] == {'seed': '7'}
+    assert 'damaged and left out' in out.metadata[REPAIR]['damage']
+
+
+def test_a_repair_needs_no_definitions_installed(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cut_in_chunk(bag)
+    monkeypatch.setenv('AMENT_PREFIX_PATH', '')
+    assert repair(open_bag(bag), tmp_path / 'out') == 180
+    assert open_bag(tmp_path / 'out').topics['/chatter'].schema
+
+
+def test_a_repair_writes_only_where_nothing_is(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'out').mkdir()
+    assert main(['bag', 'check', str(bag), '--repair', str(tmp_path / 'out')]) == 2
+    assert 'exists already' in capsys.readouterr().err
+    assert list((tmp_path / 'out').iterdir()) == []
+    with pytest.raises(BagWriteError, match='exists already'):
+        repair(open_bag(bag), tmp_path / 'out')
+    with pytest.raises(BagError, match='is inside'):
+        repair(open_bag(bag), bag / 'out')
+    assert not (bag / 'out').exists()
+
+
+def test_the_leading_messages_of_a_large_chunk_that_was_cut_are_saved(tmp_path: Path) -> None:
+    path = tmp_path / 'bag'
+    write(path, list(range(1, 241)), flush_every=0, size=1000)
+    whole = contents(path)
+    start, end = chunk_at(path, 0)
+    assert end - start > 128 * 1024  # zstd compresses it in several parts
+    change(path, lambda data: data.__delitem__(slice(end - 10, None)))
+    found = contents(path)
+    assert 100 < len(found) < 480
+    assert found == whole[: len(found)]
+    assert 'of the chunk that was cut short are kept' in open_bag(path).damage
+
+
+def test_messages_survive_the_loss_of_the_chunk_that_describes_their_topics(bag: Path) -> None:
+    start, end = chunk_at(bag, 0)
+    change(bag, lambda data: data.__setitem__((start + end) // 2, data[(start + end) // 2] ^ 1))
+    change(bag, lambda data: data.__setitem__(-20, data[-20] ^ 1))  # and of the index
+    assert len(contents(bag)) == 180
+
+
+def test_exchanged_chunks_cost_nothing(bag: Path) -> None:
+    before = contents(bag)
+    (first, second), (third, fourth) = chunk_at(bag, 2), chunk_at(bag, 6)
+
+    def exchange(data: bytearray) -> None:
+        one, between, other = data[first:second], data[second:third], data[third:fourth]
+        data[first:fourth] = other + between + one
+
+    change(bag, exchange)
+    assert contents(bag) == before
+
+
+def test_a_file_that_metadata_does_not_list_is_read_and_named(bag: Path) -> None:
+    text = (bag / 'metadata.yaml').read_text()
+    (bag / 'metadata.yaml').write_text(text.replace('bag_0.mcap', 'gone.mcap'))
+    opened = open_bag(bag)
+    assert opened.n_messages == 200
+    assert 'gone.mcap is in metadata.yaml but is not there' in opened.damage
+    assert 'bag_0.mcap is not in metadata.yaml' in opened.damage
+
+
+def test_a_chunk_that_claims_to_be_huge_takes_no_memory(bag: Path) -> None:
+    start, _ = chunk_at(bag, 4)
+    change(bag, lambda data: struct.pack_into('<Q', data, start + 9 + 16, 2**40))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert len(contents(bag)) == 180
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KiB
+
+
+@pytest.mark.slow
+def test_large_bags_take_little_memory(tmp_path: Path) -> None:
+    write(tmp_path / 'bag', list(range(1, 20_001)), flush_every=100, size=16_000)
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    assert file.stat().st_size > 150e6
+    os.truncate(file, file.stat().st_size - 10_000)
+    for arguments in (['info'], ['check', '--repair', str(tmp_path / 'out')]):
+        done = subprocess.run(
+            [sys.executable, '-c', MEASURE, arguments[0], str(tmp_path / 'bag'), *arguments[1:]],
+            capture_output=True,
+            text=True,
+            timeout=110,
+            check=False,
+        )
+        assert int(done.stderr.split()[-2]) < 300  # MiB; Python and its packages take 130

@@ -1,0 +1,250 @@
+"""Mutated bags: no crash, no hang, and no wrong number without a warning."""
+
+from collections.abc import Callable, Sequence
+import json
+from pathlib import Path
+import shutil
+import struct
+from typing import Any
+
+from humanopts_env.convert import domain_to_info
+from humanopts_env.domains.base import Domain
+from humanopts_env.seeding import generator
+from humanopts_interfaces.msg import GameState
+from humanopts_learner.convert import demonstration_to_message
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_teach.bags.check import check_bag
+from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain, read_episodes
+from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.info import summarise
+from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.bags.repair import repair
+from humanopts_teach.bags.writer import BagWriter
+from mcap.writer import CompressionType, Writer
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+Mutation = Callable[[bytes, np.random.Generator], bytes]
+SECOND = 10**9
+BATCH = 50  # mutated bags in one test
+
+
+@pytest.fixture(scope='module')
+def lesson(
+    tmp_path_factory: pytest.TempPathFactory,
+    taxi: Domain[Any],
+    taxi_lesson: Sequence[Demonstration],
+) -> Path:
+    """A whole bag of a small lesson in some 20 chunks."""
+    path = tmp_path_factory.mktemp('fuzz') / 'lesson'
+    messages = [('/domain_info', domain_to_info(taxi))]
+    for number, demo in enumerate(taxi_lesson, start=1):
+        messages.append(('/demonstrations', demonstration_to_message(demo)))
+        messages.append(('/chatter', String(data=f'demonstration {number}')))
+        for step in range(4):
+            state = demo.states[0]
+            messages.append(('/game_state', GameState(episode=number, step=step, state=state)))
+    numbers: dict[str, int] = {}
+    with BagWriter(path, {'seed': '7', 'participant': 'p1'}) as writer:
+        for time, (topic, message) in enumerate(messages):
+            package, kind = type(message).__module__.split('.')[:2]
+            writer.add_topic(topic, f'{package}/{kind}/{type(message).__name__}')
+            numbers[topic] = numbers.get(topic, 0) + 1
+            if hasattr(message, 'sequence'):
+                message.publisher_id, message.sequence = '/n#1', numbers[topic]
+            writer.write(topic, serialize_message(message), (100 + time) * SECOND)
+            if time % 8 == 7:
+                writer.flush()
+        writer.attach('options.json', json.dumps({'a': 1}).encode())
+    return path
+
+
+@pytest.fixture(scope='module')
+def loose(lesson: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same messages in a file without chunks, so that nothing but its end has a checksum."""
+    bag = open_bag(lesson)
+    path = tmp_path_factory.mktemp('fuzz') / 'loose'
+    path.mkdir()
+    with (path / 'loose.mcap').open('wb') as stream:
+        writer = Writer(stream, use_chunking=False, compression=CompressionType.NONE)
+        writer.start(profile='ros2')
+        channels = {
+            topic.name: writer.register_channel(
+                topic.name,
+                'cdr',
+                writer.register_schema(topic.type, 'ros2msg', topic.schema.encode()),
+            )
+            for topic in bag.topics.values()
+        }
+        for r in bag.messages(decoded=False):
+            writer.add_message(channels[r.topic], r.log_time, r.data, r.publish_time)
+        writer.finish()
+    return path
+
+
+def records(data: bytes) -> list[bytes]:
+    """Split a file after its magic into records; the last may be none."""
+    found, at = [], 8
+    while at + 9 <= len(data) - 8:
+        end = at + 9 + struct.unpack_from('<Q', data, at + 1)[0]
+        found.append(data[at:end])
+        at = end
+    return [*found, data[at:]]
+
+
+def flip(data: bytes, rng: np.random.Generator) -> bytes:
+    """Change some bits of up to four bytes."""
+    changed = bytearray(data)
+    for place in rng.integers(len(data), size=rng.integers(1, 5)):
+        changed[place] ^= int(rng.integers(1, 256))
+    return bytes(changed)
+
+
+def cut(data: bytes, rng: np.random.Generator) -> bytes:
+    """Leave out the end."""
+    return data[: rng.integers(len(data))]
+
+
+def lose(data: bytes, rng: np.random.Generator) -> bytes:
+    """Leave out a piece."""
+    start = int(rng.integers(len(data)))
+    return data[:start] + data[start + int(rng.integers(1, 300)) :]
+
+
+def insert(data: bytes, rng: np.random.Generator) -> bytes:
+    """Put bytes of chance somewhere."""
+    start = int(rng.integers(len(data)))
+    return data[:start] + rng.bytes(int(rng.integers(1, 300))) + data[start:]
+
+
+def swap(data: bytes, rng: np.random.Generator) -> bytes:
+    """Exchange two records."""
+    parts = records(data)
+    first, second = rng.integers(len(parts) - 1, size=2)
+    parts[first], parts[second] = parts[second], parts[first]
+    return data[:8] + b''.join(parts)
+
+
+def repeat(data: bytes, rng: np.random.Generator) -> bytes:
+    """Write a record twice."""
+    parts = records(data)
+    parts.insert(int(rng.integers(len(parts))), parts[rng.integers(len(parts) - 1)])
+    return data[:8] + b''.join(parts)
+
+
+def drop(data: bytes, rng: np.random.Generator) -> bytes:
+    """Leave out a record."""
+    parts = records(data)
+    del parts[rng.integers(len(parts) - 1)]
+    return data[:8] + b''.join(parts)
+
+
+MUTATIONS: tuple[Mutation, ...] = (flip, cut, lose, insert, swap, repeat, drop)
+
+
+def mutate(bag: Path, target: Path, number: int) -> None:
+    """Write a bag with one or two things wrong in its file, and now and then its metadata."""
+    rng = generator(1, 'mutated bag', number)
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(bag, target)
+    (file,) = target.glob('*.mcap')
+    data = file.read_bytes()
+    in_metadata = (target / 'metadata.yaml').exists() and rng.random() < 0.2
+    if in_metadata:
+        text = (target / 'metadata.yaml').read_bytes()
+        (target / 'metadata.yaml').write_bytes((flip, cut, lose)[rng.integers(3)](text, rng))
+    for _ in range(int(rng.integers(0 if in_metadata else 1, 3))):
+        if len(data) > 50:
+            data = MUTATIONS[rng.integers(len(MUTATIONS))](data, rng)
+    file.write_bytes(data)
+
+
+def numbers_of_info(bag: Bag) -> tuple[dict[str, Any], bool]:
+    """Return what ``bag info`` tells, and whether it tells that something is wrong."""
+    info = summarise(bag)
+    info.to_text()
+    told = info.to_dict()
+    warned = bool(info.damage) or any(s.missing or s.duplicates for s in info.streams)
+    return {k: v for k, v in told.items() if k not in ('path', 'bytes', 'damage')}, warned
+
+
+def numbers_of_eval(bag: Bag) -> tuple[Any, bool]:
+    """Return what ``bag eval`` and reports read, and whether there would be a warning."""
+    domain = read_domain(bag)
+    found = (
+        dict(bag.metadata['humanopts']) if 'humanopts' in bag.metadata else None,
+        (domain.name, dict(domain.parameters)),
+        read_demonstrations(bag),
+        read_episodes(bag),
+    )
+    return found, bool(bag.damage)
+
+
+def numbers_of_check(bag: Bag) -> tuple[Any, bool]:
+    """Return what ``bag check`` tells, and whether it tells that something is wrong."""
+    check = check_bag(bag)
+    check.to_text()
+    return (check.messages, check.accounts), not check.whole
+
+
+def outcome(entry: Callable[[Bag], tuple[Any, bool]], path: Path) -> tuple[Any, bool]:
+    """Return numbers and whether there is a warning; an error with a text is one."""
+    try:
+        return entry(open_bag(path))
+    except BagError as error:
+        return None, bool(str(error))
+
+
+ENTRIES = (numbers_of_info, numbers_of_eval, numbers_of_check)
+REFUSED = (None, True)
+
+
+@pytest.mark.parametrize('batch', range(2))
+def test_no_number_of_a_mutated_bag_is_wrong_without_a_warning(
+    lesson: Path, tmp_path: Path, batch: int
+) -> None:
+    try_bags(lesson, tmp_path, range(batch * BATCH, (batch + 1) * BATCH))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('batch', range(2, 20))
+def test_no_number_of_a_thousand_mutated_bags_is_wrong_without_a_warning(
+    lesson: Path, tmp_path: Path, batch: int
+) -> None:
+    try_bags(lesson, tmp_path, range(batch * BATCH, (batch + 1) * BATCH))
+
+
+def try_bags(lesson: Path, tmp_path: Path, which: Sequence[int]) -> None:
+    """Read, check and repair mutated bags, and compare with the whole one."""
+    whole = [entry(open_bag(lesson)) for entry in ENTRIES]
+    assert not any(warned for _, warned in whole)
+    sent = {(r.topic, r.log_time, r.data) for r in open_bag(lesson).messages(decoded=False)}
+    for number in which:
+        path = tmp_path / 'bag'
+        mutate(lesson, path, number)
+        for entry, (right, _) in zip(ENTRIES, whole):
+            found, warned = outcome(entry, path)
+            assert warned or found == right, (number, entry.__name__)
+        try:
+            bag = open_bag(path)
+        except BagError:
+            continue
+        again = tmp_path / f'repaired{number}'
+        repair(bag, again)
+        repaired = open_bag(again)
+        assert not check_bag(repaired).damage, number
+        kept = [(r.topic, r.log_time, r.data) for r in repaired.messages(decoded=False)]
+        assert len(set(kept)) == len(kept), number
+        assert set(kept) <= sent, number
+        shutil.rmtree(again)
+
+
+def test_a_mutated_file_without_checksums_crashes_nothing(loose: Path, tmp_path: Path) -> None:
+    refused = 0
+    for number in range(BATCH):
+        mutate(loose, tmp_path / 'bag', number)
+        for entry in ENTRIES:
+            refused += outcome(entry, tmp_path / 'bag') == REFUSED
+    assert refused < BATCH * len(ENTRIES) / 2
