@@ -1,5 +1,6 @@
 """The command line: help, one plain line for any bad input, and two launches in one place."""
 
+import json
 from pathlib import Path
 import resource
 import signal
@@ -11,9 +12,12 @@ from graph_support.command import Command, DemoRun
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach import cli
+from humanopts_teach.bags.demonstrations import read_episodes
+from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import build_parser, main
 from humanopts_teach.commands.setup import default_folder, setup_from
 from mcap.writer import Writer
+import pexpect
 import pytest
 
 THRESHOLDS = ('--return-delta', '--initiation-error', '--termination-error')
@@ -26,9 +30,12 @@ HELP = {
     ('demo',): ('--domain', '--episodes', '--games', '--error-rate', *LAUNCH),
     ('up',): ('DOMAIN', '--no-record', '--step-period', *LAUNCH),
     ('teach',): ('DOMAIN', '--participant', *LAUNCH),
-    ('bag',): ('info', 'eval'),
+    ('bag',): ('info', 'check', 'eval', 'diff', 'play', 'export'),
     ('bag', 'info'): ('BAG', '--json'),
     ('bag', 'eval'): ('BAG', '--json', '--html', '--games'),
+    ('bag', 'diff'): ('A', 'B', '--json'),
+    ('bag', 'play'): ('BAG', '--episode', '--speed'),
+    ('bag', 'export'): ('BAG', '--to', 'csv', 'parquet', 'minari', '--out'),
 }
 
 
@@ -100,6 +107,13 @@ def test_strategies_on_offer_are_those_of_the_learner() -> None:
         (('bag',), ['COMMAND']),
         (('bag', 'burn', 'x'), ["'burn'", 'info', 'eval']),
         (('bag', 'info'), ['BAG']),
+        (('bag', 'diff', 'x'), ['B']),
+        (('bag', 'play', 'x', '--episode', 0), ['--episode']),
+        (('bag', 'play', 'x', '--speed', 0), ['--speed', '1/16']),
+        (('bag', 'play', 'x', '--speed', 'nan'), ['--speed']),
+        (('bag', 'export', 'x', '--out', 'y'), ['--to']),
+        (('bag', 'export', 'x', '--to', 'xls', '--out', 'y'), ["'xls'", 'csv']),
+        (('bag', 'eval', 'x', 'y', '--html', 'z'), ['--html', 'one bag']),
     ],
     ids=lambda value: ' '.join(map(str, value)),
 )
@@ -182,9 +196,16 @@ def foreign_bag(path: Path) -> None:
         writer.finish()
 
 
-@pytest.mark.parametrize('command', ['info', 'eval'])
+@pytest.mark.parametrize(
+    'command',
+    [
+        *(('info',), ('eval',), ('play',), ('diff', '/nowhere')),
+        ('export', '--to', 'csv', '--out', '/nowhere'),
+    ],
+    ids=lambda command: command[0],
+)
 def test_what_is_no_bag_is_refused(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: tuple[str, ...]
 ) -> None:
     (tmp_path / 'empty').touch()
     (tmp_path / 'text').write_text('Dear diary, today I taught a taxi to drive.\n')
@@ -198,7 +219,7 @@ def test_what_is_no_bag_is_refused(
         ('foreign.mcap', 'no humanopts topics'),
     ):
         path = tmp_path / name
-        check_refused(capsys, run('bag', command, path), str(path), words)
+        check_refused(capsys, run('bag', command[0], path, *command[1:]), str(path), words)
 
 
 def test_bag_that_was_cut_short_says_so_and_gives_what_is_left(
@@ -229,6 +250,69 @@ def test_eval_of_a_bag_writes_a_report_or_says_why_not(
     assert capsys.readouterr().err.strip() == f'report: {page}'
     page = tmp_path / 'nowhere/report.html'
     check_refused(capsys, run('bag', 'eval', demo.bag, '--html', page), str(page))
+
+
+def test_bags_are_told_apart_and_a_bag_is_the_same_as_itself(
+    capsys: pytest.CaptureFixture[str], demo: DemoRun, tmp_path: Path
+) -> None:
+    assert run('bag', 'diff', demo.bag, demo.bag, '--json') == 0
+    assert json.loads(capsys.readouterr().out) == {'same': True, 'differences': []}
+    content = next(demo.bag.glob('*.mcap')).read_bytes()
+    cut = tmp_path / 'cut.mcap'
+    cut.write_bytes(content[: len(content) // 8])
+    assert run('bag', 'diff', demo.bag, cut) == 1
+    out, err = capsys.readouterr()
+    assert 'demonstration' in out
+    assert 'cut short' in err
+
+
+def test_several_bags_are_evaluated_each_by_itself(
+    capsys: pytest.CaptureFixture[str], demo: DemoRun
+) -> None:
+    assert run('bag', 'eval', demo.bag, '--json') == 0
+    alone = json.loads(capsys.readouterr().out)
+    assert run('bag', 'eval', demo.bag, demo.bag, '--json') == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert [found.pop('bag') for found in listed] == [str(demo.bag)] * 2
+    for found in listed:
+        assert found['options'] == alone['options']
+
+
+def test_episode_is_played_as_text_where_there_is_no_terminal(
+    capsys: pytest.CaptureFixture[str], demo: DemoRun
+) -> None:
+    last = len(read_episodes(open_bag(demo.bag)))
+    assert run('bag', 'play', demo.bag, '--episode', last) == 0
+    out = capsys.readouterr().out
+    assert f'episode {last} of {last} · step 0' in out
+    assert 'go to passenger and pickup: ' in out  # who acted
+    assert 'the task is over' in out
+    status = run('bag', 'play', demo.bag, '--episode', last + 1)
+    check_refused(capsys, status, f'no episode {last + 1}', f'1 to {last}')
+
+
+def test_episode_is_played_in_a_terminal_until_q(demo: DemoRun) -> None:
+    command = ['-m', 'humanopts_teach.cli', 'bag', 'play', str(demo.bag), '--episode', '3']
+    with pexpect.spawn(sys.executable, command, dimensions=(40, 100), timeout=20) as child:
+        child.expect('episode 3 of')
+        child.send('n')
+        child.expect('episode 4 of')
+        child.send('q')
+        child.expect(pexpect.EOF)
+        child.wait()
+        assert child.exitstatus == 0
+
+
+def test_tables_of_a_bag_are_written(
+    capsys: pytest.CaptureFixture[str], demo: DemoRun, tmp_path: Path
+) -> None:
+    assert run('bag', 'export', demo.bag, '--to', 'csv', '--out', tmp_path / 'new/csv') == 0
+    out, err = capsys.readouterr()
+    assert sorted(map(Path, out.split())) == sorted((tmp_path / 'new/csv').iterdir())
+    assert err == ''
+    (tmp_path / 'file').touch()
+    status = run('bag', 'export', demo.bag, '--to', 'csv', '--out', tmp_path / 'file')
+    check_refused(capsys, status, f'cannot write in {tmp_path / "file"}')
 
 
 def test_reader_that_stops_reading_ends_the_command_quietly(demo: DemoRun) -> None:

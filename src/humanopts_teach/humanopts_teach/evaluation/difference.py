@@ -169,7 +169,7 @@ def _shown(value: Any) -> str:
         return '-'
     if isinstance(value, dict) and 'nodes' in value:
         return f'{len(value["nodes"])} nodes'
-    if value is True:
-        return 'yes'
+    if isinstance(value, bool):
+        return 'yes' if value else 'no'
     text = f'{value:g}' if isinstance(value, float) else str(value)
     return text if len(text) <= MOST_SHOWN else text[: MOST_SHOWN - 3] + '...'
