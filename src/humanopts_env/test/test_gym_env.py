@@ -1,5 +1,6 @@
 """Our domains as Gymnasium environments, and Gymnasium's Taxi as a check of ours."""
 
+from types import SimpleNamespace
 from typing import Any
 import warnings
 
@@ -197,6 +198,9 @@ def test_game_seed_gives_the_episode_of_the_node_game(name: str, start: bool) ->
 
 def test_any_domain_whose_states_can_be_listed_has_an_environment() -> None:
     """With its own name and parameters; others are refused."""
+    chess: Any = SimpleNamespace(name='chess', parameters={})
+    with pytest.raises(DomainError, match='no Gymnasium environment of chess'):
+        spec_of(chess)
     lake = make_domain('gymnasium:FrozenLake-v1')
     assert spec_of(lake).make().unwrapped.domain.name == lake.name
     assert (

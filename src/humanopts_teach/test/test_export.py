@@ -170,7 +170,6 @@ def test_export_says_which_package_is_missing(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.filterwarnings('ignore::UserWarning')  # Minari asks for authors and the like
 @pytest.mark.parametrize(
     ('name', 'parameters'), [('taxi', {}), ('rooms', {}), ('pacman', {'maze': 'yard'})]
 )
@@ -194,6 +193,23 @@ def test_episodes_of_a_minari_dataset_step_through_our_environments(
         recorded = episode.rewards, episode.terminations, episode.truncations
         for here, there in zip(others, recorded, strict=True):
             assert list(here[1:]) == there.tolist()
+
+
+def test_episodes_with_gaps_are_left_out_and_counted(tmp_path: Path, taxi: Domain[Any]) -> None:
+    pytest.importorskip('minari')
+    pytest.importorskip('pyarrow')
+    with BagWriter(tmp_path / 'gap') as bag:
+        for time, (topic, kind, message) in enumerate(entries(taxi, 2, []), start=1):
+            lost = topic == '/game_state' and (message.episode, message.step) == (1, 5)
+            if not lost and kind != EVENT:
+                bag.add_topic(topic, kind)
+                bag.write(topic, serialize_message(message), time)
+    written = write_dataset(open_bag(tmp_path / 'gap'), tmp_path / 'out')
+    assert (written.episodes, written.left_out) == (1, 1)
+    (kept,) = (tmp_path / 'out').rglob('data/0/metadata.json')
+    assert list(json.loads(kept.read_text())['options']) == ['state']  # no request was recorded
+    with pytest.raises(ExportError, match='already exists'):
+        write_dataset(open_bag(tmp_path / 'gap'), tmp_path / 'out')
 
 
 def test_dataset_is_named_by_domain_and_bag(taxi: Domain[Any]) -> None:

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 import re
 from typing import Any
+import warnings
 
 from humanopts_env.domains.base import action_index, Domain, DomainError
 from humanopts_env.gym_env import spec_of
@@ -65,7 +66,8 @@ def write_dataset(bag: Bag, out: Path) -> Exported:
         for number, episode in enumerate(whole)
     ]
     name = dataset_name(domain, bag.path)
-    with _looking_in(out):
+    with _looking_in(out), warnings.catch_warnings():
+        warnings.simplefilter('ignore', UserWarning)  # that no author is named, and the like
         try:
             minari.create_dataset_from_buffers(
                 name, buffers, env=spec, data_format=FORMAT, description=_description(domain)
@@ -77,7 +79,7 @@ def write_dataset(bag: Bag, out: Path) -> Exported:
 
 def dataset_name(domain: Domain[Any], bag: Path) -> str:
     """Return the id of a bag's dataset."""
-    parts = (re.sub(r'\W+', '-', text).strip('-') for text in (domain.name, bag.stem))
+    parts = (re.sub(r'\W+', '-', text).strip('-') for text in (domain.name, bag.resolve().stem))
     return '/'.join([AUTHOR, *parts]) + '-v0'
 
 
