@@ -27,7 +27,6 @@ def run(arguments: argparse.Namespace) -> int:
     bag = open_bag(arguments.bag)
     with _progress('checking') as tell:
         check = check_bag(bag, tell)
-    print(json.dumps(check.to_dict(), indent=2) if arguments.json else check.to_text())
     if out is not None:
         try:
             with _progress('writing') as tell:
@@ -35,6 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
         except BagWriteError as error:
             raise CommandError(str(error)) from error
         print(f'{out}: {count} messages, all that could be saved', file=sys.stderr)
+    print(json.dumps(check.to_dict(), indent=2) if arguments.json else check.to_text())
     return 0 if check.whole else 1
 
 
