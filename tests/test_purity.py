@@ -77,13 +77,27 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize('command', ['info', 'eval'])
-def test_a_bag_is_read_where_there_is_no_ros(demo: DemoRun, command: str) -> None:
+@pytest.mark.parametrize(
+    ('command', 'words'),
+    [
+        (('info', 'BAG'), 'demonstrations'),
+        (('eval', 'BAG'), 'go to passenger and pickup'),
+        (('check', 'BAG'), ''),
+        (('diff', 'BAG', 'BAG'), 'the lessons are the same'),
+        (('play', 'BAG'), 'episode 1 of'),
+        (('export', 'BAG', '--to', 'csv', '--out', 'OUT'), 'steps.csv'),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else '',
+)
+def test_a_bag_is_read_where_there_is_no_ros(
+    demo: DemoRun, tmp_path: Path, command: tuple[str, ...], words: str
+) -> None:
+    paths = {'BAG': str(demo.bag), 'OUT': str(tmp_path)}
     done = subprocess.run(
-        [sys.executable, '-c', WITHOUT_ROS, 'bag', command, str(demo.bag)],
+        [sys.executable, '-c', WITHOUT_ROS, 'bag', *(paths.get(word, word) for word in command)],
         capture_output=True,
         text=True,
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, '')
-    assert ('demonstrations' if command == 'info' else 'go to passenger and pickup') in done.stdout
+    assert words in done.stdout
