@@ -6,7 +6,6 @@ from typing import Any
 from humanopts_teach.bags.check import OnProgress
 from humanopts_teach.bags.directory import load
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.loss import Stream
 from humanopts_teach.bags.reader import Bag, Topic
 from humanopts_teach.bags.schemas import Definitions
 from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
@@ -18,8 +17,8 @@ def repair(bag: Bag, out: Path, progress: OnProgress | None = None) -> int:
     """
     Write what can be read of a bag as a new one, and leave the old one alone.
 
-    Messages keep their bytes, times and order. One that is there again, by our recorder's number
-    and the time, is written once.
+    Messages keep their bytes, times and order. One that our recorder wrote once and that is there
+    again (its number, time and bytes are the same) is written once.
 
     :param out: folder of the new bag; must not exist.
     :return: number of messages written.
@@ -54,19 +53,21 @@ class _Recorded(Definitions):
 
 def _copy(bag: Bag, writer: BagWriter, progress: OnProgress | None) -> int:
     """Copy the messages; return how many were repetitions, which are left out."""
-    streams: dict[str, Stream] = {}
+    repeated, time = 0, -1
+    now: set[tuple[str, int, bytes]] = set()  # what was written of this log time
     for done, recorded in enumerate(bag.messages(decoded=False), start=1):
-        stream = streams.setdefault(recorded.topic, Stream())
-        if bag.numbered:
-            before = stream.duplicates
-            stream.add(recorded.sequence)
-            if stream.duplicates > before:
-                continue
-        times = (recorded.log_time, recorded.publish_time)
-        writer.write(recorded.topic, recorded.data, *times)
+        if recorded.log_time != time:
+            time = recorded.log_time
+            now.clear()
+        key = (recorded.topic, recorded.sequence, recorded.data)
+        if bag.numbered and key in now:
+            repeated += 1
+        else:
+            now.add(key)
+            writer.write(recorded.topic, recorded.data, time, recorded.publish_time)
         if progress is not None and done % 1000 == 0:
             progress(done, max(done, bag.n_messages))
-    return sum(stream.duplicates for stream in streams.values())
+    return repeated
 
 
 def _profiles(topic: Topic) -> list[dict[str, Any]]:
