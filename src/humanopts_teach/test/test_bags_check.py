@@ -36,14 +36,14 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, status, file=s
 
 
 def write(
-    path: Path, sequences: list[int], flush_every: int = 10, size: int = SHORT, close: bool = True
-) -> BagWriter:
+    path: Path, sequences: list[int], flush_every: int = 10, size: int = SHORT, start: int = START
+) -> None:
     """Write game states with these numbers, and a text for each."""
     writer = BagWriter(path, {'seed': '7'})
     writer.add_topic('/game_state', GAME)
     writer.add_topic('/chatter', TEXT)
     for place, sequence in enumerate(sequences):
-        time = START + 2 * place * 10**6
+        time = start + 2 * place * 10**6
         state = os.urandom(size // 2).hex()
         message = GameState(publisher_id='/game#1', sequence=sequence, state=state)
         writer.write('/game_state', serialize_message(message), time, time - 5)
@@ -51,9 +51,7 @@ def write(
         if flush_every and (place + 1) % flush_every == 0:
             writer.flush()
     writer.attach('options.json', b'{"a": 1}')
-    if close:
-        writer.close()
-    return writer
+    writer.close()
 
 
 @pytest.fixture
@@ -245,6 +243,15 @@ def test_a_repair_writes_only_where_nothing_is(
     with pytest.raises(BagError, match='is inside'):
         repair(open_bag(bag), bag / 'out')
     assert not (bag / 'out').exists()
+
+
+def test_a_bag_of_several_files_becomes_one(bag: Path, tmp_path: Path) -> None:
+    write(tmp_path / 'more', [101, 102], start=START + 10**9)
+    (tmp_path / 'more' / 'more_0.mcap').rename(bag / 'bag_1.mcap')
+    before = contents(bag)
+    repair(open_bag(bag), tmp_path / 'out')
+    assert contents(tmp_path / 'out') == before
+    assert [file.name for file in (tmp_path / 'out').glob('*.mcap')] == ['out_0.mcap']
 
 
 def test_the_leading_messages_of_a_large_chunk_that_was_cut_are_saved(tmp_path: Path) -> None:
