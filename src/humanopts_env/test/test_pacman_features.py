@@ -6,6 +6,7 @@ from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.paths import STAY
 from humanopts_env.domains.pacman.planning_features import (
     arrival_steps,
+    CONTEXT,
     PLANNING_FEATURES,
     planning_features,
     planning_keys,
@@ -214,6 +215,11 @@ def test_nobody_arrives_sooner_than_by_a_shortest_path() -> None:
         steps = arrival_steps(paths)
         assert (steps[:, STAY] == paths.distance).all()
         assert (steps >= paths.distance[:, None]).all()
+
+
+def test_context_is_some_of_the_planning_features() -> None:
+    """A name that is misspelt would pool nothing."""
+    assert set(CONTEXT) < {feature.name for feature in PLANNING_FEATURES}
 
 
 @pytest.mark.parametrize('maze', ['gardens', 'yard', '%%%%%\n%P..%\n%%%%%'])
