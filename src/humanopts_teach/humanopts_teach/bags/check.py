@@ -1,7 +1,7 @@
 """What of a bag is damaged or missing: the file itself, and every publisher's numbers."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -98,8 +98,7 @@ def check_bag(bag: Bag, progress: OnProgress | None = None) -> Check:
         numbers.add(recorded)
         if progress is not None and done % 1000 == 0:
             progress(done, max(done, bag.n_messages))
-    _compare_counts(bag, counts)
-    _compare_times(bag, extent)
+    _compare(bag, counts, extent)
     accounts = [
         Account(topic, who, s.last, s.received, s.missing, s.duplicates, s.late)
         for topic, who, s in numbers.ledger
@@ -134,37 +133,42 @@ class _Numbers:
             self.ledger.add(recorded.topic, Stamp(RECORDER, recorded.sequence))
 
 
-def _compare_counts(bag: Bag, counts: Counter[str]) -> None:
-    """Note where metadata.yaml or an index counts other messages than were read."""
-    for topic in bag.topics.values():
-        if topic.messages != counts[topic.name]:
-            bag.note(f'{topic.name}: {counts[topic.name]} of {topic.messages} messages were read')
+def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
+    """Note where metadata.yaml or an index tells of other messages than were read."""
+    indexed = {topic.name: topic.messages for topic in bag.topics.values()}
+    for name, count in indexed.items():
+        if count != counts[name]:
+            bag.note(f'{name}: {counts[name]} of {count} messages were read')
     if not bag.information:
         return
-    told = {}
     try:
-        for entry in bag.information['topics_with_message_count']:
-            told[entry['topic_metadata']['name']] = int(entry['message_count'])
-        total = int(bag.information['message_count'])
+        total, told, times = _told(bag.information)
     except (KeyError, TypeError, ValueError):
-        bag.note(f'{FILE} does not count the messages')
+        bag.note(f'{FILE} does not tell the counts and times of messages')
         return
-    if total != counts.total():
-        bag.note(f'{FILE} tells of {total} messages, and {counts.total()} were read')
-    for name in sorted(set(told) | set(counts)):
-        if told.get(name, 0) != counts[name]:
+    if total != extent.messages:
+        bag.note(f'{FILE} tells of {total} messages, and {extent.messages} were read')
+        return  # so that the rest differs too, as in a recording that was not closed
+    for name in sorted(told.keys() | counts.keys()):
+        if told.get(name, 0) not in (counts[name], indexed.get(name)):
             bag.note(f'{name}: {FILE} tells of {told.get(name, 0)}, {counts[name]} were read')
-
-
-def _compare_times(bag: Bag, extent: Extent) -> None:
-    """Note where metadata.yaml tells of other times than were read."""
-    if not bag.information:
-        return
-    try:
-        start = bag.information['starting_time']['nanoseconds_since_epoch']
-        duration = bag.information['duration']['nanoseconds']
-    except (KeyError, TypeError):
-        bag.note(f'{FILE} does not tell the times')
-        return
-    if (start, duration) != (extent.first, extent.duration):
+    if times != (extent.first, extent.duration):
         bag.note(f'{FILE} tells of another beginning or duration than its messages')
+
+
+def _told(information: Mapping[str, Any]) -> tuple[int, dict[str, int], tuple[int, int]]:
+    """
+    Return what metadata.yaml tells: messages, those of each topic, beginning and duration in ns.
+
+    :raises KeyError: it does not; TypeError and ValueError: what it says is nonsense.
+    """
+    topics = {
+        str(entry['topic_metadata']['name']): int(entry['message_count'])
+        for entry in information['topics_with_message_count']
+    }
+    start = int(information['starting_time']['nanoseconds_since_epoch'])
+    return (
+        int(information['message_count']),
+        topics,
+        (start, int(information['duration']['nanoseconds'])),
+    )
