@@ -1,8 +1,7 @@
 """``humanopts bag``: looks into a recorded bag, with no ROS."""
 
 import argparse
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
 import json
 import sys
@@ -11,20 +10,18 @@ from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands import bag_check, bag_export, bag_play
+from humanopts_teach.commands.bar import progress_bar
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate_bag,
     EvaluationError,
-    OnProgress,
     with_games,
 )
 from humanopts_teach.evaluation.difference import compare, difference_text, read_lesson
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.report.bag_parts import bag_parts
 from humanopts_teach.report.write import write_evaluation_report
-from rich.console import Console
-from rich.progress import Progress
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -72,7 +69,7 @@ def _eval(arguments: argparse.Namespace) -> int:
 
 
 def _evaluated(bag: Bag, games: int) -> BagEvaluation:
-    with _progress() as tell:
+    with progress_bar() as tell:
         evaluation = evaluate_bag(bag, tell)
         if games:
             evaluation = with_games(
@@ -83,7 +80,7 @@ def _evaluated(bag: Bag, games: int) -> BagEvaluation:
 
 def _diff(arguments: argparse.Namespace) -> int:
     bags = [open_bag(path) for path in (arguments.a, arguments.b)]
-    with _progress() as tell:
+    with progress_bar() as tell:
         lessons = [read_lesson(bag, tell) for bag in bags]
     found = compare(*lessons)
     for bag, lesson in zip(bags, lessons):
@@ -92,17 +89,6 @@ def _diff(arguments: argparse.Namespace) -> int:
     listed = {'same': not found, 'differences': [asdict(difference) for difference in found]}
     print(json.dumps(listed, indent=2) if arguments.json else difference_text(found))
     return 1 if found else 0
-
-
-@contextmanager
-def _progress() -> Iterator[OnProgress]:
-    """Show a bar on standard error where it is a terminal."""
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task('reading', total=None)
-        yield lambda done, total, text: progress.update(
-            task, completed=done, total=total, description=text
-        )
 
 
 def _print(as_json: bool, bags: Sequence[Bag], found: Sequence[BagEvaluation]) -> None:
