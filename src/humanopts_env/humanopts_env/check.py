@@ -45,7 +45,7 @@ def check_domain(domain: Domain[Any], name: str) -> None:
         _check_tables(domain)
     except _Breach as breach:
         raise ContractError(f'{name} breaks the contract of domains: {breach}') from None
-    except Exception as error:  # whatever a plug-in raises
+    except (Exception, SystemExit) as error:  # whatever a plug-in raises
         raise ContractError(
             f'{name} breaks the contract of domains: it raised {type(error).__name__}: {error}'
         ) from error
@@ -91,8 +91,8 @@ def _check_walk(domain: Domain[Any]) -> None:
         action = int(rng.integers(len(domain.actions)))
         outcome, again = (domain.step(state, action, generator(1, number)) for _ in range(2))
         where = f'{domain.actions[action].name} in {domain.encode(state)!r}'
-        _expect(outcome == again, f'{where} is not the same again with the same generator')
         _expect(math.isfinite(outcome.reward), f'{where} has the reward {outcome.reward}')
+        _expect(outcome == again, f'{where} is not the same again with the same generator')
         over = domain.is_over(outcome.state)
         _expect(outcome.terminated == over, f'{where}: terminated and is_over disagree')
         _expect(domain.can_follow(state, action, outcome.state), f'can_follow denies {where}')

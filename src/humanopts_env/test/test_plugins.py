@@ -34,6 +34,10 @@ def broken():
     raise RuntimeError('no licence found')
 
 
+def leaving():
+    raise SystemExit(3)
+
+
 def options(domain):
     return {'nothing': None}
 
@@ -45,6 +49,7 @@ DOMAINS = {
     'cab': 'cab_plugin:Cab',
     'wide': 'cab_plugin:Wide',
     'broken': 'cab_plugin:broken',
+    'leaving': 'cab_plugin:leaving',
     'gone': 'cab_plugin_that_is_not_there:Cab',
     'empty': 'cab_plugin:Bus',
 }
@@ -82,6 +87,7 @@ def test_a_domain_of_another_package_is_made_by_its_name() -> None:
         ('gone', "'gone' of cab-plugin cannot be loaded from .*ModuleNotFoundError"),
         ('empty', "'empty' of cab-plugin cannot be loaded .*Bus"),
         ('broken', 'broken cannot be made: RuntimeError: no licence found'),
+        ('leaving', 'leaving cannot be made: SystemExit: 3'),
         ('wide', r'wide breaks the contract of domains: .*\(10,\) features'),
         ('bus', "no domain 'bus'; there is .*cab.*gymnasium:ENV_ID"),
     ],
@@ -184,6 +190,15 @@ class Raising(Taxi):
         raise ZeroDivisionError('division by zero')
 
 
+class Worthless(Taxi):
+    """A reward that is no number."""
+
+    def step(self, state: TaxiState, action: int, rng: np.random.Generator) -> Outcome[TaxiState]:
+        """Give nan."""
+        outcome = super().step(state, action, rng)
+        return Outcome(outcome.state, float('nan'), outcome.terminated)
+
+
 class TwoKeys(Taxi):
     """Two actions of one key."""
 
@@ -206,6 +221,7 @@ class TwoKeys(Taxi):
         (Jumpy, 'can_follow denies'),
         (Sudden, 'terminated and is_over disagree'),
         (Raising, 'it raised ZeroDivisionError: division by zero'),
+        (Worthless, 'has the reward nan'),
         (TwoKeys, 'two actions have one key'),
     ],
 )

@@ -24,6 +24,15 @@ GRID_STYLES = {
     'H': 'bold red',
     'F': 'dim',
 }
+TILES = {
+    AGENT: 'agent',
+    START: 'start',
+    'F': 'ice',
+    'H': 'hole',
+    FLOOR: 'floor',
+    NEVER: 'never entered',
+    GOAL: 'goal',
+}
 HIGHLIGHT = re.compile(r'(?:\x1b\[[\d;]*m)*\x1b\[(?:\d+;)*4\d(?:;\d+)*m([^\x1b]*)\x1b\[0?m')
 ESCAPE = re.compile(r'\x1b\[[\d;]*m')
 KEYS = string.digits + string.ascii_lowercase + string.ascii_uppercase
@@ -85,12 +94,14 @@ def _actions(env: Any, name: str, count: int) -> tuple[Action, ...]:
 
 def _grid_view(actions: tuple[Action, ...], shape: tuple[int, int], tiles: list[str]) -> View:
     rows, cols = shape
+    present = (f'{tile} {what}' for tile, what in TILES.items() if tile == AGENT or tile in tiles)
+    legend = '   '.join(present)
 
     def draw(state: int, seen: Mapping[str, str]) -> str:
         at = state if len(seen) == 2 else -1  # drawn only where row and column may be seen
         cells = [(AGENT if cell == at else ' ') + tile for cell, tile in enumerate(tiles)]
         lines = [''.join(cells[row * cols : (row + 1) * cols]) for row in range(rows)]
-        return '\n'.join([*lines, *([] if len(seen) == 2 else [_words(seen)])])
+        return '\n'.join([*lines, legend, *([] if len(seen) == 2 else [_words(seen)])])
 
     features = (
         Feature('row', 'which row the agent is in', FeatureKind.ORDINAL, _numbers(rows)),

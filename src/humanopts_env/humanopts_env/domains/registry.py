@@ -41,7 +41,7 @@ def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) ->
         raise DomainError(
             f'{name} does not take the parameters {parameters}; it takes {known}'
         ) from error
-    except Exception as error:  # whatever a plug-in raises
+    except (Exception, SystemExit) as error:  # whatever a plug-in raises
         raise DomainError(f'{name} cannot be made: {_said(error)}') from error
     if not ours:
         check_domain(domain, name)
@@ -81,7 +81,7 @@ def reference_options(domain: Domain[Any]) -> dict[str, ReferenceOption]:
         return dict(_load(point)(domain))
     except DomainError:
         raise
-    except Exception as error:  # whatever a plug-in raises
+    except (Exception, SystemExit) as error:  # whatever a plug-in raises
         text = f'the reference options of {domain.name} cannot be made: {_said(error)}'
         raise DomainError(text) from error
 
@@ -106,11 +106,11 @@ def _entry_point(group: str, name: str) -> EntryPoint | None:
 def _load(point: EntryPoint) -> Callable[..., Any]:
     try:
         return cast(Callable[..., Any], point.load())
-    except Exception as error:  # whatever a plug-in raises
+    except (Exception, SystemExit) as error:  # whatever a plug-in raises
         package = point.dist.name if point.dist else 'an unknown package'
         text = f'{point.name!r} of {package} cannot be loaded from {point.value}: {_said(error)}'
         raise DomainError(text) from error
 
 
-def _said(error: Exception) -> str:
+def _said(error: BaseException) -> str:
     return f'{type(error).__name__}: {error}'

@@ -229,7 +229,8 @@ def _counts(result: Any) -> str:
     if isinstance(result, PlanResult):
         seconds = result.table_seconds + result.model_seconds + result.sweep_seconds
         return f'Planned for {result.n_states} states in {seconds:.2f} s'
-    played = f'{result.successes} of {result.episodes} episodes done'
+    done = f'{result.successes} of {result.episodes} episodes done'
+    played = done if result.episodes else 'no episode was played to its end'
     mean = f', mean return {result.mean_return:.2f}' if result.episodes else ''
     stops = f', {result.interruptions} options stopped' if result.interruptions else ''
     return f'{played}, {result.fallbacks} fallbacks{stops}{mean}'

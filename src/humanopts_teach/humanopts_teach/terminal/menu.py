@@ -76,7 +76,7 @@ def _name_option(app: App) -> None:
     app.show(
         TextScreen(
             'What is the option called?',
-            'In your own words, such as: go to passenger and pickup',
+            'In your own words: go to ..., avoid ..., fetch ...',
             submit=_define,
             answered=_defined,
             back=to_menu,
