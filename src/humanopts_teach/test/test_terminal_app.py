@@ -164,6 +164,27 @@ def test_questions_are_answered_by_y_and_n_only(teacher: Person) -> None:
     assert teacher.press('N') == AnswerQuestion(4, yes=False)
 
 
+def test_all_other_questions_are_answered_no_by_one_key(teacher: Person) -> None:
+    teacher.lesson(Phase.ASKING, question_id=3, chosen_features=())
+    assert teacher.press('o') is None  # an option must depend on something
+    assert not teacher.sees_words('no to all others')
+    teacher.lesson(Phase.ASKING, question_id=4, chosen_features=CHOSEN)
+    assert teacher.sees_words('o no to all others')
+    request = teacher.press('o')
+    for number in (4, 5):
+        assert request == AnswerQuestion(number, yes=False)
+        teacher.lesson(Phase.ASKING, question_id=number + 1)
+        request = teacher.answer(request)
+    teacher.lesson(Phase.READY, question_id=0)
+    assert teacher.answer(request) is None
+
+
+def test_no_to_all_others_stops_at_a_refusal(teacher: Person) -> None:
+    teacher.lesson(Phase.ASKING, question_id=4)
+    request = teacher.press('o')
+    assert teacher.answer(request, ok=False, text='it cannot be written') is None
+
+
 def test_keys_wait_until_the_question_that_they_answer_is_shown(teacher: Person) -> None:
     teacher.lesson(Phase.ASKING, question_id=3)
     first = teacher.press('y', 'n')

@@ -52,6 +52,7 @@ class LessonScreen(PlainScreen):
     run: Callable[[str, App], None]
     again: bool = False  # the next done says that the option could start again there
     automatic: bool = False  # the next demonstration begins by itself
+    rest: bool = False  # all other questions are answered no
 
     def press(self, key: str, app: App) -> None:
         """Carry out one key as the phase has it."""
@@ -60,8 +61,11 @@ class LessonScreen(PlainScreen):
             return
         table = self.table(app)
         action, command = table.action(key), table.command(key)
+        self.rest = False
         if lesson.phase is Phase.ASKING and key in tuple('yYnN'):
             app.ask(AnswerQuestion(lesson.question_id, key in 'yY'))
+        elif key in tuple('oO') and _can_skip(lesson):
+            self.rest = True
         elif lesson.phase is Phase.READY and key == SPACE:
             self.automatic = True
         elif action is not None:
@@ -70,8 +74,10 @@ class LessonScreen(PlainScreen):
             self._carry_out(command, lesson, app)
 
     def tick(self, app: App) -> None:
-        """Begin the next demonstration."""
+        """Begin the next demonstration, or answer the next of the other questions."""
         lesson = app.world.lesson
+        if self.rest and lesson is not None and _can_skip(lesson):
+            app.ask(AnswerQuestion(lesson.question_id, yes=False))
         if self.automatic and lesson is not None and lesson.phase is Phase.READY:
             app.ask(Begin())
 
@@ -79,6 +85,8 @@ class LessonScreen(PlainScreen):
         """Go on to the next start state, or stop where something was refused."""
         if isinstance(reply.request, Begin):
             self.automatic = False
+        elif isinstance(reply.request, AnswerQuestion) and not reply.ok:
+            self.rest = False
         elif isinstance(reply.request, End) and reply.ok:
             self.again = False
             self.automatic = True
@@ -99,6 +107,8 @@ class LessonScreen(PlainScreen):
         """Return the keys of the phase and what they do."""
         phase, table = _phase(app), self.table(app)
         first: Keys = [('y', 'yes'), ('n', 'no')] if phase is Phase.ASKING else []
+        if app.world.lesson is not None and _can_skip(app.world.lesson):
+            first.append(('o', 'no to all others'))
         if phase is Phase.DEMONSTRATING:
             first = [(label(action.key), action.name) for action in app.domain.actions]
         again = f'can restart at its end: {"YES" if self.again else "no"}'
@@ -159,6 +169,10 @@ class LessonScreen(PlainScreen):
     def _ask_again(self, lesson: LessonView, app: App) -> None:
         app.show(self)
         app.ask(DefineOption(lesson.option_name, ask_again=True))
+
+
+def _can_skip(lesson: LessonView) -> bool:
+    return lesson.phase is Phase.ASKING and bool(lesson.chosen_features)
 
 
 def _phase(app: App) -> Phase:
