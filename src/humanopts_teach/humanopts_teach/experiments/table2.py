@@ -102,10 +102,8 @@ def compute(parameters: Mapping[str, Any]) -> dict[str, Any]:
         if is_enumerable(domain):
             played[game.name] = plan_exactly(domain, asked, parameters['plans'])
         else:
-            seed, settings = _seed(parameters, game.name), parameters['seed']
-            played[game.name] = plan_from_samples(
-                domain, asked, parameters['plans'], effort, seed, settings
-            )
+            seed = _seed(parameters, game.name)
+            played[game.name] = plan_from_samples(domain, asked, parameters['plans'], effort, seed)
     return {'costs': {kind.name: owned.cost for kind, owned in found}, 'games': played}
 
 

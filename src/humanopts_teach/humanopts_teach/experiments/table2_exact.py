@@ -61,7 +61,7 @@ def _timed(
 
 
 def _seconds(plan: Plan) -> float:
-    return sum(getattr(plan, name) for name in SECONDS)
+    return float(sum(getattr(plan, name) for name in SECONDS))
 
 
 def _made(

@@ -19,21 +19,13 @@ from humanopts_teach.experiments.table2_record import record
 import numpy as np
 
 Options = Sequence[LearnedOption | BatchOption]
-GAMMAS = (0.95, 0.97, 0.985, 0.995)
-CHOICES: dict[str, tuple[float, ...]] = {  # of ``Sampling``, that are tried
-    'rounds': (4, 8),
-    'explore': (0.1, 0.2),
-    'penalty': (5.0, 15.0, 30.0),
-    'pooling': (0.0, 100.0, 300.0),
-    'margin': (10.0, 20.0, 40.0),
-}
 
 
 @dataclass(frozen=True)
 class Effort:
     """How much is sampled and played; with primitive actions alone more, as steps cost less."""
 
-    tried: int = 5  # settings
+    tried: int = 5  # settings, at most
     search_games: int = 60
     search_steps: int = 50_000  # game steps that a plan is made from in the search
     largest: int = 200_000  # of the last point of the curve, and of the plans of the table
@@ -68,18 +60,28 @@ class Setting:
         return Sampling(**known)
 
 
-def drawn_settings(gamma: float, seed: int, count: int) -> list[Setting]:
-    """Draw settings to try; the first is the usual one, with the domain's own ``gamma``."""
-    usual, rng = Sampling(), generator(seed, 'table 2', 'settings')
-    first = Setting(gamma, **{name: getattr(usual, name) for name in CHOICES})
-    return [first, *(_setting(rng) for _ in range(count - 1))]
+def settings_to_try(gamma: float, count: int) -> list[Setting]:
+    """
+    Return settings, the same for every action set; the first is the usual one.
 
+    The second and third were found by hand with the reference options, in either kind of ghosts;
+    the others look farther ahead.
 
-def _setting(rng: np.random.Generator) -> Setting:
-    drawn: dict[str, Any] = {
-        name: values[rng.integers(len(values))] for name, values in CHOICES.items()
+    :param gamma: the domain's own.
+    :param count: 1 to 5.
+    """
+    known = {part.name for part in fields(Setting)}
+    usual: dict[str, Any] = {
+        name: value for name, value in asdict(Sampling()).items() if name in known
     }
-    return Setting(GAMMAS[rng.integers(len(GAMMAS))], **drawn)
+    settings = [
+        Setting(gamma, **usual),
+        Setting(0.985, 8, 0.1, penalty=30.0, pooling=300.0, margin=30.0),
+        Setting(0.985, 8, 0.1, penalty=0.0, pooling=1000.0, margin=5.0),
+        Setting(0.985, **usual),
+        Setting(0.995, **usual),
+    ]
+    return settings[:count]
 
 
 def plan_from_samples(
@@ -88,18 +90,16 @@ def plan_from_samples(
     plans: int,
     effort: Effort,
     seed: int,
-    settings_seed: int,
 ) -> dict[str, Any]:
     """
     Search with each kind and its options, then plan with what was best.
 
     :param plans: how many are made of the largest budget, each by chance of its own.
     :param seed: of plans and games; those of the search are others.
-    :param settings_seed: of the settings to try.
     :return: by kind a curve (an entry for each budget), plans, and the search; and what each other
         way to carry out the same human plan gains, by plan.
     """
-    settings = drawn_settings(domain.gamma, settings_seed, effort.tried)
+    settings = settings_to_try(domain.gamma, effort.tried)
     found: dict[str, Any] = {}
     gains: dict[str, list[float]] = {}
     for kind, options in asked:

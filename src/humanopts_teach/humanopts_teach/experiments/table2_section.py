@@ -1,7 +1,7 @@
 """Table 2 in the report: what it says, the tables, and the curves."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from functools import partial
 import re
 from typing import Any
@@ -11,7 +11,7 @@ from humanopts_teach.experiments.sections import Paint, Picture, Section, Table,
 from humanopts_teach.experiments.study import Experiment, Study
 from humanopts_teach.experiments.table2_kinds import AS_IN_PAPER, Game, GAMES, TAXI, UNIFORM
 from humanopts_teach.experiments.table2_record import SECONDS
-from humanopts_teach.experiments.table2_sampled import CHOICES, GAMMAS
+from humanopts_teach.experiments.table2_sampled import Setting
 from humanopts_teach.experiments.table2_series import Gain, gather, gather_gains, Line
 from humanopts_teach.experiments.table2_words import comparisons
 from humanopts_teach.report.figures import Drawing, SERIES
@@ -59,7 +59,6 @@ EXPERIMENT = Experiment(table2.NAME, TITLE, table2.cells, present)
 
 def _text(study: Study) -> list[str]:
     effort = table2.EFFORT
-    tried = ', '.join(f'{name} {"/".join(f"{v:g}" for v in CHOICES[name])}' for name in CHOICES)
     return [
         'Planning seconds are those of a processor, not of the clock on the wall: policy tables '
         '(what the trees of learned options do in every state), models (of options; sampling is '
@@ -70,8 +69,9 @@ def _text(study: Study) -> list[str]:
         'from every start state, and what varies is whose options they are.',
         'In Pac-Man models are sampled. For every action set, and the options of everybody, the '
         f'same {effort.tried} settings are tried with plans of {effort.search_steps:,} game steps '
-        f'in {effort.search_games} games: the usual one, and others drawn from gamma '
-        f'{"/".join(map(str, GAMMAS))}, {tried}. With the best of them, plans are made and judged '
+        f'in {effort.search_games} games: the usual one, two that were found by hand with the '
+        'reference options, and two that look farther ahead. '
+        'With the best of them, plans are made and judged '
         f'with other seeds, {effort.games} games each, from {effort.largest:,} game steps. '
         'Primitive actions alone have finer planning states, and their steps cost less: they get '
         f'{effort.primitive_search_steps:,} in the search and {effort.primitive_largest:,} then. '
@@ -203,7 +203,7 @@ def _search_table(lines: Sequence[Line]) -> Table:
                 rows.append(
                     [line.game.name, line.kind.name, number, *one['chosen'].values(), *best]
                 )
-    columns = ['game', 'action set', 'number', 'gamma', *CHOICES]
+    columns = ['game', 'action set', 'number', *(part.name for part in fields(Setting))]
     columns += ['return in the search', 'mean of all tried']
     return Table('table2-settings', 'Settings that were chosen', columns, rows, shown=False)
 
