@@ -396,6 +396,11 @@ def test_watching_plans_first_and_plays_then(teacher: Person) -> None:
     play = teacher.look()
     assert isinstance(play, PlayEpisodes)
     assert (play.action_set, play.participant) == ('human', 'p1')
+    teacher.answer(play)
+    teacher.world.running = 'fetch'
+    assert teacher.sees_words('It runs: fetch')
+    teacher.world.running = 'action:north'
+    assert teacher.sees_words('It runs: one step north')
 
 
 def test_how_the_machine_plays_can_be_chosen_before_and_changed_while(teacher: Person) -> None:

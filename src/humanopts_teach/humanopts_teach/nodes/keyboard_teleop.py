@@ -18,6 +18,7 @@ from humanopts_interfaces.msg import (
     GameState,
     LearningStatus,
     LessonState,
+    OptionGoal,
     OptionStatus,
     RecorderStatus,
 )
@@ -71,6 +72,7 @@ class KeyboardTeleopNode(NodeBase):
         ):
             self.create_subscription(kind, topic, callback, CURRENT)
         self.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, DISPLAY)
+        self.create_subscription(OptionGoal, 'option_goals', self._on_option_goal, DISPLAY)
 
     def waits_for(self) -> str | None:
         """Wait for the rules of the game."""
@@ -154,6 +156,10 @@ class KeyboardTeleopNode(NodeBase):
 
     def _on_execution(self, message: ExecutionState) -> None:
         self.app.world.execution = message.execution
+        self._news = True
+
+    def _on_option_goal(self, message: OptionGoal) -> None:
+        self.app.world.running = message.option_name
         self._news = True
 
     def _on_recorder(self, message: RecorderStatus) -> None:

@@ -167,6 +167,7 @@ class App:
         waiting.reply, waiting.until = reply, now + SETTLE_SECONDS
         if reply.ok and isinstance(reply.request, RunOption | PlanOptions | PlayEpisodes):
             self.run, self.run_text = reply.request, ''
+            self.world.running = ''
         self._look_at_waiting(now)
 
     def moved(self, now: float) -> None:

@@ -78,6 +78,8 @@ def _play(screen: PlayScreen, app: App) -> RenderableType:
     lines.append(Text())
     if running:
         lines.append(Text(f'The machine drives. {app.run_text}', 'bright_cyan'))
+        if isinstance(screen, WatchScreen) and app.world.running:
+            lines.append(Text(f'It runs: {app.world.running.replace("action:", "one step ")}'))
     if game is not None and game.episode:
         lines.append(Text(f'episode {game.episode}, step {game.step}'))
         if game.step:

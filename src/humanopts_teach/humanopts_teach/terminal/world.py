@@ -68,6 +68,7 @@ class World:
     game: GameView | None = None
     lesson: LessonView | None = None
     progress: Sequence[ProgressView] = ()
+    running: str = ''  # what option_server took on last: an option, or action:NAME
     execution: str = ''  # of the policy that runs or ran last; empty: none did
     holder: str = ''  # publisher_id of the terminal that drives; empty: nobody
     me: str = ''  # our own publisher_id
