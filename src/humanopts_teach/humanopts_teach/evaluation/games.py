@@ -19,6 +19,7 @@ from humanopts_env.domains.pacman.rules import GHOST_RULES
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.any_domain import GAME_STEPS
+from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
 from humanopts_learner.planning.sampled.comparison import (
     carried_over,
@@ -37,6 +38,7 @@ from humanopts_learner.planning.sampled.curve import (
     planning_curve,
     seconds_to_reach,
 )
+from humanopts_learner.planning.sampled.tuned import TUNED
 
 GAMES = 1000  # that everything is judged by
 PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et al., section 7
@@ -174,6 +176,8 @@ def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Conte
     found = [
         Contender(f'human, {name}', PLAN, HUMAN, chosen, steps) for name, chosen in sets.items()
     ]
+    if isinstance(domain, PacMan):
+        found.append(_interrupted(domain, *list(sets.items())[-1], steps))
     found += [
         Contender('primitive', PLAN, PRIMITIVE, (), steps),
         Contender(f'primitive, {GENEROUS}-fold steps', PLAN, PRIMITIVE, (), GENEROUS * steps),
@@ -188,6 +192,21 @@ def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Conte
             Contender('hand-written rule, at every step', RULE, to_end=False),
         ]
     return found
+
+
+def _interrupted(domain: PacMan, name: str, options: Options, steps: int) -> Contender:
+    """Return the plan that stops options, with settings that were found by hand."""
+    tuned = TUNED[str(domain.parameters['ghosts'])]
+    return Contender(
+        f'human, {name}, interrupted',
+        PLAN,
+        HUMAN,
+        options,
+        steps,
+        tuned.gamma,
+        tuned.sampling,
+        Execution.INTERRUPTED,
+    )
 
 
 def _curves(

@@ -14,6 +14,7 @@ from humanopts_learner.planning.sampled.columns import BatchOption
 from humanopts_learner.planning.sampled.curve import Budgets
 from humanopts_learner.planning.sampled.judging import GameReturns
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
+from humanopts_learner.planning.sampled.tuned import TUNED
 from humanopts_teach.experiments.table2_kinds import Kind, OTHER_WAYS, TO_END
 from humanopts_teach.experiments.table2_record import record
 import numpy as np
@@ -70,18 +71,20 @@ def settings_to_try(gamma: float, count: int) -> list[Setting]:
     :param gamma: the domain's own.
     :param count: 1 to 5.
     """
-    known = {part.name for part in fields(Setting)}
-    usual: dict[str, Any] = {
-        name: value for name, value in asdict(Sampling()).items() if name in known
-    }
+    usual = _parts(Sampling())
     settings = [
         Setting(gamma, **usual),
-        Setting(0.985, 8, 0.1, penalty=30.0, pooling=300.0, margin=30.0),
-        Setting(0.985, 8, 0.1, penalty=0.0, pooling=1000.0, margin=5.0),
+        *(Setting(tuned.gamma, **_parts(tuned.sampling)) for tuned in TUNED.values()),
         Setting(0.985, **usual),
         Setting(0.995, **usual),
     ]
     return settings[:count]
+
+
+def _parts(sampling: Sampling) -> dict[str, Any]:
+    """Return what a ``Setting`` has of it."""
+    known = {part.name for part in fields(Setting)}
+    return {name: value for name, value in asdict(sampling).items() if name in known}
 
 
 def plan_from_samples(

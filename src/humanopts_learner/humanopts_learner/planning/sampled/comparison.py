@@ -6,7 +6,7 @@ hand, where the domain has one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import time
 from typing import Any
 
@@ -16,6 +16,7 @@ from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.reference import reference_options
 from humanopts_env.domains.registry import parameters_json
 from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.errors import ForeignOptionError, PlanError
 from humanopts_learner.planning.plan import Clock, HUMAN
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns, LearnedBatchOption
@@ -44,6 +45,9 @@ class Contender:
     action_set: str = HUMAN  # of plan and chance
     options: Sequence[LearnedOption | BatchOption] = ()  # of plan and chance
     budget_steps: int = 0  # game steps that a plan is made from
+    gamma: float | None = None  # of a plan; None: the domain's own
+    how: Sampling = field(default_factory=Sampling)  # a plan's samples are drawn
+    execution: Execution = Execution.RUN_TO_END  # of a plan
     to_end: bool = True  # a rule's option runs to its end; False: one is chosen at every step
 
 
@@ -70,7 +74,6 @@ def compare(
     contenders: Sequence[Contender],
     seed: int,
     games: int = 1000,
-    how: Sampling = Sampling(),  # noqa: B008
     progress: Tell | None = None,
     clock: Clock = time.perf_counter,
 ) -> list[ComparisonRow]:
@@ -82,7 +85,7 @@ def compare(
     :param progress: called as the work goes on; what it raises passes through.
     :raises PlanError: as ``make_sampled_plan``; or the domain has no rule written by hand.
     """
-    match = _Match(domain, seed, games, how, clock)
+    match = _Match(domain, seed, games, clock)
     rows = []
     for number, contender in enumerate(contenders):
 
@@ -134,7 +137,6 @@ class _Match:
     domain: Domain[Any]
     seed: int
     games: int
-    how: Sampling
     clock: Clock
 
     def row(self, contender: Contender, tell: Callable[[float], object]) -> ComparisonRow:
@@ -160,9 +162,11 @@ class _Match:
             contender.options,
             contender.budget_steps,
             self.seed,
-            how=self.how,
+            contender.gamma,
+            contender.how,
             progress=progress,
             clock=self.clock,
+            execution=contender.execution,
         )
         row = _counted(contender, plan.play(self.seed, self.games))
         return replace(row, game_steps=plan.game_steps, seconds=plan.seconds)
