@@ -73,6 +73,9 @@ def test_the_report_shows_an_episode_by_its_runs_and_no_board_of_values(demo: De
     assert demo.summary['games'] is None
 
 
+RANDOM_CHOICE = 'random choice, 4 options'
+
+
 @pytest.mark.slow
 def test_whole_demo_compares_every_way_to_play(
     tmp_path_factory: pytest.TempPathFactory, domain_id: int
@@ -87,7 +90,10 @@ def test_whole_demo_compares_every_way_to_play(
     for setting in (random, chase):
         assert {row['games'] for row in setting['rows']} == {1000}
         assert {row['kind'] for row in setting['rows']} == {'plan', 'chance', 'rule'}
-    (four,) = [r for r in random['rows'] if r['kind'] == 'plan' and len(r['options']) == 4]
+    for setting in (random, chase):
+        names = [r['name'] for r in setting['rows'] if len(r['options']) == 4]
+        assert names == ['human, 4 options', 'human, 4 options, interrupted', RANDOM_CHOICE]
+    four = next(r for r in random['rows'] if r['name'] == 'human, 4 options')
     (free,) = [r for r in random['rows'] if r['kind'] == 'chance' and len(r['options']) == 4]
     human = demo.summary['planning'][0]
     assert four['score']['mean'] == human['mean_return']  # the same plan in the same games
