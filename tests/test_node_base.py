@@ -16,10 +16,16 @@ from graph_support.live import (
     RECORDER,
     TEACHER,
 )
+from humanopts_env.nodes.node_base import NodeBase
 from humanopts_env.nodes.qos import LATCHED
 from humanopts_interfaces.msg import GameState, NodeStatus
 from humanopts_teach.bags.reader import open_bag
 import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
 
 ALL = (GAME, LEARNER, LESSON, OPTION_SERVER, PLANNER, RECORDER, TEACHER)
 WRONG: list[tuple[str, dict[str, Any], str]] = [
@@ -128,3 +134,33 @@ def test_nothing_happens_before_the_recorder_is_there_and_then_all_of_it_is_in_t
         'ControlState': [1],
         'GameState': [1, 1],  # on game_state and on current_state
     }
+
+
+def test_a_server_that_is_found_after_the_call_still_answers(shared: Graph) -> None:
+    rclpy.init(domain_id=shared.domain_id, signal_handler_options=SignalHandlerOptions.NO)
+    asker, server, executor = NodeBase('asker'), Node('late_server'), SingleThreadedExecutor()
+
+    def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.message = 'here'
+        return response
+
+    try:
+        executor.add_node(asker)
+        client = asker.create_client(Trigger, 'late')
+        task = executor.create_task(asker.answer(client, Trigger.Request(), 5.0))
+        for _ in range(3):
+            executor.spin_once(0.05)
+        assert not task.done()
+        server.create_service(Trigger, 'late', answer)
+        executor.add_node(server)
+        executor.spin_until_future_complete(task, 10.0)
+        assert task.result().message == 'here'
+        nobody = asker.create_client(Trigger, 'nobody')
+        task = executor.create_task(asker.answer(nobody, Trigger.Request(), 0.2))
+        executor.spin_until_future_complete(task, 10.0)
+        assert task.result() is None
+    finally:
+        executor.shutdown()
+        asker.destroy_node()
+        server.destroy_node()
+        rclpy.shutdown()

@@ -27,6 +27,7 @@ from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 
 M = TypeVar('M')
 RECORDER = 'recorder'
@@ -34,7 +35,7 @@ _RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time
 _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _PRESENCE_PERIOD = 1.0  # s between looks whether a server that was asked is still there
-_CHECK_PERIOD = 0.02  # s between looks at what a starting node waits for
+_CHECK_PERIOD = 0.02  # s between looks at what is waited for
 
 
 class StartError(RuntimeError):
@@ -208,8 +209,12 @@ class NodeBase(Node):
         """
         Call a service from a coroutine.
 
+        A request that is sent before the server is found is lost, so that is waited for.
+
         :return: the response; None when there is none after ``seconds``, or the server is gone.
         """
+        if not await self._found(client, min(seconds, _PRESENCE_PERIOD)):
+            return None
         future, deadline = client.call_async(request), time.monotonic() + seconds
 
         def check() -> None:
@@ -225,6 +230,24 @@ class NodeBase(Node):
             timer.cancel()
             self.destroy_timer(timer)
             client.remove_pending_request(future)
+
+    async def _found(self, client: Client, seconds: float) -> bool:
+        """Wait until a server is there; False: it is not, after ``seconds``."""
+        if client.service_is_ready():
+            return True
+        found, deadline = Future(), time.monotonic() + seconds
+
+        def look() -> None:
+            ready = client.service_is_ready()
+            if not found.done() and (ready or time.monotonic() >= deadline):
+                found.set_result(ready)
+
+        timer = self.create_timer(_CHECK_PERIOD, look, callback_group=self._deadline_group)
+        try:
+            return await found
+        finally:
+            timer.cancel()
+            self.destroy_timer(timer)
 
     def set_status(self, state: int, text: str = '') -> None:
         """Publish the node's state; a failure to do so is only logged."""
