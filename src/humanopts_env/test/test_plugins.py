@@ -52,6 +52,7 @@ DOMAINS = {
     'leaving': 'cab_plugin:leaving',
     'gone': 'cab_plugin_that_is_not_there:Cab',
     'empty': 'cab_plugin:Bus',
+    'rooms': 'cab_plugin:Cab',
 }
 OPTIONS = {'cab': 'cab_plugin:options', 'wide': 'cab_plugin:no_options'}
 
@@ -89,6 +90,7 @@ def test_a_domain_of_another_package_is_made_by_its_name() -> None:
         ('broken', 'broken cannot be made: RuntimeError: no licence found'),
         ('leaving', 'leaving cannot be made: SystemExit: 3'),
         ('wide', r'wide breaks the contract of domains: .*\(10,\) features'),
+        ('rooms', "'rooms' is the name of several domains, cab_plugin:Cab, .*Rooms: rename one"),
         ('bus', "no domain 'bus'; there is .*cab.*gymnasium:ENV_ID"),
     ],
 )

@@ -100,7 +100,12 @@ def _factory(name: str) -> tuple[Callable[..., Any], bool]:
 
 
 def _entry_point(group: str, name: str) -> EntryPoint | None:
-    return next(iter(entry_points(group=group, name=name)), None)
+    found = {point.value: point for point in entry_points(group=group, name=name)}
+    if len(found) > 1:
+        raise DomainError(
+            f'{name!r} is the name of several domains, {", ".join(sorted(found))}: rename one'
+        )
+    return next(iter(found.values()), None)
 
 
 def _load(point: EntryPoint) -> Callable[..., Any]:

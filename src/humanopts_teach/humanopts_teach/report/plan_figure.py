@@ -34,6 +34,8 @@ def _times(rows: Mapping[str, PlanningRow], name: str) -> str:
         scale, unit, word = _unit(rows)
         for field, label, color in STAGES:
             values = [scale * getattr(row, field) for row in rows.values()]
+            if not any(values):
+                continue
             axes.barh(list(rows), values, 0.55, left=left, color=SERIES[color], label=label)
             left = [a + b for a, b in zip(left, values)]
         for place, total in enumerate(left):
