@@ -22,7 +22,7 @@ import pytest
 
 MAZE = make_domain('pacman', {'maze': 'yard', 'max_steps': 200})
 EPISODES, SEED, STEPS = 20, 11, 20_000
-STOPS = 7  # seed of an episode in which options are stopped
+STOPS = 3  # seed of an episode in which options are stopped
 
 
 @pytest.fixture(scope='module')
