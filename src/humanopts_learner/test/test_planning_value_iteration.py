@@ -6,7 +6,7 @@ import itertools
 import tracemalloc
 
 from humanopts_learner.planning.errors import ModelError, PlanCanceled
-from humanopts_learner.planning.model import concatenate, SmdpModel
+from humanopts_learner.planning.model import concatenate, RowModel, SmdpModel
 from humanopts_learner.planning.value_iteration import solve_smdp
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -68,6 +68,32 @@ def test_values_solve_the_linear_equations_of_the_greedy_policy(
     chosen = model.available[np.arange(n_states), solution.best]
     assert (chosen | (solution.best < 0)).all()
     assert ((solution.best < 0) == ~model.available.any(axis=1)).all()
+
+
+def policy_iteration(model: SmdpModel) -> NDArray[np.float64]:
+    """Improve a policy by its exact values until nothing better is found (Howard 1960)."""
+    usable = model.available.any(axis=1)
+    policy = np.where(usable, model.available.argmax(axis=1), -1)
+    while True:
+        values = policy_values(model, policy)
+        ahead = model.reward + model.discount * values[model.successor]
+        ahead = np.where(model.available, ahead, -np.inf)
+        better = usable & (ahead.max(axis=1) > values + 1e-10)
+        if not better.any():
+            return values
+        policy[better] = ahead[better].argmax(axis=1)
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 60), n_options=st.integers(1, 5))
+def test_policy_iteration_comes_to_the_same_values(
+    seed: int, n_states: int, n_options: int
+) -> None:
+    model = random_model(seed, n_states, n_options)
+    rows = RowModel(model.names, model.reward, model.available, model.rows)
+    truth = policy_iteration(model)
+    for form in (model, rows):
+        assert solve_smdp(form, 1e-12).values == pytest.approx(truth, abs=1e-9)
 
 
 def delivery_chain(steps: int, gamma: float) -> SmdpModel:
