@@ -32,6 +32,7 @@ class DomainContract:
 
     def make(self) -> Domain[Any]:
         """Return the domain to test; a new one at every call."""
+        # not abstract: pytest would say that it cannot make the class, and not what is missing
         raise NotImplementedError('make() must return the domain to test')
 
     def test_names_keys_and_questions_are_distinct_and_well_formed(self) -> None:

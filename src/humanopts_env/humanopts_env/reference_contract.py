@@ -29,6 +29,7 @@ class ReferenceContract:
 
     def make(self) -> Domain[Any]:
         """Return the domain whose options are tested."""
+        # not abstract: pytest would say that it cannot make the class, and not what is missing
         raise NotImplementedError('make() must return the domain whose options are tested')
 
     def options(self, domain: Domain[Any]) -> Mapping[str, ReferenceOption]:

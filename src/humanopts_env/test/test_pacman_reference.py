@@ -1,13 +1,10 @@
 """Pac-Man's reference options by hand, and ways to play with them."""
 
-from humanopts_env.domains.pacman.baselines import (
-    hand_rule,
-    play_moves,
-    play_options,
-    random_choice,
-)
+from humanopts_env.domains.pacman.baselines import hand_rule, play_options
+from humanopts_env.domains.pacman.batch import Flags, Ints, PacManBatch
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.reference import reference_options
+from humanopts_env.domains.pacman.surroundings import Surroundings
 from humanopts_env.seeding import generator
 import numpy as np
 import pytest
@@ -110,6 +107,22 @@ def test_closest_food_is_eaten_in_as_many_steps_as_it_is_away() -> None:
     assert domain.is_over(state)
 
 
+def random_choice(
+    batch: PacManBatch, seen: Surroundings, available: Flags, rng: np.random.Generator
+) -> Ints:
+    """Choose among the options that can start, each alike."""
+    chosen: Ints = np.where(available, rng.random(available.shape), -1.0).argmax(axis=0)
+    return chosen
+
+
+def random_moves(domain: PacMan, games: int) -> Ints:
+    """Return the scores of games with random moves."""
+    batch, rng = PacManBatch(domain.rules, games), generator(1, 'random moves')
+    while not batch.over.all():
+        batch.step(rng.integers(len(domain.actions), size=games), batch.draws(rng))
+    return batch.score
+
+
 def test_better_players_score_more() -> None:
     """Random moves, random options, and a rule over the options, at both speeds of ghosts."""
     for ghosts in ('random', 'chase'):
@@ -118,8 +131,8 @@ def test_better_players_score_more() -> None:
         by_chance = play_options(options, random_choice, 60, 1000, seed=1)
         by_rule = play_options(options, hand_rule(options), 60, 1000, seed=1)
         every_step = play_options(options, hand_rule(options), 60, 1000, seed=1, to_end=False)
-        moves = play_moves(domain.rules, 60, 1000, seed=1)
-        means = [s.score.mean() for s in (moves, by_chance, by_rule, every_step)]
+        scores = random_moves(domain, 60), by_chance.score, by_rule.score, every_step.score
+        means = [score.mean() for score in scores]
         assert means == sorted(means)
         assert max(by_rule.score) <= 2080
         assert (every_step.lives[every_step.cleared] > 0).all()

@@ -4,6 +4,7 @@ Running one option, or options as modules: the rules of the one runner, without 
 A caller asks for the next action, sends it to the game, and reports what came back.
 """
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -105,7 +106,7 @@ def refusal(status: Status, option_name: str, detail: str = '') -> End:
     return End(status, _describe(status, detail), option_name)
 
 
-class Run:
+class Run(ABC):
     """
     One run: ``begin``, then ``next_action`` and ``observe`` in turn until an ``End``.
 
@@ -228,17 +229,17 @@ class Run:
             acted=dict(self.acted),
         )
 
+    @abstractmethod
     def _can_start(self) -> bool:
         """Tell whether it can start in the state."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _actor(self) -> RunnableOption:
         """Return what takes the next action."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _ends(self) -> bool:
         """Tell whether it ends in the state that it came to."""
-        raise NotImplementedError
 
     def _row(self) -> NDArray[np.int32]:
         return self._domain.feature_values(self._state)

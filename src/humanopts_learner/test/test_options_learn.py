@@ -12,7 +12,6 @@ from humanopts_learner.options.accuracy import classification_accuracy, policy_a
 from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
 from humanopts_learner.options.option import (
     Mode,
-    option_distributions,
     option_tables,
     OptionError,
 )
@@ -196,14 +195,12 @@ def test_sampled_runs_depend_on_their_keys_and_not_on_each_other(
 
 def test_tables_hold_what_the_option_says_of_each_state(fetching: Shown) -> None:
     option = learn_option(fetching, TAXI, 0)
-    tables, chances = option_tables(option, TAXI), option_distributions(option, TAXI)
+    tables = option_tables(option, TAXI)
     for index in range(0, TAXI.n_states, 37):
         one = row(TAXI.state_at(index))
         assert tables.action[index] == option.greedy_action(one)[0]
         assert tables.initiation[index] == option.can_start(one)[0]
         assert tables.termination[index] == option.ends(one)[0]
-        assert chances.policy[index].tolist() == option.action_probabilities(one)[0].tolist()
-        assert chances.termination[index] == option.termination_probability(one)[0]
 
 
 def test_an_option_is_refused_by_another_game(fetching: Shown) -> None:

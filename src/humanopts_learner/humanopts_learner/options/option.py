@@ -146,15 +146,6 @@ class OptionTables:
     termination: NDArray[np.bool_]  # (S,)
 
 
-@dataclass(frozen=True)
-class OptionDistributions:
-    """What an option does in every state of an enumerable domain, in sampled mode."""
-
-    policy: NDArray[np.float64]  # (S, A)
-    initiation: NDArray[np.bool_]  # (S,)
-    termination: NDArray[np.float64]  # (S,)
-
-
 def option_tables(option: LearnedOption, domain: EnumerableDomain[Any]) -> OptionTables:
     """
     Evaluate the option in every state.
@@ -167,21 +158,4 @@ def option_tables(option: LearnedOption, domain: EnumerableDomain[Any]) -> Optio
         option.policy.likeliest(X),
         option.initiation.share_of(MEMBER, X) >= HALF,
         option.termination.share_of(MEMBER, X) >= HALF,
-    )
-
-
-def option_distributions(
-    option: LearnedOption, domain: EnumerableDomain[Any]
-) -> OptionDistributions:
-    """
-    Evaluate the option's probabilities in every state.
-
-    :raises OptionError: it was not learned in this domain.
-    """
-    option.check_domain(domain)
-    rows = domain.feature_table()
-    return OptionDistributions(
-        option.action_probabilities(rows),
-        option.can_start(rows),
-        option.termination_probability(rows),
     )

@@ -1,15 +1,14 @@
 """
-Ways to play Pac-Man without learning, to compare plans with under the same rules.
+A way to play Pac-Man without learning, to compare plans with under the same rules.
 
-Random moves; a random choice among the reference options; and a short hand-written rule over them.
-An option that was chosen runs to its end, or is chosen again at every step.
+A short hand-written rule over the reference options. An option that was chosen runs to its end, or
+is chosen again at every step.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from humanopts_env.domains.pacman.batch import Flags, Ints, PacManBatch
-from humanopts_env.domains.pacman.paths import MOVES
 from humanopts_env.domains.pacman.reference import (
     AVOID_GHOST,
     CLOSEST_FOOD,
@@ -17,7 +16,6 @@ from humanopts_env.domains.pacman.reference import (
     NEAREST_PILL,
     PacManOption,
 )
-from humanopts_env.domains.pacman.rules import Rules
 from humanopts_env.domains.pacman.surroundings import look_around, Surroundings
 from humanopts_env.seeding import generator
 import numpy as np
@@ -37,14 +35,6 @@ class Scores:
 
 # From games, what is around, which options can start (O, N) and chance, the options' indices (N,).
 Chooser = Callable[[PacManBatch, Surroundings, Flags, np.random.Generator], Ints]
-
-
-def random_choice(
-    batch: PacManBatch, seen: Surroundings, available: Flags, rng: np.random.Generator
-) -> Ints:
-    """Choose among the options that can start, each alike."""
-    chosen: Ints = np.where(available, rng.random(available.shape), -1.0).argmax(axis=0)
-    return chosen
 
 
 def hand_rule(options: Sequence[PacManOption]) -> Chooser:
@@ -75,17 +65,6 @@ def hand_rule(options: Sequence[PacManOption]) -> Chooser:
     return choose
 
 
-def play_moves(rules: Rules, games: int, max_steps: int, seed: int) -> Scores:
-    """Play with random moves."""
-    rng = generator(seed, 'baseline', 'moves')
-    return _play(
-        PacManBatch(rules, games),
-        lambda batch: rng.integers(len(MOVES), size=games),
-        max_steps,
-        rng,
-    )
-
-
 def play_options(
     options: Sequence[PacManOption],
     choose: Chooser,
@@ -102,31 +81,17 @@ def play_options(
     """
     rng = generator(seed, 'baseline', 'options')
     running = np.full(games, -1, dtype=np.intp)
-    each = np.arange(games)
-
-    def move(batch: PacManBatch) -> Ints:
+    batch, each = PacManBatch(options[0].rules, games), np.arange(games)
+    steps = np.zeros(games, dtype=np.intp)
+    for _ in range(max_steps):
+        if batch.over.all():
+            break
         seen = look_around(batch)
         said = [option.judge(batch, seen) for option in options]
         ended = np.stack([judgement.termination for judgement in said])[running, each]
         chosen = choose(batch, seen, np.stack([j.initiation for j in said]), rng)
-        running[:] = np.where(ended | (running < 0) | (not to_end), chosen, running)
+        running = np.where(ended | (running < 0) | (not to_end), chosen, running)
         moves: Ints = np.stack([j.optimal for j in said])[running, each].argmax(axis=1)
-        return moves
-
-    return _play(PacManBatch(options[0].rules, games), move, max_steps, rng)
-
-
-def _play(
-    batch: PacManBatch,
-    move: Callable[[PacManBatch], Ints],
-    max_steps: int,
-    rng: np.random.Generator,
-) -> Scores:
-    steps = np.zeros(len(batch), dtype=np.intp)
-    for _ in range(max_steps):
-        live = ~batch.over
-        if not live.any():
-            break
-        steps += live
-        batch.step(move(batch), batch.draws(rng))
+        steps += ~batch.over
+        batch.step(moves, batch.draws(rng))
     return Scores(batch.score, batch.food_left == 0, batch.lives, steps)

@@ -83,13 +83,6 @@ def planning_features(batch: PacManBatch, seen: Surroundings | None = None) -> N
     return values
 
 
-def planning_keys(values: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return one number for each row of ``planning_features`` (N, P), alike for alike rows."""
-    shape = [feature.count for feature in PLANNING_FEATURES]
-    keys: NDArray[np.int64] = np.ravel_multi_index(tuple(values.T), shape).astype(np.int64)
-    return keys
-
-
 @lru_cache(maxsize=8)
 def arrival_steps(paths: Paths) -> NDArray[np.int16]:
     """
