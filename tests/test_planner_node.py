@@ -9,8 +9,10 @@ from graph_support.live import GAME, Goal, Graph, PLANNER
 from graph_support.planning import Planning, start_planning
 from graph_support.player import PERSON
 from graph_support.scripted import FETCH, taught, TAXI
+from humanopts_env.convert import domain_to_info
+from humanopts_env.nodes.qos import LATCHED
 from humanopts_interfaces.action import Plan, RunPolicy
-from humanopts_interfaces.msg import PlanResult, PolicyResult
+from humanopts_interfaces.msg import DomainInfo, PlanResult, PolicyResult
 from humanopts_learner.planning.any_domain import judge_plan
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.plan import make_plan
@@ -246,6 +248,18 @@ def test_a_game_held_by_a_person_is_not_taken_from_them(planning: Planning) -> N
     assert result.status == PolicyResult.STATUS_INTERRUPTED
     assert result.episodes == 0
     assert math.isnan(result.mean_return)
+
+
+def test_a_goal_that_comes_before_the_game_waits_for_it_a_while(live: Graph) -> None:
+    live.start(PLANNER)
+    first = live.act(Plan, 'plan', action_set='primitive')
+    _, refused = first.result()
+    assert refused.status == PlanResult.STATUS_FAILED
+    assert refused.detail == 'game has not announced itself'
+    second = live.act(Plan, 'plan', action_set='primitive')
+    publisher = live.node.create_publisher(DomainInfo, 'domain_info', LATCHED)
+    publisher.publish(domain_to_info(TAXI))
+    assert second.result()[1].status == PlanResult.STATUS_CONVERGED
 
 
 @pytest.fixture

@@ -35,6 +35,7 @@ _RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time
 _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _PRESENCE_PERIOD = 1.0  # s between looks whether a server that was asked is still there
+_PROVISION = 5.0  # s that a request waits for what its server still needs
 _CHECK_PERIOD = 0.02  # s between looks at what is waited for
 
 
@@ -213,7 +214,7 @@ class NodeBase(Node):
 
         :return: the response; None when there is none after ``seconds``, or the server is gone.
         """
-        if not await self._found(client, min(seconds, _PRESENCE_PERIOD)):
+        if not await self.comes(client.service_is_ready, min(seconds, _PRESENCE_PERIOD)):
             return None
         future, deadline = client.call_async(request), time.monotonic() + seconds
 
@@ -231,23 +232,27 @@ class NodeBase(Node):
             self.destroy_timer(timer)
             client.remove_pending_request(future)
 
-    async def _found(self, client: Client, seconds: float) -> bool:
-        """Wait until a server is there; False: it is not, after ``seconds``."""
-        if client.service_is_ready():
+    async def comes(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Wait in a coroutine until a condition holds; False: it does not, after ``seconds``."""
+        if condition():
             return True
-        found, deadline = Future(), time.monotonic() + seconds
+        came, deadline = Future(), time.monotonic() + seconds
 
         def look() -> None:
-            ready = client.service_is_ready()
-            if not found.done() and (ready or time.monotonic() >= deadline):
-                found.set_result(ready)
+            holds = condition()
+            if not came.done() and (holds or time.monotonic() >= deadline):
+                came.set_result(holds)
 
         timer = self.create_timer(_CHECK_PERIOD, look, callback_group=self._deadline_group)
         try:
-            return await found
+            return await came
         finally:
             timer.cancel()
             self.destroy_timer(timer)
+
+    async def provided(self) -> bool:
+        """Wait in a coroutine for what the node ``waits_for``; False: it did not come."""
+        return await self.comes(lambda: self.waits_for() is None, _PROVISION)
 
     def set_status(self, state: int, text: str = '') -> None:
         """Publish the node's state; a failure to do so is only logged."""

@@ -54,6 +54,7 @@ class ExtractionServer:
         self.options: list[LearnedOption] = []  # a new list whenever they change
         self.busy = False
         self._domain, self._in_thread, self._stopping = domain, in_thread, stopping
+        self._node = node
         self._goals = node.stamped_publisher(ExtractionGoal, 'extraction_goals')
         self._results = node.stamped_publisher(ExtractionResult, 'extraction_results')
         self._found = node.stamped_publisher(LearnedOptions, 'automatic_options', LATCHED)
@@ -68,6 +69,7 @@ class ExtractionServer:
 
     async def _extract(self, handle: ServerGoalHandle) -> ExtractionResult:
         result = ExtractionResult(participant=handle.request.participant or MACHINE)
+        await self._node.provided()
         domain = self._domain()
         if self.busy:
             result.status = result.STATUS_BUSY

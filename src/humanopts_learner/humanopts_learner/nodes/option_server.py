@@ -63,7 +63,7 @@ class OptionServerNode(NodeBase):
         self.create_subscription(LearnedOptions, 'automatic_options', self._on_automatic, CURRENT)
         group = ReentrantCallbackGroup()
         self.recorded_service(RunOption, 'run_option', self._on_run, group)
-        self.recorded_service(ListOptions, 'list_options', self._on_list)
+        self.recorded_service(ListOptions, 'list_options', self._on_list, group)
         self.recorded_service(QueryOption, 'query_option', self._on_query)
         self.recorded_action(ExecuteOption, 'execute_option', self._execute, group)
 
@@ -157,13 +157,15 @@ class OptionServerNode(NodeBase):
         return ExecuteOption.Result(result=result)
 
     async def _run(self, request: RunRequest) -> OptionResult:
+        await self.provided()
         result = await self._runner.run(request)
         self._results.publish(result)
         return result
 
-    def _on_list(
+    async def _on_list(
         self, request: ListOptions.Request, response: ListOptions.Response
     ) -> ListOptions.Response:
+        await self.provided()
         library = self._runner.library
         if library is None:
             response.status = response.STATUS_NO_GAME

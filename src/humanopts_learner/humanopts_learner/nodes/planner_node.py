@@ -52,7 +52,6 @@ class PlannerNode(NodeBase):
         self._options: list[LearnedOption] = []
         self._version = 0  # sequence of the LearnedOptions that they came with
         self._plans: dict[tuple[str, str], Made] = {}  # newest by action set and participant
-        self._waiting: list[tuple[int, Future]] = []
         self._planning = self._stopping = False
         self._threads: set[threading.Thread] = set()  # at work
         self._plan_goals = self.stamped_publisher(PlanGoal, 'plan_goals')
@@ -101,10 +100,6 @@ class PlannerNode(NodeBase):
         self._version = message.sequence
         for problem in problems:
             self.get_logger().error(problem)
-        for sequence, arrival in self._waiting:
-            if sequence <= self._version and not arrival.done():
-                arrival.set_result(None)
-        self._waiting = [entry for entry in self._waiting if not entry[1].done()]
 
     def _known(self, action_set: str) -> list[LearnedOption]:
         """Return what an action set can have; another list whenever it changed."""
@@ -120,6 +115,7 @@ class PlannerNode(NodeBase):
     async def _plan(self, handle: ServerGoalHandle) -> PlanResult:
         request = handle.request
         refused = refused_plan(request.action_set)
+        await self.provided()
         if self._planning:
             refused.status = PlanResult.STATUS_BUSY
             refused.detail = 'the planner is at work on another plan'
@@ -203,17 +199,7 @@ class PlannerNode(NodeBase):
 
     async def _options_arrive(self, sequence: int) -> None:
         """Wait until the options are at least as new as the request wants."""
-        if self._version >= sequence:
-            return
-        arrival: Future = Future()
-        self._waiting.append((sequence, arrival))
-        timer = self.create_timer(_OPTIONS_SECONDS, arrival.cancel)
-        try:
-            await arrival
-        finally:
-            timer.cancel()
-            self.destroy_timer(timer)
-        if self._version < sequence:
+        if not await self.comes(lambda: self._version >= sequence, _OPTIONS_SECONDS):
             raise PlanError(f'learned_options {sequence} did not come, only {self._version}')
 
 
