@@ -72,7 +72,7 @@ def test_band_is_that_of_students_t() -> None:
 def test_demonstrations_needed_are_those_until_the_level_is_first_reached() -> None:
     people = participants(CAREFUL, 2, seed=1)
     cells = [
-        Cell('fig2', 1, {**base(), 'person': person.to_dict()}, figure2.simulated)
+        Cell('fig2', {**base(), 'person': person.to_dict()}, figure2.simulated)
         for person in people
     ]
     found = gather(
@@ -94,7 +94,7 @@ def base() -> dict[str, Any]:
 
 def test_answer_not_here_changes_the_point_of_the_demonstrations_so_far() -> None:
     parameters = {**base(), 'person': participants(CAREFUL, 1, seed=1)[0].to_dict()}
-    cell = Cell('fig2', 1, parameters, figure2.simulated)
+    cell = Cell('fig2', parameters, figure2.simulated)
     points = [[1, 0, 0.5, 0.6, 0.7], [1, 1, 0.5, 0.8, 0.9], [2, 1, 0.6, 0.8, 0.9]]
     made = {'points': points, 'seconds': 60.0, 'cut_short': ''}
     series = gather([cell], {cell.key: made})[0]

@@ -8,8 +8,9 @@ import sys
 from typing import Any
 
 from humanopts_teach.commands.reproduce import CellProgress
+from humanopts_teach.experiments import cells as experiment_cells
 from humanopts_teach.experiments import figure2
-from humanopts_teach.experiments.cells import Cell, CellStore
+from humanopts_teach.experiments.cells import Cell, CellStore, digest
 from humanopts_teach.experiments.people import CAREFUL, participants, VARIED
 from humanopts_teach.experiments.running import ClusterError, Outcome, run_cells
 from humanopts_teach.experiments.study import Study
@@ -47,8 +48,8 @@ class Work:
             raise self.broken[number]
         return number**2
 
-    def cells(self, numbers: Sequence[int], version: int = 1) -> list[Cell]:
-        return [Cell('squares', version, {'number': n}, self.square) for n in numbers]
+    def cells(self, numbers: Sequence[int]) -> list[Cell]:
+        return [Cell('squares', {'number': n}, self.square) for n in numbers]
 
     def run(self, cells: Sequence[Cell]) -> Outcome:
         return run_cells(cells, CellStore(self.folder), Quiet(), jobs=1)
@@ -58,7 +59,7 @@ def tiny(*strategies: str) -> list[Cell]:
     """Return real cells of figure 2 that take no time."""
     person = participants(CAREFUL, 1, seed=3)[0].to_dict()
     known = {'domain': 'taxi', 'option': PICKUP, 'demonstrations': 2, 'person': person}
-    return [Cell('fig2', 1, {**known, 'strategy': name}, figure2.simulated) for name in strategies]
+    return [Cell('fig2', {**known, 'strategy': name}, figure2.simulated) for name in strategies]
 
 
 def test_what_is_done_is_not_computed_again(tmp_path: Path) -> None:
@@ -70,11 +71,27 @@ def test_what_is_done_is_not_computed_again(tmp_path: Path) -> None:
     assert [again.results[cell.key] for cell in cells] == [4, 9]
 
 
-def test_other_parameters_or_another_version_are_computed_anew(tmp_path: Path) -> None:
+def test_other_parameters_or_other_code_are_computed_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     work = Work(tmp_path)
-    for cells in (work.cells([2]), work.cells([3]), work.cells([2], version=2), work.cells([2])):
-        work.run(cells)
+    for numbers in ([2], [3], [2]):
+        work.run(work.cells(numbers))
+    assert work.asked == [2, 3]
+    monkeypatch.setattr(experiment_cells, 'code_version', lambda: 'other')
+    work.run(work.cells([2]))
     assert work.asked == [2, 3, 2]
+
+
+def test_code_is_another_when_a_file_changes_that_is_not_of_a_node(tmp_path: Path) -> None:
+    for name in ('nodes', 'planning'):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / 'a.py').write_text('x = 1')
+    before = digest([tmp_path])
+    (tmp_path / 'nodes' / 'a.py').write_text('x = 2')
+    assert digest([tmp_path]) == before
+    (tmp_path / 'planning' / 'a.py').write_text('x = 2')
+    assert digest([tmp_path]) != before
 
 
 def test_failing_cell_is_named_the_others_are_kept_and_it_is_tried_again(tmp_path: Path) -> None:
@@ -111,7 +128,7 @@ def test_file_that_is_not_the_cell_counts_as_not_there(tmp_path: Path, damage: s
 def test_costliest_cells_are_begun_first(tmp_path: Path) -> None:
     work = Work(tmp_path)
     costs = {2: 1.0, 3: 9.0, 4: 5.0}
-    work.run([Cell('squares', 1, {'number': n}, work.square, c) for n, c in costs.items()])
+    work.run([Cell('squares', {'number': n}, work.square, c) for n, c in costs.items()])
     assert work.asked == [3, 4, 2]
 
 
@@ -126,7 +143,7 @@ def test_two_processes_compute_what_one_does(tmp_path: Path) -> None:
 
 def test_time_left_is_estimated_by_the_cost_of_what_is_done() -> None:
     now, out = [0.0], io.StringIO()
-    cells = [Cell('squares', 1, {'number': n}, len, cost) for n, cost in enumerate((3.0, 1.0))]
+    cells = [Cell('squares', {'number': n}, len, cost) for n, cost in enumerate((3.0, 1.0))]
     with CellProgress(Console(file=out), clock=lambda: now[0]) as progress:
         progress.begin(cells, cells)
         now[0] = 60.0

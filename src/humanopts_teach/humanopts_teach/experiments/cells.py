@@ -1,25 +1,44 @@
 """Cells: what an experiment is computed from, each kept in a file of its own once it is done."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 import hashlib
 from importlib.metadata import version
+from importlib.util import find_spec
 import json
 from pathlib import Path
 from typing import Any
 
 from humanopts_teach.evaluation.summary import write_text
 
+PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach')
 LIBRARIES = ('numpy', 'scipy', 'scikit-learn')  # that results may depend on to the last digit
 Compute = Callable[[Mapping[str, Any]], Any]  # parameters -> result, both JSON data
 
 
+def digest(folders: Iterable[Path]) -> str:
+    """Return a short text that changes with the Python code in folders, nodes left out."""
+    found = hashlib.sha256()
+    for folder in folders:
+        for path in sorted(folder.rglob('*.py')):
+            if 'nodes' not in path.relative_to(folder).parts:
+                found.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    return found.hexdigest()[:12]
+
+
+@cache
+def code_version() -> str:
+    """Return the digest of the code that results depend on."""
+    specs = [find_spec(package) for package in PACKAGES]
+    return digest(Path(place) for s in specs if s for place in s.submodule_search_locations or ())
+
+
 @dataclass(frozen=True)
 class Cell:
-    """One computation: the same experiment, version and parameters give the same result."""
+    """One computation: the same experiment, code and parameters give the same result."""
 
     experiment: str  # such as fig2
-    version: int  # of the method; another one computes anew
     parameters: Mapping[str, Any]  # JSON data
     compute: Compute  # a function of a module, so that it can be sent to another process
     cost: float = 1.0  # expected, compared with other cells; for the estimate of the time left
@@ -29,7 +48,7 @@ class Cell:
         """What the result depends on, as JSON data."""
         known = {
             'experiment': self.experiment,
-            'version': self.version,
+            'code': code_version(),
             'parameters': dict(self.parameters),
             'libraries': {name: version(name) for name in LIBRARIES},
         }

@@ -26,7 +26,7 @@ from humanopts_teach.experiments.lessons import teach
 from humanopts_teach.experiments.people import CAREFUL, Participant, participants, VARIED
 from humanopts_teach.experiments.study import BagLesson, Study, taught_in
 
-NAME, VERSION = 'fig2', 1
+NAME = 'fig2'
 SHOWN = {'taxi': 60, 'pacman': 40}  # demonstrations of an option by one person
 ASKED = 6  # at most so many start states for each of these, "not here" answers included
 GROUPS = {'taxi': (CAREFUL, VARIED), 'pacman': (VARIED,)}
@@ -40,7 +40,7 @@ COSTS = {  # of a cell by domain and strategy; others: 1
 def cells(study: Study) -> list[Cell]:
     """Return one cell for each person, option and strategy."""
     if study.bags:
-        return [Cell(NAME, VERSION, asdict(lesson), again) for lesson in study.bags]
+        return [Cell(NAME, asdict(lesson), again) for lesson in study.bags]
     return [
         _cell(domain, option, strategy, person)
         for domain, options in paper.TAUGHT.items()
@@ -59,7 +59,7 @@ def _cell(domain: str, option: str, strategy: str, person: Participant) -> Cell:
         'demonstrations': SHOWN[domain],
         'person': person.to_dict(),
     }
-    return Cell(NAME, VERSION, parameters, simulated, COSTS.get((domain, strategy), 1.0))
+    return Cell(NAME, parameters, simulated, COSTS.get((domain, strategy), 1.0))
 
 
 def simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 from humanopts_teach.experiments import figure2, paper
+from humanopts_teach.experiments.cells import code_version
 from humanopts_teach.experiments.figure2_series import (
     Case,
     gather,
@@ -51,7 +52,7 @@ def present(study: Study, results: Mapping[str, Any]) -> Section:
         _comparisons(series, bool(study.bags)),
         _pictures(series),
         [_needed_table(series), _curve_table(series), _person_table(series)],
-        {'version': figure2.VERSION, 'shown': figure2.SHOWN},
+        {'code': code_version(), 'shown': figure2.SHOWN},
     )
 
 

@@ -16,7 +16,7 @@ from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.automatic.extract import AutomaticOption, find_options
 from humanopts_learner.automatic.ground import ground_of
 from humanopts_teach.experiments import paper
-from humanopts_teach.experiments.cells import Cell
+from humanopts_teach.experiments.cells import Cell, code_version
 from humanopts_teach.experiments.sections import (
     agreement,
     Comparison,
@@ -31,7 +31,7 @@ from humanopts_teach.report.automatic_figure import draw_visits, visit_map, Visi
 from humanopts_teach.report.figures import Drawing
 import numpy as np
 
-NAME, VERSION = 'fig3', 2
+NAME = 'fig3'
 DOMAINS = {'taxi': 'Taxi', 'pacman': 'Pac-Man'}
 TITLE = 'Figure 3: automatic options'
 CENTRE = 'go to cell 2,2'  # of the 5 x 5 grid
@@ -44,7 +44,7 @@ def cells(study: Study) -> list[Cell]:
     """Return one cell for each domain and seed."""
     seeds = range(study.seed, study.seed + study.seeds)
     return [
-        Cell(NAME, VERSION, {'domain': domain, 'seed': seed}, extract, 2.0)
+        Cell(NAME, {'domain': domain, 'seed': seed}, extract, 2.0)
         for domain in DOMAINS
         for seed in seeds
     ]
@@ -101,7 +101,7 @@ def present(study: Study, results: Mapping[str, Any]) -> Section:
             _option_table(found),
             _seed_table(found),
         ],
-        {'version': VERSION},
+        {'code': code_version()},
     )
 
 

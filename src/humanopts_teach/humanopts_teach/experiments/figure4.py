@@ -29,7 +29,7 @@ from humanopts_teach.experiments.cells import Cell
 from humanopts_teach.experiments.study import Study
 from humanopts_teach.experiments.taught import options_of, teachers
 
-NAME, VERSION, DOMAIN = 'fig4', 1, 'taxi'
+NAME, DOMAIN = 'fig4', 'taxi'
 SETS = {  # what is learned with: whose options, and the action set
     'primitive': ('nobody', PRIMITIVE),
     'human': ('person', HUMAN),
@@ -55,7 +55,6 @@ def cells(study: Study) -> list[Cell]:
     return [
         Cell(
             NAME,
-            VERSION,
             {
                 'set': name,
                 'method': method,

@@ -7,6 +7,7 @@ from typing import Any
 
 from humanopts_teach.experiments import figure4, paper
 from humanopts_teach.experiments.bands import Band, band
+from humanopts_teach.experiments.cells import code_version
 from humanopts_teach.experiments.figure4_pictures import draw_all, draw_papers, SIZE
 from humanopts_teach.experiments.sections import (
     agreement,
@@ -70,7 +71,7 @@ def present(study: Study, results: Mapping[str, Any]) -> Section:
         _comparisons(curves),
         _pictures(curves),
         [_summary(curves), _curve_table(curves)],
-        {'version': figure4.VERSION, 'limit': figure4.LIMIT, 'rates tried': figure4.TRIED},
+        {'code': code_version(), 'limit': figure4.LIMIT, 'rates tried': figure4.TRIED},
     )
 
 

@@ -25,7 +25,7 @@ from humanopts_teach.experiments.table2_kinds import GAMES, Kind, KINDS, MACHINE
 from humanopts_teach.experiments.table2_sampled import Effort, plan_from_samples
 from humanopts_teach.experiments.taught import options_of, teachers
 
-NAME, VERSION = 'table2', 1
+NAME = 'table2'
 EFFORT = Effort()
 COSTS = {  # of a cell, about seconds, by domain and whose options
     ('pacman', NOBODY): 45.0,
@@ -75,7 +75,6 @@ def cells(study: Study) -> list[Cell]:
         found += [
             Cell(
                 NAME,
-                VERSION,
                 {**common, 'whose': whose, **source},
                 compute,
                 COSTS.get((domain, whose), 1.0),

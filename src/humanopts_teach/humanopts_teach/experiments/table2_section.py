@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 from humanopts_teach.experiments import paper, table2
+from humanopts_teach.experiments.cells import code_version
 from humanopts_teach.experiments.sections import Paint, Picture, Section, Table, Value
 from humanopts_teach.experiments.study import Experiment, Study
 from humanopts_teach.experiments.table2_kinds import AS_IN_PAPER, Game, GAMES, TAXI, UNIFORM
@@ -50,7 +51,7 @@ def present(study: Study, results: Mapping[str, Any]) -> Section:
             _curve_table(lines),
             _search_table(lines),
         ],
-        {'version': table2.VERSION, 'effort': asdict(table2.EFFORT)},
+        {'code': code_version(), 'effort': asdict(table2.EFFORT)},
     )
 
 
