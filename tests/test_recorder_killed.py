@@ -1,0 +1,116 @@
+"""A recorder that is killed while much is sent: what is missing, and what a repair saves."""
+
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+import signal
+import time
+
+from graph_support import sending
+from graph_support.live import Graph, RECORDER
+from graph_support.sending import KINDS, read_sent
+from humanopts_env.seeding import generator
+from humanopts_teach.bags.check import check_bag
+from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.cli import main
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+MOST = 0.5  # s that may be missing
+LATEST = 3.0  # s after the first message, of a kill
+KILLS = 50
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What is missing after a kill."""
+
+    by_record: float  # s from the first message that was sent and is missing, to the kill
+    by_time: float  # s from the last message that is there, to the kill
+    messages: int
+
+
+def kill(live: Graph, folder: Path, after: float) -> int:
+    """Kill a recorder so many seconds after the first message; return when, ns."""
+    folder.mkdir()
+    recorder = live.start(RECORDER, path=str(folder / 'bag'))
+    sender = live.run([sending.__file__, str(folder / 'sent')], 'sender')
+    live.until(lambda: any(read_sent(folder / 'sent')), 'the first message')
+    first = next(read_sent(folder / 'sent')).time
+    time.sleep(max(0.0, after - (time.time_ns() - first) / 1e9))
+    killed = time.time_ns()
+    recorder.kill(signal.SIGKILL)
+    assert sender.kill(signal.SIGTERM) == 0
+    return killed
+
+
+def repaired(folder: Path) -> Bag:
+    """Repair a bag by the command; the original stays as it is."""
+    bag, out = folder / 'bag', folder / 'repaired'
+    before = {path.name: path.read_bytes() for path in bag.iterdir()}
+    check = check_bag(open_bag(bag))
+    assert [text for text in check.damage if 'was not closed' in text or 'cut short' in text]
+    assert all(account.whole for account in check.accounts)
+    assert main(['bag', 'check', str(bag), '--repair', str(out)]) == 1
+    assert {path.name: path.read_bytes() for path in bag.iterdir()} == before
+    assert main(['bag', 'check', str(out)]) == 0
+    return open_bag(out)
+
+
+def loss(folder: Path, bag: Bag, killed: int) -> Loss:
+    """Compare a bag with what was sent, byte for byte."""
+    recorded, sent = defaultdict(list), defaultdict(list)
+    last = 0
+    for message in bag.messages(KINDS, decoded=False):
+        recorded[message.topic].append(message.data)
+        last = max(last, message.log_time)
+    for message in read_sent(folder / 'sent'):
+        if message.time < killed:
+            sent[message.topic].append(message)
+    missing = []
+    for topic, messages in sent.items():
+        there = recorded[topic]
+        assert [m.data for m in messages[: len(there)]] == there[: len(messages)], topic
+        missing += messages[len(there) :]
+    oldest = min((message.time for message in missing), default=killed)
+    return Loss((killed - oldest) / 1e9, (killed - last) / 1e9, len(missing))
+
+
+def assert_read_by_others(bag: Bag) -> None:
+    """Compare what rosbags reads with what our reader does."""
+    ours = sorted((m.topic, m.log_time, m.data) for m in bag.messages(decoded=False))
+    with AnyReader([bag.path]) as reader:
+        theirs = [(c.topic, when, data, c.msgtype) for c, when, data in reader.messages()]
+        for _, _, data, kind in theirs:
+            reader.deserialize(data, kind)
+    assert sorted(message[:3] for message in theirs) == ours
+
+
+def test_killed_recorder_loses_half_a_second_at_most(live: Graph, tmp_path: Path) -> None:
+    killed = kill(live, tmp_path / 'one', 1.0)
+    bag = repaired(tmp_path / 'one')
+    found = loss(tmp_path / 'one', bag, killed)
+    assert max(found.by_record, found.by_time) <= MOST
+    assert_read_by_others(bag)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_fifty_kills_lose_half_a_second_at_most_and_damage_nothing(
+    live: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moments = generator(1, 'kills of the recorder').uniform(0.0, LATEST, KILLS)
+    found = []
+    for number, after in enumerate(moments):
+        folder = tmp_path / str(number)
+        killed = kill(live, folder, after)
+        bag = repaired(folder)
+        assert_read_by_others(bag)
+        found.append(loss(folder, bag, killed))
+    with capsys.disabled():
+        for name in ('by_record', 'by_time'):
+            values = [getattr(one, name) for one in found]
+            print(f'\n{name}: median {np.median(values):.3f} s, most {max(values):.3f} s', end='')
+        print(f'\nmost messages: {max(one.messages for one in found)}')
+    assert max(max(one.by_record, one.by_time) for one in found) <= MOST
