@@ -45,6 +45,7 @@ class Recorder(NodeBase):
         self._complete = False  # at the last two
         self._stopped = self._text = ''
         self._calm = 0
+        self._new = False  # whether a topic came of which nothing may be on disk yet
         self._said: tuple[object, ...] = ()
         self._said_at = 0.0
         self._recorder_status = self.stamped_publisher(RecorderStatus, 'recorder_status', LATCHED)
@@ -76,6 +77,7 @@ class Recorder(NodeBase):
             found = self._intake.discover()
             self._complete = found.complete and self._matched  # the other side has matched, too
             self._matched = found.complete
+            self._new = self._new or bool(found.added)
             for tap in found.added:
                 try:
                     schema = self._bag.add_topic(tap.topic, tap.type, tap.offers, tap.type_hash)
@@ -88,6 +90,9 @@ class Recorder(NodeBase):
     def _take(self) -> None:
         """Record what has arrived, and come again sooner where there was something."""
         busy = self._record(self._intake.take())
+        if busy and self._new:  # so that a bag opens, however soon the end comes
+            self._new = False
+            self._flush()
         period = _BUSY_PERIOD if busy else _IDLE_PERIOD
         if self._take_timer.timer_period_ns != period:
             self._take_timer.timer_period_ns = period
