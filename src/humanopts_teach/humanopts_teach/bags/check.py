@@ -1,11 +1,10 @@
 """What of a bag is damaged or missing: the file itself, and every publisher's numbers."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from humanopts_teach.bags.index import data_fits
 from humanopts_teach.bags.loss import Ledger
 from humanopts_teach.bags.metadata import Extent, FILE
 from humanopts_teach.bags.reader import Bag, Recorded
@@ -14,7 +13,6 @@ from humanopts_teach.bags.summary import table
 
 RECORDER = '(recorder)'  # in place of a publisher, where only the recorder numbers messages
 UNNUMBERED = '(nobody)'  # where no one does, so that loss does not show
-OnProgress = Callable[[int, int], object]  # messages done, of how many
 
 
 @dataclass(frozen=True)
@@ -80,24 +78,20 @@ class Check:
         return '\n'.join([verdict, *(f'- {text}' for text in self.findings), '', numbers])
 
 
-def check_bag(bag: Bag, progress: OnProgress | None = None) -> Check:
+def check_bag(bag: Bag) -> Check:
     """
     Read a bag once and compare it with its checksums, numbers and metadata.yaml.
 
     It needs memory for a few chunks and the index only.
     """
-    for file in bag.files:
-        if not data_fits(file):
-            bag.note(f'{file.name}: its bytes do not fit the checksum over all of them')
+    bag.compare_bytes()
     counts: Counter[str] = Counter()
     extent = Extent()
     numbers = _Numbers(bag)
-    for done, recorded in enumerate(bag.messages(decoded=False), start=1):
+    for recorded in bag.messages(decoded=False):
         counts[recorded.topic] += 1
         extent.add(recorded.log_time)
         numbers.add(recorded)
-        if progress is not None and done % 1000 == 0:
-            progress(done, max(done, bag.n_messages))
     _compare(bag, counts, extent)
     accounts = [
         Account(topic, who, s.last, s.received, s.missing, s.duplicates, s.late)

@@ -1,6 +1,5 @@
 """Finds the messages of an MCAP file: by its index or, where that is damaged, by a scan."""
 
-from collections.abc import Iterable
 from io import BytesIO
 from os import SEEK_END
 from pathlib import Path
@@ -8,29 +7,46 @@ import struct
 from typing import BinaryIO
 import zlib
 
-from humanopts_teach.bags.blocks import Block, DAMAGE, FileIndex, HEAD
+from humanopts_teach.bags.blocks import (
+    Attached,
+    Block,
+    DAMAGE,
+    describe,
+    FileIndex,
+    HEAD,
+    split,
+)
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.scan import scan
+from humanopts_teach.bags.scan import OnByte, scan
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Attachment, ChunkIndex, Header
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Statistics,
+)
 from mcap.stream_reader import MAGIC_SIZE
 from mcap.writer import MCAP0_MAGIC
 
 _FOOTER_BYTES = HEAD + 8 + 8 + 4
 _DATA_END_BYTES = HEAD + 4
 _PIECE = 1 << 20  # bytes read at a time for a checksum
+_CHUNK_INDEX = struct.Struct('<QQQQI')  # first and last time, offset, length, bytes of channels
 
 
 class _NoIndexError(Exception):
     """The file is whole and has no index of its chunks, as some programs write it."""
 
 
-def read_index(path: Path) -> FileIndex:
+def read_index(path: Path, on_byte: OnByte = lambda _: None) -> FileIndex:
     """
     Find the messages of a file; one that was cut short is scanned up to where it ends.
 
+    :param on_byte: told how far a scan is.
     :raises BagError: it cannot be read, is empty, or is not an MCAP file.
     """
     try:
@@ -40,27 +56,27 @@ def read_index(path: Path) -> FileIndex:
                 raise BagError(f'{path} is empty')
             if magic != MCAP0_MAGIC:
                 raise BagError(f'{path} is not an MCAP file: it was written by another program')
-            index = _index(path, stream)
+            index = _index(path, stream, on_byte)
             index.library = _library(stream)
             return index
     except OSError as error:
         raise BagError(f'cannot read {path}: {error.strerror}') from error
 
 
-def _index(path: Path, stream: BinaryIO) -> FileIndex:
+def _index(path: Path, stream: BinaryIO, on_byte: OnByte) -> FileIndex:
     """Use the file's index, or do without it."""
     try:
         return _from_summary(path, stream)
     except _NoIndexError:
-        return scan(path, stream)
+        return scan(path, stream, on_byte)
     except DAMAGE as error:
-        index = scan(path, stream)
+        index = scan(path, stream, on_byte)
         if not index.damage:
             index.note(f'its index is damaged ({error}); everything else that was found is whole')
         return index
 
 
-def data_fits(path: Path) -> bool:
+def data_fits(path: Path, on_byte: OnByte = lambda _: None) -> bool:
     """Compare all bytes of a whole file with their checksum; True: they fit, or it has none."""
     with path.open('rb') as stream:
         try:
@@ -76,6 +92,7 @@ def data_fits(path: Path) -> bool:
         while checksum and place > 0:
             found = zlib.crc32(stream.read(min(place, _PIECE)), found)
             place -= _PIECE
+            on_byte(stream.tell())
         return bool(found == checksum)
 
 
@@ -88,7 +105,7 @@ def read_attachment(index: FileIndex, name: str) -> Attachment:
     if name not in index.attachments:
         raise BagError(f'{index.path} has no attachment {name!r}')
     with index.path.open('rb') as stream:
-        stream.seek(index.attachments[name])
+        stream.seek(index.attachments[name].offset)
         try:
             _, length = struct.unpack('<BQ', stream.read(HEAD))
             if length > index.path.stat().st_size:
@@ -119,39 +136,73 @@ def _from_summary(path: Path, stream: BinaryIO) -> FileIndex:
     :raises _NoIndexError: the file is whole and has none.
     :raises Exception: one of ``DAMAGE``, where it is damaged.
     """
-    _check_summary(stream)
-    stream.seek(0)
-    reader = SeekingReader(stream, record_size_limit=path.stat().st_size)
-    summary = reader.get_summary()
-    if summary is None or summary.statistics is None or not summary.chunk_indexes:
+    content = _summary(stream)
+    index = FileIndex(path)
+    counted, chunks = False, []
+    for opcode, start, end in split(content):
+        part = ReadDataStream(BytesIO(content[start:end]))
+        if opcode == Opcode.CHUNK_INDEX:
+            chunks.append(content[start:end])
+        elif opcode == Opcode.STATISTICS:
+            index.counts.update(Statistics.read(part).channel_message_counts)
+            counted = True
+        elif opcode == Opcode.ATTACHMENT_INDEX:
+            at = AttachmentIndex.read(part)
+            index.attachments[at.name] = Attached(at.offset, at.data_size, at.media_type)
+        elif opcode == Opcode.METADATA_INDEX:
+            index.add(_metadata(stream, MetadataIndex.read(part)))
+        elif (record := describe(opcode, content[start:end])) is not None:
+            index.add(record)
+    if not counted or not chunks:
         raise _NoIndexError
-    _check_chunks(stream, summary.chunk_indexes)
-    index = FileIndex(path, dict(summary.schemas), dict(summary.channels))
-    index.counts.update(summary.statistics.channel_message_counts)
-    for chunk in summary.chunk_indexes:
-        channels = frozenset(chunk.message_index_offsets) or frozenset(index.channels)
-        start = chunk.message_start_time
-        index.blocks.append(Block(chunk.chunk_start_offset, chunk.chunk_length, start, channels))
-    for attachment in summary.attachment_indexes:
-        index.attachments[attachment.name] = attachment.offset
-    for record in reader.iter_metadata():
-        index.add(record)
+    index.blocks.extend(_block(index, stream, chunk) for chunk in chunks)
     return index
 
 
-def _check_summary(stream: BinaryIO) -> None:
+def _block(index: FileIndex, stream: BinaryIO, content: bytes) -> Block:
     """
-    Compare the summary at the end of the file with its checksum.
+    Return the chunk that a chunk index tells of.
 
-    :raises _NoIndexError: there is none.
-    :raises Exception: one of ``DAMAGE``, where they differ or the file has no end.
+    :raises Exception: one of ``DAMAGE``, where something else is there.
+    """
+    first, last, offset, length, size = _CHUNK_INDEX.unpack_from(content)
+    stream.seek(offset)
+    said = (Opcode.CHUNK, length - HEAD, first, last)
+    if struct.unpack('<BQQQ', stream.read(HEAD + 16)) != said:
+        raise ValueError(f'there is another chunk at byte {offset}')
+    listed = content[_CHUNK_INDEX.size : _CHUNK_INDEX.size + size]
+    channels = frozenset(channel for channel, _ in struct.iter_unpack('<HQ', listed))
+    return Block(offset, length, first, index.group(channels or frozenset(index.channels)))
+
+
+def _metadata(stream: BinaryIO, at: MetadataIndex) -> McapRecord:
+    """
+    Return the metadata record that is told of.
+
+    :raises Exception: one of ``DAMAGE``, where it is damaged.
+    """
+    stream.seek(at.offset)
+    ((opcode, start, end),) = split(data := stream.read(at.length))
+    record = describe(opcode, data[start:end])
+    if not isinstance(record, Metadata) or record.name != at.name:
+        raise ValueError(f'there is no record {at.name} at byte {at.offset}')
+    return record
+
+
+def _summary(stream: BinaryIO) -> bytes:
+    """
+    Return the records at the end of the file, which fit their checksum.
+
+    :raises _NoIndexError: there are none.
+    :raises Exception: one of ``DAMAGE``, where they do not fit or the file has no end.
     """
     start = _summary_start(stream)
     stream.seek(start)
-    content = stream.read()
-    checksum = int.from_bytes(content[-4 - MAGIC_SIZE : -MAGIC_SIZE], 'little')
-    if checksum and zlib.crc32(content[: -4 - MAGIC_SIZE]) != checksum:
+    content = stream.read()[:-MAGIC_SIZE]
+    checksum = int.from_bytes(content[-4:], 'little')
+    if checksum and zlib.crc32(content[:-4]) != checksum:
         raise ValueError('it does not fit its checksum')
+    return content
 
 
 def _summary_start(stream: BinaryIO) -> int:
@@ -168,16 +219,3 @@ def _summary_start(stream: BinaryIO) -> int:
     if start == 0:
         raise _NoIndexError
     return int(start)
-
-
-def _check_chunks(stream: BinaryIO, chunks: Iterable[ChunkIndex]) -> None:
-    """
-    Compare where the index says that chunks are with what is there.
-
-    :raises Exception: one of ``DAMAGE``, where they differ.
-    """
-    for chunk in chunks:
-        stream.seek(chunk.chunk_start_offset)
-        said = (chunk.chunk_length - HEAD, chunk.message_start_time, chunk.message_end_time)
-        if struct.unpack('<BQQQ', stream.read(HEAD + 16)) != (Opcode.CHUNK, *said):
-            raise ValueError(f'there is another chunk at byte {chunk.chunk_start_offset}')

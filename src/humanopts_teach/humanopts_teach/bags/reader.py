@@ -1,22 +1,26 @@
 """Reads rosbag2 directories and MCAP files, whole or damaged, in bounded memory."""
 
-from collections.abc import Collection, Iterator, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-import heapq
+from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
-from humanopts_teach.bags.blocks import Block, DAMAGE, FileIndex, read_block
+from humanopts_teach.bags.blocks import Block, DAMAGE, FileIndex, read_messages, Stored
 from humanopts_teach.bags.decoding import decode, Decoder, make_decoder
 from humanopts_teach.bags.directory import find_files, load
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.index import read_attachment, read_index
+from humanopts_teach.bags.index import data_fits, read_attachment, read_index
 from humanopts_teach.bags.metadata import FILE
 from humanopts_teach.bags.writer import LIBRARY, RECORD, SELF, SELF_TEXT
-from mcap.records import Attachment, Message
+from mcap.records import Attachment
 
 INTERFACES = 'humanopts_interfaces/'
+MOST_WAITING = 64 << 20  # bytes of messages that are put in order of time at once
+_EACH = 300  # bytes that a message takes in memory apart from its data
+OnRead = Callable[[int, int], object]  # bytes that a pass over a bag is through, of how many
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +35,7 @@ class Topic:
     type_hash: str  # RIHS01_...; empty: not known
 
 
-@dataclass(frozen=True, slots=True)
-class Recorded:
+class Recorded(NamedTuple):
     """One message of a bag."""
 
     topic: str
@@ -52,7 +55,9 @@ class Bag:
     ) -> None:
         self.path = path
         self.information = information  # of metadata.yaml; {}: there is none
+        self.on_read: OnRead = _silent  # told how far every pass is
         self._files = files
+        self._passage = _Passage(self.files)
         self._damage = [*damage, *(text for file in files for text in file.damage)]
         self._decoders: dict[str, Decoder] = {}
         self.topics = _topics(files)
@@ -104,6 +109,12 @@ class Bag:
                 except BagError as error:
                     self.note(str(error))
 
+    def compare_bytes(self) -> None:
+        """Compare every file with the checksum over it; ``damage`` says where they differ."""
+        for number, file in enumerate(self.files):
+            if not data_fits(file, partial(self._passage.tell, self.on_read, number)):
+                self.note(f'{file.name}: its bytes do not fit the checksum over all of them')
+
     def of_type(self, type_name: str) -> list[str]:
         """Return the names of the topics of a type, sorted."""
         return sorted(topic.name for topic in self.topics.values() if topic.type == type_name)
@@ -119,17 +130,17 @@ class Bag:
         """
         with ExitStack() as stack:
             streams = [stack.enter_context(file.path.open('rb')) for file in self._files]
-            for log_time, number, _, message in self._merged(streams, topics):
-                channel = self._files[number].channels[message.channel_id]
+            for stored in self._in_order(streams, topics):
+                channel = self._files[stored.file].channels[stored.channel]
                 topic = self.topics[channel.topic]
                 yield Recorded(
                     topic.name,
                     topic.type,
-                    log_time,
-                    message.publish_time,
-                    message.sequence,
-                    message.data,
-                    self.decode(topic.name, message.data) if decoded else None,
+                    stored.log_time,
+                    stored.publish_time,
+                    stored.sequence,
+                    stored.data,
+                    self.decode(topic.name, stored.data) if decoded else None,
                 )
 
     def decode(self, topic: str, data: bytes) -> Any:
@@ -161,30 +172,28 @@ class Bag:
             if copy.get('custom_data', {}) != told:
                 self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
-    def _merged(
+    def _in_order(
         self, streams: Sequence[BinaryIO], topics: Collection[str] | None
-    ) -> Iterator[tuple[int, int, int, Message]]:
-        """Yield (log time, file, place, message), reading a block when its first is due."""
+    ) -> Iterator[Stored]:
+        """Yield messages by time; where blocks overlap in time, those of several are held."""
         wanted = [self._wanted(file, topics) for file in self._files]
         blocks = sorted(
-            (
-                (block.start, number, block.offset, block)
-                for number, file in enumerate(self._files)
-                for block in file.blocks
-                if block.channels & wanted[number]
-            ),
-            reverse=True,
+            (block.start, number, block.offset, block)
+            for number, file in enumerate(self._files)
+            for block in file.blocks
+            if not block.channels.isdisjoint(wanted[number])
         )
-        waiting: list[tuple[int, int, int, Message]] = []
-        while blocks or waiting:
-            if blocks and (not waiting or blocks[-1][0] <= waiting[0][0]):
-                _, number, offset, block = blocks.pop()
-                for place, message in enumerate(self._read(streams[number], number, block)):
-                    if message.channel_id in wanted[number]:
-                        item = (message.log_time, number, (offset << 32) + place, message)
-                        heapq.heappush(waiting, item)
-            else:
-                yield heapq.heappop(waiting)
+        waiting: list[Stored] = []
+        for (_, number, offset, block), after in zip(blocks, [*blocks[1:], None]):
+            self._passage.tell(self.on_read, number, offset)
+            waiting += self._read(streams[number], number, block, wanted[number])
+            waiting.sort()
+            due = len(waiting) if after is None else bisect_left(waiting, after[:3])
+            if due < len(waiting) and _size(waiting[due:]) > MOST_WAITING:
+                self.note('its messages are so far out of order that they are read as they come')
+                due = len(waiting)
+            yield from waiting[:due]
+            del waiting[:due]
 
     def _wanted(self, file: FileIndex, topics: Collection[str] | None) -> frozenset[int]:
         return frozenset(
@@ -193,30 +202,57 @@ class Bag:
             if channel.topic in self.topics and (topics is None or channel.topic in topics)
         )
 
-    def _read(self, stream: BinaryIO, number: int, block: Block) -> list[Message]:
+    def _read(
+        self, stream: BinaryIO, number: int, block: Block, wanted: frozenset[int]
+    ) -> list[Stored]:
         try:
-            records = read_block(stream, block)
+            return read_messages(stream, block, wanted, number)
         except DAMAGE as error:
             name = self._files[number].path.name
             self.note(f'{name}: the chunk at byte {block.offset} is damaged and left out: {error}')
             return []
-        return [record for record in records if isinstance(record, Message)]
 
 
-def open_bag(path: Path | str) -> Bag:
+class _Passage:
+    """How far a pass over several files is."""
+
+    def __init__(self, files: Sequence[Path]) -> None:
+        sizes = [file.stat().st_size if file.exists() else 0 for file in files]
+        self._before = [sum(sizes[:number]) for number in range(len(sizes))]
+        self._total = sum(sizes)
+
+    def tell(self, on_read: OnRead, number: int, offset: int) -> None:
+        """Say that a file is read up to an offset."""
+        on_read(self._before[number] + offset, self._total)
+
+
+def _silent(done: int, total: int) -> None:
+    """Tell nobody."""
+
+
+def _size(messages: Sequence[Stored]) -> int:
+    """Return how many bytes messages take, about."""
+    return sum(len(message.data) + _EACH for message in messages)
+
+
+def open_bag(path: Path | str, on_read: OnRead = _silent) -> Bag:
     """
     Open a rosbag2 directory or an MCAP file.
 
     A file that was cut short or not closed is opened with all that is whole in it; ``Bag.damage``
     then says what is wrong.
 
+    :param on_read: told how far every pass over the bag is, beginning with a scan where it has no
+        index.
     :raises BagError: there is nothing, it is empty, was written by another program, or holds no
         humanopts topics.
     """
     path = Path(path)
     found = find_files(path)
-    files = [read_index(file) for file in found.files]
+    tell = partial(_Passage(found.files).tell, on_read)
+    files = [read_index(file, partial(tell, number)) for number, file in enumerate(found.files)]
     bag = Bag(path, files, found.information, found.damage)
+    bag.on_read = on_read
     if not bag.topics:
         reason = f' ({bag.damage})' if bag.damage else ''
         raise BagError(f'{path} holds no messages{reason}')

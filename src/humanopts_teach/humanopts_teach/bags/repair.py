@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-from humanopts_teach.bags.check import OnProgress
 from humanopts_teach.bags.directory import load
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, Topic
@@ -13,7 +12,7 @@ from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
 REPAIR = 'humanopts_repair'  # name of the MCAP metadata record that tells of a repair
 
 
-def repair(bag: Bag, out: Path, progress: OnProgress | None = None) -> int:
+def repair(bag: Bag, out: Path) -> int:
     """
     Write what can be read of a bag as a new one, and leave the old one alone.
 
@@ -30,7 +29,7 @@ def repair(bag: Bag, out: Path, progress: OnProgress | None = None) -> int:
     with BagWriter(out, bag.metadata.get(RECORD), _Recorded(bag)) as writer:
         for topic in bag.topics.values():
             writer.add_topic(topic.name, topic.type, _profiles(topic), topic.type_hash)
-        repeated = _copy(bag, writer, progress)
+        repeated = _copy(bag, writer)
         for file in bag.attached():
             times = (file.create_time, file.log_time)
             writer.attach(file.name, file.data, file.media_type, times)
@@ -51,11 +50,11 @@ class _Recorded(Definitions):
         self._schemas = {topic.type: topic.schema for topic in bag.topics.values()}
 
 
-def _copy(bag: Bag, writer: BagWriter, progress: OnProgress | None) -> int:
+def _copy(bag: Bag, writer: BagWriter) -> int:
     """Copy the messages; return how many were repetitions, which are left out."""
     repeated, time = 0, -1
     now: set[tuple[str, int, bytes]] = set()  # what was written of this log time
-    for done, recorded in enumerate(bag.messages(decoded=False), start=1):
+    for recorded in bag.messages(decoded=False):
         if recorded.log_time != time:
             time = recorded.log_time
             now.clear()
@@ -65,8 +64,6 @@ def _copy(bag: Bag, writer: BagWriter, progress: OnProgress | None) -> int:
         else:
             now.add(key)
             writer.write(recorded.topic, recorded.data, time, recorded.publish_time)
-        if progress is not None and done % 1000 == 0:
-            progress(done, max(done, bag.n_messages))
     return repeated
 
 

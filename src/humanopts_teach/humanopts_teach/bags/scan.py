@@ -1,17 +1,27 @@
 """Goes through a damaged MCAP file record by record, keeping all that is whole."""
 
-from collections.abc import Iterator
-from io import BytesIO
+from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
 import struct
 from typing import BinaryIO
 
-from humanopts_teach.bags.blocks import Block, DAMAGE, FileIndex, HEAD, read_block
-from mcap.data_stream import ReadDataStream
+from humanopts_teach.bags.blocks import (
+    attached,
+    Block,
+    block_data,
+    DAMAGE,
+    describe,
+    FileIndex,
+    HEAD,
+    split,
+)
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
+from mcap.records import Channel, McapRecord, Schema
 from mcap.stream_reader import MAGIC_SIZE
 
+OnByte = Callable[[int], object]  # how far the file is read
+_HEADS = 1 << 16  # bytes that hold the names of an attached file
 _LOOSE_BYTES = 1 << 20  # records outside chunks are read in runs of about this size
 _LOOSE = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX}
 _OPCODES = {int(opcode) for opcode in Opcode}
@@ -19,9 +29,10 @@ _WINDOW = 1 << 20  # bytes searched at a time for where records go on
 _ZSTD = b'\4\0\0\0zstd'  # how a chunk's head names its compression
 _ZSTD_AT = HEAD + 28  # where, from the beginning of the chunk
 _DATA_AT = _ZSTD_AT + len(_ZSTD) + 8
+_MESSAGE = struct.Struct('<HIQ')  # how a message begins: channel, sequence, log time
 
 
-def scan(path: Path, stream: BinaryIO) -> FileIndex:
+def scan(path: Path, stream: BinaryIO, on_byte: OnByte) -> FileIndex:
     """Index a file that has no index of its own; what is damaged is noted and left out."""
     index = FileIndex(path)
     run = Run(index, stream)
@@ -31,6 +42,7 @@ def scan(path: Path, stream: BinaryIO) -> FileIndex:
             run.extend(offset, length)
             continue
         run.finish()
+        on_byte(offset)
         closed = closed or opcode == Opcode.DATA_END
         try:
             _take(index, stream, opcode, offset, length)
@@ -164,40 +176,46 @@ def _take(index: FileIndex, stream: BinaryIO, opcode: int, offset: int, length: 
     """Index one record that is not loose, or is in the summary at the end."""
     if opcode == Opcode.CHUNK:
         _add_block(index, stream, Block(offset, length, 0, frozenset()))
-    elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+    elif opcode == Opcode.ATTACHMENT:
         stream.seek(offset + HEAD)
-        content = ReadDataStream(BytesIO(stream.read(length - HEAD)))
-        if opcode == Opcode.METADATA:
-            index.add(Metadata.read(content))
-        else:
-            index.attachments[Attachment.read(content).name] = offset
-    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-        for record in read_block(stream, Block(offset, length, 0, frozenset(), loose=True)):
-            _add_if_new(index, record)
+        name, place = attached(offset, stream.read(min(length - HEAD, _HEADS)))
+        if place.size > length:
+            raise ValueError('it is larger than its record')
+        index.attachments[name] = place
+    elif opcode in (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL):
+        stream.seek(offset + HEAD)
+        _add_if_new(index, describe(opcode, stream.read(length - HEAD)))
 
 
-def _add_if_new(index: FileIndex, record: McapRecord) -> None:
+def _add_if_new(index: FileIndex, record: McapRecord | None) -> None:
     """Take what the summary repeats only where the chunk that told it first is damaged."""
-    if (isinstance(record, Schema) and record.id not in index.schemas) or (
-        isinstance(record, Channel) and record.id not in index.channels
-    ):
+    known = (isinstance(record, Schema) and record.id in index.schemas) or (
+        isinstance(record, Channel) and record.id in index.channels
+    )
+    if record is not None and not known:
         index.add(record)
 
 
 def _add_block(index: FileIndex, stream: BinaryIO, block: Block) -> int:
     """Read a block for what it describes, keep it if it holds messages; return how many."""
-    records = read_block(stream, block)
-    for record in records:
+    data = block_data(stream, block)
+    described, times, counts = [], [], Counter[int]()
+    for opcode, start, end in split(data):
+        if opcode == Opcode.MESSAGE:
+            channel, _, log_time = _MESSAGE.unpack_from(data, start)
+            times.append(log_time)
+            counts[channel] += 1
+        elif (record := describe(opcode, data[start:end])) is not None:
+            described.append(record)
+    for record in described:
         index.add(record)
-    messages = [record for record in records if isinstance(record, Message)]
-    if messages:
-        index.counts.update(message.channel_id for message in messages)
-        start = min(message.log_time for message in messages)
-        channels = frozenset(message.channel_id for message in messages)
+    if times:
+        index.counts.update(counts)
+        channels = index.group(frozenset(counts))
         index.blocks.append(
-            Block(block.offset, block.length, start, channels, block.loose, block.cut)
+            Block(block.offset, block.length, min(times), channels, block.loose, block.cut)
         )
-    return len(messages)
+    return len(times)
 
 
 def _note_unknown(index: FileIndex) -> None:

@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 import json
 import sys
 
@@ -10,7 +11,7 @@ from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands import bag_check, bag_export, bag_play
-from humanopts_teach.commands.bar import progress_bar
+from humanopts_teach.commands.bar import progress_bar, Tell
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
@@ -41,7 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    info = summarise(open_bag(arguments.bag))
+    with progress_bar() as tell:
+        info = summarise(open_bag(arguments.bag, tell))
     print(json.dumps(info.to_dict(), indent=2) if arguments.json else info.to_text())
     return 0
 
@@ -51,15 +53,20 @@ def _eval(arguments: argparse.Namespace) -> int:
         raise CommandError('--html reports on one bag: give one')
     if arguments.html and not arguments.html.parent.is_dir():
         raise CommandError(f'cannot write {arguments.html}: there is no such folder')
-    bags = [open_bag(path) for path in arguments.bags]
-    found = [_evaluated(bag, arguments.games) for bag in bags]
+    bags, found = [], []
+    for path in arguments.bags:
+        with progress_bar() as tell:
+            bags.append(open_bag(path, tell))
+            found.append(_evaluated(bags[-1], arguments.games, tell))
     _print(arguments.json, bags, found)
     for bag, evaluation in zip(bags, found):
         whose = f'{bag.path}: ' if len(bags) > 1 else ''
         for warning in evaluation.warnings:
             print(f'humanopts bag eval: {whose}{warning}', file=sys.stderr)
     if arguments.html:
-        parts = bag_parts(bags[0])
+        with progress_bar() as tell:
+            bags[0].on_read = partial(tell, text='reading for the report')
+            parts = bag_parts(bags[0])
         try:
             write_evaluation_report(arguments.html, found[0], parts.frames, parts.topics)
         except SummaryError as error:
@@ -68,19 +75,18 @@ def _eval(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _evaluated(bag: Bag, games: int) -> BagEvaluation:
-    with progress_bar() as tell:
-        evaluation = evaluate_bag(bag, tell)
-        if games:
-            evaluation = with_games(
-                evaluation, games, lambda text, share: tell(round(1000 * share), 1000, text)
-            )
+def _evaluated(bag: Bag, games: int, tell: Tell) -> BagEvaluation:
+    evaluation = evaluate_bag(bag, tell)
+    if games:
+        evaluation = with_games(
+            evaluation, games, lambda text, share: tell(round(1000 * share), 1000, text)
+        )
     return evaluation
 
 
 def _diff(arguments: argparse.Namespace) -> int:
-    bags = [open_bag(path) for path in (arguments.a, arguments.b)]
     with progress_bar() as tell:
+        bags = [open_bag(path, tell) for path in (arguments.a, arguments.b)]
         lessons = [read_lesson(bag, tell) for bag in bags]
     found = compare(*lessons)
     for bag, lesson in zip(bags, lessons):

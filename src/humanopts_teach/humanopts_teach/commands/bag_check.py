@@ -1,6 +1,7 @@
 """``humanopts bag check``: names what is damaged or missing, and saves the rest."""
 
 import argparse
+from functools import partial
 import json
 import sys
 
@@ -21,13 +22,14 @@ def run(arguments: argparse.Namespace) -> int:
     out = arguments.repair
     if out is not None and out.exists():
         raise CommandError(f'{out} exists already; name a folder that does not')
-    bag = open_bag(arguments.bag)
     with progress_bar() as tell:
-        check = check_bag(bag, lambda done, total: tell(done, total, 'checking'))
+        bag = open_bag(arguments.bag, partial(tell, text='checking'))
+        check = check_bag(bag)
     if out is not None:
         try:
             with progress_bar() as tell:
-                count = repair(bag, out, lambda done, total: tell(done, total, 'writing'))
+                bag.on_read = partial(tell, text='writing')
+                count = repair(bag, out)
         except BagWriteError as error:
             raise CommandError(str(error)) from error
         print(f'{out}: {count} messages, all that could be saved', file=sys.stderr)

@@ -1,12 +1,22 @@
 """A bar of progress for commands that need no ROS."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+import time
+from typing import Protocol
 
 from rich.console import Console
 from rich.progress import Progress
 
-Tell = Callable[[int, int, str], None]  # done, of how many, what is under way
+_PERIOD = 0.1  # seconds between two drawings of the same work
+
+
+class Tell(Protocol):
+    """Shows how far work is."""
+
+    def __call__(self, done: int, total: int, text: str = 'reading') -> None:
+        """Show how much is done, of how much, and what is under way."""
+        ...
 
 
 @contextmanager
@@ -15,6 +25,12 @@ def progress_bar() -> Iterator[Tell]:
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task('reading', total=None)
-        yield lambda done, total, text: progress.update(
-            task, completed=done, total=total, description=text
-        )
+        shown, due = '', 0.0
+
+        def tell(done: int, total: int, text: str = 'reading') -> None:
+            nonlocal shown, due
+            if text != shown or time.monotonic() >= due:
+                shown, due = text, time.monotonic() + _PERIOD
+                progress.update(task, completed=done, total=total, description=text)
+
+        yield tell
