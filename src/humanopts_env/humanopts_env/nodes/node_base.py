@@ -11,6 +11,7 @@ import uuid
 
 from humanopts_env.environment import LAUNCHER_PID, prepare_discovery
 from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_env.recording import Selection
 from humanopts_interfaces.msg import NodeStatus
 from rcl_interfaces.msg import ParameterDescriptor
 import rclpy
@@ -121,6 +122,11 @@ class NodeBase(Node):
         self._expect_recorder = bool(
             self.setting('expect_recorder', False, 'wait until the recorder has every publisher')
         )
+        self.selection = Selection(
+            self.get_namespace(),
+            self._patterns('record_include', 'topics to record, as lesson/*; none: all'),
+            self._patterns('record_exclude', 'topics not to record'),
+        )
         self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
         self.ready = False
         self.set_status(NodeStatus.STATE_STARTING)
@@ -202,7 +208,9 @@ class NodeBase(Node):
         )
 
     def is_recorded(self, topic: str) -> bool:
-        """Tell whether the recorder has subscribed to a topic."""
+        """Tell whether the recorder has subscribed to a topic, or is told to leave it out."""
+        if not self.selection.wants(self.resolve_topic_name(topic)):
+            return True
         readers = self.get_subscriptions_info_by_topic(topic)
         return any(reader.node_name == RECORDER for reader in readers)
 
@@ -290,6 +298,10 @@ class NodeBase(Node):
         deadline = time.monotonic() + _DRAIN
         for publisher in self._stamped:
             publisher.drain(max(0.0, deadline - time.monotonic()))
+
+    def _patterns(self, name: str, description: str) -> tuple[str, ...]:
+        given = self.setting(name, [''], f'patterns of {description}')
+        return tuple(pattern for pattern in given if pattern)
 
     def _check_start(self) -> None:
         if self.waits_for() is not None:

@@ -41,6 +41,12 @@ class Extent:
         self.first = min(self.first, log_time)
         self.last = max(self.last, log_time)
 
+    def include(self, other: 'Extent') -> None:
+        """Count what another file holds."""
+        self.messages += other.messages
+        self.first = min(self.first, other.first)
+        self.last = max(self.last, other.last)
+
     @property
     def duration(self) -> int:
         """Time from the first to the last message, ns."""
@@ -58,39 +64,42 @@ def dump(values: Any) -> str:
 
 
 def bag_information(
-    file: str, topics: Sequence[TopicEntry], extent: Extent, custom: Mapping[str, str]
+    files: Mapping[str, Extent], topics: Sequence[TopicEntry], custom: Mapping[str, str]
 ) -> dict[str, Any]:
     """
-    Return what metadata.yaml says of a bag of one file.
+    Return what metadata.yaml says of a bag.
 
-    :param file: its name within the directory.
+    :param files: by name within the directory, in order.
     :param custom: facts of our own.
     """
-    starting_time = {'nanoseconds_since_epoch': extent.first}
-    duration = {'nanoseconds': extent.duration}
+    whole = Extent()
+    for extent in files.values():
+        whole.include(extent)
     return deepcopy(  # equal parts are written out, not as references
         {
             'version': VERSION,
             'storage_identifier': 'mcap',
-            'duration': duration,
-            'starting_time': starting_time,
-            'message_count': extent.messages,
+            **_times(whole),
+            'message_count': whole.messages,
             'topics_with_message_count': [_topic_information(topic) for topic in topics],
             'compression_format': '',  # of whole files or messages; the chunks have their own
             'compression_mode': '',
-            'relative_file_paths': [file],
+            'relative_file_paths': list(files),
             'files': [
-                {
-                    'path': file,
-                    'starting_time': dict(starting_time),
-                    'duration': dict(duration),
-                    'message_count': extent.messages,
-                }
+                {'path': name, **_times(extent), 'message_count': extent.messages}
+                for name, extent in files.items()
             ],
             'custom_data': dict(custom),
             'ros_distro': ROS_DISTRO,
         }
     )
+
+
+def _times(extent: Extent) -> dict[str, Any]:
+    return {
+        'duration': {'nanoseconds': extent.duration},
+        'starting_time': {'nanoseconds_since_epoch': extent.first},
+    }
 
 
 def _topic_information(topic: TopicEntry) -> dict[str, Any]:

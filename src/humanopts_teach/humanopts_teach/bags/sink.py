@@ -46,6 +46,21 @@ class Sink:
             raise BagWriteError(self._failure) from error
         self._end += len(data)
 
+    def rename(self, path: Path) -> None:
+        """
+        Give the file another name.
+
+        :raises OSError: it cannot have it.
+        """
+        os.replace(self._path, path)
+        self._path = path
+
+    def discard(self) -> None:
+        """Close the file and remove it."""
+        self.close()
+        with suppress(OSError):
+            self._path.unlink()
+
     def tell(self) -> int:
         """Return the size of the file."""
         return self._end

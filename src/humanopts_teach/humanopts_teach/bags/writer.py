@@ -1,32 +1,45 @@
-"""Writes a rosbag2 directory: one MCAP file (profile ros2) and metadata.yaml."""
+"""Writes a rosbag2 directory: MCAP files (profile ros2) and metadata.yaml."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 import os
 from pathlib import Path
 from types import TracebackType
-from typing import Any, cast, IO
+from typing import Any
 
 from humanopts_teach.bags.errors import BagWriteError
+from humanopts_teach.bags.file import BagFile, LIBRARY, RECORD, SELF, SELF_TEXT
 from humanopts_teach.bags.metadata import (
     bag_information,
     dump,
     Extent,
     FILE,
     Qos,
-    qos_text,
     ROOT,
     TopicEntry,
 )
 from humanopts_teach.bags.schemas import Definitions
-from humanopts_teach.bags.sink import Sink
-from mcap.writer import CompressionType, Writer
 
-CHUNK_BYTES = 256 * 1024
-LIBRARY = 'humanopts'  # who wrote the file, in its header
-RECORD = 'humanopts'  # name of the MCAP metadata record with our facts
-SELF = 'rosbag2'  # name of that with what metadata.yaml says ...
-SELF_TEXT = 'serialized_metadata'  # ... under this key
+__all__ = ['LIBRARY', 'NO_LIMITS', 'RECORD', 'SELF', 'SELF_TEXT', 'BagWriter', 'Limits']
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a bag goes on in another file; 0: never."""
+
+    bytes: int = 0  # once a file has this size, without the chunk under way and the index
+    seconds: float = 0.0  # from the first message in the file
+
+    def reached(self, file: BagFile, log_time: int) -> bool:
+        """Tell whether a file is to take no message of this time (ns) any more."""
+        if file.extent.messages == 0:
+            return False
+        age = log_time - file.extent.first
+        return 0 < self.bytes <= file.bytes_written or 0 < self.seconds * 1e9 <= age
+
+
+NO_LIMITS = Limits()
 
 
 class BagWriter:
@@ -42,6 +55,7 @@ class BagWriter:
         path: Path,
         facts: Mapping[str, str] | None = None,
         definitions: Definitions | None = None,
+        limits: Limits = NO_LIMITS,
     ) -> None:
         """
         Begin a bag.
@@ -49,32 +63,38 @@ class BagWriter:
         :param path: its directory; must not exist.
         :param facts: what reproduction needs, kept in the MCAP metadata record ``humanopts``.
         :param definitions: where message definitions are found; None: AMENT_PREFIX_PATH.
+        :param limits: when the next file is begun.
         :raises BagWriteError: the directory exists, or cannot be made.
         """
         self.path = Path(path)
-        self.extent = Extent()
         self._facts = dict(facts or {})
         self._definitions = definitions or Definitions()
+        self._limits = limits
         self._topics: dict[str, TopicEntry] = {}
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
         self._described = -1  # topics in metadata.yaml
         self._closed = False
-        self._sink = self._create()
-        self._writer: Any = Writer(
-            cast(IO[Any], self._sink),
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
-        self._writer.start(profile='ros2', library=LIBRARY)
-        self._writer.add_metadata(RECORD, self._facts)
+        self._make_directory()
+        self._file = self._begin_file(0)
+        self._files = [self._file]
         self.flush()
 
     @property
     def bytes_written(self) -> int:
-        """Size of the MCAP file."""
-        return self._sink.tell()
+        """Size of the MCAP files."""
+        return sum(file.bytes_written for file in self._files)
+
+    @property
+    def n_files(self) -> int:
+        """Number of MCAP files."""
+        return len(self._files)
+
+    @property
+    def extent(self) -> Extent:
+        """How much the files hold."""
+        whole = Extent()
+        for file in self._files:
+            whole.include(file.extent)
+        return whole
 
     @property
     def topics(self) -> list[TopicEntry]:
@@ -98,17 +118,8 @@ class BagWriter:
             return schema
         if '/msg/' not in type_name:
             type_hash = ''  # rosbags 0.11 opens no bag with that of a service event or feedback
-        if type_name not in self._schemas:
-            self._schemas[type_name] = self._writer.register_schema(
-                type_name, 'ros2msg', schema.encode()
-            )
-        self._channels[name] = self._writer.register_channel(
-            name,
-            'cdr',
-            self._schemas[type_name],
-            {'offered_qos_profiles': qos_text(qos), 'topic_type_hash': type_hash},
-        )
         self._topics[name] = TopicEntry(name, type_name, tuple(qos), type_hash)
+        self._file.announce(self._topics[name], schema)
         return schema
 
     def write(
@@ -122,13 +133,14 @@ class BagWriter:
         :param publish_time: when it was sent; None: not known, so ``log_time``.
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        entry = self._topics[topic]
+        if self._limits.reached(self._file, log_time):
+            self._split()
+        entry, file = self._topics[topic], self._file
+        if not file.knows(topic):
+            file.announce(entry, self._definitions.schema(entry.type))
         sent = log_time if publish_time is None else publish_time
-        self._writer.add_message(
-            self._channels[topic], log_time, data, sent, sequence=(entry.messages + 1) % 2**32
-        )
+        file.write(topic, data, log_time, sent, entry.messages + 1)
         entry.messages += 1
-        self.extent.add(log_time)
 
     def attach(
         self,
@@ -143,9 +155,8 @@ class BagWriter:
         :param times: when it was made and when recorded, ns; None: those of the last message.
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        self._writer.flush()
-        made, recorded = times or (self.extent.last, self.extent.last)
-        self._writer.add_attachment(made, recorded, name, media_type, data)
+        last = self.extent.last
+        self._file.attach(name, data, media_type, times or (last, last))
 
     def note(self, name: str, values: Mapping[str, str]) -> None:
         """
@@ -153,7 +164,7 @@ class BagWriter:
 
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        self._writer.add_metadata(name, dict(values))
+        self._file.note(name, values)
 
     def flush(self) -> None:
         """
@@ -161,7 +172,7 @@ class BagWriter:
 
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        self._writer.flush()
+        self._file.flush()
         if self._described != len(self._topics):
             self._describe()
 
@@ -171,16 +182,10 @@ class BagWriter:
 
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            self._writer.flush()
-            self.note(SELF, {SELF_TEXT: dump(self._information())})
-            self._writer.finish()
+        if not self._closed:
+            self._closed = True
+            self._file.finish(dump(self._information()))
             self._describe()
-        finally:
-            self._sink.close()
 
     def __enter__(self) -> 'BagWriter':
         """Return the writer; leaving the context closes it."""
@@ -195,7 +200,14 @@ class BagWriter:
         """Close the bag."""
         self.close()
 
-    def _create(self) -> Sink:
+    def _split(self) -> None:
+        """Finish the file and begin the next."""
+        self._file.finish(dump(self._information()))
+        self._file = self._begin_file(len(self._files))
+        self._files.append(self._file)
+        self._describe()
+
+    def _make_directory(self) -> None:
         try:
             self.path.mkdir(parents=True)
         except FileExistsError:
@@ -204,17 +216,19 @@ class BagWriter:
             ) from None
         except OSError as error:
             raise BagWriteError(f'cannot make {self.path}: {error.strerror}') from error
+
+    def _begin_file(self, number: int) -> BagFile:
+        name = f'{self.path.resolve().name}_{number}.mcap'
         try:
-            return Sink(self.path / self._file_name)
+            return BagFile(self.path / name, self._facts)
+        except BagWriteError:
+            raise
         except OSError as error:
             raise BagWriteError(f'cannot write in {self.path}: {error.strerror}') from error
 
-    @property
-    def _file_name(self) -> str:
-        return f'{self.path.resolve().name}_0.mcap'
-
     def _information(self) -> dict[str, Any]:
-        return bag_information(self._file_name, self.topics, self.extent, self._facts)
+        extents = {file.name: file.extent for file in self._files}
+        return bag_information(extents, self.topics, self._facts)
 
     def _describe(self) -> None:
         """Replace metadata.yaml in one go."""
