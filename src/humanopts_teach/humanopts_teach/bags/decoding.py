@@ -12,6 +12,7 @@ from mcap_ros2.decoder import DecoderFactory
 Decoder = Callable[[bytes], Any]
 _PLAIN = 'Underscore'  # stands for _ in a name, and is in no name
 _NAME = re.compile(r'^MSG:\s+(\S+)$', re.M)
+_CHAR = re.compile(r'^(\s*)char\b', re.M)  # unsigned in ROS 2, which mcap_ros2 does not know
 
 
 def make_decoder(type_name: str, schema: str) -> Decoder:
@@ -21,6 +22,7 @@ def make_decoder(type_name: str, schema: str) -> Decoder:
     :raises BagError: the schema is no message definition.
     """
     name, text = plain_names(type_name, schema)
+    text = _CHAR.sub(r'\1uint8', text)
     record = Schema(id=1, data=text.encode(), encoding='ros2msg', name=name)
     try:
         decoder = DecoderFactory().decoder_for('cdr', record)

@@ -1,0 +1,174 @@
+"""Four readers decode a bag with a message of every type that is installed here."""
+
+from pathlib import Path
+import re
+from typing import Any
+
+from graph_support import foxglove
+from graph_support.differences import differences
+from graph_support.samples import CALLS, filled, installed_types
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.schemas import Definitions
+from humanopts_teach.bags.writer import BagWriter
+from mcap.reader import make_reader
+from mcap_ros2._vendor.rosidl_adapter.parser import InvalidResourceName
+from mcap_ros2.decoder import DecoderFactory
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from rosbags.typesys.msg import normalize_msgtype
+
+OURS = 'humanopts_interfaces/'
+PADDING = {0, 1, 2, 3}  # bytes after a message, whose size is a multiple of 4
+SOME = 'some_msgs/msg/Thing'
+THING = """# A thing.
+uint8 KIND_A=1 # first
+int32 LOW = -2
+int64 FAR=9007199254740993
+float64 HALF=0.5
+bool YES=true
+string NAME='a b'
+uint8 kind 1
+bool on true  # by default
+int8[] steps [-1, 0, 1]
+float32[2] pair [0.5, 1.5]
+string<=5 word "it's"
+string[<=3] words ["a", "b c"]
+Part[] parts
+"""
+Samples = dict[str, Any]  # message by type
+
+
+@pytest.fixture(scope='module')
+def samples() -> Samples:
+    """One message of every installed type."""
+    return {name: filled(name) for name in installed_types()}
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory, samples: Samples) -> Path:
+    """A bag of all of them; each topic is called as its type."""
+    path = tmp_path_factory.mktemp('types') / 'bag'
+    with BagWriter(path) as writer:
+        for time, (name, message) in enumerate(samples.items(), start=1):
+            writer.add_topic(f'/{name}', name)
+            writer.write(f'/{name}', serialize_message(message), time)
+    return path
+
+
+def wrong(samples: Samples, found: dict[str, Any]) -> list[str]:
+    """Return where a reader found something else than was written."""
+    return [text for name in found for text in differences(samples[name], found[name], name)]
+
+
+def misread(texts: list[str]) -> set[str]:
+    """Return the names of the fields that differences are in."""
+    found = [re.match(r'\S+\.(\w+)', text) for text in texts]
+    return {match[1] for match in found if match}
+
+
+def test_every_type_here_is_covered(samples: Samples) -> None:
+    assert {name.split('/')[1] for name in samples} == {'msg', 'srv', 'action'}
+    assert 'humanopts_interfaces/action/ExecuteOption_FeedbackMessage' in samples
+    assert 'humanopts_interfaces/srv/RunOption_Event' in samples
+
+
+def test_our_reader_decodes_every_type(bag: Path, samples: Samples) -> None:
+    found = {recorded.type: recorded.message for recorded in open_bag(bag).messages()}
+    assert set(found) == set(samples)
+    assert wrong(samples, found) == []
+
+
+def test_rosbags_decodes_every_type_and_takes_arrays_of_bytes_to_be_signed(
+    bag: Path, samples: Samples
+) -> None:
+    with AnyReader([bag]) as reader:  # which compares all type hashes with the definitions
+        found = {
+            connection.msgtype: reader.deserialize(data, normalize_msgtype(connection.msgtype))
+            for connection, _, data in reader.messages()
+        }
+    assert set(found) == set(samples)
+    assert misread(wrong(samples, found)) == {'byte_array_value', 'data'}
+
+
+def test_foxglove_decodes_every_type_that_has_more_than_constants(
+    bag: Path, samples: Samples
+) -> None:
+    lines = map(foxglove.read, foxglove.decode('indexed', [bag / 'bag_0.mcap']))
+    found = {line['type']: line for line in lines if line['kind'] == 'message'}
+    refused = {name for name, line in found.items() if 'error' in line}
+    assert refused == {'rcl_interfaces/msg/ParameterType'}
+    decoded = {name: line['value'] for name, line in found.items() if name not in refused}
+    assert set(decoded) == set(samples) - refused
+    assert wrong(samples, decoded) == []
+    assert {line['trailing'] for name, line in found.items() if name not in refused} <= PADDING
+
+
+def test_mcap_ros2_takes_char_to_be_signed_and_refuses_only_names_with_underscores(
+    bag: Path, samples: Samples
+) -> None:
+    found, refused = {}, set()
+    with (bag / 'bag_0.mcap').open('rb') as stream:
+        for schema, _, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            try:
+                decoder = DecoderFactory().decoder_for('cdr', schema)
+                assert decoder is not None
+                found[schema.name] = decoder(message.data)
+            except InvalidResourceName:
+                refused.add(schema.name)
+    assert set(found) | refused == set(samples)
+    assert misread(wrong(samples, found)) == {'client_gid', 'data'}
+    assert not any('/msg/' in name for name in refused)
+    with_underscores = {name for name in samples if '_' in name.rpartition('/')[2]}
+    parts_of_services = {n for n in with_underscores if '/srv/' in n and not n.endswith('_Event')}
+    assert refused == with_underscores - parts_of_services
+    ours = {name.removeprefix(OURS) for name in refused if name.startswith(OURS)}
+    assert {name.partition('_')[2] for name in ours} == {
+        'Event',
+        'FeedbackMessage',
+        *(f'{call}_{part}' for call in CALLS for part in ('Request', 'Response', 'Event')),
+    }
+
+
+def test_constants_and_defaults_of_every_kind_hinder_no_reader(tmp_path: Path) -> None:
+    folder = tmp_path / 'share' / 'some_msgs' / 'msg'
+    folder.mkdir(parents=True)
+    (folder / 'Thing.msg').write_text(THING)
+    (folder / 'Part.msg').write_text('string<=9 name "part"\n')
+    schema = Definitions([tmp_path]).schema(SOME)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(schema, SOME))
+    part = store.types['some_msgs/msg/Part']('left')
+    thing = store.types[SOME](3, True, np.int8([-3]), np.float32([0.25, 4]), 'w', ['x, y'], [part])
+    with BagWriter(tmp_path / 'bag', definitions=Definitions([tmp_path])) as writer:
+        writer.add_topic('/thing', SOME)
+        writer.write('/thing', bytes(store.serialize_cdr(thing, SOME)), 1)
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    with file.open('rb') as stream:
+        ((*_, ours),) = make_reader(
+            stream, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages()
+    assert list(differences(ours, thing, 'thing')) == []
+    lines = list(map(foxglove.read, foxglove.decode('indexed', [file])))
+    (message,) = (line for line in lines if line['kind'] == 'message')
+    assert list(differences(ours, message['value'], 'thing')) == []
+    (own, _) = next(line for line in lines if line['kind'] == 'schema')['definitions']
+    found = {f['name']: f.get('value', f.get('defaultValue')) for f in own['definitions']}
+    assert found == {
+        'KIND_A': 1,
+        'LOW': -2,
+        'FAR': 2**53 + 1,
+        'HALF': 0.5,
+        'YES': True,
+        'NAME': 'a b',
+        'kind': 1,
+        'on': True,
+        'steps': [-1, 0, 1],
+        'pair': [0.5, 1.5],
+        'word': "it's",
+        'words': ['a', 'b c'],
+        'parts': None,
+    }
