@@ -6,6 +6,7 @@ from importlib import import_module
 import time
 from typing import Any, NamedTuple
 
+from humanopts_env.recording import Selection
 from rclpy.callback_groups import CallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -13,7 +14,6 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-GLOBAL = ('/rosout', '/parameter_events')  # recorded whatever the namespace
 _AT_ONCE = 2000  # messages taken from one topic before the next has its turn
 
 
@@ -46,7 +46,7 @@ class Found:
     """What a look at the graph came to."""
 
     added: list[Tap] = field(default_factory=list)
-    complete: bool = True  # every topic with a publisher is subscribed, every publisher matched
+    complete: bool = True  # each topic to record that is published is subscribed and matched
 
 
 class Polled(CallbackGroup):
@@ -72,10 +72,9 @@ class Intake:
     is queued every few milliseconds costs a twentieth of that.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, selection: Selection) -> None:
         self._node = node
-        namespace = node.get_namespace().rstrip('/')
-        self._prefix = f'{namespace}/'
+        self._selection = selection
         self._group = Polled()
         self._taps: dict[str, Tap] = {}
         self._left: list[Taken] = []  # from subscriptions that were replaced
@@ -85,7 +84,7 @@ class Intake:
         """Subscribe to what is new on the graph, as its publishers offer it."""
         found = Found()
         for topic, types in self._node.get_topic_names_and_types():
-            if not topic.startswith(self._prefix) and topic not in GLOBAL:
+            if not self._selection.wants(topic):
                 continue
             publishers = self._node.count_publishers(topic)
             if not publishers or topic in self.unknown:

@@ -1,0 +1,52 @@
+"""With what a bag was recorded."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+import hashlib
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+import platform
+
+UNKNOWN = 'not known'
+LOCK = 'requirements.lock'
+_PACKAGES = {
+    'humanopts_version': 'humanopts_teach',
+    'numpy': 'numpy',
+    'scikit-learn': 'scikit-learn',
+}
+
+
+def software() -> dict[str, str]:
+    """Return the versions of what learning depends on, and the lock file's SHA-256."""
+    facts = dict.fromkeys(_PACKAGES, UNKNOWN)
+    for name, package in _PACKAGES.items():
+        with suppress(PackageNotFoundError):
+            facts[name] = version(package)
+    return {**facts, 'python': platform.python_version(), 'lock_sha256': lock_hash(_places())}
+
+
+def lock_hash(places: Sequence[Path]) -> str:
+    """Return the SHA-256 of the lock file of the checkout among some folders."""
+    for place in places:
+        with suppress(OSError):
+            if (place / 'src' / 'humanopts_teach').is_dir():
+                return hashlib.sha256((place / LOCK).read_bytes()).hexdigest()
+    return UNKNOWN
+
+
+def attachments(paths: Sequence[Path]) -> Iterator[tuple[str, Path]]:
+    """
+    Yield files to keep in a bag, each with its name there: ``options/p1/go-to-goal.json``.
+
+    :param paths: files, and folders of which every .json file is meant; what is not there is
+        passed over.
+    """
+    for path in paths:
+        for file in sorted(path.rglob('*.json')) if path.is_dir() else [path]:
+            if file.is_file():
+                yield file.relative_to(path.parent).as_posix(), file
+
+
+def _places() -> list[Path]:
+    """Return the folders that this module is in, the checkout among them."""
+    return list(Path(__file__).resolve().parents)
