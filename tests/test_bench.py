@@ -7,7 +7,8 @@ from typing import Any
 
 from graph_support.command import Command
 from humanopts_teach import cli
-from humanopts_teach.benchmarks.results import QUICK_GRAPH, SECTIONS
+from humanopts_teach.benchmarks.recording import READERS, RECORDER
+from humanopts_teach.benchmarks.results import QUICK_LATENCIES, QUICK_LOADS, SECTIONS
 from humanopts_teach.cli import main
 import pytest
 
@@ -35,7 +36,10 @@ def test_help_names_every_option_and_section(capsys: pytest.CaptureFixture[str])
     ('arguments', 'words'),
     [
         (('extra',), 'extra'),
-        (('--only', 'weather'), "'weather' is none of planning, learning, games, graph"),
+        (
+            ('--only', 'weather'),
+            "'weather' is none of planning, learning, games, graph",
+        ),
         (('--only', 'games,'), "'' is none of"),
         (('--only', 'planning', '--json', 'nowhere/b.json'), 'nowhere/b.json: No such file'),
         (('--only', 'planning', '--json', '.'), 'cannot write .: Is a directory'),
@@ -93,17 +97,37 @@ def test_graph_is_measured_on_processes_of_its_own(tmp_path: Path, domain_id: in
         command.close()
     rows = json.loads(results.read_text('utf-8'))['graph']
     assert all(row['ratio'] == row['seconds'] / row['yardstick_seconds'] for row in rows)
-    counts = QUICK_GRAPH.latencies
+    counts = QUICK_LATENCIES
     samples = {row['what']: (row['samples'], row['yardstick_samples']) for row in rows}
     steps, calls = counts.rounds * counts.steps, counts.rounds * counts.calls
     assert samples['a command, to the next state'] == (steps, steps)
     assert samples['run_option, 1 step'] == samples['run_option, 8 steps'] == (calls, calls)
     assert samples['execute_option, goal to result, 8 steps: a step'] == (calls, steps)
-    sent = QUICK_GRAPH.recording.messages
-    facts = rows[-1]['facts']
-    assert (facts['sent'], facts['recorded'], facts['lost']) == (sent, sent, 0)
-    assert facts['yardstick_taken'] == facts['yardstick_sent'] == sent
-    assert f'{sent:,} recorded, 0 lost' in command.output
+
+
+@pytest.mark.slow
+def test_recorder_loses_nothing_and_keeps_up_with_a_steady_rate(
+    tmp_path: Path, domain_id: int
+) -> None:
+    results = tmp_path / 'bench.json'
+    command = Command(
+        ['bench', '--quick', '--only', 'recording', '--json', results], tmp_path, domain_id
+    )
+    try:
+        assert command.ended(110) == 0, command.errors
+        assert command.running() == {}
+    finally:
+        command.close()
+    rows = json.loads(results.read_text('utf-8'))['recording']
+    expected = [(load.name, name) for load in QUICK_LOADS for name in READERS]
+    assert [(row['load'], row['what']) for row in rows] == expected
+    for row in rows:
+        assert (row['taken'], row['lost']) == (row['sent'], 0)
+        assert row['throughput'] == pytest.approx(row['yardstick_seconds'] / row['seconds'])
+        assert row['memory'] > 10**7
+        if row['target']:
+            assert row['per_second'] == pytest.approx(row['target'], rel=0.1)
+    assert command.output.count(RECORDER) == len(QUICK_LOADS)
 
 
 @pytest.mark.slow

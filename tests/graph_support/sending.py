@@ -1,6 +1,7 @@
 """A process that sends messages as a game does, and keeps a record of all that it sent."""
 
 from collections.abc import Iterator
+import os
 from pathlib import Path
 import random
 import struct
@@ -42,7 +43,7 @@ class Sender(NodeBase):
 
     def __init__(self) -> None:
         super().__init__('sender')
-        self._record = Path(sys.argv[1]).open('xb', buffering=0)
+        self._record = os.open(sys.argv[1], os.O_WRONLY | os.O_CREAT | os.O_EXCL)
         self._to = {topic: self.create_publisher(k, topic, STREAM) for topic, k in KINDS.items()}
         self._sent = dict.fromkeys(KINDS, 0)
         self._begun = 0.0
@@ -68,7 +69,7 @@ class Sender(NodeBase):
         data += bytes(-len(data) % 4)  # as the middleware does
         sent = time.time_ns()
         self._to[topic].publish(data)
-        self._record.write(_HEAD.pack(list(KINDS).index(topic), sent, len(data)) + data)
+        os.write(self._record, _HEAD.pack(list(KINDS).index(topic), sent, len(data)) + data)
 
     def _message(self, topic: str, number: int) -> Any:
         """Return a message whose size and text follow from its number."""

@@ -13,7 +13,7 @@ from humanopts_teach.demos.store import CODE, CODE_RULE
 from humanopts_teach.launching.launcher import LaunchError
 
 REPRODUCED = ('fig2', 'fig3', 'fig4', 'table2', 'all')
-SECTIONS = ('planning', 'learning', 'games', 'graph')
+SECTIONS = ('planning', 'learning', 'games', 'graph', 'recording')
 EXPORTED = ('csv', 'parquet', 'minari')
 STRATEGIES = ('random', 'coverage', 'failures')
 

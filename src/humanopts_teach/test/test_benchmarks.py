@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 import platform
 import socket
+import time
 
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
@@ -15,10 +16,11 @@ from humanopts_teach.benchmarks.figure import SUFFIXES, write_figure
 from humanopts_teach.benchmarks.latencies import latencies, LENGTHS, SIDE, start_of
 from humanopts_teach.benchmarks.machine import machine_facts
 from humanopts_teach.benchmarks.place import DOMAIN_IDS, own_domain
-from humanopts_teach.benchmarks.recording import Flood, recording
+from humanopts_teach.benchmarks.recording import Load, READERS, RECORDER, recording, Run
 from humanopts_teach.benchmarks.records import read_records, RecordWriter
 from humanopts_teach.benchmarks.results import Planned, results_to_dict
 from humanopts_teach.benchmarks.tables import duration, ratio, section_table
+from humanopts_teach.benchmarks.usage import look
 import numpy as np
 import pytest
 from rich.console import Console
@@ -69,17 +71,37 @@ def test_each_latency_stands_beside_its_own_bare_form() -> None:
     assert rows['a command, to the next state'].samples == 4
 
 
-def test_what_the_recorder_lost_is_told() -> None:
-    recorded = [Flood(100, 98, 2, 230, 3e-5), Flood(100, 100, 0, 230, 1e-5)]
-    read = [Flood(100, 100, 0, 230, 1e-5)] * 2
-    row = recording(recorded, read)
-    assert row.ratio == pytest.approx(2.0)
-    assert (row.facts['sent'], row.facts['recorded'], row.facts['lost']) == (200, 198, 2)
+def run(taken: int, seconds: float, memory: int = 10**7) -> Run:
+    """A turn with 100 messages, of which the last are lost."""
+    lost = 100 - taken
+    return Run(100, taken, lost, 20_000, seconds, 0.25, memory, memory // 10, 0.005)
+
+
+def test_what_the_recorder_lost_and_cost_stands_beside_readers_that_write_nothing() -> None:
+    runs = {name: [run(100, 1.0), run(100, 3.0)] for name in READERS}
+    runs[RECORDER] = [run(98, 2.0), run(100, 6.0, memory=2 * 10**7)]
+    rows = recording(Load(100, 0, 2), runs)
+    assert {row.what: row.throughput for row in rows} == {
+        name: 0.5 if name == RECORDER else 1.0 for name in READERS
+    }
+    (row,) = [row for row in rows if row.what == RECORDER]
+    assert (row.sent, row.taken, row.lost, row.per_second) == (200, 198, 2, 25.0)
+    assert (row.memory, row.grown, row.message_bytes) == (2 * 10**7, 2 * 10**6, 200.0)
     console = Console(width=200)
     with console.capture() as shown:
-        console.print(section_table('graph', [row]))
-    assert '198 recorded, 2 lost' in shown.get()
-    assert '1/2 ' not in shown.get()
+        console.print(section_table('recording', rows))
+    (line,) = [line for line in shown.get().splitlines() if RECORDER in line]
+    assert '  '.join(line.split()[-11:]) == '200  2  25  0.50  25%  20.0  MB  2.0  MB  5  ms'
+
+
+def test_processor_time_and_memory_of_a_process_are_seen() -> None:
+    before = look(os.getpid())
+    while time.process_time() < before.cpu + 0.03:
+        sum(range(1000))
+    after = look(os.getpid())
+    assert after.cpu > before.cpu
+    assert after.time > before.time
+    assert 10**6 < before.memory <= after.peak
 
 
 def test_record_that_is_not_complete_yet_is_left_for_later(tmp_path: Path) -> None:

@@ -48,6 +48,8 @@ def latency_rows(
     :param folder: for files that nobody needs afterwards.
     :raises LaunchError: a process died, or is not done in time.
     """
+    if progress is not None:
+        progress(0.0, 'starting the nodes')
     setup = Setup('taxi', folder, {'rows': SIDE, 'cols': SIDE}, teach=False, record=False)
     option = TaxiCase(SIDE).learned[0]
     save_option(setup.options, option, ())

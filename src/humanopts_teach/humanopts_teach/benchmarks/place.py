@@ -1,15 +1,28 @@
-"""A ROS domain for the processes of a benchmark alone."""
+"""A ROS domain and a folder for the processes of a benchmark alone."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 import os
+from pathlib import Path
 import socket
+import tempfile
 
 from humanopts_teach.launching.launcher import LaunchError
 
 # Domains whose UDP ports lie above those that Linux hands out to other programs.
 DOMAIN_IDS = range(215, 232)
 _FIRST_PORT, _PORTS, _DISCOVERY = 7400, 250, 10  # DDSI-RTPS 2.2, section 9.6.1.1
+
+
+@contextmanager
+def own_place() -> Iterator[Path]:
+    """
+    Have a folder for files that nobody needs afterwards, and a ROS_DOMAIN_ID for new processes.
+
+    :raises LaunchError: every domain is in use.
+    """
+    with tempfile.TemporaryDirectory(prefix='humanopts-bench-') as folder, own_domain():
+        yield Path(folder)
 
 
 @contextmanager

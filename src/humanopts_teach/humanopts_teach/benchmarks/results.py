@@ -8,12 +8,13 @@ from humanopts_learner.benchmarks.games import game_rows
 from humanopts_learner.benchmarks.learning import learning_rows
 from humanopts_learner.benchmarks.measured import Comparison, OnMeasured
 from humanopts_learner.benchmarks.scaling import scaling_rows, ScalingRow, SIDES
-from humanopts_teach.benchmarks.graph import graph_rows, GraphSizes
-from humanopts_teach.benchmarks.latencies import LatencySizes
-from humanopts_teach.benchmarks.recording import RecordingSizes
+from humanopts_teach.benchmarks.latencies import latency_rows, LatencySizes
+from humanopts_teach.benchmarks.place import own_place
+from humanopts_teach.benchmarks.recording import Load, LOADS, recording_rows, RecordingRow
 
 VERSION = 1
-QUICK_GRAPH = GraphSizes(LatencySizes(2, 20, 3), RecordingSizes(1, 2000))
+QUICK_LATENCIES = LatencySizes(2, 20, 3)
+QUICK_LOADS = (Load(2_000, 0, 1), Load(1_500, 3_000, 1))
 YARDSTICK = 'primitive value iteration'  # of planning
 
 
@@ -35,7 +36,7 @@ class Planned:
         return {**self.row.to_dict(), **own, 'ratio': self.ratio}
 
 
-Rows = Sequence[Planned] | Sequence[Comparison]
+Rows = Sequence[Planned] | Sequence[Comparison] | Sequence[RecordingRow]
 
 
 def planning_rows(
@@ -84,7 +85,13 @@ def _games(quick: bool, progress: OnMeasured) -> Rows:
 
 
 def _graph(quick: bool, progress: OnMeasured) -> Rows:
-    return graph_rows(QUICK_GRAPH if quick else GraphSizes(), progress)
+    with own_place() as folder:
+        return latency_rows(QUICK_LATENCIES if quick else LatencySizes(), folder, progress)
+
+
+def _recording(quick: bool, progress: OnMeasured) -> Rows:
+    with own_place() as folder:
+        return recording_rows(QUICK_LOADS if quick else LOADS, folder, progress)
 
 
 SECTIONS: dict[str, Callable[[bool, OnMeasured], Rows]] = {
@@ -92,4 +99,5 @@ SECTIONS: dict[str, Callable[[bool, OnMeasured], Rows]] = {
     'learning': _learning,
     'games': _games,
     'graph': _graph,
+    'recording': _recording,
 }

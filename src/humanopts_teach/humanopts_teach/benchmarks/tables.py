@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from humanopts_learner.benchmarks.measured import Comparison
+from humanopts_teach.benchmarks.recording import RecordingRow
 from humanopts_teach.benchmarks.results import Planned, Rows
 from rich.box import SIMPLE
 from rich.table import Table
@@ -12,8 +13,9 @@ TITLES = {
     'learning': 'Learning "go to passenger and pickup" (Taxi) again after a demonstration',
     'games': 'Game steps, many games at once',
     'graph': 'The ROS graph, on processes of its own',
+    'recording': 'Messages recorded, beside readers that write nothing',
 }
-_TEXTS = ('what', 'yardstick', 'solver', 'is given')
+_TEXTS = ('what', 'yardstick', 'solver', 'is given', 'messages', 'reader')
 _PARTS = ('obtained_', 'table_', 'model_', 'sweep_', '')
 _LEAST = 14  # characters of a column of text
 _UNITS = ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs'), (1e-9, 'ns'))
@@ -24,6 +26,9 @@ def section_table(name: str, rows: Rows) -> Table:
     planned = [row for row in rows if isinstance(row, Planned)]
     if planned:
         return _planning_table(TITLES[name], planned)
+    recorded = [row for row in rows if isinstance(row, RecordingRow)]
+    if recorded:
+        return _recording_table(TITLES[name], recorded)
     return _comparison_table(TITLES[name], [row for row in rows if isinstance(row, Comparison)])
 
 
@@ -51,7 +56,7 @@ def _comparison_table(title: str, rows: Sequence[Comparison]) -> Table:
     slow = any(row.slow_seconds is not None for row in rows)
     wanted = any(row.target is not None for row in rows)
     columns: list[tuple[str, bool, Callable[[Comparison], str]]] = [
-        ('what', True, _with_facts),
+        ('what', True, lambda row: row.what),
         ('median', True, lambda row: duration(row.seconds)),
         ('99 %', slow, lambda row: duration(row.slow_seconds)),
         ('a second', True, lambda row: _rate(row.per_second)),
@@ -68,11 +73,25 @@ def _comparison_table(title: str, rows: Sequence[Comparison]) -> Table:
     return table
 
 
-def _with_facts(row: Comparison) -> str:
-    """Return what was measured; for the recorder, with what it lost."""
-    if 'lost' not in row.facts:
-        return row.what
-    return f'{row.what} ({row.facts["recorded"]:,} recorded, {row.facts["lost"]} lost)'
+def _recording_table(title: str, rows: Sequence[RecordingRow]) -> Table:
+    numbers = ('sent', 'lost', 'a second', 'throughput', 'processor', 'memory', 'grown', 'waited')
+    table = _table(title, 'messages', 'reader', *numbers)
+    loads = [row.load for row in rows]
+    for row, following in zip(rows, [*loads[1:], '']):
+        table.add_row(
+            row.load,
+            row.what,
+            f'{row.sent:,}',
+            f'{row.lost:,}',
+            _rate(row.per_second),
+            f'{row.throughput:.2f}',
+            f'{row.processor:.0%}',
+            _megabytes(row.memory),
+            _megabytes(row.grown),
+            duration(row.waited),
+            end_section=row.load != following,
+        )
+    return table
 
 
 def _table(title: str, *columns: str) -> Table:
@@ -108,6 +127,10 @@ def _rate(value: float | None) -> str:
     if value is None:
         return ''
     return f'{float(f"{value:.3g}"):,.0f}' if value >= 10 else f'{value:.1f}'
+
+
+def _megabytes(size: float) -> str:
+    return f'{size / 1e6:.1f} MB'
 
 
 def _digits(value: float) -> str:

@@ -54,6 +54,10 @@ class Launcher:
         prefix = self._namespace.rstrip('/')
         return [f'{prefix}/{running.spec.name}' for running in self._running]
 
+    def pid(self, name: str) -> int:
+        """Return the process of a node that runs."""
+        return next(entry.process.pid for entry in self._running if entry.spec.name == name)
+
     def start(self, *, late: bool = False) -> None:
         """
         Start every process but the terminal's.
