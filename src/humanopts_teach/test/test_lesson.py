@@ -217,6 +217,59 @@ def test_every_request_is_answered_in_every_phase(
         assert table.lesson.phase is phase
 
 
+FULL = 'recording stopped: the disk is full'
+
+
+@pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
+@pytest.mark.parametrize('name', ['open_session', 'define_option', 'answer_question', 'prepare'])
+def test_while_it_is_paused_nothing_new_begins_and_then_all_goes_on(
+    table: Table, phase: Phase, name: str
+) -> None:
+    view = TO_PHASE[phase](table).lesson.view
+    table.lesson.pause(FULL)
+    answer = REQUESTS[name](table)
+    assert (answer.status, answer.detail) == (Status.PAUSED, f'the lesson is paused: {FULL}')
+    paused = table.lesson.view
+    assert (paused.phase, paused.paused) == (phase, FULL)
+    assert paused.text
+    table.lesson.pause('')
+    assert table.lesson.view == view
+    assert REQUESTS[name](table).status is dict(TABLE)[name][phase]
+
+
+def test_a_demonstration_under_way_is_kept_while_paused_and_said_to_be_unrecorded(
+    table: Table,
+) -> None:
+    table.ready().began(START).drive('west')
+    table.lesson.pause(FULL)
+    assert table.drive('west').end(Verdict.NOT_HERE).status is Status.STEPS_TAKEN
+    answer = table.end()
+    assert answer.ok
+    assert 'not in this recording: the next one has it' in answer.detail
+    assert 'not in this recording: the next one has it' in table.lesson.view.text
+    table.learned()
+    assert (table.lesson.phase, table.lesson.view.n_demonstrations) == (Phase.READY, 1)
+    assert 'The lesson is paused.' in table.lesson.view.text
+    assert table.lesson.demonstrations() == [answer.demonstration]
+
+
+def test_a_demonstration_under_way_can_be_discarded_while_paused(table: Table) -> None:
+    table.ready().began(START).drive('west')
+    table.lesson.pause(FULL)
+    assert table.end(Verdict.DISCARD).ok
+    table.lesson.pause('')
+    assert table.lesson.prepare().state == START
+
+
+def test_an_episode_that_begins_after_the_pause_is_no_demonstration(table: Table) -> None:
+    table.ready().lesson.prepare(START)
+    table.lesson.pause(FULL)
+    assert table.lesson.began(1, START).status is Status.PAUSED
+    assert table.lesson.phase is Phase.READY
+    table.lesson.pause('')
+    assert table.lesson.prepare().ok
+
+
 @pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
 def test_every_phase_says_what_comes_next(table: Table, phase: Phase) -> None:
     view = TO_PHASE[phase](table).lesson.view

@@ -53,6 +53,7 @@ VIEW = LessonView(
     start_state='here',
     episode=7,
     criteria_met=True,
+    paused='No space.',
     text='Answer.',
 )
 
@@ -87,10 +88,10 @@ def test_progress_is_read_from_the_learners_status() -> None:
 
 
 ANSWERS = [
-    (OpenSession, 'OK BAD_NAME WRONG_PHASE NOT_SAVED'),
-    (DefineOption, 'OK BAD_NAME WRONG_PHASE NOT_SAVED'),
-    (AnswerQuestion, 'OK NOT_ASKED NO_FEATURE NOT_SAVED'),
-    (BeginDemonstration, 'OK WRONG_PHASE BAD_STATE NO_GAME BUDGET_SPENT'),
+    (OpenSession, 'OK BAD_NAME WRONG_PHASE NOT_SAVED PAUSED'),
+    (DefineOption, 'OK BAD_NAME WRONG_PHASE NOT_SAVED PAUSED'),
+    (AnswerQuestion, 'OK NOT_ASKED NO_FEATURE NOT_SAVED PAUSED'),
+    (BeginDemonstration, 'OK WRONG_PHASE BAD_STATE NO_GAME BUDGET_SPENT PAUSED'),
     (
         EndDemonstration,
         'OK WRONG_PHASE NO_STEPS STEPS_TAKEN NOT_CURRENT REFUSED NOT_SAVED BAD_VERDICT',

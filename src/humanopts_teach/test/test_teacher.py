@@ -82,6 +82,10 @@ def show(
         ),
         (LESSON, Begin()),
         (replace(LESSON, phase=Phase.LEARNING), Wait('the learner')),
+        (
+            replace(LESSON, paused='No space.'),
+            Wait('the lesson to go on; it is paused: No space.'),
+        ),
         (replace(LESSON, phase=Phase.FINISHED), Define(DROPOFF)),
     ],
 )

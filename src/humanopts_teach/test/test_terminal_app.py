@@ -33,6 +33,7 @@ import pytest
 
 START = 'taxi 2,3 passenger R destination B'
 NAME = 'go to passenger and pickup'
+BOTTOM = '┗━━━┻━━━━━━━┻━━━━━━━┛'
 CHOSEN = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col')
 
 
@@ -473,14 +474,32 @@ def test_nodes_that_are_gone_are_named(shower: Person) -> None:
     assert shower.sees_words('lesson: not there. Everything taught is saved; Ctrl-C quits.')
 
 
-def test_a_recording_that_stopped_is_said_once_and_stays_in_sight(shower: Person) -> None:
-    for _ in range(2):
-        shower.app.recording_stopped('recording stopped: the disk is full')
-    assert shower.sees_words('recording stopped: the disk is full')
-    shower.press('?')
-    assert 'NOT RECORDED' in shower.sees()
-    shower.app.recording_stopped('recording stopped: the disk is full')
-    assert not shower.app.message.text
+FULL = 'recording stopped: the disk is full. Free some space.'
+
+
+@pytest.mark.parametrize('key', ['', '?', 'escape'])
+def test_a_paused_lesson_says_why_on_every_screen(shower: Person, key: str) -> None:
+    shower.lesson(Phase.DEMONSTRATING, paused=FULL)
+    shower.press(*filter(None, [key]))
+    assert shower.sees_words(f'PAUSED: {FULL}')
+    assert f'PAUSED: {FULL}' in shower.sees(70, 20)
+    shower.lesson(Phase.DEMONSTRATING, paused='')
+    assert 'PAUSED' not in shower.sees()
+
+
+def test_a_long_reason_leaves_the_board_whole_in_a_low_window(shower: Person) -> None:
+    shower.lesson(Phase.DEMONSTRATING, paused=30 * 'the disk is full ')
+    assert BOTTOM in shower.sees(70, 20)
+
+
+def test_while_the_lesson_is_paused_the_next_start_waits_for_a_key(shower: Person) -> None:
+    ended = shower.press('enter')
+    assert isinstance(ended, End)
+    shower.lesson(Phase.READY, paused=FULL)
+    assert shower.answer(ended) is None
+    assert shower.sees_words('The lesson is paused.')
+    assert shower.lesson(Phase.READY, paused='') is None
+    assert shower.press('enter') == Begin()
 
 
 def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:

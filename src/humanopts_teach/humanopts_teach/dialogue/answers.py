@@ -20,6 +20,7 @@ class Status(Enum):
     NO_FEATURE = 'no feature'
     NO_GAME = 'no game'
     NO_STEPS = 'no steps'
+    PAUSED = 'paused'
     REFUSED = 'refused'
     STEPS_TAKEN = 'steps taken'
     WRONG_PHASE = 'wrong phase'
@@ -95,4 +96,5 @@ class LessonView:
     start_state: str = ''
     episode: int = 0
     criteria_met: bool = False
+    paused: str = ''  # why nothing new can be begun; empty: it can
     text: str = ''

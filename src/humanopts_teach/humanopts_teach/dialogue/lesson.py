@@ -34,6 +34,8 @@ _HINTS = {
     Phase.LEARNING: 'The learner works on the demonstration.',
     Phase.FINISHED: 'Name the next option to teach.',
 }
+_UNRECORDED = 'on disk, but not in this recording: the next one has it'
+_GOES_ON = (Phase.DEMONSTRATING, Phase.LEARNING)  # also while the lesson is paused
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +80,7 @@ class Lesson:
         self._progress: dict[tuple[str, str], Progress] = {}
         self._done = False  # criteria met, and the strategy has nothing left to ask
         self._notice = ''
+        self._paused = ''  # why nothing new can be begun; empty: it can
 
     # What can be read.
 
@@ -123,6 +126,7 @@ class Lesson:
             session=self._notebook.session,
             budget=self._rules.budget,
             strategy=self._rules.strategy,
+            paused=self._paused,
             text=f'{self._notice} {self._hint()}'.strip(),
         )
         option, attempt = self._option, self._attempt
@@ -148,18 +152,16 @@ class Lesson:
 
     def open_session(self, participant: str, session: str) -> Answer:
         """Begin a sitting, or go on with it where it was left; an empty code makes a new one."""
-        if self._occupied:
-            return _wrong('end the demonstration under way first')
-        return self._turned(self._notebook.open_session(participant, session))
+        return self._hindrance() or self._turned(self._notebook.open_session(participant, session))
 
     def define_option(self, name: str, ask_again: bool = False) -> Answer:
         """Name an option to teach, or take it up again."""
-        if self._occupied:
-            return _wrong('end the demonstration under way first')
-        return self._turned(self._notebook.define_option(name, ask_again))
+        return self._hindrance() or self._turned(self._notebook.define_option(name, ask_again))
 
     def answer_question(self, question_id: int, yes: bool) -> Answer:
         """Answer the open question."""
+        if self._paused:
+            return self._not_now()
         if self._occupied:
             return Answer(Status.NOT_ASKED, 'no question is open')
         answer = self._notebook.answer_question(question_id, yes)
@@ -176,6 +178,8 @@ class Lesson:
 
         :param start_state: in the domain's notation; empty: drawn by the strategy.
         """
+        if self._paused:
+            return self._not_now()
         if self._option is None or self.phase is not Phase.READY or self._preparing:
             return self._not_ready()
         try:
@@ -189,6 +193,8 @@ class Lesson:
     def began(self, episode: int, state: str) -> Answer:
         """Take note that game has begun the episode that ``prepare`` was for."""
         self._preparing = False
+        if self._paused:
+            return self._not_now()
         self._notice = ''
         self._attempt = Attempt(episode, state, self._clock())
         for moment in list(self._trace.moments):  # states that came before game's answer
@@ -283,6 +289,14 @@ class Lesson:
                 'to the next learner that starts.'
             )
 
+    def pause(self, reason: str) -> None:
+        """
+        Let nothing new begin; a demonstration under way can still be ended, and is kept.
+
+        :param reason: what is wrong and what to do; empty: go on.
+        """
+        self._paused = reason
+
     # How it is done.
 
     @property
@@ -296,13 +310,22 @@ class Lesson:
         return self._attempt is not None or self._preparing
 
     def _hint(self) -> str:
-        hint = _HINTS[self.phase]
+        still = self._paused and self.phase not in _GOES_ON
+        hint = 'The lesson is paused.' if still else _HINTS[self.phase]
         if self.phase is not Phase.FINISHED:
             return hint
         budget = self._rules.budget
         reached = 'All criteria hold.' if self.criteria_met else 'Not all criteria hold.'
         spent = f'The budget of {budget} is spent. ' if self._spent else ''
         return f'{spent}{reached} {hint}'
+
+    def _hindrance(self) -> Answer | None:
+        if self._paused:
+            return self._not_now()
+        return _wrong('end the demonstration under way first') if self._occupied else None
+
+    def _not_now(self) -> Answer:
+        return Answer(Status.PAUSED, f'the lesson is paused: {self._paused}')
 
     def _not_ready(self) -> Answer:
         if self._preparing or self._attempt is not None:
@@ -366,6 +389,9 @@ class Lesson:
         self._again = self._notice = ''
         self._awaited = demonstration.uuid
         text = f'demonstration {demonstration.number} of {demonstration.option_name} is kept'
+        if self._paused:
+            self._notice = f'The demonstration is {_UNRECORDED}.'
+            text = f'{text} {_UNRECORDED}'
         return Answer(Status.OK, text, demonstration=demonstration)
 
 

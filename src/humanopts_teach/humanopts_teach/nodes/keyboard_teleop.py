@@ -20,7 +20,6 @@ from humanopts_interfaces.msg import (
     LessonState,
     OptionGoal,
     OptionStatus,
-    RecorderStatus,
 )
 from humanopts_teach.convert import view_from_message
 from humanopts_teach.nodes.terminal_calls import Calls
@@ -68,7 +67,6 @@ class KeyboardTeleopNode(NodeBase):
             (LearningStatus, 'learning_status', self._on_learning),
             (ControlState, 'control', self._on_control),
             (ExecutionState, 'execution', self._on_execution),
-            (RecorderStatus, 'recorder_status', self._on_recorder),
         ):
             self.create_subscription(kind, topic, callback, CURRENT)
         self.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, DISPLAY)
@@ -161,11 +159,6 @@ class KeyboardTeleopNode(NodeBase):
     def _on_option_goal(self, message: OptionGoal) -> None:
         self.app.world.running = message.option_name
         self._news = True
-
-    def _on_recorder(self, message: RecorderStatus) -> None:
-        if message.stopped:
-            self.app.recording_stopped(message.text)
-            self._news = True
 
     def _on_refusal(self, message: ActionRefusal) -> None:
         request, last = self.app.waits_for, (self.publisher_id, self._calls.drive_sequence)

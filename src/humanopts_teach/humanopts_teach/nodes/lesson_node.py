@@ -24,6 +24,7 @@ from humanopts_interfaces.msg import (
     LearningStatus,
     LessonState,
     NodeStatus,
+    RecorderStatus,
 )
 from humanopts_interfaces.srv import (
     AnswerQuestion,
@@ -47,6 +48,7 @@ from humanopts_teach.demos.store import DemonstrationStore, StoreError
 from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Status, Verdict
 from humanopts_teach.dialogue.learned_starts import LearnedStarts
 from humanopts_teach.dialogue.lesson import Lesson, LessonRules
+from humanopts_teach.dialogue.recorders import Recorders, RecorderWord
 from humanopts_teach.nodes.waiting import Waiting
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -89,7 +91,9 @@ class LessonNode(NodeBase):
         self._demonstrations_out = self.stamped_publisher(DemonstrationMessage, 'demonstrations')
         self._unsent: deque[Demonstration] = deque()
         self._shown: LessonView | None = None  # what was published last
-        self._paused = False
+        self._recorders = Recorders(expected=self._expect_recorder)
+        self._unrecorded = ''  # why nothing is recorded now; empty: all is well
+        self._told = ''  # why the lesson is paused, as the node's status says
         self._learner = ''  # publisher_id of the learner that is known
         self._asked_learner = 0.0  # time of the newest demonstration, s
         self._waiting = Waiting(self)
@@ -100,6 +104,9 @@ class LessonNode(NodeBase):
         self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
         self._game_states = self.create_subscription(
             GameState, 'game_state', self._on_game_state, STREAM
+        )
+        self._recorder_status = self.create_subscription(
+            RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
         )
 
     # The start and the end of the node.
@@ -251,6 +258,8 @@ class LessonNode(NodeBase):
             bad = reply.status == ResetGame.Response.STATUS_BAD_STATE
             return lesson.not_begun(Status.BAD_STATE if bad else Status.NO_GAME, reply.detail)
         answer = lesson.began(reply.episode, reply.state)
+        if not answer.ok:
+            return answer
         if not await until(lambda: lesson.reached(reply.episode, 0), _GAME_DEADLINE):
             return lesson.not_begun(Status.NO_GAME, 'The first state of the episode did not come.')
         if lesson.phase is not Phase.DEMONSTRATING:
@@ -302,6 +311,19 @@ class LessonNode(NodeBase):
         self._lesson.learner_said([])
         self._show()
 
+    def _on_recorder(self, status: RecorderStatus) -> None:
+        word = RecorderWord(status.complete, status.stopped, status.text)
+        self._recorders.heard(status.publisher_id, word)
+
+    def _look_at_recording(self) -> None:
+        """Notice that nothing is recorded; then that it is, and have the new bag get all."""
+        fault = self._recorders.fault(self._recorder_status.get_publisher_count())
+        if self._unrecorded and not fault:
+            if not self._demonstrations_out.recorded():
+                return
+            self._unsent.extend(self._lesson.demonstrations())
+        self._unrecorded = fault
+
     def _send_again(self) -> None:
         """Send everything to a learner that is new; it drops what it has."""
         self._resend.cancel()
@@ -315,22 +337,24 @@ class LessonNode(NodeBase):
         late = time.monotonic() - self._asked_learner > self._learner_deadline
         if self._lesson.awaited and late:
             self._lesson.learner_silent()
+        if self.ready:
+            self._look_at_recording()
         self._show()
 
     def _show(self) -> None:
-        """Publish what is new; where that fails, pause until it can be sent."""
+        """Publish what is new; pause while that fails, or while nothing is recorded."""
         if not self.ready:
             return
+        cause = self._unrecorded
+        self._lesson.pause(cause)
         try:
             self._send()
         except PublishError as error:
-            if not self._paused:
-                self._paused = True
-                self.set_status(NodeStatus.STATE_PAUSED, str(error))
-            return
-        if self._paused:
-            self._paused = False
-            self.set_status(NodeStatus.STATE_READY)
+            cause = str(error)
+            self._lesson.pause(cause)
+        if cause != self._told:
+            self._told = cause
+            self.set_status(NodeStatus.STATE_PAUSED if cause else NodeStatus.STATE_READY, cause)
 
     def _send(self) -> None:
         while self._unsent:

@@ -31,6 +31,7 @@ _ACTIONS = {
     ask.PlayEpisodes: (actions.RunPolicy, 'run_policy'),
 }
 _WELL = ('REACHED', 'EPISODE_OVER', 'CONVERGED', 'NOT_CONVERGED', 'DONE')
+_PAUSED = 'Not now: the lesson is paused; the top of the screen says why.'
 _PLAN_EPISODES = 20  # start states that a plan is judged from
 
 
@@ -137,12 +138,15 @@ class Calls:
         if isinstance(request, ask.ListOptions):
             reply = ask.Reply(request, ok=True, names=tuple(response.option_names))
         else:
-            ok = response.status == type(response).STATUS_OK
-            again = getattr(type(response), 'STATUS_NO_FEATURE', None)
+            kind = type(response)
+            ok = response.status == kind.STATUS_OK
+            again = getattr(kind, 'STATUS_NO_FEATURE', None)
+            paused = response.status == getattr(kind, 'STATUS_PAUSED', None)
+            text = _PAUSED if paused else response.detail
             reply = ask.Reply(
                 request,
                 ok=ok or response.status == again,
-                text='' if ok and not isinstance(request, ask.DefineOption) else response.detail,
+                text='' if ok and not isinstance(request, ask.DefineOption) else text,
                 names=tuple(getattr(response, 'known_options', ())),
                 episode=getattr(response, 'episode', 0),
             )

@@ -84,6 +84,12 @@ class SimulatedTeacher:
         :param game: newest state of the game; None: none has come yet.
         :raises TeacherError: it cannot show the option from the start state.
         """
+        act = self._wanted(lesson, game)
+        if lesson.paused and isinstance(act, Open | Define | Reply | Begin):
+            return Wait(f'the lesson to go on; it is paused: {lesson.paused}')
+        return act
+
+    def _wanted(self, lesson: LessonView, game: Moment | None) -> Act:
         settings = self._settings
         if (lesson.participant, lesson.session) != (settings.participant, settings.session):
             return Open(settings.participant, settings.session)

@@ -192,12 +192,6 @@ class App:
         if self.run is not None:
             self.run_ended(Reply(self.run, ok=False, text=f'{server(self.run)} is gone.'))
 
-    def recording_stopped(self, why: str) -> None:
-        """Take in that nothing is recorded any more, and say so once."""
-        if not self.world.unrecorded:
-            self.world.unrecorded = why
-            self.say(why, bad=True)
-
     def parting(self) -> list[Request]:
         """Return what is left to ask when the terminal ends, so that nothing is left hanging."""
         lesson, game = self.world.lesson, self.world.game

@@ -12,6 +12,7 @@ from humanopts_teach.terminal.panels import panel
 from humanopts_teach.terminal.teaching import LessonScreen
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -31,7 +32,9 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
         return fit(lines_of(_too_small(width, height), width, colours), height)
     bottom = lines_of(_foot(app, width), width, colours)
     gap = [Text()] if height > _ROOMY else []
-    top = lines_of(Group(_head(app, width), *gap, _middle(app)), width, colours)
+    top = lines_of(
+        Group(_head(app, width), *_pause(app, height), *gap, _middle(app)), width, colours
+    )
     return fit(top, height - len(bottom)) + bottom
 
 
@@ -82,9 +85,16 @@ def _head(app: App, width: int) -> Text:
             parts.append(f'session {world.lesson.session}')
     if world.holder:
         parts.append('you drive' if world.i_drive else 'another person drives')
-    if world.unrecorded:
-        parts.append('NOT RECORDED')
     return Text(set_cell_size(f' {" · ".join(parts)}', width), 'reverse')
+
+
+def _pause(app: App, height: int) -> list[RenderableType]:
+    """Return why nothing new can be taught now; in a low window its beginning."""
+    if not app.world.paused:
+        return []
+    why = Text.assemble(('PAUSED: ', 'bold'), app.world.paused, overflow='ellipsis')
+    why.no_wrap = height < _ROOMY
+    return [Padding(why, (0, 1), style='white on red')]
 
 
 def _middle(app: App) -> RenderableType:

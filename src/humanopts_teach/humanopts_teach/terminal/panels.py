@@ -130,6 +130,8 @@ def _where(lesson: LessonView, app: App) -> Text:
         where = 'learning ...'
     elif lesson.phase is Phase.FINISHED:
         where = 'This lesson is finished.'
+    elif lesson.paused:
+        where = 'The lesson is paused.'
     counts = (
         f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here; at most {lesson.budget}'
     )

@@ -89,7 +89,7 @@ class LessonScreen(PlainScreen):
             self.rest = False
         elif isinstance(reply.request, End) and reply.ok:
             self.again = False
-            self.automatic = True
+            self.automatic = not app.world.paused
 
     def table(self, app: App) -> KeyTable:
         """Return the keys of the phase."""

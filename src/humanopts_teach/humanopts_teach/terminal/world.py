@@ -72,8 +72,12 @@ class World:
     execution: str = ''  # of the policy that runs or ran last; empty: none did
     holder: str = ''  # publisher_id of the terminal that drives; empty: nobody
     me: str = ''  # our own publisher_id
-    unrecorded: str = ''  # why the recorder has stopped; empty: it has not
     missing: Sequence[str] = field(default_factory=tuple)  # nodes that are gone or have not come
+
+    @property
+    def paused(self) -> str:
+        """Why nothing new can be taught now; empty: it can."""
+        return self.lesson.paused if self.lesson is not None else ''
 
     @property
     def i_drive(self) -> bool:
