@@ -9,13 +9,17 @@ import sys
 from typing import Any
 
 from humanopts_interfaces.msg import GameState
+from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.errors import BagError, BagWriteError
+from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.bags.repair import repair
+from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 import pytest
 from rclpy.serialization import serialize_message
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 import yaml
@@ -41,7 +45,9 @@ class Block:
             raise ImportError(f'{name} is not there')
 sys.meta_path.insert(0, Block())
 from humanopts_teach.bags.info import summarise
+from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.repair import repair
 print(summarise(open_bag(sys.argv[1])).messages)
 """
 
@@ -52,9 +58,11 @@ def state(step: int) -> bytes:
     return serialize_message(GameState(episode=1, step=step, state=filler, sequence=step + 1))
 
 
-def write_states(path: Path, count: int, flush_every: int = 10) -> BagWriter:
+def write_states(
+    path: Path, count: int, flush_every: int = 10, limits: Limits = NO_LIMITS
+) -> BagWriter:
     """Begin a bag of game states, one a millisecond, and leave it open."""
-    writer = BagWriter(path, {'seed': '7'})
+    writer = BagWriter(path, {'seed': '7'}, limits=limits)
     writer.add_topic('/game_state', GAME, [QOS], 'RIHS01_ab')
     for step in range(count):
         time = START + step * 10**6
@@ -123,6 +131,99 @@ def test_the_mcap_package_finds_profile_index_statistics_and_facts(bag: Path) ->
         assert summary.statistics.message_count == 100
         assert {chunk.compression for chunk in summary.chunk_indexes} == {'zstd'}
         assert [m.name for m in reader.iter_metadata()] == ['humanopts', 'rosbag2']
+
+
+def information(path: Path) -> Any:
+    """Return what metadata.yaml says of a bag."""
+    return yaml.safe_load((path / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+
+
+@pytest.mark.parametrize('limits', [Limits(seconds=0.03), Limits(bytes=3000)])
+def test_a_bag_goes_on_in_another_file_and_nothing_is_lost(tmp_path: Path, limits: Limits) -> None:
+    write_states(tmp_path / 'bag', 100, limits=limits).close()
+    opened = open_bag(tmp_path / 'bag')
+    assert len(opened.files) > 2
+    assert [r.message.step for r in opened.messages()] == list(range(100))
+    assert [r.sequence for r in opened.messages()] == list(range(1, 101))
+    assert check_bag(opened).findings == ()
+    assert summarise(opened).missing == 0
+    if limits.bytes:
+        assert all(file.stat().st_size > limits.bytes for file in opened.files[:-1])
+
+
+def test_each_file_of_a_bag_is_whole_by_itself(tmp_path: Path) -> None:
+    write_states(tmp_path / 'bag', 100, limits=Limits(seconds=0.03)).close()
+    found: list[int] = []
+    for number in range(4):
+        file = tmp_path / 'bag' / f'bag_{number}.mcap'
+        alone = open_bag(file)
+        assert alone.damage == ''
+        assert alone.metadata['humanopts'] == {'seed': '7'}
+        found += steps(file)
+        with file.open('rb') as stream:
+            summary = make_reader(stream, validate_crcs=True).get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == alone.n_messages
+        assert summary.chunk_indexes
+    assert found == list(range(100))
+
+
+def test_metadata_tells_of_each_file(tmp_path: Path) -> None:
+    write_states(tmp_path / 'bag', 100, limits=Limits(seconds=0.03)).close()
+    told = information(tmp_path / 'bag')
+    assert told['relative_file_paths'] == [f'bag_{number}.mcap' for number in range(4)]
+    assert [file['message_count'] for file in told['files']] == [30, 30, 30, 10]
+    assert [
+        (f['starting_time']['nanoseconds_since_epoch'] - START, f['duration']['nanoseconds'])
+        for f in told['files']
+    ] == [(n * 30_000_000, 29_000_000) for n in range(3)] + [(90_000_000, 9_000_000)]
+    assert (told['message_count'], told['duration']['nanoseconds']) == (100, 99_000_000)
+
+
+def test_rosbags_reads_every_file(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag', limits=Limits(seconds=0.03)) as writer:
+        writer.add_topic('/game_state', GAME, [QOS])
+        for step in range(100):
+            writer.write('/game_state', state(step), START + step * 10**6)
+    with AnyReader([tmp_path / 'bag']) as reader:
+        read = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()]
+        assert [message.step for message in read] == list(range(100))
+        assert reader.message_count == 100
+
+
+def test_a_topic_is_in_the_files_that_have_its_messages(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag', limits=Limits(seconds=1.0)) as writer:
+        for topic in ('/a', '/b', '/silent'):
+            writer.add_topic(topic, GAME, [QOS])
+        for second, topic, step in ((0, '/a', 0), (1, '/b', 0), (2, '/a', 1)):
+            writer.write(topic, state(step), second * 10**9)
+    topics = [
+        list(open_bag(tmp_path / 'bag' / f'bag_{number}.mcap').topics) for number in range(3)
+    ]
+    assert topics == [['/a', '/b', '/silent'], ['/b'], ['/a']]
+    assert set(open_bag(tmp_path / 'bag').topics) == {'/a', '/b', '/silent'}
+    assert check_bag(open_bag(tmp_path / 'bag')).whole
+
+
+def test_a_split_describes_the_files_so_far(tmp_path: Path) -> None:
+    write_states(tmp_path / 'bag', 65, limits=Limits(seconds=0.03))
+    told = information(tmp_path / 'bag')
+    assert [file['message_count'] for file in told['files']] == [30, 30, 0]
+    opened = open_bag(tmp_path / 'bag')  # as after kill -9
+    assert [r.message.step for r in opened.messages()] == list(range(60))
+    assert 'bag_2.mcap' in opened.damage
+
+
+def test_a_repair_keeps_what_is_attached_to_a_bag_of_several_files(tmp_path: Path) -> None:
+    with write_states(tmp_path / 'bag', 100, limits=Limits(seconds=0.03)) as writer:
+        writer.attach('options/p1/go.json', b'{"a": 1}', times=(5, 6))
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    assert repair(open_bag(tmp_path / 'bag'), tmp_path / 'whole') == 100
+    opened = open_bag(tmp_path / 'whole')
+    assert check_bag(opened).whole
+    (kept,) = opened.attached()
+    assert (kept.name, kept.data, kept.create_time) == ('options/p1/go.json', b'{"a": 1}', 5)
 
 
 def test_messages_come_in_order_of_time_whatever_the_order_of_writing(tmp_path: Path) -> None:

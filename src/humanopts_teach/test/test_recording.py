@@ -1,0 +1,109 @@
+"""What the recorder tells of itself and keeps for those who come later."""
+
+import hashlib
+from pathlib import Path
+import platform
+
+from humanopts_env.recording import Selection
+from humanopts_teach.bags.pace import Pace
+from humanopts_teach.bags.provenance import attachments, lock_hash, software, UNKNOWN
+from humanopts_teach.cli import build_parser
+from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.commands.setup import setup_from
+from humanopts_teach.launching.processes import common_parameters, processes, Setup
+import numpy as np
+import pytest
+
+
+def launch(*options: str, evaluated: bool = False) -> Setup:
+    """Return the setup of ``humanopts up`` with these options."""
+    return setup_from(
+        build_parser().parse_args(['up', 'taxi', *options]), Path('x'), evaluated=evaluated
+    )
+
+
+def test_a_message_that_waits_too_long_puts_the_recorder_behind_for_a_second() -> None:
+    pace = Pace()
+    pace.took(10.0, 0.02)
+    pace.took(10.1, 0.6)
+    assert (pace.behind(10.1), pace.behind(11.05), pace.behind(11.2)) == (True, True, False)
+
+
+def test_the_lag_is_the_longest_since_the_last_report() -> None:
+    pace = Pace()
+    for now, waited in ((1.0, 0.1), (1.1, 0.3), (1.2, 0.0)):
+        pace.took(now, waited)
+    assert (pace.report(), pace.report()) == (0.3, 0.0)
+    assert not pace.behind(1.2)
+
+
+def test_a_recorder_that_was_stopped_is_behind_whatever_the_messages_say() -> None:
+    pace = Pace()
+    pace.took(1.0, 0.0)
+    pace.took(4.0, 0.01)
+    assert pace.behind(4.0)
+    assert pace.report() == 3.0
+
+
+def test_the_first_look_is_not_late() -> None:
+    pace = Pace()
+    pace.took(1000.0, 0.0)
+    assert not pace.behind(1000.0)
+    assert pace.report() == 0.0
+
+
+def test_the_software_is_named() -> None:
+    facts = software()
+    assert facts['python'] == platform.python_version()
+    assert facts['numpy'] == np.__version__
+    assert facts.keys() == {'humanopts_version', 'scikit-learn', 'numpy', 'python', 'lock_sha256'}
+
+
+def test_the_lock_file_is_that_of_the_checkout(tmp_path: Path) -> None:
+    inner = tmp_path / 'src' / 'humanopts_teach'
+    inner.mkdir(parents=True)
+    (inner / 'requirements.lock').write_text('another')
+    assert lock_hash([inner, tmp_path]) == UNKNOWN
+    (tmp_path / 'requirements.lock').write_text('numpy==2')
+    assert lock_hash([inner, tmp_path]) == hashlib.sha256(b'numpy==2').hexdigest()
+
+
+def test_attachments_are_the_json_files_of_folders_and_any_file_by_name(tmp_path: Path) -> None:
+    (tmp_path / 'options' / 'p1').mkdir(parents=True)
+    for name in ('options/p1/go.json', 'options/p1/go.json.damaged-1', 'options/demos.jsonl'):
+        (tmp_path / name).write_text('{}')
+    (tmp_path / 'notes.txt').write_text('x')
+    paths = [tmp_path / name for name in ('options', 'notes.txt', 'not there')]
+    assert [name for name, _ in attachments(paths)] == ['options/p1/go.json', 'notes.txt']
+
+
+def test_every_node_of_a_launch_is_told_what_is_recorded() -> None:
+    setup = launch('--record-exclude', 'rosout', '--record-exclude', 'lesson/*')
+    expected = {'record_exclude': ['rosout', 'lesson/*']}
+    for spec in processes(setup):
+        assert expected.items() <= spec.parameters.items()
+        assert 'record_include' not in spec.parameters
+    assert common_parameters(setup) == {'expect_recorder': True, **expected}
+
+
+def test_the_recorder_of_a_launch_splits_and_keeps_the_option_files() -> None:
+    setup = launch('--split-bytes', '500M', '--split-seconds', '60')
+    recorder = processes(setup)[0].parameters
+    assert (recorder['max_bytes'], recorder['max_seconds']) == (500_000_000, 60.0)
+    assert recorder['attach'] == [str(setup.directory / 'options')]
+
+
+@pytest.mark.parametrize('size', ['0', '-1', '5 M', '5T', 'M', '1.5G', '٣'])
+def test_what_is_no_size_is_refused(size: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        launch('--split-bytes', size)
+    assert 'is not a size such as 500M' in capsys.readouterr().err
+
+
+def test_a_bag_that_could_not_be_evaluated_is_said_or_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    launch('--record-include', 'game_state')
+    assert Selection(include=['game_state']).unevaluable in capsys.readouterr().err
+    with pytest.raises(CommandError, match='domain_info will not be recorded'):
+        launch('--record-exclude', 'domain_info', evaluated=True)
