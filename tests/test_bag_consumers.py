@@ -1,72 +1,181 @@
-"""Two programs that are not ours read the bag of a demo: rosbags and the mcap package."""
+"""Programs that are not ours read bags: rosbags, the mcap package, Foxglove's for JavaScript."""
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import is_dataclass
+from pathlib import Path
 from typing import Any
 
+from graph_support import foxglove
 from graph_support.command import DemoRun
-from humanopts_teach.bags.reader import Bag, open_bag
+from graph_support.differences import differences
+from humanopts_teach.bags.reader import Bag, open_bag, Recorded
+from humanopts_teach.bags.schemas import constants
+from humanopts_teach.bags.writer import BagWriter, Limits
 from mcap.reader import make_reader
 from mcap.records import Message, Schema
 from mcap_ros2._vendor.rosidl_adapter.parser import InvalidResourceName
 from mcap_ros2.decoder import DecoderFactory
 import pytest
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys.msg import normalize_msgtype
+import yaml
 
-OWN = 'humanopts_interfaces/msg/'
-# mcap_ros2 takes only letters and digits in the name of a type, so not those of service events
-# and action feedback that a demo sends.
-REFUSED = {
-    'humanopts_interfaces/action/Plan_FeedbackMessage',
-    'humanopts_interfaces/action/RunPolicy_FeedbackMessage',
-    'humanopts_interfaces/srv/AnswerQuestion_Event',
-    'humanopts_interfaces/srv/BeginDemonstration_Event',
-    'humanopts_interfaces/srv/DefineOption_Event',
-    'humanopts_interfaces/srv/EndDemonstration_Event',
-    'humanopts_interfaces/srv/OpenSession_Event',
-    'humanopts_interfaces/srv/ResetGame_Event',
-    'humanopts_interfaces/srv/RunOption_Event',
-    'humanopts_interfaces/srv/SetControl_Event',
-}
+EVENT = '/_service_event'
+FEEDBACK = '/_action/feedback'
+REQUEST, RESPONSE = {0, 1}, {2, 3}  # types of service events: sent and received
+FACTS = {'seed': '7', 'participant': 'p é'}
+FILES = {'options.json': b'{"up": 1}', 'empty': b''}
 
 
 @pytest.fixture(scope='module')
 def bag(demo: DemoRun) -> Bag:
-    """The same bag by our own reader."""
+    """The bag of the demo by our own reader."""
     return open_bag(demo.bag)
 
 
-def test_rosbags_decodes_every_message_of_every_type(demo: DemoRun, bag: Bag) -> None:
-    counts: Counter[str] = Counter()
+@pytest.fixture(scope='module')
+def ours(bag: Bag) -> list[Recorded]:
+    """All messages of the demo as our own reader decodes them."""
+    return list(bag.messages())
+
+
+@pytest.fixture(scope='module')
+def by_rosbags(demo: DemoRun) -> dict[tuple[str, int, bytes], Any]:
+    """All messages of the demo as rosbags decodes them."""
     with AnyReader([demo.bag]) as reader:
-        assert {c.topic: c.msgtype for c in reader.connections} == {
-            name: topic.type for name, topic in bag.topics.items()
+        return {
+            (connection.topic, time, data): reader.deserialize(
+                data, normalize_msgtype(connection.msgtype)
+            )
+            for connection, time, data in reader.messages()
         }
-        for connection, _, data in reader.messages():
-            assert is_dataclass(reader.deserialize(data, normalize_msgtype(connection.msgtype)))
-            counts[connection.topic] += 1
-    assert counts == {name: t.messages for name, t in bag.topics.items() if t.messages}
 
 
-def test_rosbags_sees_what_our_reader_sees(demo: DemoRun, bag: Bag) -> None:
-    topics = [name for name, topic in bag.topics.items() if topic.type.startswith(OWN)]
+@pytest.fixture(scope='module')
+def by_foxglove(bag: Bag) -> list[str]:
+    """What Foxglove's packages find in the bag of the demo by its index, as lines of JSON."""
+    return foxglove.decode('indexed', bag.files)
+
+
+@pytest.fixture(scope='module')
+def split(tmp_path_factory: pytest.TempPathFactory, bag: Bag, ours: list[Recorded]) -> Path:
+    """The messages of the demo in a bag of several files, with attachments."""
+    path = tmp_path_factory.mktemp('split') / 'bag'
+    with BagWriter(path, FACTS, limits=Limits(seconds=5.0)) as writer:
+        for topic in bag.topics.values():
+            writer.add_topic(topic.name, topic.type, yaml.safe_load(topic.qos), topic.type_hash)
+        for message in ours:
+            writer.write(message.topic, message.data, message.log_time, message.publish_time)
+        for name, data in FILES.items():
+            writer.attach(name, data, 'application/octet-stream')
+    return path
+
+
+def test_rosbags_reads_the_metadata(demo: DemoRun, bag: Bag, ours: list[Recorded]) -> None:
+    with Reader(demo.bag) as reader:
+        found = reader.storage.metadata
+        topics = {connection.topic: connection for connection in reader.connections}
+    assert found.ros_distro == 'jazzy'
+    assert found.custom == bag.metadata['humanopts']
+    assert found.custom['seed'] == '1'
+    assert found.message_count == len(ours)
+    assert found.start_time == ours[0].log_time
+    assert found.end_time - 1 == ours[-1].log_time == found.start_time + found.duration - 1
+    assert [(c.topic, c.msgtype, c.msgcount, c.digest) for _, c in sorted(topics.items())] == [
+        (topic.name, topic.type, topic.messages, topic.type_hash) for topic in bag.topics.values()
+    ]
+    qos = {name: connection.ext.offered_qos_profiles for name, connection in topics.items()}
+    assert qos == {name: parse_qos(topic.qos) for name, topic in bag.topics.items()}
+    for name, kept in (('/domain_info', 'TRANSIENT_LOCAL'), ('/parameter_events', 'VOLATILE')):
+        assert {profile.durability for profile in qos[name]} == {QosDurability[kept]}
+        assert {profile.reliability for profile in qos[name]} == {QosReliability.RELIABLE}
+
+
+def test_rosbags_finds_the_type_hash_of_every_msg_type_right(demo: DemoRun) -> None:
     with AnyReader([demo.bag]) as reader:
-        wanted = [c for c in reader.connections if c.topic in topics]
-        theirs = {
-            (connection.topic, time, data): reader.deserialize(data, connection.msgtype)
-            for connection, time, data in reader.messages(wanted)
+        hashes = {c.msgtype: c.digest for c in reader.connections}
+        assert hashes == {
+            name: reader.typestore.hash_rihs01(name) if '/msg/' in name else '' for name in hashes
         }
-    ours = {(r.topic, r.log_time, r.data): r.message for r in bag.messages(topics)}
-    assert set(theirs) == set(ours)
-    assert len(ours) > 5000
-    assert [key for key, message in ours.items() if not alike(message, theirs[key])] == []
 
 
-def test_mcap_ros2_decodes_every_msg_type_and_refuses_names_with_underscores(
-    bag: Bag,
+def test_rosbags_sees_what_our_reader_sees(
+    ours: list[Recorded], by_rosbags: dict[tuple[str, int, bytes], Any]
 ) -> None:
+    found = {(r.topic, r.log_time, r.data): r.message for r in ours}
+    assert len(found) == len(ours) > 5000
+    assert set(by_rosbags) == set(found)
+    assert [
+        text for key in found for text in differences(found[key], by_rosbags[key], key[0])
+    ] == []
+
+
+def test_rosbags_finds_every_request_and_every_response_in_service_events(
+    by_rosbags: dict[tuple[str, int, bytes], Any],
+) -> None:
+    events = [event for key, event in by_rosbags.items() if key[0].endswith(EVENT)]
+    assert {event.info.event_type for event in events} == REQUEST | RESPONSE
+    for event in events:
+        held = (len(event.request), len(event.response))
+        assert held == ((1, 0) if event.info.event_type in REQUEST else (0, 1))
+
+
+def test_rosbags_finds_the_goals_of_all_feedback_in_the_status_of_the_action(
+    by_rosbags: dict[tuple[str, int, bytes], Any],
+) -> None:
+    goals, reported = set(), set()
+    for (topic, *_), message in by_rosbags.items():
+        if topic.endswith(FEEDBACK):
+            reported.add((topic.removesuffix(FEEDBACK), bytes(message.goal_id.uuid)))
+        for status in getattr(message, 'status_list', ()):
+            action = topic.removesuffix('/_action/status')
+            goals.add((action, bytes(status.goal_info.goal_id.uuid)))
+    assert reported
+    assert reported <= goals
+
+
+def test_rosbags_reads_all_messages_from_a_bag_of_several_files(
+    bag: Bag, ours: list[Recorded], split: Path
+) -> None:
+    with Reader(split) as reader:
+        files = {file['path']: file['message_count'] for file in reader.storage.files}
+        found = reader.storage.metadata
+    assert set(files) == {f'bag_{number}.mcap' for number in range(len(files))}
+    assert len(files) > 2
+    assert sum(files.values()) == found.message_count == len(ours)
+    assert found.custom == FACTS
+    with AnyReader([split]) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+        messages = Counter((c.topic, time, data) for c, time, data in reader.messages())
+    assert counts == {name: topic.messages for name, topic in bag.topics.items()}
+    assert messages == Counter((r.topic, r.log_time, r.data) for r in ours)
+
+
+def test_mcap_reads_messages_attachments_and_facts_of_several_files(
+    ours: list[Recorded], split: Path
+) -> None:
+    sequences: list[tuple[str, int]] = []
+    attached = {}
+    for path in split.glob('*.mcap'):
+        with path.open('rb') as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            messages = [(c.topic, message.sequence) for _, c, message in reader.iter_messages()]
+            summary = reader.get_summary()
+            assert summary is not None
+            assert summary.statistics is not None
+            assert summary.statistics.message_count == len(messages)
+            sequences += messages
+            attached |= {item.name: item.data for item in reader.iter_attachments()}
+            records = {record.name: record.metadata for record in reader.iter_metadata()}
+            assert records['humanopts'] == FACTS
+    assert sorted(sequences) == sorted((r.topic, r.sequence) for r in ours)
+    assert attached == FILES
+
+
+def test_mcap_ros2_decodes_every_type_but_those_with_underscores_in_their_names(bag: Bag) -> None:
     refused, decoders = set(), {}
     for schema, message in _records(bag):
         if schema.name in refused:
@@ -78,11 +187,10 @@ def test_mcap_ros2_decodes_every_msg_type_and_refuses_names_with_underscores(
                 refused.add(schema.name)
                 continue
         assert decoders[schema.name](message.data) is not None
-    assert refused == REFUSED
     sent = {topic.type for topic in bag.topics.values() if topic.messages}
-    assert set(decoders) == sent - REFUSED
-    assert {name for name in sent if '/msg/' in name} <= set(decoders)
-    assert all('_' in name.rpartition('/')[2] for name in refused)
+    assert refused == {name for name in sent if '_' in name.rpartition('/')[2]}
+    assert {name.rpartition('_')[2] for name in refused} == {'Event', 'FeedbackMessage'}
+    assert set(decoders) == sent - refused
 
 
 def _records(bag: Bag) -> Iterator[tuple[Schema, Message]]:
@@ -93,10 +201,56 @@ def _records(bag: Bag) -> Iterator[tuple[Schema, Message]]:
             yield schema, message
 
 
-def alike(ours: Any, theirs: Any) -> bool:
-    """Tell whether two decoders found the same in a message, field by field."""
-    if hasattr(ours, '__slots__'):
-        return all(alike(getattr(ours, name), getattr(theirs, name)) for name in ours.__slots__)
-    if isinstance(ours, list | tuple):
-        return len(ours) == len(theirs) and all(map(alike, ours, theirs))
-    return bool(ours == theirs or (ours != ours and theirs != theirs))  # NaN is like NaN
+def test_foxglove_decodes_every_message_as_our_reader_does(
+    ours: list[Recorded], by_foxglove: list[str]
+) -> None:
+    lines = map(foxglove.read, by_foxglove)
+    found = {(line['topic'], line['sequence']): line for line in lines if 'sequence' in line}
+    assert [line for line in found.values() if 'error' in line] == []
+    assert set(found) == {(r.topic, r.sequence) for r in ours}
+    wrong = []
+    for recorded in ours:
+        line = found[recorded.topic, recorded.sequence]
+        wrong += differences(recorded.message, line['value'], recorded.topic)
+        assert line['type'] == recorded.type
+        assert (line['logTime'], line['publishTime']) == (recorded.log_time, recorded.publish_time)
+        assert line['trailing'] < 4  # a message is filled up to a multiple of 4 bytes
+    assert wrong == []
+
+
+def test_foxglove_finds_the_same_by_the_index_and_as_a_stream(
+    bag: Bag, by_foxglove: list[str]
+) -> None:
+    assert sorted(foxglove.decode('streamed', bag.files)) == sorted(by_foxglove)
+
+
+def test_foxglove_finds_our_header_facts_counts_and_constants(
+    bag: Bag, by_foxglove: list[str]
+) -> None:
+    lines = [foxglove.read(line) for line in by_foxglove if '"kind":"message"' not in line]
+    (header,) = (line for line in lines if line['kind'] == 'header')
+    assert (header['profile'], header['library']) == ('ros2', 'humanopts')
+    (statistics,) = (line for line in lines if line['kind'] == 'statistics')
+    assert sum(statistics['channelMessageCounts'].values()) == bag.n_messages
+    records = {line['name']: line['metadata'] for line in lines if line['kind'] == 'metadata'}
+    assert records == bag.metadata
+    found = {line['name']: line for line in lines if line['kind'] == 'schema'}
+    schemas = {topic.type: topic.schema for topic in bag.topics.values()}
+    assert set(found) == set(schemas)
+    for name, schema in schemas.items():
+        own = found[name]['definitions'][0]['definitions']
+        values = {field['value']: field['name'] for field in own if field.get('isConstant')}
+        assert values == constants(schema, ''), name
+
+
+def test_foxglove_reads_messages_and_attachments_of_several_files(
+    ours: list[Recorded], split: Path
+) -> None:
+    lines = [
+        foxglove.read(line) for line in foxglove.decode('indexed', sorted(split.glob('*.mcap')))
+    ]
+    assert [line for line in lines if 'error' in line] == []
+    messages = [(line['topic'], line['sequence']) for line in lines if line['kind'] == 'message']
+    assert Counter(messages) == Counter((r.topic, r.sequence) for r in ours)
+    attached = {line['name']: line['data'] for line in lines if line['kind'] == 'attachment'}
+    assert attached == {name: list(data) for name, data in FILES.items()}
