@@ -23,7 +23,8 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import check_demonstration, Demonstration, DemonstrationError
-from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain, read_episodes
+from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
+from humanopts_teach.bags.episodes import read_episodes
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import count_loss, summarise
 from humanopts_teach.bags.loss import Stream

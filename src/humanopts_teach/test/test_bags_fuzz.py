@@ -14,7 +14,8 @@ from humanopts_interfaces.msg import GameState
 from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.bags.check import check_bag
-from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain, read_episodes
+from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
+from humanopts_teach.bags.episodes import read_episodes
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
@@ -177,7 +178,7 @@ def numbers_of_eval(bag: Bag) -> tuple[Any, bool]:
         dict(bag.metadata['humanopts']) if 'humanopts' in bag.metadata else None,
         (domain.name, dict(domain.parameters)),
         read_demonstrations(bag),
-        read_episodes(bag),
+        list(read_episodes(bag)),
     )
     return found, bool(bag.damage)
 

@@ -17,6 +17,7 @@ from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.export import files
 from humanopts_teach.export.files import ExportError, write_csv, write_parquet
 from humanopts_teach.export.minari_dataset import dataset_name, FOLDER, write_dataset
 from humanopts_teach.export.tables import bag_tables, Table
@@ -103,14 +104,18 @@ def bag(
     return record(tmp_path_factory.mktemp('exported') / 'bag', taxi, 3, taxi_lesson[:2])
 
 
-def by_name(tables: list[Table]) -> dict[str, Table]:
-    return {table.name: table for table in tables}
+def columns(tables: list[Table]) -> dict[str, dict[str, list[Any]]]:
+    """Return the columns of every table, by its name."""
+    return {
+        table.name: dict(zip(table.head, map(list, zip(*table.rows)), strict=True))
+        for table in tables
+    }
 
 
 def test_step_table_has_every_state_with_the_step_that_led_to_it(
     bag: Bag, taxi: Domain[Any]
 ) -> None:
-    steps = by_name(bag_tables(bag))['steps'].columns
+    steps = columns(bag_tables(bag))['steps']
     assert set(map(len, steps.values())) == {3 * (STEPS + 1)}
     assert list(steps['episode']) == [1] * 31 + [2] * 31 + [3] * 31
     assert list(steps['step'][:32]) == [*range(31), 0]
@@ -127,37 +132,38 @@ def test_step_table_has_every_state_with_the_step_that_led_to_it(
 def test_tables_of_demonstrations_options_and_plans_say_what_was_recorded(
     bag: Bag, taxi_lesson: list[Demonstration]
 ) -> None:
-    tables = by_name(bag_tables(bag))
-    demos, options = tables['demonstrations'].columns, tables['options'].columns
+    tables = columns(bag_tables(bag))
+    demos, options = tables['demonstrations'], tables['options']
     assert list(demos['uuid']) == [demo.uuid for demo in taxi_lesson[:2]]
     assert [tuple(json.loads(text)) for text in demos['states']] == [
         demo.states for demo in taxi_lesson[:2]
     ]
     assert json.loads(demos['features'][0]) == [list(row) for row in taxi_lesson[0].features]
     assert options['option'] == [taxi_lesson[0].option_name]
-    plans = tables['plans'].columns
+    plans = tables['plans']
     assert plans['status'] == ['converged']
     assert plans['option_names'] == ['["eat", "flee"]']
     assert plans['mean_return'] == [None]  # NaN: not evaluated
 
 
 def test_csv_files_hold_the_tables(tmp_path: Path, bag: Bag) -> None:
-    tables = bag_tables(bag)
-    paths = write_csv(tables, tmp_path)
-    assert [path.name for path in paths] == [f'{table.name}.csv' for table in tables]
-    for path, table in zip(paths, tables):
+    paths = write_csv(bag_tables(bag), tmp_path)
+    for path, table in zip(paths, bag_tables(bag), strict=True):
         with path.open(encoding='utf-8', newline='') as file:
             head, *rows = csv.reader(file)
-        assert head == list(table.columns)
-        values = zip(*table.columns.values())
-        assert rows == [['' if v is None else str(v) for v in row] for row in values]
+        assert (path.name, head) == (f'{table.name}.csv', list(table.head))
+        assert rows == [['' if v is None else str(v) for v in row] for row in table.rows]
 
 
-def test_parquet_files_hold_the_tables(tmp_path: Path, bag: Bag) -> None:
+@pytest.mark.parametrize('rows', [4, 50_000])
+def test_parquet_files_hold_the_tables(
+    tmp_path: Path, bag: Bag, monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
     parquet = pytest.importorskip('pyarrow.parquet')
-    tables = bag_tables(bag)
-    for path, table in zip(write_parquet(tables, tmp_path), tables):
-        assert parquet.read_table(path).to_pydict() == dict(table.columns)
+    monkeypatch.setattr(files, 'BATCH', rows)
+    found = columns(bag_tables(bag))
+    for path in write_parquet(bag_tables(bag), tmp_path):
+        assert parquet.read_table(path).to_pydict() == found[path.stem]
 
 
 @pytest.mark.parametrize('write', ['parquet', 'minari'])

@@ -4,12 +4,13 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Command, Game, Source
-from humanopts_teach.bags.demonstrations import Episode
+from humanopts_teach.bags.episodes import Episode
+from humanopts_teach.bags.played import Actors
 from humanopts_teach.terminal.replay import FASTEST, Replay, SLOWEST, STEP_SECONDS
 import pytest
 
 START = 'taxi 0,0 passenger R destination G'
-ACTORS = {('/o#1', 1): 'fetch', ('/o#1', 2): 'action:south'}
+COMMANDS = (('/o#1', 1, 'fetch'), ('/o#1', 2, 'action:south'))
 
 
 def episode(domain: Domain[Any], actions: list[str], number: int = 1) -> Episode:
@@ -21,14 +22,17 @@ def episode(domain: Domain[Any], actions: list[str], number: int = 1) -> Episode
     for at, action in enumerate(actions):
         game.command(Command('/o#1', at + 1, Source.MACHINE, 1, at, action))
         moments.append(game.moment)
-    return Episode('/game_state', '/game#1', number, tuple(moments))
+    return Episode('/game_state', '/game#1', number, tuple(moments), (0, 0))
 
 
 @pytest.fixture
 def replay(taxi: Domain[Any]) -> Replay:
     """Two episodes, of three steps and one."""
     episodes = [episode(taxi, ['pickup', 'south', 'east']), episode(taxi, ['east'], 2)]
-    return Replay(taxi, episodes, ACTORS)
+    actors = Actors()
+    for command in COMMANDS:
+        actors.add(*command)
+    return Replay(taxi, episodes, lambda _: actors)
 
 
 def words(replay: Replay) -> str:

@@ -47,6 +47,7 @@ class Block:
     offset: int
     length: int
     start: int  # earliest log time, ns
+    end: int  # latest
     channels: frozenset[int]  # ids of the channels that have messages in it
     loose: bool = False  # a run of records outside chunks
     cut: bool = False  # a chunk whose end is not in the file

@@ -1,12 +1,9 @@
-"""The study's data in a bag: its domain, the demonstrations, and the episodes that were played."""
+"""The study's data in a bag: its domain and the demonstrations."""
 
-from dataclasses import dataclass
-import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
-from humanopts_env.game import Moment, moment_from_message
 from humanopts_learner.demonstrations import (
     Demonstration,
     demonstration_from_message,
@@ -17,30 +14,6 @@ from humanopts_teach.bags.reader import Bag
 
 DEMONSTRATION = 'humanopts_interfaces/msg/Demonstration'
 DOMAIN_INFO = 'humanopts_interfaces/msg/DomainInfo'
-GAME_STATE = 'humanopts_interfaces/msg/GameState'
-STATE_COPY = 'current_state'  # the latched topic that repeats the last state
-
-
-@dataclass(frozen=True)
-class Episode:
-    """The recorded states of one episode, in order."""
-
-    topic: str
-    publisher_id: str  # of the game that played it
-    number: int
-    moments: tuple[Moment, ...]
-
-    @property
-    def complete(self) -> bool:
-        """Whether it was recorded from its first state to its end without a gap."""
-        numbers = [moment.step for moment in self.moments]
-        last = self.moments[-1]
-        return numbers == list(range(len(numbers))) and (last.terminated or last.truncated)
-
-    @property
-    def total_reward(self) -> float:
-        """Undiscounted return of what was recorded."""
-        return math.fsum(moment.reward for moment in self.moments)
 
 
 def read_demonstrations(bag: Bag) -> list[Demonstration]:
@@ -83,20 +56,3 @@ def read_domain(bag: Bag) -> Domain[Any]:
         return domain_from_json(*played[0])
     except DomainError as error:
         raise BagError(f'{bag.path}: {error}') from error
-
-
-def read_episodes(bag: Bag) -> list[Episode]:
-    """Return the episodes in a bag, in order of their first state."""
-    topics = [t for t in bag.of_type(GAME_STATE) if t.rpartition('/')[2] != STATE_COPY]
-    found: dict[tuple[str, str, int], dict[int, Moment]] = {}
-    for recorded in bag.messages(topics) if topics else ():
-        state = recorded.message
-        if state is not None and state.episode > 0:
-            key = (recorded.topic, state.publisher_id, state.episode)
-            try:
-                found.setdefault(key, {})[state.step] = moment_from_message(state)
-            except ValueError as error:
-                bag.note(f'a message on {recorded.topic} is left out: {error}')
-    return [
-        Episode(*key, tuple(by[step] for step in sorted(by))) for key, by in found.items() if by
-    ]

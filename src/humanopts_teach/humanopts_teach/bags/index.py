@@ -172,7 +172,7 @@ def _block(index: FileIndex, stream: BinaryIO, content: bytes) -> Block:
         raise ValueError(f'there is another chunk at byte {offset}')
     listed = content[_CHUNK_INDEX.size : _CHUNK_INDEX.size + size]
     channels = frozenset(channel for channel, _ in struct.iter_unpack('<HQ', listed))
-    return Block(offset, length, first, index.group(channels or frozenset(index.channels)))
+    return Block(offset, length, first, last, index.group(channels or frozenset(index.channels)))
 
 
 def _metadata(stream: BinaryIO, at: MetadataIndex) -> McapRecord:

@@ -12,12 +12,8 @@ from humanopts_learner.demonstrations import (
     group_by_option,
     Kind,
 )
-from humanopts_teach.bags.demonstrations import (
-    DEMONSTRATION,
-    DOMAIN_INFO,
-    GAME_STATE,
-    STATE_COPY,
-)
+from humanopts_teach.bags.demonstrations import DEMONSTRATION, DOMAIN_INFO
+from humanopts_teach.bags.episodes import GAME_STATE, Games, Group, last_state
 from humanopts_teach.bags.loss import Ledger
 from humanopts_teach.bags.reader import Bag, Recorded
 from humanopts_teach.bags.schemas import constants
@@ -36,6 +32,14 @@ def summarise(bag: Bag) -> BagInfo:
     for recorded in bag.messages(decoded=False):
         survey.add(recorded)
     return survey.result()
+
+
+def option_rows(bag: Bag) -> list[OptionRow]:
+    """Say which options were taught."""
+    survey = _Survey(bag)
+    for recorded in bag.messages(bag.of_type(DEMONSTRATION) + bag.of_type(_STATUS), decoded=False):
+        survey.add(recorded)
+    return survey.option_rows()
 
 
 def count_loss(bag: Bag) -> Ledger:
@@ -60,7 +64,8 @@ class _Survey:
         self._stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
         self._demonstrations: list[Demonstration] = []
         self._criteria: dict[tuple[str, str], bool] = {}
-        self._episodes: dict[tuple[str, str, int], bool] = {}  # whether its end was recorded
+        self._games = Games(bag)
+        self._episodes = self._episodes_ended = 0
         self._domains: dict[str, None] = {}
         self._results: dict[str, Counter[str]] = {
             kind: Counter() for kind in (_OPTION_RESULT, PLAN_RESULT, _POLICY_RESULT)
@@ -69,7 +74,6 @@ class _Survey:
         self._handlers: dict[str, Callable[[Recorded, Any], None]] = {
             DEMONSTRATION: self._demonstration,
             DOMAIN_INFO: self._domain,
-            GAME_STATE: self._state,
             _STATUS: self._status,
             **dict.fromkeys(self._results, self._result),
         }
@@ -85,6 +89,8 @@ class _Survey:
                 self._bag.note(f'a message on {recorded.topic} does not decode')
                 return
             self._ledger.add(recorded.topic, stamp)
+        if recorded.type == GAME_STATE:
+            self._episode(self._games.add(recorded))
         handler = self._handlers.get(recorded.type)
         if handler is not None:
             message = self._bag.decode(recorded.topic, recorded.data)
@@ -94,6 +100,8 @@ class _Survey:
     def result(self) -> BagInfo:
         """Return what was collected."""
         bag = self._bag
+        for group in self._games.rest():
+            self._episode(group)
         return BagInfo(
             path=str(bag.path),
             damage=bag.damage,
@@ -103,14 +111,14 @@ class _Survey:
             facts=bag.metadata.get('humanopts', {}),
             domains=tuple(self._domains),
             topics=tuple(self._topic_rows()),
-            options=tuple(self._option_rows()),
+            options=tuple(self.option_rows()),
             option_runs=dict(self._results[_OPTION_RESULT]),
             plans=dict(self._results[PLAN_RESULT]),
             policy_runs=dict(self._results[_POLICY_RESULT]),
             interruptions=self._interruptions,
             execution_changes=self._execution_changes,
-            episodes=len(self._episodes),
-            episodes_ended=sum(self._episodes.values()),
+            episodes=self._episodes,
+            episodes_ended=self._episodes_ended,
             streams=tuple(
                 StreamRow(topic, who, s.first, s.last, s.received, s.missing, s.duplicates)
                 for topic, who, s in self._ledger
@@ -123,7 +131,8 @@ class _Survey:
             for topic in self._bag.topics.values()
         ]
 
-    def _option_rows(self) -> list[OptionRow]:
+    def option_rows(self) -> list[OptionRow]:
+        """Return what was collected of options."""
         rows = []
         for (participant, name), demos in group_by_option(self._demonstrations).items():
             shown = [demo for demo in demos if demo.kind is Kind.TRAJECTORY]
@@ -151,11 +160,12 @@ class _Survey:
     def _domain(self, recorded: Recorded, message: Any) -> None:
         self._domains[f'{message.domain} {message.parameters}'] = None
 
-    def _state(self, recorded: Recorded, message: Any) -> None:
-        if message.episode and recorded.topic.rpartition('/')[2] != STATE_COPY:
-            key = (recorded.topic, message.publisher_id, message.episode)
-            ended = message.terminated or message.truncated
-            self._episodes[key] = self._episodes.get(key, False) or ended
+    def _episode(self, group: Group | None) -> None:
+        """Count an episode that is over."""
+        if group is not None:
+            state = last_state(self._bag, group)
+            self._episodes += 1
+            self._episodes_ended += state is not None and (state.terminated or state.truncated)
 
     def _status(self, recorded: Recorded, message: Any) -> None:
         for option in message.options:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from humanopts_teach.bags.stamps import Stamp
 
+MOST_GAPS = 10_000
+
 
 @dataclass
 class Stream:
@@ -13,7 +15,8 @@ class Stream:
     The messages of one publisher on one topic.
 
     Numbers begin at 1, so what was sent before the first that was received is missing too. What
-    was sent after the last cannot be known.
+    was sent after the last cannot be known. The last ``MOST_GAPS`` gaps are kept: a message that
+    fills an older one counts as a repetition, so that never too few are said to be missing.
     """
 
     first: int = 0  # smallest number received; 0: none yet
@@ -28,6 +31,8 @@ class Stream:
         if sequence > self.last:
             if sequence > self.last + 1:
                 self._gaps.append((self.last + 1, sequence - 1))
+                if len(self._gaps) > 2 * MOST_GAPS:
+                    del self._gaps[:MOST_GAPS]
             self.last = sequence
         elif self._fill(sequence):
             self.late += 1
@@ -44,7 +49,7 @@ class Stream:
 
     @property
     def gaps(self) -> list[tuple[int, int]]:
-        """First and last number of every run of missing messages."""
+        """First and last number of the runs of missing messages that are kept."""
         return list(self._gaps)
 
     def _fill(self, sequence: int) -> bool:

@@ -1,21 +1,58 @@
 """Who acted in the episodes of a bag, and how each episode was begun."""
 
+from array import array
+from bisect import bisect_right
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from humanopts_env.game import Moment, Source
-from humanopts_teach.bags.reader import Bag, Recorded
+from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
 
 ACTION_COMMAND = 'humanopts_interfaces/msg/ActionCommand'
 RESET_EVENT = 'humanopts_interfaces/srv/ResetGame_Event'
 _REQUEST, _RESPONSE = 1, 2  # ServiceEventInfo: REQUEST_RECEIVED, RESPONSE_SENT; of the server
 _EVENTS = '/reset_game/_service_event'
 
-Actors = dict[tuple[str, int], str]  # by publisher and number of the command
+
+@dataclass
+class _Runs:
+    """Numbers of commands that follow each other and are of one actor."""
+
+    first: 'array[int]' = field(default_factory=lambda: array('Q'))  # ascending
+    last: 'array[int]' = field(default_factory=lambda: array('Q'))
+    actor: 'array[int]' = field(default_factory=lambda: array('Q'))
 
 
-@dataclass(frozen=True)
+class Actors:
+    """Whose each command was, by its publisher and number."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, int] = {'': 0}
+        self._runs: dict[str, _Runs] = {}
+
+    def add(self, publisher_id: str, sequence: int, name: str) -> None:
+        """Take in a command, once."""
+        runs = self._runs.setdefault(publisher_id, _Runs())
+        actor = self._names.setdefault(name, len(self._names))
+        at = bisect_right(runs.first, sequence)
+        before = runs.last[at - 1] if at else -1
+        if at and before == sequence - 1 and runs.actor[at - 1] == actor:
+            runs.last[at - 1] = sequence
+        elif before < sequence:
+            runs.first.insert(at, sequence)
+            runs.last.insert(at, sequence)
+            runs.actor.insert(at, actor)
+
+    def name(self, publisher_id: str, sequence: int) -> str:
+        """Return an option, or action:NAME; empty: a person, or it is not known."""
+        runs = self._runs.get(publisher_id, _Runs())
+        at = bisect_right(runs.first, sequence) - 1
+        known = at >= 0 and sequence <= runs.last[at]
+        return list(self._names)[runs.actor[at]] if known else ''
+
+
+@dataclass(frozen=True, slots=True)
 class Beginning:
     """What reset_game was asked when an episode was begun."""
 
@@ -23,23 +60,31 @@ class Beginning:
     start_state: str  # empty: it was drawn by the seed
 
 
+Beginnings = dict[tuple[str, int, str], Beginning]  # by namespace, number and first state
+
+
 def namespace(topic: str) -> str:
     """Return what stands before the last part of a name."""
     return topic.rpartition('/')[0]
 
 
-def read_actors(bag: Bag) -> Actors:
-    """Return whose each command was: an option, or action:NAME; empty: a person's."""
-    return {
-        (command.publisher_id, command.sequence): getattr(command, 'option_name', '')
-        for recorded in _of_type(bag, ACTION_COMMAND)
-        if (command := recorded.message) is not None
-    }
+def read_actors(bag: Bag, between: tuple[int, int] = ALWAYS) -> Actors:
+    """
+    Return whose the commands in a bag were.
+
+    :param between: log times that are read, ns.
+    """
+    actors = Actors()
+    for recorded in _of_type(bag, ACTION_COMMAND, between):
+        if (command := recorded.message) is not None:
+            name = getattr(command, 'option_name', '')  # older versions have no such field
+            actors.add(command.publisher_id, command.sequence, name)
+    return actors
 
 
 def actor_of(moment: Moment, actors: Actors) -> str:
     """Return the option or action:NAME whose action led to a moment; empty: a person's."""
-    return actors.get((moment.action_publisher_id, moment.action_sequence), '')
+    return actors.name(moment.action_publisher_id, moment.action_sequence)
 
 
 def source_of(moment: Moment) -> str:
@@ -47,8 +92,8 @@ def source_of(moment: Moment) -> str:
     return '' if moment.action_source is Source.NONE else moment.action_source.name.lower()
 
 
-def read_beginnings(bag: Bag) -> dict[tuple[str, int, str], Beginning]:
-    """Return how episodes were begun, by namespace, number and first state, where it is known."""
+def read_beginnings(bag: Bag) -> Beginnings:
+    """Return how episodes were begun, where it is known."""
     asked: dict[tuple[Any, ...], Any] = {}
     found = {}
     for recorded in _of_type(bag, RESET_EVENT):
@@ -64,6 +109,6 @@ def read_beginnings(bag: Bag) -> dict[tuple[str, int, str], Beginning]:
     return found
 
 
-def _of_type(bag: Bag, type_name: str) -> Iterable[Recorded]:
+def _of_type(bag: Bag, type_name: str, between: tuple[int, int] = ALWAYS) -> Iterable[Recorded]:
     topics = bag.of_type(type_name)
-    return bag.messages(topics) if topics else ()
+    return bag.messages(topics, between=between) if topics else ()

@@ -12,13 +12,14 @@ from humanopts_teach.bags.blocks import Block, DAMAGE, FileIndex, read_messages,
 from humanopts_teach.bags.decoding import decode, Decoder, make_decoder
 from humanopts_teach.bags.directory import find_files, load
 from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.file import LIBRARY, RECORD, SELF, SELF_TEXT
 from humanopts_teach.bags.index import data_fits, read_attachment, read_index
 from humanopts_teach.bags.metadata import FILE
-from humanopts_teach.bags.writer import LIBRARY, RECORD, SELF, SELF_TEXT
 from mcap.records import Attachment
 
 INTERFACES = 'humanopts_interfaces/'
 MOST_WAITING = 64 << 20  # bytes of messages that are put in order of time at once
+ALWAYS = (0, 2**64)  # log times
 _EACH = 300  # bytes that a message takes in memory apart from its data
 OnRead = Callable[[int, int], object]  # bytes that a pass over a bag is through, of how many
 
@@ -55,7 +56,7 @@ class Bag:
     ) -> None:
         self.path = path
         self.information = information  # of metadata.yaml; {}: there is none
-        self.on_read: OnRead = _silent  # told how far every pass is
+        self.on_read: OnRead = silent  # told how far every pass is
         self._files = files
         self._passage = _Passage(self.files)
         self._damage = [*damage, *(text for file in files for text in file.damage)]
@@ -120,17 +121,22 @@ class Bag:
         return sorted(topic.name for topic in self.topics.values() if topic.type == type_name)
 
     def messages(
-        self, topics: Collection[str] | None = None, *, decoded: bool = True
+        self,
+        topics: Collection[str] | None = None,
+        *,
+        decoded: bool = True,
+        between: tuple[int, int] = ALWAYS,
     ) -> Iterator[Recorded]:
         """
         Yield messages in order of log time.
 
         :param topics: names; None: all.
         :param decoded: fill in ``Recorded.message``.
+        :param between: first and last log time, ns.
         """
         with ExitStack() as stack:
             streams = [stack.enter_context(file.path.open('rb')) for file in self._files]
-            for stored in self._in_order(streams, topics):
+            for stored in self._in_order(streams, topics, between):
                 channel = self._files[stored.file].channels[stored.channel]
                 topic = self.topics[channel.topic]
                 yield Recorded(
@@ -173,20 +179,27 @@ class Bag:
                 self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
     def _in_order(
-        self, streams: Sequence[BinaryIO], topics: Collection[str] | None
+        self,
+        streams: Sequence[BinaryIO],
+        topics: Collection[str] | None,
+        between: tuple[int, int],
     ) -> Iterator[Stored]:
         """Yield messages by time; where blocks overlap in time, those of several are held."""
         wanted = [self._wanted(file, topics) for file in self._files]
+        first, last = between
         blocks = sorted(
             (block.start, number, block.offset, block)
             for number, file in enumerate(self._files)
             for block in file.blocks
-            if not block.channels.isdisjoint(wanted[number])
+            if block.start <= last
+            and block.end >= first
+            and not block.channels.isdisjoint(wanted[number])
         )
         waiting: list[Stored] = []
         for (_, number, offset, block), after in zip(blocks, [*blocks[1:], None]):
             self._passage.tell(self.on_read, number, offset)
-            waiting += self._read(streams[number], number, block, wanted[number])
+            found = self._read(streams[number], number, block, wanted[number])
+            waiting += found if between is ALWAYS else (m for m in found if first <= m[0] <= last)
             waiting.sort()
             due = len(waiting) if after is None else bisect_left(waiting, after[:3])
             if due < len(waiting) and _size(waiting[due:]) > MOST_WAITING:
@@ -226,7 +239,7 @@ class _Passage:
         on_read(self._before[number] + offset, self._total)
 
 
-def _silent(done: int, total: int) -> None:
+def silent(done: int, total: int) -> None:
     """Tell nobody."""
 
 
@@ -235,7 +248,7 @@ def _size(messages: Sequence[Stored]) -> int:
     return sum(len(message.data) + _EACH for message in messages)
 
 
-def open_bag(path: Path | str, on_read: OnRead = _silent) -> Bag:
+def open_bag(path: Path | str, on_read: OnRead = silent) -> Bag:
     """
     Open a rosbag2 directory or an MCAP file.
 

@@ -5,9 +5,10 @@ from typing import Any
 
 from humanopts_teach.bags.directory import load
 from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.file import RECORD, SELF
 from humanopts_teach.bags.reader import Bag, Topic
 from humanopts_teach.bags.schemas import Definitions
-from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
+from humanopts_teach.bags.writer import BagWriter
 
 REPAIR = 'humanopts_repair'  # name of the MCAP metadata record that tells of a repair
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 import struct
 from typing import BinaryIO
@@ -76,7 +77,7 @@ class Run:
         self._start = self._end
         if end > start:
             try:
-                block = Block(start, end - start, 0, frozenset(), loose=True)
+                block = Block(start, end - start, 0, 0, frozenset(), loose=True)
                 _add_block(self._index, self._stream, block)
             except DAMAGE as error:
                 self._index.note(f'the records from byte {start} are damaged ({error})')
@@ -164,7 +165,7 @@ def _save_leading(index: FileIndex, stream: BinaryIO, offset: int, size: int) ->
     if stream.read(1) == bytes([Opcode.CHUNK]):
         try:
             kept = _add_block(
-                index, stream, Block(offset, size - offset, 0, frozenset(), cut=True)
+                index, stream, Block(offset, size - offset, 0, 0, frozenset(), cut=True)
             )
         except DAMAGE:
             return
@@ -175,7 +176,7 @@ def _save_leading(index: FileIndex, stream: BinaryIO, offset: int, size: int) ->
 def _take(index: FileIndex, stream: BinaryIO, opcode: int, offset: int, length: int) -> None:
     """Index one record that is not loose, or is in the summary at the end."""
     if opcode == Opcode.CHUNK:
-        _add_block(index, stream, Block(offset, length, 0, frozenset()))
+        _add_block(index, stream, Block(offset, length, 0, 0, frozenset()))
     elif opcode == Opcode.ATTACHMENT:
         stream.seek(offset + HEAD)
         name, place = attached(offset, stream.read(min(length - HEAD, _HEADS)))
@@ -212,9 +213,7 @@ def _add_block(index: FileIndex, stream: BinaryIO, block: Block) -> int:
     if times:
         index.counts.update(counts)
         channels = index.group(frozenset(counts))
-        index.blocks.append(
-            Block(block.offset, block.length, min(times), channels, block.loose, block.cut)
-        )
+        index.blocks.append(replace(block, start=min(times), end=max(times), channels=channels))
     return len(times)
 
 

@@ -6,6 +6,7 @@ import sys
 
 from humanopts_env.domains.base import StateError
 from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.commands.bar import progress_bar
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.export.files import ExportError, write_csv, write_parquet
 from humanopts_teach.export.minari_dataset import FOLDER, write_dataset
@@ -14,22 +15,28 @@ from humanopts_teach.export.tables import bag_tables
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the files, and print what was written."""
-    bag, out = open_bag(arguments.bag), arguments.out
+    out = arguments.out
     try:
-        if arguments.to == 'minari':
-            print(_dataset(bag, out))
-        else:
-            write = {'csv': write_csv, 'parquet': write_parquet}[arguments.to]
-            out.mkdir(parents=True, exist_ok=True)
-            for path in write(bag_tables(bag), out):
-                print(path)
+        with progress_bar() as tell:
+            bag = open_bag(arguments.bag, tell)
+            written = _write(bag, arguments.to, out)
     except (ExportError, StateError) as error:
         raise CommandError(str(error)) from error
     except OSError as error:
         raise CommandError(f'cannot write in {out}: {error.strerror or error}') from error
+    print(written)
     for line in bag.damage.splitlines():
         print(f'humanopts bag export: {line}', file=sys.stderr)
     return 0
+
+
+def _write(bag: Bag, form: str, out: Path) -> str:
+    """Write the files, and return what there is to say of them."""
+    if form == 'minari':
+        return _dataset(bag, out)
+    write = {'csv': write_csv, 'parquet': write_parquet}[form]
+    out.mkdir(parents=True, exist_ok=True)
+    return '\n'.join(map(str, write(bag_tables(bag), out)))
 
 
 def _dataset(bag: Bag, out: Path) -> str:

@@ -1,10 +1,15 @@
 """Tables of a bag as files: CSV with the standard library, Parquet where pyarrow is installed."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 import csv
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from humanopts_teach.export.tables import Table
+
+BATCH = 50_000  # rows of a Parquet table that are held
 
 
 class ExportError(ValueError):
@@ -22,8 +27,8 @@ def write_csv(tables: Sequence[Table], out: Path) -> list[Path]:
         paths.append(out / f'{table.name}.csv')
         with paths[-1].open('w', encoding='utf-8', newline='') as file:
             writer = csv.writer(file)
-            writer.writerow(table.columns)
-            writer.writerows(zip(*table.columns.values()))
+            writer.writerow(table.head)
+            writer.writerows(table.rows)
     return paths
 
 
@@ -44,6 +49,18 @@ def write_parquet(tables: Sequence[Table], out: Path) -> list[Path]:
     paths = []
     for table in tables:
         paths.append(out / f'{table.name}.parquet')
-        columns = {name: list(column) for name, column in table.columns.items()}
-        parquet.write_table(pyarrow.table(columns), paths[-1])
+        _write_batches(table, paths[-1], pyarrow, parquet)
     return paths
+
+
+def _write_batches(table: Table, path: Path, pyarrow: Any, parquet: Any) -> None:
+    """Write a table in parts, all of the types that the first has."""
+    rows, schema = iter(table.rows), None
+    with ExitStack() as stack:
+        while (part := list(islice(rows, BATCH))) or schema is None:
+            columns = dict(zip(table.head, zip(*part))) or dict.fromkeys(table.head, ())
+            batch = pyarrow.table({name: list(c) for name, c in columns.items()}, schema)
+            if schema is None:
+                schema = batch.schema
+                writer = stack.enter_context(parquet.ParquetWriter(path, schema))
+            writer.write_table(batch)

@@ -1,8 +1,9 @@
 """Episodes of a bag as a Minari dataset, which steps through our Gymnasium environments."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 import os
 from pathlib import Path
 import re
@@ -11,8 +12,9 @@ import warnings
 
 from humanopts_env.domains.base import action_index, Domain, DomainError
 from humanopts_env.gym_env import spec_of
-from humanopts_teach.bags.demonstrations import Episode, read_domain, read_episodes
-from humanopts_teach.bags.played import namespace, read_beginnings
+from humanopts_teach.bags.demonstrations import read_domain
+from humanopts_teach.bags.episodes import Episode, read_episodes
+from humanopts_teach.bags.played import Beginnings, namespace, read_beginnings
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.export.files import ExportError
 import numpy as np
@@ -51,20 +53,22 @@ def write_dataset(bag: Bag, out: Path) -> Exported:
         raise ExportError(
             'a Minari dataset needs minari, which is not installed: pip install "minari[arrow]"'
         ) from error
-    domain, episodes = read_domain(bag), read_episodes(bag)
-    whole = [episode for episode in episodes if _is_whole(episode)]
-    if not whole:
+    domain, whole = read_domain(bag), _Whole(read_episodes(bag))
+    first = next(whole, None)
+    if first is None:
         raise ExportError(f'{bag.path} holds no episode that was recorded without a gap')
     try:
         spec = spec_of(domain)
     except DomainError as error:
         raise ExportError(str(error)) from error
     env = spec.make()
-    options = _reset_options(bag, whole)
-    buffers = [
-        EpisodeBuffer(id=number, options=options[number], **_columns(env.unwrapped, episode))
-        for number, episode in enumerate(whole)
-    ]
+    begun = read_beginnings(bag)
+    buffers = (
+        EpisodeBuffer(
+            id=number, options=_reset_options(begun, one), **_columns(env.unwrapped, one)
+        )
+        for number, one in enumerate(chain([first], whole))
+    )
     name = dataset_name(domain, bag.path)
     with _looking_in(out), warnings.catch_warnings():
         warnings.simplefilter('ignore', UserWarning)  # that no author is named, and the like
@@ -74,7 +78,7 @@ def write_dataset(bag: Bag, out: Path) -> Exported:
             )
         except ValueError as error:
             raise ExportError(f'the dataset cannot be written: {error}') from error
-    return Exported(name, len(whole), len(episodes) - len(whole))
+    return Exported(name, whole.passed, whole.left_out)
 
 
 def dataset_name(domain: Domain[Any], bag: Path) -> str:
@@ -83,25 +87,32 @@ def dataset_name(domain: Domain[Any], bag: Path) -> str:
     return '/'.join([AUTHOR, *parts]) + '-v0'
 
 
-def _is_whole(episode: Episode) -> bool:
-    steps = [moment.step for moment in episode.moments]
-    return len(steps) > 1 and steps == list(range(len(steps)))
+class _Whole(Iterator[Episode]):
+    """The episodes that were recorded from their first state without a gap."""
+
+    def __init__(self, episodes: Iterable[Episode]) -> None:
+        self._episodes = iter(episodes)
+        self.passed = self.left_out = 0
+
+    def __next__(self) -> Episode:
+        for episode in self._episodes:
+            steps = [moment.step for moment in episode.moments]
+            if len(steps) > 1 and steps == list(range(len(steps))):
+                self.passed += 1
+                return episode
+            self.left_out += 1
+        raise StopIteration
 
 
-def _reset_options(bag: Bag, episodes: Sequence[Episode]) -> list[dict[str, Any]]:
-    """Return what takes the environment to the start of each episode, and to its chance."""
-    begun = read_beginnings(bag)
-    found: list[dict[str, Any]] = []
-    for episode in episodes:
-        first = episode.moments[0].state
-        how = begun.get((namespace(episode.topic), episode.number, first))
-        if how is None:  # the request was not recorded: chance cannot be repeated
-            found.append({'state': first})
-        elif how.start_state:
-            found.append({'state': how.start_state, 'game_seed': how.seed})
-        else:
-            found.append({'game_seed': how.seed})
-    return found
+def _reset_options(begun: Beginnings, episode: Episode) -> dict[str, Any]:
+    """Return what takes the environment to the start of an episode, and to its chance."""
+    first = episode.moments[0].state
+    how = begun.get((namespace(episode.topic), episode.number, first))
+    if how is None:  # the request was not recorded: chance cannot be repeated
+        return {'state': first}
+    if how.start_state:
+        return {'state': how.start_state, 'game_seed': how.seed}
+    return {'game_seed': how.seed}
 
 
 def _columns(env: Any, episode: Episode) -> dict[str, Any]:

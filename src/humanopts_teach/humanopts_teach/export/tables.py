@@ -10,12 +10,11 @@ from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.bags.demonstrations import (
     DEMONSTRATION,
-    Episode,
     read_demonstrations,
     read_domain,
-    read_episodes,
 )
-from humanopts_teach.bags.info import PLAN_RESULT, summarise
+from humanopts_teach.bags.episodes import Episode, read_episodes
+from humanopts_teach.bags.info import option_rows, PLAN_RESULT
 from humanopts_teach.bags.played import actor_of, Actors, read_actors, source_of
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.schemas import constants
@@ -37,10 +36,11 @@ _PLAN = (  # of PlanResult
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of plain values, all of one length; a list is JSON text, None is unknown."""
+    """Rows of plain values, read while they are written; a list is JSON text, None is unknown."""
 
     name: str
-    columns: Mapping[str, Sequence[Any]]
+    head: tuple[str, ...]
+    rows: Iterable[tuple[Any, ...]]
 
 
 def bag_tables(bag: Bag) -> list[Table]:
@@ -53,27 +53,29 @@ def bag_tables(bag: Bag) -> list[Table]:
     return [
         steps_table(read_domain(bag), read_episodes(bag), read_actors(bag)),
         _table('demonstrations', _DEMONSTRATION, map(_demonstration, demonstrations)),
-        _table('options', _OPTION, map(asdict, summarise(bag).options)),
+        _table('options', _OPTION, map(asdict, option_rows(bag))),
         _table('plans', _PLAN, _plans(bag)),
     ]
 
 
-def steps_table(domain: Domain[Any], episodes: Sequence[Episode], actors: Actors) -> Table:
+def steps_table(domain: Domain[Any], episodes: Iterable[Episode], actors: Actors) -> Table:
     """Return a row for each recorded state, with the step that led to it."""
-    names = [f'{FEATURE_PREFIX}{feature.name}' for feature in domain.features]
+    names = (f'{FEATURE_PREFIX}{feature.name}' for feature in domain.features)
+    return Table('steps', (*_STEPS, *names, *_MOVES), _steps(domain, episodes, actors))
+
+
+def _steps(
+    domain: Domain[Any], episodes: Iterable[Episode], actors: Actors
+) -> Iterator[tuple[Any, ...]]:
     values = [feature.values for feature in domain.features]
-    columns: dict[str, list[Any]] = {name: [] for name in (*_STEPS, *names, *_MOVES)}
     for place, episode in enumerate(episodes, start=1):
         for at in episode.moments:
-            row = (
+            yield (
                 *(place, episode.publisher_id, episode.number, at.step, at.state),
                 *(words[value] for words, value in zip(values, at.features, strict=True)),
                 *(at.previous_action, at.reward, at.terminated, at.truncated),
                 *(source_of(at), actor_of(at, actors)),
             )
-            for column, value in zip(columns.values(), row, strict=True):
-                column.append(value)
-    return Table('steps', columns)
 
 
 def _demonstration(demo: Demonstration) -> dict[str, Any]:
@@ -103,6 +105,5 @@ def _known(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def _table(name: str, head: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> Table:
-    listed = list(rows)
-    return Table(name, {key: [_plain(row[key]) for row in listed] for key in head})
+def _table(name: str, head: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Table:
+    return Table(name, tuple(head), (tuple(_plain(row[key]) for key in head) for row in rows))

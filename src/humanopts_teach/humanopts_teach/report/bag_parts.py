@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from humanopts_learner.library import PRIMITIVE_PREFIX
-from humanopts_teach.bags.demonstrations import Episode, read_episodes
+from humanopts_teach.bags.episodes import Episode, read_episodes
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.played import actor_of, Actors, namespace, read_actors
 from humanopts_teach.bags.reader import Bag
@@ -36,27 +36,28 @@ def bag_parts(bag: Bag) -> BagParts:
 
 def _film(bag: Bag) -> list[Frame]:
     """Return the frames of the last episode that learned options brought to its end."""
-    runs: dict[tuple[str, int], list[_Run]] = {}
-    finished = ('', 0)
+    under_way: dict[str, tuple[int, list[_Run]]] = {}  # episode and its runs, of each game
+    game, number, runs = '', 0, list[_Run]()
     results = bag.of_type(_OPTION_RESULT)
     for recorded in bag.messages(results) if results else ():
         if (message := recorded.message) is None:
             continue
-        first = message.first_step
+        whose, first = namespace(recorded.topic), message.first_step
+        if under_way.get(whose, (0,))[0] != message.episode:
+            under_way[whose] = (message.episode, [])
         run = _Run(message.option_name, first, first + message.step_count)
-        key = (namespace(recorded.topic), message.episode)
-        runs.setdefault(key, []).append(run)
+        under_way[whose][1].append(run)
         if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):
-            finished = key
+            game, (number, runs) = whose, under_way[whose]
     played = [
         episode
         for episode in read_episodes(bag)
-        if (namespace(episode.topic), episode.number) == finished and episode.complete
+        if (namespace(episode.topic), episode.number) == (game, number) and episode.complete
     ]
     if not played:
         return []
-    modules = any(not run.option for run in runs[finished])
-    return _frames(played[-1], runs[finished], read_actors(bag) if modules else {})
+    modules = any(not run.option for run in runs)
+    return _frames(played[-1], runs, read_actors(bag) if modules else Actors())
 
 
 def _frames(episode: Episode, runs: list[_Run], actors: Actors) -> list[Frame]:

@@ -1,11 +1,11 @@
 """A text replay of recorded episodes: what a key does, and what is seen."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_teach.bags.demonstrations import Episode
+from humanopts_teach.bags.episodes import Episode
 from humanopts_teach.bags.played import actor_of, Actors, source_of
 from humanopts_teach.terminal.board import board_text
 from humanopts_teach.terminal.drawing import Colours, fit, key_bar, lines_of
@@ -36,20 +36,21 @@ class Replay:
         self,
         domain: Domain[Any],
         episodes: Sequence[Episode],
-        actors: Actors,
+        actors_of: Callable[[Episode], Actors],
         place: int = 0,
         speed: float = 1.0,
     ) -> None:
         """
         Stand at the first step of an episode.
 
-        :param episodes: one or more.
-        :param actors: whose the commands were.
+        :param episodes: one or more, which may be read only when they are asked for.
+        :param actors_of: whose the commands in an episode were.
         :param place: of the episode, from 0.
         :param speed: 2 is twice as fast.
         """
-        self._domain, self._episodes, self._actors = domain, episodes, actors
-        self._place, self._step = place, 0
+        self._domain, self._episodes, self._actors_of = domain, episodes, actors_of
+        self._place = self._step = 0
+        self._begin(place)
         self.speed = speed
         self.running, self.over = True, False
 
@@ -57,10 +58,6 @@ class Replay:
     def seconds(self) -> float:
         """How long a step is shown."""
         return STEP_SECONDS / self.speed
-
-    @property
-    def _episode(self) -> Episode:
-        return self._episodes[self._place]
 
     @property
     def _last(self) -> int:
@@ -110,10 +107,17 @@ class Replay:
     def _go(self, step: int) -> None:
         self._step = min(max(step, 0), self._last)
 
+    def _begin(self, place: int) -> None:
+        """Stand at the first step of an episode."""
+        self._place, self._step = place, 0
+        self._episode = self._episodes[place]
+        self._actors = self._actors_of(self._episode)
+
     def _turn(self, by: int) -> None:
         place = self._place + by
         if 0 <= place < len(self._episodes):
-            self._place, self._step, self.running = place, 0, True
+            self._begin(place)
+            self.running = True
 
     def _board(self) -> tuple[Text, Text]:
         state = self._episode.moments[self._step].state
