@@ -9,6 +9,7 @@ from graph_support import foxglove
 from graph_support.command import DemoRun
 from graph_support.differences import differences
 from humanopts_teach.bags.reader import Bag, open_bag, Recorded
+from humanopts_teach.bags.repair import repair
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.writer import BagWriter, Limits
 from mcap.reader import make_reader
@@ -254,3 +255,18 @@ def test_foxglove_reads_messages_and_attachments_of_several_files(
     assert Counter(messages) == Counter((r.topic, r.sequence) for r in ours)
     attached = {line['name']: line['data'] for line in lines if line['kind'] == 'attachment'}
     assert attached == {name: list(data) for name, data in FILES.items()}
+
+
+def test_foxglove_and_rosbags_read_what_a_repair_saves_of_a_file_cut_short(
+    split: Path, tmp_path: Path
+) -> None:
+    cut = tmp_path / 'cut.mcap'
+    data = (split / 'bag_0.mcap').read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    saved = repair(open_bag(cut), tmp_path / 'saved')
+    assert saved > 100
+    lines = map(foxglove.read, foxglove.decode('indexed', [tmp_path / 'saved' / 'saved_0.mcap']))
+    messages = [line for line in lines if line['kind'] == 'message']
+    assert [line for line in messages if 'error' in line] == []
+    with AnyReader([tmp_path / 'saved']) as reader:
+        assert sum(1 for _ in reader.messages()) == len(messages) == saved
