@@ -11,11 +11,14 @@ import sys
 import time
 from typing import Any
 
+from graph_support.live import free_domain_id
 from humanopts_env.nodes.qos import LATCHED, LATCHED_ALL, STREAM
 from humanopts_interfaces.action import Plan
 from humanopts_interfaces.msg import GameState, NodeStatus, RecorderStatus
 from humanopts_interfaces.srv import SetControl
+from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
+from humanopts_teach.bags.provenance import software
 from humanopts_teach.bags.reader import Bag, open_bag
 import pytest
 import rclpy
@@ -29,8 +32,6 @@ from rclpy.signals import SignalHandlerOptions
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
-DOMAIN_ID = 110
-ENVIRONMENT = {**os.environ, 'ROS_DOMAIN_ID': str(DOMAIN_ID)}
 BEST_EFFORT = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
@@ -66,20 +67,22 @@ run_node(Burst, ['--ros-args', '-p', 'expect_recorder:=true'])
 class Graph:
     """A recorder in its own process, and a node of the test."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, domain_id: int) -> None:
         self.path = path
+        self.environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
         self.recorder: subprocess.Popen[str] | None = None
         self.others: list[subprocess.Popen[str]] = []
         self.context = Context()
         rclpy.init(
             context=self.context,
-            domain_id=DOMAIN_ID,
+            domain_id=domain_id,
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self.node = Node('tester', context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.status = RecorderStatus()
+        self.said: list[RecorderStatus] = []
         self.node_states: dict[str, int] = {}
         self.node.create_subscription(RecorderStatus, 'recorder_status', self._keep, LATCHED)
         self.node.create_subscription(
@@ -91,6 +94,7 @@ class Graph:
 
     def _keep(self, status: RecorderStatus) -> None:
         self.status = status
+        self.said.append(status)
 
     def record(self, *options: str, **popen: Any) -> None:
         """Start the recorder and wait until it has matched everything."""
@@ -113,7 +117,7 @@ class Graph:
         """Start Python on the graph."""
         process = subprocess.Popen(
             [sys.executable, *arguments],
-            env=ENVIRONMENT,
+            env=self.environment,
             text=True,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -172,11 +176,12 @@ class Graph:
 @pytest.fixture
 def graph(tmp_path: Path) -> Iterator[Graph]:
     """A graph with no recorder yet."""
-    graph = Graph(tmp_path / 'bag')
-    try:
-        yield graph
-    finally:
-        graph.close()
+    with free_domain_id() as domain_id:
+        graph = Graph(tmp_path / 'bag', domain_id)
+        try:
+            yield graph
+        finally:
+            graph.close()
 
 
 def counts(bag: Bag) -> dict[str, int]:
@@ -306,7 +311,8 @@ def test_the_log_the_parameters_and_the_recorder_itself_are_recorded(graph: Grap
     assert 'a line of the log' in logged
     assert changed == ['colour']
     assert {'/recorder_status', '/node_status'} <= counts(bag).keys()
-    assert bag.metadata['humanopts'] == {'seed': '7', 'strategy': 'failures'}
+    facts = {'seed': '7', 'strategy': 'failures', 'record_include': '["*"]', **software()}
+    assert facts.items() <= bag.metadata['humanopts'].items()
 
 
 def test_a_namespace_is_recorded_without_its_neighbours(graph: Graph) -> None:
@@ -324,13 +330,110 @@ def test_a_namespace_is_recorded_without_its_neighbours(graph: Graph) -> None:
     assert all(t.startswith('/a/') or t in ('/rosout', '/parameter_events') for t in topics)
 
 
-def test_a_gap_is_said_while_recording(graph: Graph) -> None:
+def test_a_gap_is_said_while_recording_with_its_topic_and_sender(graph: Graph) -> None:
     publisher = graph.node.create_publisher(GameState, 'game_state', STREAM)
     graph.record()
     for sequence in (1, 2, 6):
         publisher.publish(GameState(publisher_id='/tester#1', sequence=sequence))
     graph.until(lambda: graph.status.missing == 3, 'three missing messages')
+    (loss,) = graph.status.losses
+    assert (loss.topic, loss.sender) == ('/game_state', '/tester#1')
+    assert (loss.sent, loss.missing) == (6, 3)
     graph.stop()
+
+
+def test_a_recorder_that_was_stopped_says_that_it_is_behind_and_when_no_longer(
+    graph: Graph,
+) -> None:
+    graph.record()
+    assert graph.recorder is not None
+    graph.run('-c', BURST, '1000000', '200')
+    graph.until(lambda: graph.status.messages > 20, 'messages')
+    graph.recorder.send_signal(signal.SIGSTOP)
+    stopped = time.monotonic()
+    graph.until(lambda: time.monotonic() > stopped + 1.0, 'a second')
+    graph.recorder.send_signal(signal.SIGCONT)
+    graph.until(lambda: graph.status.behind, 'a word about it')
+    assert graph.status.lag > 0.9
+    assert 'does not keep up' in graph.status.text
+    graph.until(lambda: not graph.status.behind, 'a recovery')
+    assert graph.status.text == ''
+    assert 0 < graph.status.cpu_seconds < 60
+    assert 2**20 < graph.status.memory < 2**32
+    assert graph.stop() == 0
+    assert summarise(open_bag(graph.path)).missing == 0
+    assert graph.recorder.stderr is not None
+    log = graph.recorder.stderr.read()
+    assert log.count('does not keep up') == log.count('keeps up again')
+
+
+def test_a_recording_goes_on_in_other_files_and_loses_nothing(graph: Graph) -> None:
+    graph.record('-p', 'max_bytes:=20000', '-p', 'max_seconds:=30.0')
+    burst = graph.run('-c', BURST, '2000', '2000')
+    assert burst.stdout is not None
+    assert 'sent\n' in burst.stdout
+    graph.until(lambda: graph.status.messages >= 2000, 'messages')
+    assert graph.stop() == 0
+    bag = open_bag(graph.path)
+    assert len(bag.files) > 2
+    assert graph.status.files in (len(bag.files), len(bag.files) - 1)
+    assert [r.message.step for r in bag.messages(['/game_state'])] == list(range(2000))
+    assert check_bag(bag).findings == ()
+
+
+def test_a_recorder_killed_after_a_split_loses_half_a_second_at_most(graph: Graph) -> None:
+    graph.record('-p', 'max_seconds:=0.3')
+    graph.run('-c', BURST, '1000000', '500')
+    graph.until(lambda: graph.status.messages > 300 and graph.status.files > 2, 'files')
+    killed = time.time_ns()
+    graph.stop(signal.SIGKILL)
+    bag = open_bag(graph.path)
+    recorded = list(bag.messages(['/game_state']))
+    assert [r.message.step for r in recorded] == list(range(len(recorded)))
+    assert killed - recorded[-1].log_time < 0.5e9
+    told = bag.information['files']
+    assert len(told) == len(bag.files)
+    assert all(file['message_count'] > 0 for file in told[:-1])
+
+
+def test_only_chosen_topics_are_recorded_and_nobody_waits_for_others(graph: Graph) -> None:
+    patterns = ['-p', 'record_include:=["*_state", "recorder_*"]', '-p', 'record_exclude:=["c*"]']
+    other = graph.node.create_publisher(String, 'chatter_state', LATCHED)
+    other.publish(String(data='x'))
+    graph.recorder = graph.begin(*patterns)
+    graph.until(lambda: graph.status.complete, 'the recorder')
+    waiting = BURST.replace("'expect_recorder:=true'", f"'expect_recorder:=true', *{patterns}")
+    burst = graph.run('-c', waiting, '100', '0')
+    assert burst.stdout is not None
+    assert 'sent\n' in burst.stdout
+    graph.stop()
+    bag = open_bag(graph.path)
+    assert set(bag.topics) == {'/game_state', '/recorder_status'}
+    assert [r.message.step for r in bag.messages(['/game_state'])] == list(range(100))
+    facts = bag.metadata['humanopts']
+    assert facts['record_include'] == '["*_state", "recorder_*"]'
+    assert facts['record_exclude'] == '["c*"]'
+    assert 'demonstrations and domain_info will not be recorded' in graph.said[0].text
+
+
+def test_patterns_that_leave_nothing_are_said(graph: Graph) -> None:
+    graph.recorder = graph.begin('-p', 'record_include:=["nothing"]')
+    graph.until(lambda: graph.status.complete, 'the recorder')
+    assert graph.status.text == 'the patterns leave no topic to record'
+    assert graph.stop() == 0
+
+
+def test_option_files_are_kept_as_they_are_at_the_end(graph: Graph, tmp_path: Path) -> None:
+    folder = tmp_path / 'options'
+    graph.record('-p', f'attach:=["{folder}"]')
+    (folder / 'p1').mkdir(parents=True)
+    (folder / 'p1' / 'go.json').write_text('{"version": 1}')
+    (folder / 'p1' / 'secret.json').symlink_to(tmp_path / 'nowhere')
+    assert graph.stop() == 0
+    (kept,) = open_bag(graph.path).attached()
+    assert (kept.name, kept.data) == ('options/p1/go.json', b'{"version": 1}')
+    assert kept.media_type == 'application/json'
+    assert kept.create_time == (folder / 'p1' / 'go.json').stat().st_mtime_ns
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])

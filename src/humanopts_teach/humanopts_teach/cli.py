@@ -9,6 +9,7 @@ import sys
 from typing import NoReturn
 
 from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.commands.recording import add_recording_options
 from humanopts_teach.demos.store import CODE, CODE_RULE
 from humanopts_teach.launching.launcher import LaunchError
 
@@ -67,6 +68,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     for command in (demo, up, teach):
         _add_launch_options(command)
+        add_recording_options(command)
         command.add_argument(
             '--step-period',
             type=_seconds,

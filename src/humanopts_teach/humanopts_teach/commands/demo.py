@@ -80,6 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     setup = setup_from(
         arguments,
         Path('runs') / new_name('demo'),
+        evaluated=True,
         taught=_taught_options(arguments),
         teacher_error_rate=arguments.error_rate,
     )

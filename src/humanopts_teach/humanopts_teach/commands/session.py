@@ -10,9 +10,9 @@ from types import FrameType
 from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.registry import make_domain
 from humanopts_teach.commands.errors import CommandError
-from humanopts_teach.launching.launcher import Launcher
+from humanopts_teach.launching.launcher import Launcher, LaunchError
 from humanopts_teach.launching.lock import only_launch
-from humanopts_teach.launching.processes import processes, Setup
+from humanopts_teach.launching.processes import common_parameters, processes, Setup
 from humanopts_teach.nodes.conductor import Conductor
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -24,6 +24,16 @@ class Session:
 
     launcher: Launcher
     conductor: Conductor
+
+    def check_recording(self) -> None:
+        """
+        Look at the end of a sitting whether everything was recorded, as far as is known.
+
+        :raises LaunchError: the recorder died, or has stopped; the text says why.
+        """
+        self.launcher.check()
+        if unrecorded := self.conductor.unrecorded():
+            raise LaunchError(unrecorded)
 
 
 def check_setup(setup: Setup, *, new: bool = False) -> None:
@@ -96,7 +106,7 @@ def _conduct(
         launcher.check()
         progress(conductor)
 
-    conductor = Conductor(namespace, record=setup.record, watch=watch)
+    conductor = Conductor(namespace, common_parameters(setup), watch=watch)
     return conductor
 
 

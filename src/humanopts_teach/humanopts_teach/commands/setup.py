@@ -6,26 +6,31 @@ import json
 import os
 from pathlib import Path
 import re
+import sys
 import time
 from typing import Any
 
 from humanopts_env.domains.base import Parameter
+from humanopts_env.recording import Selection
 from humanopts_learner.options.criteria import Thresholds, usual_thresholds
 from humanopts_teach.commands.errors import CommandError
-from humanopts_teach.launching.processes import Setup
+from humanopts_teach.launching.processes import Recording, Setup
 
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
 _LAST_DOMAIN_ID = 232
 
 
-def setup_from(arguments: argparse.Namespace, default_out: Path, **own: Any) -> Setup:
+def setup_from(
+    arguments: argparse.Namespace, default_out: Path, *, evaluated: bool = False, **own: Any
+) -> Setup:
     """
     Return the setup that the common launch options ask for.
 
     :param default_out: the folder where the user names none.
+    :param evaluated: the command needs a bag that can be evaluated.
     :param own: fields that the command sets itself.
-    :raises CommandError: a domain parameter is not NAME=VALUE, or the namespace or ROS_DOMAIN_ID
-        is none.
+    :raises CommandError: a domain parameter is not NAME=VALUE, the namespace or ROS_DOMAIN_ID is
+        none, or the bag would not hold what an evaluation needs.
     """
     _check_place(arguments.namespace)
     return Setup(
@@ -37,8 +42,19 @@ def setup_from(arguments: argparse.Namespace, default_out: Path, **own: Any) -> 
         budget=arguments.budget,
         thresholds=_thresholds(arguments),
         step_period=arguments.step_period,
+        recording=_recording(arguments, evaluated),
         **own,
     )
+
+
+def _recording(arguments: argparse.Namespace, evaluated: bool) -> Recording:
+    """Return what goes into the bag; warn, or refuse, where it could not be evaluated."""
+    include, exclude = tuple(arguments.record_include), tuple(arguments.record_exclude)
+    if lacking := Selection(arguments.namespace, include, exclude).unevaluable:
+        if evaluated:
+            raise CommandError(lacking)
+        print(f'humanopts: {lacking}', file=sys.stderr)
+    return Recording(include, exclude, arguments.split_bytes, arguments.split_seconds)
 
 
 def _thresholds(arguments: argparse.Namespace) -> Thresholds:

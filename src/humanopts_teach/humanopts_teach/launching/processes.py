@@ -25,6 +25,16 @@ class ProcessSpec:
 
 
 @dataclass(frozen=True)
+class Recording:
+    """What goes into the bag, and in how many files."""
+
+    include: tuple[str, ...] = ()  # patterns of topics; none: all
+    exclude: tuple[str, ...] = ()
+    split_bytes: int = 0  # size at which the next file is begun; 0: never
+    split_seconds: float = 0.0  # time after which it is; 0: never
+
+
+@dataclass(frozen=True)
 class Setup:
     """What a launch is to do; the defaults are those of ``./humanopts up``."""
 
@@ -42,6 +52,7 @@ class Setup:
     teacher_error_rate: float = 0.0
     keyboard: bool = False
     record: bool = True
+    recording: Recording = field(default_factory=Recording)
     bag_name: str = 'bag'
     step_period: float = 0.0  # s between a machine's steps
 
@@ -74,7 +85,9 @@ def processes(setup: Setup) -> list[ProcessSpec]:
 
 def recorded_facts(setup: Setup) -> dict[str, str]:
     """Return what offline evaluation needs to arrive at the live numbers, for the bag."""
-    return {
+    facts = {
+        'domain': setup.domain,
+        'domain_parameters': json.dumps(dict(setup.domain_parameters)),
         'seed': str(setup.seed),
         'return_delta': repr(setup.thresholds.return_delta),
         'initiation_error': repr(setup.thresholds.initiation_error),
@@ -83,6 +96,20 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
         'budget': str(setup.budget),
         'teacher_error_rate': repr(setup.teacher_error_rate if setup.taught else None),
     }
+    if setup.taught or setup.keyboard:
+        facts['participant'] = setup.participant
+    return facts
+
+
+def common_parameters(setup: Setup) -> dict[str, Value]:
+    """Return what every node but the recorder is told of the recording."""
+    return {'expect_recorder': setup.record, **_patterns(setup.recording)}
+
+
+def _patterns(recording: Recording) -> dict[str, Value]:
+    """Return the parameters of the recorder and of those who wait for it; none: all topics."""
+    patterns = {'record_include': recording.include, 'record_exclude': recording.exclude}
+    return {name: list(values) for name, values in patterns.items() if values}
 
 
 def _spec(
@@ -95,9 +122,8 @@ def _spec(
     terminal: bool = False,
     **own: Value,
 ) -> ProcessSpec:
-    parameters: dict[str, Value] = {**own}
-    if name != 'recorder':
-        parameters['expect_recorder'] = setup.record
+    common = _patterns(setup.recording) if name == 'recorder' else common_parameters(setup)
+    parameters = {**own, **common}
     return ProcessSpec(name, package, f'{package}.nodes.{module}', parameters, late, terminal)
 
 
@@ -109,6 +135,9 @@ def _recorder(setup: Setup) -> ProcessSpec:
         setup,
         path=str(setup.bag),
         metadata=json.dumps(recorded_facts(setup)),
+        max_bytes=setup.recording.split_bytes,
+        max_seconds=setup.recording.split_seconds,
+        attach=[str(setup.options)],
     )
 
 

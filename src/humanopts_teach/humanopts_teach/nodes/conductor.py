@@ -1,6 +1,7 @@
 """The command line's own node: sees that the graph is ready, and asks it for work."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+import json
 import time
 from typing import Any, Generic, TypeVar
 
@@ -21,6 +22,7 @@ from humanopts_interfaces.msg import (
     RecorderStatus,
 )
 from humanopts_teach.launching.launcher import LaunchError
+from humanopts_teach.launching.processes import Value
 from humanopts_teach.teacher.simulated import FINISHED
 import rclpy
 from rclpy.action import ActionClient
@@ -79,15 +81,18 @@ class Conductor:
     times a second meanwhile: it checks the processes, and shows progress.
     """
 
-    def __init__(self, namespace: str, *, record: bool, watch: Callable[[], None]) -> None:
+    def __init__(
+        self, namespace: str, parameters: Mapping[str, Value], *, watch: Callable[[], None]
+    ) -> None:
         arguments = ['--ros-args', '-r', f'__ns:={namespace}', '--disable-stdout-logs']
-        arguments += ['-p', f'expect_recorder:={str(record).lower()}']
+        for name, value in parameters.items():
+            arguments += ['-p', f'{name}:={json.dumps(value)}']
         prepare_discovery()
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         self.node = ConductorNode()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self._record = record
+        self._record = bool(parameters['expect_recorder'])
         self._watch = watch
 
     def close(self) -> None:

@@ -37,7 +37,7 @@ class RecordingStatus:
         now = time.monotonic()
         self._tell_pace(self._pace.behind(now))
         text = stopped or (_BEHIND if self._behind else text)
-        state = (complete, self._behind, text, self._ledger.missing, self._bag.n_files)
+        state = (complete, self._behind, text, self._ledger.missing)
         if state == self._said and now - self._said_at < _PERIOD:
             return
         self._said, self._said_at = state, now
