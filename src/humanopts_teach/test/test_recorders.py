@@ -1,11 +1,13 @@
 """What a lesson makes of the recorders: whether it is recorded, and why not."""
 
-from humanopts_teach.dialogue.recorders import GONE, Recorders, RecorderWord
+from typing import Any
+
+from humanopts_teach.dialogue.recorders import PATIENCE, Recorders, SILENT
 import pytest
 
-STARTING = RecorderWord(complete=False, stopped=False, text='')
-WORKS = RecorderWord(complete=True, stopped=False, text='')
-STOPPED = RecorderWord(complete=True, stopped=True, text='recording stopped: no space')
+STARTING: dict[str, Any] = {'complete': False, 'stopped': False, 'text': ''}
+WORKS = STARTING | {'complete': True}
+STOPPED = WORKS | {'stopped': True, 'text': 'recording stopped: no space'}
 
 
 @pytest.fixture
@@ -14,47 +16,54 @@ def recorders() -> Recorders:
 
 
 def test_a_recorder_that_stopped_is_quoted_with_what_to_do(recorders: Recorders) -> None:
-    recorders.heard('a', STOPPED)
-    fault = recorders.fault(1)
+    recorders.heard('a', **STOPPED)
+    fault = recorders.look(True)
     assert fault.startswith('recording stopped: no space. Everything taught is on disk')
-    assert recorders.fault(0) == fault  # it has ended since
+    assert recorders.look(False) == fault  # it has ended since
 
 
-@pytest.mark.parametrize(('expected', 'fault'), [(True, GONE), (False, '')])
+@pytest.mark.parametrize(('expected', 'fault'), [(True, SILENT), (False, '')])
 def test_a_lesson_needs_a_recorder_only_where_one_is_expected(expected: bool, fault: str) -> None:
     recorders = Recorders(expected=expected)
-    recorders.heard('a', WORKS)
-    assert recorders.fault(1) == ''
-    assert recorders.fault(0) == fault
+    recorders.heard('a', **WORKS)
+    assert recorders.look(True) == ''
+    assert recorders.look(False) == fault
+
+
+def test_a_recorder_that_says_nothing_any_more_is_taken_to_be_gone(recorders: Recorders) -> None:
+    recorders.heard('a', **WORKS)
+    assert {recorders.look(True) for _ in range(PATIENCE)} == {''}
+    assert recorders.look(True) == SILENT
+    recorders.heard('a', **WORKS)
+    assert recorders.look(True) == ''
 
 
 def test_a_recorder_that_has_not_spoken_yet_is_no_fault(recorders: Recorders) -> None:
-    assert recorders.fault(1) == ''
+    assert recorders.look(True) == ''
 
 
-@pytest.mark.parametrize('there', [1, 2], ids=['in its place', 'beside it'])
+@pytest.mark.parametrize('beside', [False, True])
 def test_a_new_recorder_ends_the_fault_once_it_has_every_topic(
-    recorders: Recorders, there: int
+    recorders: Recorders, beside: bool
 ) -> None:
-    recorders.heard('a', STOPPED)
-    fault = recorders.fault(1)
-    recorders.heard('b', STARTING)
-    assert recorders.fault(there) == fault
-    recorders.heard('b', WORKS)
-    assert recorders.fault(there) == ''
-    if there == 2:
-        recorders.heard('a', STOPPED)
-        assert recorders.fault(there) == ''
+    recorders.heard('a', **STOPPED)
+    fault = recorders.look(True)
+    assert recorders.look(beside) == fault
+    recorders.heard('b', **STARTING)
+    assert recorders.look(True) == fault
+    recorders.heard('b', **WORKS)
+    assert recorders.look(True) == ''
 
 
 def test_a_node_that_the_recorder_has_yet_to_match_is_no_fault(recorders: Recorders) -> None:
-    recorders.heard('a', WORKS)
-    recorders.heard('a', STARTING)
-    assert recorders.fault(1) == ''
+    for words in (WORKS, STARTING):
+        recorders.heard('a', **words)
+        assert recorders.look(True) == ''
 
 
-def test_a_recorder_that_left_no_longer_counts(recorders: Recorders) -> None:
-    recorders.heard('a', WORKS)
-    recorders.heard('b', STOPPED)
-    assert recorders.fault(2) == ''
-    assert recorders.fault(1).startswith('recording stopped: no space')
+def test_a_recorder_that_works_is_enough_until_it_leaves(recorders: Recorders) -> None:
+    recorders.heard('a', **WORKS)
+    for _ in range(PATIENCE):
+        recorders.heard('b', **STOPPED)
+        assert recorders.look(True) == ''
+    assert recorders.look(True).startswith('recording stopped: no space')

@@ -1,25 +1,26 @@
-"""Whether a lesson is recorded, by what the recorders say and how many there are."""
+"""Whether a lesson is recorded, by what recorders say and whether they are there."""
 
 from dataclasses import dataclass
 
+PATIENCE = 50  # looks at a recorder that says nothing, after which it is taken to be gone
 _ADVICE = 'Everything taught is on disk: quit, and the same command takes it up again.'
-GONE = f'the recorder is gone. {_ADVICE}'
+SILENT = f'nothing is heard of the recorder any more. {_ADVICE}'
 
 
-@dataclass(frozen=True, slots=True)
-class RecorderWord:
-    """The last that one recorder said, as in RecorderStatus."""
-
+@dataclass(slots=True)
+class _Recorder:
     complete: bool
     stopped: bool
     text: str
+    looks: int = 0  # since it said so
 
 
 class Recorders:
     """
-    What all recorders said last; a new one may come beside one that has stopped.
+    What every recorder said last; a new one may come beside one that has stopped.
 
-    A new recorder ends a fault once it has every topic.
+    Silence is counted in looks, not in seconds, so that a lesson that was busy itself does not
+    take its own delay for that of the recorder.
     """
 
     def __init__(self, *, expected: bool) -> None:
@@ -29,27 +30,39 @@ class Recorders:
         :param expected: a lesson without any recorder is a fault, too.
         """
         self._expected = expected
-        self._words: dict[str, RecorderWord] = {}  # by publisher_id, who spoke last at the end
+        self._known: dict[str, _Recorder] = {}  # by publisher_id
+        self._heard = False  # of any, ever
         self._fault = ''
 
-    def heard(self, recorder: str, word: RecorderWord) -> None:
-        """Take in what a recorder says, by its publisher_id."""
-        self._words.pop(recorder, None)
-        self._words[recorder] = word
+    def heard(self, recorder: str, *, complete: bool, stopped: bool, text: str) -> None:
+        """
+        Take in what a recorder says, as it does every second.
 
-    def fault(self, there: int) -> str:
+        :param recorder: its publisher_id; the rest is as in RecorderStatus.
+        """
+        self._heard = True
+        self._known[recorder] = _Recorder(complete, stopped, text)
+
+    def look(self, there: bool) -> str:
         """
         Say why nothing is recorded and what to do; empty: all is well.
 
-        :param there: recorders on the graph; who has been silent longest is taken to be gone.
+        A new recorder ends a fault once it has every topic.
+
+        :param there: a recorder is on the graph; one that was killed stays there for a while.
         """
-        for gone in list(self._words)[: max(0, len(self._words) - there)]:
-            del self._words[gone]
-        words = list(self._words.values())
-        if any(word.complete and not word.stopped for word in words):
+        for recorder in self._known.values():
+            recorder.looks += 1
+        self._known = {
+            who: recorder
+            for who, recorder in self._known.items()
+            if there and recorder.looks <= PATIENCE
+        }
+        known = self._known.values()
+        if any(recorder.complete and not recorder.stopped for recorder in known):
             self._fault = ''
-        elif words and all(word.stopped for word in words):
-            self._fault = f'{words[-1].text}. {_ADVICE}'
-        elif not there and self._expected:
-            self._fault = self._fault or GONE
+        elif known and all(recorder.stopped for recorder in known):
+            self._fault = f'{next(iter(known)).text}. {_ADVICE}'
+        elif not known and self._expected and (self._heard or not there):
+            self._fault = self._fault or SILENT
         return self._fault

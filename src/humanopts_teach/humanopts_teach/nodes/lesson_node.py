@@ -48,7 +48,7 @@ from humanopts_teach.demos.store import DemonstrationStore, StoreError
 from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Status, Verdict
 from humanopts_teach.dialogue.learned_starts import LearnedStarts
 from humanopts_teach.dialogue.lesson import Lesson, LessonRules
-from humanopts_teach.dialogue.recorders import Recorders, RecorderWord
+from humanopts_teach.dialogue.recorders import Recorders
 from humanopts_teach.nodes.waiting import Waiting
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -312,12 +312,16 @@ class LessonNode(NodeBase):
         self._show()
 
     def _on_recorder(self, status: RecorderStatus) -> None:
-        word = RecorderWord(status.complete, status.stopped, status.text)
-        self._recorders.heard(status.publisher_id, word)
+        self._recorders.heard(
+            status.publisher_id,
+            complete=status.complete,
+            stopped=status.stopped,
+            text=status.text,
+        )
 
     def _look_at_recording(self) -> None:
         """Notice that nothing is recorded; then that it is, and have the new bag get all."""
-        fault = self._recorders.fault(self._recorder_status.get_publisher_count())
+        fault = self._recorders.look(self._recorder_status.get_publisher_count() > 0)
         if self._unrecorded and not fault:
             if not self._demonstrations_out.recorded():
                 return
