@@ -15,7 +15,7 @@ from humanopts_teach.bags.check import check_bag, RECORDER
 from humanopts_teach.bags.errors import BagError, BagWriteError
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.bags.repair import REPAIR, repair
-from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
 from humanopts_teach.cli import main
 from mcap.reader import make_reader
 import pytest
@@ -36,10 +36,15 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, status, file=s
 
 
 def write(
-    path: Path, sequences: list[int], flush_every: int = 10, size: int = SHORT, start: int = START
+    path: Path,
+    sequences: list[int],
+    flush_every: int = 10,
+    size: int = SHORT,
+    start: int = START,
+    limits: Limits = NO_LIMITS,
 ) -> None:
     """Write game states with these numbers, and a text for each."""
-    writer = BagWriter(path, {'seed': '7'})
+    writer = BagWriter(path, {'seed': '7'}, limits=limits)
     writer.add_topic('/game_state', GAME)
     writer.add_topic('/chatter', TEXT)
     for place, sequence in enumerate(sequences):
@@ -243,6 +248,57 @@ def test_a_repair_writes_only_where_nothing_is(
     with pytest.raises(BagError, match='is inside'):
         repair(open_bag(bag), bag / 'out')
     assert not (bag / 'out').exists()
+
+
+@pytest.fixture
+def split(tmp_path: Path) -> Path:
+    """The same 200 messages in 12 files, the attached file in the last."""
+    write(tmp_path / 'split', list(range(1, 101)), limits=Limits(seconds=0.018))
+    assert len(list((tmp_path / 'split').glob('*.mcap'))) == 12
+    return tmp_path / 'split'
+
+
+def test_several_files_are_one_bag_whose_numbers_go_on(split: Path) -> None:
+    assert check_bag(open_bag(split)).whole
+    assert numbers(split) == {'/game#1': (100, 100, 0, 0, 0), RECORDER: (100, 100, 0, 0, 0)}
+    (split / 'metadata.yaml').unlink()  # so that the order of files is told by their names
+    times = [time for _, time, _, _ in contents(split)]
+    assert times == sorted(times)
+    assert len(open_bag(split).files) == 12
+
+
+@pytest.mark.parametrize('described', [True, False])
+def test_a_missing_file_is_named_and_counted_as_loss(
+    split: Path, capsys: pytest.CaptureFixture[str], described: bool
+) -> None:
+    lost = len(contents(split / 'split_4.mcap'))
+    (split / 'split_4.mcap').unlink()
+    if not described:
+        (split / 'metadata.yaml').unlink()
+    assert main(['bag', 'check', str(split)]) == 1
+    text = capsys.readouterr().out
+    assert 'split_4.mcap is' in text
+    assert f'{lost} messages were sent and are missing (in 2 streams)' in text
+
+
+@pytest.mark.parametrize('place', [0, 4, 11])
+@pytest.mark.parametrize('whole_file', [True, False])
+def test_a_damaged_file_costs_only_what_is_damaged(
+    split: Path, tmp_path: Path, place: int, whole_file: bool
+) -> None:
+    sent, file = contents(split), split / f'split_{place}.mcap'
+    lost = contents(file)
+    data = file.read_bytes()
+    if whole_file:
+        file.write_bytes(b'nothing of a bag')
+    else:  # its end, so that it has no index
+        file.write_bytes(data[:-100])
+        lost = []
+    assert any(file.name in text for text in check_bag(open_bag(split)).damage)
+    repair(open_bag(split), tmp_path / 'out')
+    assert contents(tmp_path / 'out') == [message for message in sent if message not in lost]
+    kept = open_bag(tmp_path / 'out').attachments
+    assert list(kept) == ([] if whole_file and place == 11 else ['options.json'])
 
 
 def test_a_bag_of_several_files_becomes_one(bag: Path, tmp_path: Path) -> None:

@@ -257,7 +257,8 @@ def test_reading_holds_few_chunks_at_a_time(tmp_path: Path, monkeypatch: Any) ->
 def test_attachments_come_back(tmp_path: Path) -> None:
     with write_states(tmp_path / 'bag', 3) as writer:
         writer.attach('option.json', b'{"a": 1}')
-    assert open_bag(tmp_path / 'bag').attachments() == {'option.json': b'{"a": 1}'}
+    (kept,) = open_bag(tmp_path / 'bag').attached()
+    assert (kept.name, kept.data) == ('option.json', b'{"a": 1}')
 
 
 def test_metadata_is_valid_from_the_start(tmp_path: Path) -> None:

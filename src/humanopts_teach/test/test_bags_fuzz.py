@@ -1,7 +1,6 @@
 """Mutated bags: no crash, no hang, and no wrong number without a warning."""
 
 from collections.abc import Callable, Sequence
-import json
 from pathlib import Path
 import shutil
 import struct
@@ -20,7 +19,7 @@ from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.repair import repair
-from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
 from mcap.writer import CompressionType, Writer
 import numpy as np
 import pytest
@@ -29,6 +28,7 @@ from std_msgs.msg import String
 
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 SECOND = 10**9
+ATTACHED = b'{"a": 1}'
 BATCH = 50  # mutated bags in one test
 
 
@@ -39,7 +39,27 @@ def lesson(
     taxi_lesson: Sequence[Demonstration],
 ) -> Path:
     """A whole bag of a small lesson in some 20 chunks."""
-    path = tmp_path_factory.mktemp('fuzz') / 'lesson'
+    return write(tmp_path_factory.mktemp('fuzz') / 'lesson', taxi, taxi_lesson)
+
+
+@pytest.fixture(scope='module')
+def split(
+    tmp_path_factory: pytest.TempPathFactory,
+    taxi: Domain[Any],
+    taxi_lesson: Sequence[Demonstration],
+) -> Path:
+    """The same in several files."""
+    path = tmp_path_factory.mktemp('split') / 'lesson'
+    return write(path, taxi, taxi_lesson, Limits(seconds=40))
+
+
+def write(
+    path: Path,
+    taxi: Domain[Any],
+    taxi_lesson: Sequence[Demonstration],
+    limits: Limits = NO_LIMITS,
+) -> Path:
+    """Write a bag of a lesson, with episodes and an attached file."""
     messages = [('/domain_info', domain_to_info(taxi))]
     for number, demo in enumerate(taxi_lesson, start=1):
         messages.append(('/demonstrations', demonstration_to_message(demo)))
@@ -48,7 +68,7 @@ def lesson(
             state = demo.states[0]
             messages.append(('/game_state', GameState(episode=number, step=step, state=state)))
     numbers: dict[str, int] = {}
-    with BagWriter(path, {'seed': '7', 'participant': 'p1'}) as writer:
+    with BagWriter(path, {'seed': '7', 'participant': 'p1'}, limits=limits) as writer:
         for time, (topic, message) in enumerate(messages):
             package, kind = type(message).__module__.split('.')[:2]
             writer.add_topic(topic, f'{package}/{kind}/{type(message).__name__}')
@@ -58,7 +78,7 @@ def lesson(
             writer.write(topic, serialize_message(message), (100 + time) * SECOND)
             if time % 8 == 7:
                 writer.flush()
-        writer.attach('options.json', json.dumps({'a': 1}).encode())
+        writer.attach('options.json', ATTACHED)
     return path
 
 
@@ -150,7 +170,8 @@ def mutate(bag: Path, target: Path, number: int) -> None:
     rng = generator(1, 'mutated bag', number)
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(bag, target)
-    (file,) = target.glob('*.mcap')
+    files = sorted(target.glob('*.mcap'))
+    file = files[rng.integers(len(files))] if len(files) > 1 else files[0]
     data = file.read_bytes()
     in_metadata = (target / 'metadata.yaml').exists() and rng.random() < 0.2
     if in_metadata:
@@ -202,19 +223,24 @@ ENTRIES = (numbers_of_info, numbers_of_eval, numbers_of_check)
 REFUSED = (None, True)
 
 
+def test_a_split_bag_tells_what_a_whole_one_tells(lesson: Path, split: Path) -> None:
+    assert [len(open_bag(path).files) for path in (lesson, split)] == [1, 4]
+    assert [e(open_bag(split)) for e in ENTRIES] == [e(open_bag(lesson)) for e in ENTRIES]
+
+
 @pytest.mark.parametrize('batch', range(2))
 def test_no_number_of_a_mutated_bag_is_wrong_without_a_warning(
-    lesson: Path, tmp_path: Path, batch: int
+    lesson: Path, split: Path, tmp_path: Path, batch: int
 ) -> None:
-    try_bags(lesson, tmp_path, range(batch * BATCH, (batch + 1) * BATCH))
+    try_bags((lesson, split)[batch], tmp_path, range(batch * BATCH, (batch + 1) * BATCH))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('batch', range(2, 20))
 def test_no_number_of_a_thousand_mutated_bags_is_wrong_without_a_warning(
-    lesson: Path, tmp_path: Path, batch: int
+    lesson: Path, split: Path, tmp_path: Path, batch: int
 ) -> None:
-    try_bags(lesson, tmp_path, range(batch * BATCH, (batch + 1) * BATCH))
+    try_bags((lesson, split)[batch % 2], tmp_path, range(batch * BATCH, (batch + 1) * BATCH))
 
 
 def try_bags(lesson: Path, tmp_path: Path, which: Sequence[int]) -> None:
@@ -239,6 +265,7 @@ def try_bags(lesson: Path, tmp_path: Path, which: Sequence[int]) -> None:
         kept = [(r.topic, r.log_time, r.data) for r in repaired.messages(decoded=False)]
         assert len(set(kept)) == len(kept), number
         assert set(kept) <= sent, number
+        assert all(file.data == ATTACHED for file in repaired.attached()), number
         shutil.rmtree(again)
 
 

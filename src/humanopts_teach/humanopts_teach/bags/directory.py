@@ -8,6 +8,7 @@ from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.metadata import FILE, ROOT
 import yaml
 
+MOST_FILES = 100_000  # a larger number of a file is none
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 # What damaged text makes the loader raise, ValueError apart.
 _NO_YAML = (
@@ -39,7 +40,7 @@ def find_files(path: Path) -> Directory:
         return Directory([path], {}, [])
     if not path.is_dir():
         raise BagError(f'there is no bag at {path}')
-    found = sorted(path.glob('*.mcap'))
+    found = sorted(path.glob('*.mcap'), key=_place)
     information, damage = _information(path / FILE)
     storage = information.get('storage_identifier', 'mcap')
     if storage != 'mcap' and not found:
@@ -49,10 +50,31 @@ def find_files(path: Path) -> Directory:
     unlisted = [file for file in found if file not in listed] if listed else []
     damage += [f'{file.name} is in {FILE} but is not there' for file in missing]
     damage += [f'{file.name} is not in {FILE}, and is read too' for file in unlisted]
+    damage += [f'{name} is not there, and later files are' for name in _gaps([*found, *listed])]
     files = [*dict.fromkeys(file for file in listed if file in found), *unlisted] or found
     if not files:
         raise BagError(f'{path} is not a bag: there is no MCAP file in it')
     return Directory(files, information, damage)
+
+
+def _place(file: Path) -> tuple[str, int]:
+    """Return the name of a file without its number, and the number: NAME_2.mcap is the third."""
+    name, _, number = file.stem.rpartition('_')
+    return (name, int(number)) if number.isdecimal() else (file.stem, -1)
+
+
+def _gaps(files: list[Path]) -> list[str]:
+    """Return the names of files that are left out in the numbers of the others."""
+    found: dict[str, set[int]] = {}
+    for name, number in map(_place, files):
+        found.setdefault(name, set()).add(number)
+    return [
+        f'{name}_{number}.mcap'
+        for name, numbers in found.items()
+        if 0 in numbers
+        for number in range(min(max(numbers), MOST_FILES))
+        if number not in numbers
+    ]
 
 
 def _information(path: Path) -> tuple[dict[str, Any], list[str]]:

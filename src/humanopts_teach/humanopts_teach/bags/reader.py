@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from humanopts_teach.bags.blocks import Block, DAMAGE, FileIndex, read_messages, Stored
+from humanopts_teach.bags.blocks import Attached, Block, DAMAGE, FileIndex, read_messages, Stored
 from humanopts_teach.bags.decoding import decode, Decoder, make_decoder
 from humanopts_teach.bags.directory import find_files, load
 from humanopts_teach.bags.errors import BagError
@@ -89,17 +89,10 @@ class Bag:
         """Number of messages that can be read."""
         return sum(topic.messages for topic in self.topics.values())
 
-    def attachments(self) -> dict[str, bytes]:
-        """
-        Return the attached files by name.
-
-        :raises BagError: one of them is damaged.
-        """
-        return {
-            name: bytes(read_attachment(file, name).data)
-            for file in self._files
-            for name in file.attachments
-        }
+    @property
+    def attachments(self) -> dict[str, Attached]:
+        """The attached files by name, of which ``attached`` has the contents."""
+        return {name: at for file in self._files for name, at in file.attachments.items()}
 
     def attached(self) -> Iterator[Attachment]:
         """Yield the attached files that are whole; ``damage`` then says which are not."""
@@ -168,6 +161,9 @@ class Bag:
     def _compare_facts(self) -> None:
         """Note where two places tell differently what the recorder was told."""
         told = self.metadata.get(RECORD, {})
+        for file in self._files:
+            if file.metadata.get(RECORD, told) != told:
+                self.note(f'{file.path.name} has other facts than the last file')
         copies = {FILE: self.information} if self.information else {}
         try:
             own = load(self.metadata.get(SELF, {}).get(SELF_TEXT, ''))
@@ -262,9 +258,8 @@ def open_bag(path: Path | str, on_read: OnRead = silent) -> Bag:
     """
     path = Path(path)
     found = find_files(path)
-    tell = partial(_Passage(found.files).tell, on_read)
-    files = [read_index(file, partial(tell, number)) for number, file in enumerate(found.files)]
-    bag = Bag(path, files, found.information, found.damage)
+    files, damage = _indexes(found.files, on_read)
+    bag = Bag(path, files, found.information, [*found.damage, *damage])
     bag.on_read = on_read
     if not bag.topics:
         reason = f' ({bag.damage})' if bag.damage else ''
@@ -272,6 +267,24 @@ def open_bag(path: Path | str, on_read: OnRead = silent) -> Bag:
     if not any(topic.type.startswith(INTERFACES) for topic in bag.topics.values()):
         raise BagError(f'{path} holds no humanopts topics: it is a recording of something else')
     return bag
+
+
+def _indexes(files: Sequence[Path], on_read: OnRead) -> tuple[list[FileIndex], list[str]]:
+    """
+    Find the messages of the files that can be read; say which of them cannot.
+
+    :raises BagError: none can.
+    """
+    tell = partial(_Passage(files).tell, on_read)
+    found, errors = [], []
+    for number, file in enumerate(files):
+        try:
+            found.append(read_index(file, partial(tell, number)))
+        except BagError as error:
+            errors.append(error)
+    if not found:
+        raise errors[0]
+    return found, list(map(str, errors))
 
 
 def _topics(files: list[FileIndex]) -> dict[str, Topic]:

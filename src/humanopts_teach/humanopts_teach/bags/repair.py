@@ -12,6 +12,8 @@ from humanopts_teach.bags.writer import BagWriter
 
 REPAIR = 'humanopts_repair'  # name of the MCAP metadata record that tells of a repair
 
+MOST_AT_ONCE = 10_000  # messages of one log time that are looked through for repetitions
+
 
 def repair(bag: Bag, out: Path) -> int:
     """
@@ -56,7 +58,7 @@ def _copy(bag: Bag, writer: BagWriter) -> int:
     repeated, time = 0, -1
     now: set[tuple[str, int, bytes]] = set()  # what was written of this log time
     for recorded in bag.messages(decoded=False):
-        if recorded.log_time != time:
+        if recorded.log_time != time or len(now) == MOST_AT_ONCE:
             time = recorded.log_time
             now.clear()
         key = (recorded.topic, recorded.sequence, recorded.data)
