@@ -1,11 +1,13 @@
 """A person at the terminal: real key presses through a pseudo-terminal, on the real graph."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 import fcntl
 import os
 from pathlib import Path
 import pty
 import re
+import resource
 import select
 import signal
 import struct
@@ -21,6 +23,7 @@ from humanopts_env.domains.taxi_tables import landmark_cells
 from humanopts_env.nodes.qos import STREAM
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import ActionRefusal, ExecutionState, GameState, OptionResult
+from humanopts_teach.bags.reader import open_bag
 import pyte
 import pytest
 import rclpy
@@ -398,6 +401,42 @@ def test_a_lesson_that_dies_is_named_and_the_terminal_still_quits(graph: Graph) 
     terminal.press(CTRL_C)
     assert terminal.ended() == 0
     assert terminal.restored()
+
+
+def recorder_below(folder: Path) -> int:
+    """Return the process of the recorder that a command below a folder has started."""
+    for entry in Path('/proc').glob('[0-9]*'):
+        with suppress(OSError):
+            if f'{folder}/log/recorder.yaml'.encode() in (entry / 'cmdline').read_bytes():
+                return int(entry.name)
+    raise AssertionError('no recorder')
+
+
+@pytest.mark.slow
+def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
+    tmp_path: Path, domain_id: int
+) -> None:
+    words = ['-m', 'humanopts_teach.cli', 'teach', 'taxi', '--out', str(tmp_path)]
+    terminal = Terminal(domain_id, *words)
+    try:
+        terminal.see('Who teaches? > p1')
+        terminal.press(ENTER)
+        terminal.see('What next?')
+        resource.prlimit(recorder_below(tmp_path), resource.RLIMIT_FSIZE, (1000, 1000))
+        terminal.see('PAUSED: recording stopped: cannot write to')
+        terminal.press('1', *PICKUP, ENTER)
+        terminal.see('Not now: the lesson is paused')
+        terminal.press(CTRL_C)
+        assert terminal.ended() == 1
+        assert terminal.restored()
+        assert terminal.process.stderr is not None
+        told = terminal.process.stderr.read().decode()
+        assert told.startswith('humanopts teach: recording stopped: cannot write to')
+        (bag,) = (tmp_path / 'bags').iterdir()
+        assert told.endswith(f'The bag can be read: humanopts bag info {bag}\n')
+        assert open_bag(bag).n_messages > 0
+    finally:
+        terminal.close()
 
 
 def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(graph: Graph) -> None:

@@ -9,7 +9,11 @@ from humanopts_teach.commands.setup import default_folder, new_name, setup_from
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Launch the graph and give the terminal to the person until they quit."""
+    """
+    Launch the graph and give the terminal to the person until they quit.
+
+    :raises LaunchError: a node died, or nothing was recorded any more when they quit.
+    """
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise CommandError('teaching needs a terminal for input and output')
     setup = setup_from(
@@ -23,5 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
     print('starting ...', flush=True)
     with session(setup, arguments.namespace) as running:
         status = running.launcher.run_terminal()
-    print(f'demonstrations, options and the bag are in {setup.directory}')
+        print(f'demonstrations, options and the bag are in {setup.directory}')
+        running.conductor.catch_up()
+        running.check_recording()
     return status

@@ -1,15 +1,20 @@
 """``humanopts up DOMAIN``: launch the nodes and stay."""
 
 import argparse
+from functools import partial
+import sys
 
 from humanopts_teach.commands.session import check_setup, session
 from humanopts_teach.commands.setup import default_folder, new_name, setup_from
-
-_A_YEAR = 365.0 * 24 * 3600
+from humanopts_teach.launching.launcher import RECORDER
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Launch and stay until Ctrl-C or SIGTERM, which is the way to end it: status 0."""
+    """
+    Launch and stay until Ctrl-C or SIGTERM, which is the way to end it.
+
+    :raises LaunchError: a node died, or nothing was recorded any more at the end.
+    """
     setup = setup_from(
         arguments,
         default_folder(arguments.domain),
@@ -21,7 +26,12 @@ def run(arguments: argparse.Namespace) -> int:
         with session(setup, arguments.namespace) as running:
             print('ready: ' + ', '.join(running.launcher.node_names))
             print(f'logs and data in {setup.directory}; Ctrl-C stops everything', flush=True)
-            running.conductor.wait(lambda: False, _A_YEAR, 'Ctrl-C')
+            check = partial(running.launcher.check, RECORDER)
+            try:
+                running.conductor.stay(check, partial(print, file=sys.stderr, flush=True))
+            except KeyboardInterrupt:
+                running.check_recording()
+                raise
     except KeyboardInterrupt:
         print('stopped')
     return 0

@@ -16,6 +16,7 @@ from humanopts_env.environment import LAUNCHER_PID
 from humanopts_teach.launching.processes import ProcessSpec
 
 TAIL_LINES = 12
+RECORDER = 'recorder'
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
 
 
@@ -79,14 +80,15 @@ class Launcher:
         Run the process that takes over the terminal, to its end, and restore the terminal.
 
         :return: its exit status.
-        :raises LaunchError: another node died meanwhile; the terminal's process is ended.
+        :raises LaunchError: another node died meanwhile, whose process is needed: without the
+            recorder the lesson pauses, and says so. The terminal's process is ended.
         """
         (spec,) = [spec for spec in self._specs if spec.terminal]
         self._save_terminal()
         try:
             running = self._start(spec)
             while running.process.poll() is None:
-                self.check(besides=spec.name)
+                self.check(spec.name, RECORDER)
                 time.sleep(0.1)
             self._running.remove(running)
             return self._terminal_status(running)
@@ -94,16 +96,16 @@ class Launcher:
             self._end([entry for entry in self._running if entry.spec.terminal])
             self._restore_terminal()
 
-    def check(self, besides: str = '') -> None:
+    def check(self, *besides: str) -> None:
         """
         Look whether every process is alive.
 
-        :param besides: a node that may end by itself.
+        :param besides: nodes that may end by themselves.
         :raises LaunchError: one ended; the text names it and holds its last lines.
         """
         for running in self._running:
             status = running.process.poll()
-            if status is not None and running.spec.name != besides:
+            if status is not None and running.spec.name not in besides:
                 raise LaunchError(
                     f'the node {running.spec.name} ended ({_ending(status)}) while it was needed'
                     f'{_last_lines(running.log)}'
@@ -116,8 +118,8 @@ class Launcher:
 
         :return: what did not end cleanly, in words.
         """
-        others = [entry for entry in self._running if entry.spec.name != 'recorder']
-        recorder = [entry for entry in self._running if entry.spec.name == 'recorder']
+        others = [entry for entry in self._running if entry.spec.name != RECORDER]
+        recorder = [entry for entry in self._running if entry.spec.name == RECORDER]
         problems = self._end(others) + self._end(recorder)
         self._running.clear()
         return problems

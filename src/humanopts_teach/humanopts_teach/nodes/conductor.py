@@ -30,6 +30,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 M = TypeVar('M')
+_ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
 
 
 class Latest(Generic[M]):
@@ -190,6 +191,39 @@ class Conductor:
             if (entry.participant, entry.name) in status
         ]
 
+    def stay(self, check: Callable[[], None], tell: Callable[[str], None]) -> None:
+        """
+        Serve the graph until somebody interrupts.
+
+        :param check: called all the while, to look after the processes.
+        :param tell: called with a line when a node pauses, and when it goes on.
+        :raises LaunchError: another launch has come to the same place; or from ``check``.
+        """
+        told: dict[str, str] = {}
+        while True:
+            self._executor.spin_once(0.05)
+            check()
+            self._check_duplicates()
+            paused = self._paused()
+            for name in sorted(told.keys() - paused.keys()):
+                tell(f'{name} goes on')
+            for name, text in paused.items():
+                if told.get(name) != text:
+                    tell(f'{name} is paused: {text}')
+            told = paused
+
+    def catch_up(self) -> None:
+        """Take in what has come while nobody served the graph."""
+        for _ in range(_ROUNDS):
+            self._executor.spin_once(0.0)
+
+    def unrecorded(self) -> str:
+        """Say why nothing is recorded any more, as far as is known; empty: all is."""
+        lesson, recorder = self.node.lesson.message, self.node.recorder.message
+        if lesson is None or not lesson.paused:
+            return ''
+        return _stopped(recorder) or lesson.paused
+
     def teacher_finished(self) -> bool:
         """Tell whether the simulated teacher has taught everything."""
         status = self._status('simulated_teacher')
@@ -223,16 +257,35 @@ class Conductor:
             missing.append('the recorder has not got every topic')
         return missing
 
+    def _paused(self) -> dict[str, str]:
+        """Return the nodes that are paused, and why."""
+        return {
+            name: status.text
+            for name, status in self.node.statuses.items()
+            if status.state == NodeStatus.STATE_PAUSED
+        }
+
     def _check_statuses(self) -> None:
+        self._check_duplicates()
+        paused = self._paused()
+        if paused:
+            self.catch_up()  # the recorder knows best why others are paused
+        if stopped := _stopped(self.node.recorder.message):
+            raise LaunchError(stopped)
+        for name, text in paused.items():
+            raise LaunchError(f'{name} cannot go on: {text}')
+
+    def _check_duplicates(self) -> None:
         if self.node.duplicates:
             raise LaunchError(
                 f'{", ".join(sorted(self.node.duplicates))} runs already in this ROS_DOMAIN_ID '
                 'and namespace; stop the other launch, or choose another --namespace or '
                 'ROS_DOMAIN_ID'
             )
-        for name, status in self.node.statuses.items():
-            if status.state == NodeStatus.STATE_PAUSED:
-                raise LaunchError(f'{name} cannot go on: {status.text}')
-        recorder = self.node.recorder.message
-        if recorder is not None and recorder.stopped and recorder.text:
-            raise LaunchError(f'the recording stopped: {recorder.text}')
+
+
+def _stopped(recorder: RecorderStatus | None) -> str:
+    """Say why a recorder has stopped, and what is left; empty: it has not."""
+    if recorder is None or not recorder.stopped:
+        return ''
+    return f'{recorder.text}. The bag can be read: humanopts bag info {recorder.path}'
