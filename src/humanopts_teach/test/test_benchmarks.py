@@ -16,7 +16,8 @@ from humanopts_teach.benchmarks.figure import SUFFIXES, write_figure
 from humanopts_teach.benchmarks.latencies import latencies, LENGTHS, SIDE, start_of
 from humanopts_teach.benchmarks.machine import machine_facts
 from humanopts_teach.benchmarks.place import DOMAIN_IDS, own_domain
-from humanopts_teach.benchmarks.recording import Load, READERS, RECORDER, recording, Run
+from humanopts_teach.benchmarks.readers import Load, READERS, RECORDER, Run
+from humanopts_teach.benchmarks.recording import recording
 from humanopts_teach.benchmarks.records import read_records, RecordWriter
 from humanopts_teach.benchmarks.results import Planned, results_to_dict
 from humanopts_teach.benchmarks.tables import duration, ratio, section_table

@@ -1,67 +1,21 @@
-"""How many messages a second the recorder takes, what it costs, and what is lost."""
+"""How many messages a second the recorder takes, what that costs, and what is lost."""
 
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 import statistics
 from typing import Any
 
 from humanopts_learner.benchmarks.measured import OnMeasured
-from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.info import count_loss
-from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.benchmarks.processes import bench_spec, launched, NAMESPACE, wait
-from humanopts_teach.benchmarks.records import read_records
-from humanopts_teach.benchmarks.usage import look, Usage
-from humanopts_teach.launching.launcher import LaunchError
-from humanopts_teach.launching.processes import ProcessSpec
+from humanopts_teach.benchmarks.readers import Load, OnSent, READERS, Run, YARDSTICK
 
-_PATIENCE = 120.0  # s, beside the time that messages take at their rate
-_TOPICS = [f'{NAMESPACE}/{name}' for name in ('game_state', 'action', 'current_state')]
-_STATUS = f'{NAMESPACE}/recorder_status'
-RECORDER = 'the recorder'
-YARDSTICK = 'taken in the same way, not written'
-CALLBACK = 'a raw subscription with a callback, not written'
-
-
-@dataclass(frozen=True)
-class Load:
-    """What is sent to a reader."""
-
-    messages: int
-    rate: int  # messages a second; 0: as fast as the reader takes them
-    turns: int  # of every reader
-
-    @property
-    def name(self) -> str:
-        """What it is, in words."""
-        if not self.rate:
-            return 'as fast as they are taken'
-        return f'{self.rate:,} a second for {self.messages / self.rate:g} s'
-
-
-LOADS = (Load(60_000, 0, 3), Load(180_000, 3_000, 1))
-
-
-@dataclass(frozen=True)
-class Run:
-    """One turn of a reader."""
-
-    sent: int
-    taken: int
-    lost: int  # by the numbers in the messages where they are read, else by their count
-    bytes: int  # of all messages
-    seconds: float  # until the reader's middleware had everything
-    processor: float  # share of one core that the reader used meanwhile
-    memory: int  # the most that it had at once, bytes
-    grown: int  # by how much its memory grew in the second half, bytes
-    waited: float  # longest time that a message waited for the reader, s
+LOADS = (Load(60_000, 0, 5), Load(180_000, 3_000, 1))
 
 
 @dataclass(frozen=True)
 class RecordingRow:
-    """How one reader stood one load, beside a reader that does no more than it must."""
+    """How one reader stood one load, beside one that takes messages as the recorder does."""
 
     load: str
     what: str
@@ -71,6 +25,7 @@ class RecordingRow:
     lost: int
     message_bytes: float
     seconds: float  # for each message, the median of the turns
+    yardstick: str
     yardstick_seconds: float
     target: float | None  # how many a second were sent; None: as many as are taken
     processor: float  # share of one core
@@ -95,12 +50,8 @@ class RecordingRow:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the row as JSON data."""
-        own = ('ratio', 'per_second', 'throughput')
-        return {
-            **asdict(self),
-            'yardstick': YARDSTICK,
-            **{name: getattr(self, name) for name in own},
-        }
+        own = ('per_second', 'ratio', 'throughput')
+        return {**asdict(self), **{name: getattr(self, name) for name in own}}
 
 
 def recording_rows(
@@ -115,26 +66,26 @@ def recording_rows(
     :param folder: for files that nobody needs afterwards.
     :raises LaunchError: a process died, or is not done in time.
     """
-    rows = []
-    work = [(load, turn) for load in loads for turn in range(load.turns)]
-    runs: dict[Load, dict[str, list[Run]]] = {
-        load: {name: [] for name in READERS} for load in loads
-    }
-    for done, (load, turn) in enumerate(work):
-        for place, (name, run) in enumerate(READERS.items()):
-            if progress is not None:
-                share = (done + place / len(READERS)) / len(work)
-                progress(share, f'messages {load.name}: {name}')
-            at = folder / f'{loads.index(load)}-{turn}-{place}'
-            runs[load][name].append(run(load, at))
-    for load in loads:
-        rows += recording(load, runs[load])
-    return rows
+    tell = progress or (lambda share, text: None)
+    work = [(load, turn, name) for load in loads for turn in range(load.turns) for name in READERS]
+    total, done = sum(load.seconds for load, _, _ in work), 0.0
+    runs: dict[Load, dict[str, list[Run]]] = {load: defaultdict(list) for load in loads}
+    for number, (load, _, name) in enumerate(work):
+        text = f'messages {load.name}: {name}'
+        on_sent = _part(tell, done / total, load.seconds / total, text)
+        on_sent(0.0)
+        runs[load][name].append(READERS[name](load, folder / str(number), on_sent))
+        done += load.seconds
+    return [row for load in loads for row in recording(load, runs[load])]
 
 
-def recording(load: Load, runs: dict[str, list[Run]]) -> list[RecordingRow]:
+def _part(tell: OnMeasured, begun: float, length: float, text: str) -> OnSent:
+    """Return what tells of a part of the work, as a share of all of it."""
+    return lambda share: tell(begun + share * length, text)
+
+
+def recording(load: Load, runs: Mapping[str, Sequence[Run]]) -> list[RecordingRow]:
     """Set what readers made of a load beside the yardstick."""
-    (yardstick,) = [_seconds(found) for name, found in runs.items() if name == YARDSTICK]
     return [
         RecordingRow(
             load=load.name,
@@ -145,7 +96,8 @@ def recording(load: Load, runs: dict[str, list[Run]]) -> list[RecordingRow]:
             lost=sum(run.lost for run in found),
             message_bytes=sum(run.bytes for run in found) / sum(run.sent for run in found),
             seconds=_seconds(found),
-            yardstick_seconds=yardstick,
+            yardstick=YARDSTICK,
+            yardstick_seconds=_seconds(runs[YARDSTICK]),
             target=load.rate or None,
             processor=statistics.median(run.processor for run in found),
             memory=max(run.memory for run in found),
@@ -158,73 +110,3 @@ def recording(load: Load, runs: dict[str, list[Run]]) -> list[RecordingRow]:
 
 def _seconds(runs: Sequence[Run]) -> float:
     return statistics.median(run.seconds / run.sent for run in runs)
-
-
-def _record(load: Load, folder: Path) -> Run:
-    recorder = ProcessSpec(
-        'recorder',
-        'humanopts_teach',
-        'humanopts_teach.nodes.recorder',
-        {'path': str(folder / 'bag')},
-    )
-    sent = _send(load, recorder, folder)
-    try:
-        bag = open_bag(folder / 'bag')
-        streams = [stream for topic, _, stream in count_loss(bag) if topic in _TOPICS]
-        statuses = [recorded.message for recorded in bag.messages([_STATUS])]
-    except BagError as error:
-        raise LaunchError(f'the recording cannot be read: {error}') from error
-    taken = sum(stream.received + stream.duplicates for stream in streams)
-    lost = load.messages - sum(stream.received for stream in streams)
-    waited = max(status.lag for status in statuses)
-    return Run(load.messages, taken, lost, waited=waited, **sent)
-
-
-def _read(load: Load, folder: Path, *, polled: bool) -> Run:
-    results = folder / 'taken.jsonl'
-    reader = bench_spec('bench_reader', results=str(results), polled=polled)
-    sent = _send(load, reader, folder)
-    (found,) = read_records(results)
-    lost = load.messages - found['taken']
-    return Run(load.messages, found['taken'], lost, waited=found['waited'], **sent)
-
-
-def _send(load: Load, reader: ProcessSpec, folder: Path) -> dict[str, Any]:
-    """Send to a reader; return the fields of ``Run`` that do not depend on what it took."""
-    results = folder / 'sent.jsonl'
-    sender = bench_spec(
-        'bench_sender',
-        results=str(results),
-        count=load.messages,
-        rate=load.rate,
-        reader=reader.name,
-        expect_recorder=reader.name == 'recorder',
-    )
-    looks: list[Usage] = []
-
-    with launched([reader, sender], folder) as launcher:
-
-        def done() -> bool:
-            records = len(list(read_records(results)))
-            if records:
-                looks.append(look(launcher.pid(reader.name)))
-            return records > 1
-
-        seconds = _PATIENCE + (load.messages / load.rate if load.rate else 0.0)
-        wait(launcher, done, seconds, f'messages {load.name}')
-    *_, found = read_records(results)
-    first, middle, last = looks[0], looks[len(looks) // 2], looks[-1]
-    return {
-        'bytes': found['bytes'],
-        'seconds': found['seconds'],
-        'processor': (last.cpu - first.cpu) / (last.time - first.time) if len(looks) > 1 else 0.0,
-        'memory': last.peak,
-        'grown': last.memory - middle.memory,
-    }
-
-
-READERS: dict[str, Callable[[Load, Path], Run]] = {
-    RECORDER: _record,
-    YARDSTICK: partial(_read, polled=True),
-    CALLBACK: partial(_read, polled=False),
-}

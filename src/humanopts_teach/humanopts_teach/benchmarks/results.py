@@ -10,7 +10,8 @@ from humanopts_learner.benchmarks.measured import Comparison, OnMeasured
 from humanopts_learner.benchmarks.scaling import scaling_rows, ScalingRow, SIDES
 from humanopts_teach.benchmarks.latencies import latency_rows, LatencySizes
 from humanopts_teach.benchmarks.place import own_place
-from humanopts_teach.benchmarks.recording import Load, LOADS, recording_rows, RecordingRow
+from humanopts_teach.benchmarks.readers import Load
+from humanopts_teach.benchmarks.recording import LOADS, recording_rows, RecordingRow
 
 VERSION = 1
 QUICK_LATENCIES = LatencySizes(2, 20, 3)
