@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast, IO
 
-from humanopts_teach.bags.metadata import Extent, qos_text, TopicEntry
+from humanopts_teach.bags.metadata import Extent, TopicEntry
 from humanopts_teach.bags.sink import Sink
 from mcap.writer import CompressionType, Writer
 
@@ -62,13 +62,7 @@ class BagFile:
                 topic.type, 'ros2msg', schema.encode()
             )
         self._channels[topic.name] = self._writer.register_channel(
-            topic.name,
-            'cdr',
-            self._schemas[topic.type],
-            {
-                'offered_qos_profiles': qos_text(topic.qos),
-                'topic_type_hash': topic.type_hash,
-            },
+            topic.name, 'cdr', self._schemas[topic.type], topic.channel_metadata
         )
 
     def knows(self, topic: str) -> bool:
@@ -106,7 +100,7 @@ class BagFile:
         """
         Write index and statistics, and close the file; errors as ``write``.
 
-        :param information: what metadata.yaml says of the bag so far.
+        :param information: what metadata.yaml says of the bag, as YAML.
         """
         if self._finished:
             return
@@ -115,5 +109,10 @@ class BagFile:
             self._writer.flush()
             self.note(SELF, {SELF_TEXT: information})
             self._writer.finish()
+            self._writer = None  # its index takes memory
         finally:
             self._sink.close()
+
+    def discard(self) -> None:
+        """Remove the file."""
+        self._sink.discard()

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import cached_property
+from textwrap import indent
 from typing import Any
 
 import yaml
@@ -25,6 +27,14 @@ class TopicEntry:
     qos: tuple[Qos, ...]
     type_hash: str  # RIHS01_...; empty: not known
     messages: int = 0
+
+    @cached_property
+    def channel_metadata(self) -> dict[str, str]:
+        """What an MCAP channel of this topic carries."""
+        return {
+            'offered_qos_profiles': qos_text(self.qos),
+            'topic_type_hash': self.type_hash,
+        }
 
 
 @dataclass
@@ -100,6 +110,11 @@ def _times(extent: Extent) -> dict[str, Any]:
         'duration': {'nanoseconds': extent.duration},
         'starting_time': {'nanoseconds_since_epoch': extent.first},
     }
+
+
+def document(information: str) -> str:
+    """Return the text of metadata.yaml, from the text of what it says of the bag."""
+    return f'{ROOT}:\n{indent(information, "  ")}'
 
 
 def _topic_information(topic: TopicEntry) -> dict[str, Any]:

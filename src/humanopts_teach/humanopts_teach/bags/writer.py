@@ -6,17 +6,16 @@ from dataclasses import dataclass
 import os
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from humanopts_teach.bags.errors import BagWriteError
 from humanopts_teach.bags.file import BagFile, LIBRARY, RECORD, SELF, SELF_TEXT
 from humanopts_teach.bags.metadata import (
     bag_information,
+    document,
     dump,
     Extent,
     FILE,
     Qos,
-    ROOT,
     TopicEntry,
 )
 from humanopts_teach.bags.schemas import Definitions
@@ -174,7 +173,7 @@ class BagWriter:
         """
         self._file.flush()
         if self._described != len(self._topics):
-            self._describe()
+            self._describe(self._information())
 
     def close(self) -> None:
         """
@@ -184,8 +183,7 @@ class BagWriter:
         """
         if not self._closed:
             self._closed = True
-            self._file.finish(dump(self._information()))
-            self._describe()
+            self._finish(self._file)
 
     def __enter__(self) -> 'BagWriter':
         """Return the writer; leaving the context closes it."""
@@ -201,11 +199,21 @@ class BagWriter:
         self.close()
 
     def _split(self) -> None:
-        """Finish the file and begin the next."""
-        self._file.finish(dump(self._information()))
-        self._file = self._begin_file(len(self._files))
+        """Begin the next file and finish this one."""
+        file, self._file = self._file, self._begin_file(len(self._files))
         self._files.append(self._file)
-        self._describe()
+        try:
+            self._finish(file)
+        except BagWriteError:
+            self._files.pop().discard()
+            self._file = file
+            raise
+
+    def _finish(self, file: BagFile) -> None:
+        """Finish a file, and describe the bag."""
+        information = self._information()
+        file.finish(information)
+        self._describe(information)
 
     def _make_directory(self) -> None:
         try:
@@ -226,15 +234,16 @@ class BagWriter:
         except OSError as error:
             raise BagWriteError(f'cannot write in {self.path}: {error.strerror}') from error
 
-    def _information(self) -> dict[str, Any]:
+    def _information(self) -> str:
+        """Return what metadata.yaml says of the bag."""
         extents = {file.name: file.extent for file in self._files}
-        return bag_information(extents, self.topics, self._facts)
+        return dump(bag_information(extents, self.topics, self._facts))
 
-    def _describe(self) -> None:
+    def _describe(self, information: str) -> None:
         """Replace metadata.yaml in one go."""
         new = self.path / f'{FILE}.new'
         try:
-            new.write_text(dump({ROOT: self._information()}), 'utf-8')
+            new.write_text(document(information), 'utf-8')
             os.replace(new, self.path / FILE)
         except OSError as error:
             with suppress(OSError):
