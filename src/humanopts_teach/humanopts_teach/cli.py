@@ -15,7 +15,7 @@ from humanopts_teach.launching.launcher import LaunchError
 
 REPRODUCED = ('fig2', 'fig3', 'fig4', 'table2', 'all')
 SECTIONS = ('planning', 'learning', 'games', 'graph', 'recording')
-EXPORTED = ('csv', 'parquet', 'minari')
+EXPORTED = ('csv', 'parquet', 'minari', 'files')
 STRATEGIES = ('random', 'coverage', 'failures')
 
 
@@ -189,7 +189,8 @@ def _add_bag_commands(bag: argparse.ArgumentParser) -> None:
         '--to',
         choices=EXPORTED,
         required=True,
-        help='csv; parquet, which needs pyarrow; minari, which needs minari[arrow]',
+        help='csv; parquet, which needs pyarrow; minari, which needs minari[arrow]; files, which '
+        'are those attached to the bag, such as option files',
     )
     export.add_argument(
         '--out', type=Path, required=True, metavar='DIR', help='folder for the files'

@@ -24,10 +24,11 @@ from humanopts_interfaces.msg import (
 from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import check_demonstration, Demonstration, DemonstrationError
 from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
-from humanopts_teach.bags.episodes import read_episodes
+from humanopts_teach.bags.episodes import Played, read_episodes
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import count_loss, summarise
-from humanopts_teach.bags.loss import Stream
+from humanopts_teach.bags.loss import MOST_GAPS, Stream
+from humanopts_teach.bags.played import Actors
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.stamps import read_stamp, Stamp
 from humanopts_teach.bags.writer import BagWriter
@@ -266,7 +267,7 @@ def test_a_lesson_of_a_person_has_no_error_rate_to_tell(tmp_path: Path) -> None:
         writer.add_topic('/game_state', 'humanopts_interfaces/msg/GameState')
         writer.write('/game_state', serialize_message(numbered(1)), 1)
     text = summarise(open_bag(tmp_path / 'bag')).to_text()
-    assert re.search(r'teacher_error_rate +none: a person taught\n', text)
+    assert re.search(r'teacher error rate +none: a person taught\n', text)
     assert 'None' not in text
 
 
@@ -302,3 +303,107 @@ def test_the_film_of_modules_tells_which_of_them_acted(tmp_path: Path, taxi: Dom
     frames = bag_parts(write(tmp_path / 'bag', entries)).frames
     assert [frame.option for frame in frames] == ['', 'down', 'left', 'action:west']
     assert [frame.ends_run for frame in frames] == [False, False, False, True]
+
+
+def test_info_tells_when_each_criterion_held_first_and_how_it_developed(tmp_path: Path) -> None:
+    values = [(1, math.nan), (2, 0.3), (2, 0.3), (3, 0.05), (4, 0.2)]
+    statuses = []
+    for shown, value in values:
+        measured = not math.isnan(value)
+        criterion = Criterion(
+            name='initiation',
+            value=value,
+            threshold=0.1,
+            measurable=measured,
+            met=measured and value <= 0.1,
+        )
+        option = OptionStatus(
+            participant='p1', option_name=PICKUP, n_demonstrations=shown, criteria=[criterion]
+        )
+        statuses.append(LearningStatus(options=[option]))
+    info = summarise(write(tmp_path / 'bag', [('/learning_status', s) for s in statuses]))
+    (row,) = info.criteria
+    assert [(p.demonstrations, p.value, p.seconds) for p in row.points] == [
+        *((1, None, 0.0), (2, 0.3, 1.0), (3, 0.05, 3.0), (4, 0.2, 4.0)),
+    ]
+    assert row.first_met == row.points[2]
+    assert json.loads(info.to_json())['criteria'][0]['points'][2]['met']
+    assert re.search(r'initiation +0\.1 +3 shown, 0 not here +3\.0 +0\.05 +0\.2\n', info.to_text())
+
+
+def test_info_lists_attached_files_and_what_the_recorder_was_told(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag', {'lock_sha256': 'ab12', 'seed': '3'}) as writer:
+        writer.add_topic('/game_state', 'humanopts_interfaces/msg/GameState')
+        writer.write('/game_state', serialize_message(numbered(1)), 1)
+        writer.attach('options/p1/fetch.json', b'{"a": 1}')
+    info = summarise(open_bag(tmp_path / 'bag'))
+    (row,) = info.attached
+    assert (row.name, row.bytes, row.media_type) == (
+        'options/p1/fetch.json',
+        8,
+        'application/json',
+    )
+    assert re.search(r'options/p1/fetch\.json +8 +application/json', info.to_text())
+    assert re.search(r'lock sha256 +ab12\n', info.to_text())
+
+
+def games(taxi: Domain[Any]) -> list[tuple[str, GameState]]:
+    """Return the states of three episodes, the second left, and of a game that came later."""
+    entries = []
+    for publisher, number, length in (
+        ('/a#1', 1, 3),
+        ('/a#1', 2, 2),
+        ('/a#1', 3, 4),
+        ('/b#1', 1, 2),
+    ):
+        for moment in play(taxi, ['north', 'east', 'south'][: length - 1]):
+            state = moment_to_message(moment)
+            state.episode, state.publisher_id = number, publisher
+            state.sequence = len(entries) + 1
+            entries.append(('/game_state', state))
+    return entries
+
+
+def test_episodes_that_are_read_when_asked_for_are_those_that_are_read_in_order(
+    tmp_path: Path, taxi: Domain[Any]
+) -> None:
+    bag = write(tmp_path / 'bag', games(taxi))
+    listed, played = list(read_episodes(bag)), Played(bag)
+    assert [len(episode.moments) for episode in listed] == [3, 2, 4, 2]
+    assert len(played) == 4
+    assert [played[place] for place in (3, 1, 0, -2)] == [listed[place] for place in (3, 1, 0, 2)]
+    assert list(played) == listed
+    with pytest.raises(IndexError):
+        played[4]
+
+
+def test_a_state_after_a_later_episode_is_left_out_and_said(
+    tmp_path: Path, taxi: Domain[Any]
+) -> None:
+    entries = games(taxi)
+    late = entries.pop(2)
+    bag = write(tmp_path / 'bag', [*entries, late])
+    assert [len(episode.moments) for episode in read_episodes(bag)] == [2, 2, 4, 2]
+    assert 'after a later episode are left out' in bag.damage
+
+
+@given(
+    strategies.lists(strategies.tuples(strategies.integers(1, 40), strategies.sampled_from('abc')))
+)
+def test_actors_are_those_of_the_commands_whatever_their_order(
+    commands: list[tuple[int, str]],
+) -> None:
+    actors, told = Actors(), dict(reversed(commands))  # the first of a number counts
+    for number, name in commands:
+        actors.add('/o#1', number, name)
+    assert [actors.name('/o#1', n) for n in range(42)] == [told.get(n, '') for n in range(42)]
+
+
+def test_more_gaps_than_are_kept_hide_no_loss() -> None:
+    stream = Stream()
+    for number in range(2, 6 * MOST_GAPS, 2):
+        stream.add(number)
+    lost = stream.missing
+    stream.add(1)  # so late that its gap is not kept
+    assert (stream.missing, stream.duplicates, stream.late) == (lost, 1, 0)
+    assert len(stream.gaps) <= 2 * MOST_GAPS

@@ -2,15 +2,28 @@
 
 from dataclasses import replace
 import json
+from pathlib import Path
 from typing import Any
 import uuid
 
+from humanopts_env.convert import domain_to_info
 from humanopts_env.domains.base import Domain
+from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.criteria import Thresholds
-from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate, EvaluationError
+from humanopts_learner.options.files import option_to_json
+from humanopts_teach.bags.provenance import UNKNOWN
+from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.evaluation.bag_evaluation import (
+    BagEvaluation,
+    evaluate,
+    evaluate_bag,
+    EvaluationError,
+)
+from humanopts_teach.evaluation.reproduction import compare_options
 from humanopts_teach.evaluation.settings import Settings, settings_from_facts
 import pytest
+from rclpy.serialization import serialize_message
 
 SETTINGS = Settings(seed=5)
 Lesson = list[Demonstration]
@@ -131,3 +144,50 @@ def test_a_fact_that_makes_no_sense_is_replaced_and_named(name: str, text: str) 
     settings, assumed = settings_from_facts({name: text})
     assert settings == Settings()
     assert any(name in note and text in note for note in assumed)
+
+
+def files_of(evaluation: BagEvaluation, lesson: Lesson) -> dict[tuple[str, str], dict[str, Any]]:
+    """Return the option files of a lesson."""
+    options = [each.option for each in evaluation.options]
+    shown = {demo.uuid: demo for demo in lesson}
+    return {
+        (o.participant, o.name): json.loads(option_to_json(o, [shown[u] for u in o.uuids]))
+        for o in options
+    }
+
+
+def test_options_learned_again_are_compared_with_their_files(
+    taxi_lesson: Lesson, evaluation: BagEvaluation
+) -> None:
+    files, options = files_of(evaluation, taxi_lesson), [e.option for e in evaluation.options]
+    first, second = files
+    assert compare_options(files, options, taxi_lesson) == ({first: True, second: True}, [])
+    files[first]['policy']['nodes'][0]['counts'][0] += 1e-9
+    equal, notes = compare_options(files, options, taxi_lesson)
+    assert equal == {first: False, second: True}
+    assert notes == [f'{first[1]!r} by p1 differs from its option file: policy']
+    (note,) = compare_options({second: files[second]}, options[:1], taxi_lesson)[1]
+    assert 'was not learned again' in note
+
+
+def test_a_bag_whose_option_files_come_out_again_says_so(
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson, evaluation: BagEvaluation
+) -> None:
+    (file, _) = files_of(evaluation, taxi_lesson).values()
+    shown = [demo for demo in taxi_lesson if demo.option_name == file['name']]
+    messages = [domain_to_info(taxi), *map(demonstration_to_message, shown)]
+    with BagWriter(
+        tmp_path / 'bag', {'seed': '5', 'numpy': '1.0', 'scikit-learn': UNKNOWN}
+    ) as bag:
+        for time, message in enumerate(messages):
+            name = type(message).__name__
+            bag.add_topic(f'/{name.lower()}', f'humanopts_interfaces/msg/{name}')
+            bag.write(f'/{name.lower()}', serialize_message(message), time)
+        bag.attach('options/p1/fetch.json', json.dumps(file).encode())
+        bag.attach('notes.json', b'[]')
+    found = evaluate_bag(tmp_path / 'bag')
+    assert [option.reproduced for option in found.options] == [True]
+    assert found.to_dict()['options'][0]['equals_option_file'] is True
+    assert 'equal to its option file in the bag, to the last digit' in found.to_text()
+    (warning,) = (text for text in found.warnings if 'recorded with' in text)
+    assert warning.startswith('recorded with numpy 1.0, and this is')

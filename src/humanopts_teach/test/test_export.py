@@ -17,6 +17,7 @@ from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.cli import main
 from humanopts_teach.export import files
 from humanopts_teach.export.files import ExportError, write_csv, write_parquet
 from humanopts_teach.export.minari_dataset import dataset_name, FOLDER, write_dataset
@@ -220,3 +221,31 @@ def test_episodes_with_gaps_are_left_out_and_counted(tmp_path: Path, taxi: Domai
 
 def test_dataset_is_named_by_domain_and_bag(taxi: Domain[Any]) -> None:
     assert dataset_name(taxi, Path('runs/up 2026.11.mcap')) == 'humanopts/taxi/up-2026-11-v0'
+
+
+@pytest.mark.parametrize(
+    ('names', 'refusal'),
+    [
+        (['options/p1/fetch.json', 'notes.txt'], ''),
+        ([], 'has no attached files'),
+        (['../outside.json'], 'of the name'),
+        (['/etc/outside.json'], 'of the name'),
+    ],
+)
+def test_attached_files_come_out_below_the_folder_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], names: list[str], refusal: str
+) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.add_topic('/action', f'{MESSAGES}ActionCommand')
+        writer.write('/action', serialize_message(ActionCommand()), 1)
+        for name in names:
+            writer.attach(name, name.encode())
+    out = tmp_path / 'out'
+    command = ['bag', 'export', str(tmp_path / 'bag'), '--to', 'files', '--out', str(out)]
+    assert main(command) == (2 if refusal else 0)
+    assert refusal in capsys.readouterr().err
+    found = {p.relative_to(out).as_posix(): p.read_text() for p in out.rglob('*') if p.is_file()}
+    assert found == ({} if refusal else {name: name for name in names})
+    assert not (tmp_path / 'outside.json').exists()
+    if not refusal:
+        assert main(command) == 2  # nothing is overwritten

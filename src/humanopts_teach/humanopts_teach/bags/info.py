@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 import math
 from typing import Any
 
@@ -18,7 +19,15 @@ from humanopts_teach.bags.loss import Ledger
 from humanopts_teach.bags.reader import Bag, Recorded
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.stamps import is_stamped, read_stamp
-from humanopts_teach.bags.summary import BagInfo, OptionRow, StreamRow, TopicRow
+from humanopts_teach.bags.summary import (
+    AttachedRow,
+    BagInfo,
+    CriterionPoint,
+    CriterionRow,
+    OptionRow,
+    StreamRow,
+    TopicRow,
+)
 
 _STATUS = 'humanopts_interfaces/msg/LearningStatus'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
@@ -64,6 +73,8 @@ class _Survey:
         self._stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
         self._demonstrations: list[Demonstration] = []
         self._criteria: dict[tuple[str, str], bool] = {}
+        self._developed: dict[tuple[str, str, str], list[CriterionPoint]] = {}
+        self._thresholds: dict[tuple[str, str, str], float] = {}
         self._games = Games(bag)
         self._episodes = self._episodes_ended = 0
         self._domains: dict[str, None] = {}
@@ -107,11 +118,19 @@ class _Survey:
             damage=bag.damage,
             start=self._first,
             duration=self._last - self._first,
+            files=len(bag.files),
             bytes=sum(file.stat().st_size for file in bag.files),
             facts=bag.metadata.get('humanopts', {}),
+            attached=tuple(
+                AttachedRow(name, at.size, at.media_type) for name, at in bag.attachments.items()
+            ),
             domains=tuple(self._domains),
             topics=tuple(self._topic_rows()),
             options=tuple(self.option_rows()),
+            criteria=tuple(
+                CriterionRow(*key, self._thresholds[key], tuple(points))
+                for key, points in self._developed.items()
+            ),
             option_runs=dict(self._results[_OPTION_RESULT]),
             plans=dict(self._results[PLAN_RESULT]),
             policy_runs=dict(self._results[_POLICY_RESULT]),
@@ -169,7 +188,21 @@ class _Survey:
 
     def _status(self, recorded: Recorded, message: Any) -> None:
         for option in message.options:
-            self._criteria[option.participant, option.option_name] = option.criteria_met
+            whose = (option.participant, option.option_name)
+            self._criteria[whose] = option.criteria_met
+            for criterion in option.criteria:
+                key = (*whose, criterion.name)
+                self._thresholds[key] = criterion.threshold
+                point = CriterionPoint(
+                    (recorded.log_time - self._first) / 1e9,
+                    option.n_demonstrations,
+                    option.n_not_here,
+                    criterion.value if criterion.measurable else None,
+                    criterion.met,
+                )
+                points = self._developed.setdefault(key, [])
+                if not points or replace(point, seconds=points[-1].seconds) != points[-1]:
+                    points.append(point)
 
     def _result(self, recorded: Recorded, message: Any) -> None:
         names = constants(self._bag.topics[recorded.topic].schema, 'STATUS_')

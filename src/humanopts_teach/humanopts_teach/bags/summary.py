@@ -35,6 +35,42 @@ class OptionRow:
 
 
 @dataclass(frozen=True)
+class CriterionPoint:
+    """A criterion as the learner told it after a demonstration."""
+
+    seconds: float  # since the bag begins
+    demonstrations: int  # shown so far
+    not_here: int  # "not here" answers so far
+    value: float | None  # None: not yet measurable
+    met: bool
+
+
+@dataclass(frozen=True)
+class CriterionRow:
+    """How one criterion of one option developed."""
+
+    participant: str
+    option: str
+    criterion: str  # return, initiation or termination
+    threshold: float
+    points: tuple[CriterionPoint, ...]
+
+    @property
+    def first_met(self) -> CriterionPoint | None:
+        """When it held for the first time."""
+        return next((point for point in self.points if point.met), None)
+
+
+@dataclass(frozen=True)
+class AttachedRow:
+    """A file that is attached to the bag."""
+
+    name: str
+    bytes: int
+    media_type: str
+
+
+@dataclass(frozen=True)
 class StreamRow:
     """The messages of one publisher on one topic; see ``loss.Stream``."""
 
@@ -55,11 +91,14 @@ class BagInfo:
     damage: str  # what is wrong with it, a line each; empty: nothing
     start: int  # of the first message, ns since the epoch
     duration: int  # to the last message, ns
-    bytes: int  # of its MCAP files
+    files: int  # MCAP files
+    bytes: int  # of these
     facts: Mapping[str, str]  # what the recorder was told
+    attached: tuple[AttachedRow, ...]
     domains: tuple[str, ...]  # name and parameters
     topics: tuple[TopicRow, ...]
     options: tuple[OptionRow, ...]
+    criteria: tuple[CriterionRow, ...]  # over time, as they were seen live
     option_runs: Mapping[str, int]  # by status
     plans: Mapping[str, int]
     policy_runs: Mapping[str, int]
@@ -105,7 +144,15 @@ class BagInfo:
 
     def to_text(self) -> str:
         """Return the facts for reading."""
-        parts = [self._head(), self._options(), self._events(), self._topics(), self._loss()]
+        parts = [
+            self._head(),
+            self._attached(),
+            self._options(),
+            self._criteria(),
+            self._events(),
+            self._topics(),
+            self._loss(),
+        ]
         return '\n\n'.join(part for part in parts if part)
 
     def _head(self) -> str:
@@ -115,11 +162,15 @@ class BagInfo:
             *(('DAMAGED', line) for line in self.damage.splitlines()),
             ('begun', begun),
             ('duration', f'{self.duration / 1e9:.1f} s'),
-            ('messages', f'{self.messages} on {len(self.topics)} topics, {self.bytes:,} bytes'),
+            ('messages', f'{self.messages} on {len(self.topics)} topics'),
+            ('size', f'{self.bytes:,} bytes in {self.files} file{"s"[: self.files > 1]}'),
             ('domain', '; '.join(self.domains) or 'not recorded'),
             ('participants', ', '.join(self.participants) or 'none'),
             ('sessions', ', '.join(self.sessions) or 'none'),
-            *((n, NO_TEACHER if v == 'None' else v) for n, v in sorted(self.facts.items())),
+            *(
+                (name.replace('_', ' '), NO_TEACHER if value == 'None' else value)
+                for name, value in sorted(self.facts.items())
+            ),
         ]
         width = max(len(name) for name, _ in pairs)
         return '\n'.join(f'{name:{width}}  {value}' for name, value in pairs)
@@ -139,6 +190,28 @@ class BagInfo:
         ]
         head = ('participant', 'option', 'shown', 'not here', 'steps', 'seconds', 'criteria met')
         return table(head, rows)
+
+    def _attached(self) -> str:
+        rows = [(row.name, row.bytes, row.media_type) for row in self.attached]
+        return table(('attached file', 'bytes', 'type'), rows)
+
+    def _criteria(self) -> str:
+        """Say when each criterion held first, and what it was then and at the end."""
+        rows = []
+        for row in self.criteria:
+            met, last = row.first_met, row.points[-1]
+            rows.append(
+                (
+                    row.participant,
+                    row.option,
+                    row.criterion,
+                    row.threshold,
+                    *(('never', '-', '-') if met is None else _when(met)),
+                    '-' if last.value is None else f'{last.value:.3g}',
+                )
+            )
+        head = ('participant', 'option', 'criterion', 'target')
+        return table((*head, 'first held after', 'at second', 'value', 'at the end'), rows)
 
     def _events(self) -> str:
         kinds = [
@@ -172,6 +245,12 @@ class BagInfo:
             ('topic', 'publisher', 'sent', 'missing', 'repeated'),
             [(row.topic, row.publisher, row.last, row.missing, row.duplicates) for row in odd],
         )
+
+
+def _when(point: CriterionPoint) -> tuple[str, str, str]:
+    """Return after what a criterion held, when, and its value."""
+    shown = f'{point.demonstrations} shown, {point.not_here} not here'
+    return shown, f'{point.seconds:.1f}', f'{point.value:.3g}'
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -8,6 +8,7 @@ from humanopts_env.domains.base import StateError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands.bar import progress_bar
 from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.export.attached import write_attached
 from humanopts_teach.export.files import ExportError, write_csv, write_parquet
 from humanopts_teach.export.minari_dataset import FOLDER, write_dataset
 from humanopts_teach.export.tables import bag_tables
@@ -34,8 +35,10 @@ def _write(bag: Bag, form: str, out: Path) -> str:
     """Write the files, and return what there is to say of them."""
     if form == 'minari':
         return _dataset(bag, out)
-    write = {'csv': write_csv, 'parquet': write_parquet}[form]
     out.mkdir(parents=True, exist_ok=True)
+    if form == 'files':
+        return '\n'.join(map(str, write_attached(bag, out)))
+    write = {'csv': write_csv, 'parquet': write_parquet}[form]
     return '\n'.join(map(str, write(bag_tables(bag), out)))
 
 

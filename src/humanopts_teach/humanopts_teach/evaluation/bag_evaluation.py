@@ -27,6 +27,11 @@ from humanopts_teach.evaluation.games import evaluate_games, GAMES, GamesEvaluat
 from humanopts_teach.evaluation.learning_curve import CurvePoint, learn_again
 from humanopts_teach.evaluation.options_block import option_block, OptionBlock
 from humanopts_teach.evaluation.planning import PlanningRow, row_of_plan
+from humanopts_teach.evaluation.reproduction import (
+    attached_options,
+    compare_options,
+    software_notes,
+)
 from humanopts_teach.evaluation.settings import Settings, settings_from_facts
 from humanopts_teach.evaluation.text import evaluation_text
 
@@ -49,6 +54,7 @@ class OptionEvaluation:
     option: LearnedOption
     judgement: Judgement
     curve: tuple[CurvePoint, ...]
+    reproduced: bool | None = None  # equal to the option file in the bag; None: there is none
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evaluation as JSON data."""
@@ -56,6 +62,7 @@ class OptionEvaluation:
             'participant': self.participant,
             **self.block.to_dict(),
             'n_not_here': self.option.n_not_here,
+            'equals_option_file': self.reproduced,
             'learning_curve': [point.to_dict() for point in self.curve],
         }
 
@@ -138,10 +145,18 @@ def evaluate_bag(
     """
     opened = open_bag(bag) if isinstance(bag, str | Path) else bag
     domain = read_domain(opened)
-    settings, assumed = settings_from_facts(opened.metadata.get(FACTS, {}))
-    demonstrations = read_demonstrations(opened)
-    damage = opened.damage.splitlines()
-    return evaluate(demonstrations, domain, settings, [*damage, *assumed], progress, episodes)
+    facts = opened.metadata.get(FACTS, {})
+    settings, assumed = settings_from_facts(facts)
+    demonstrations, attached = read_demonstrations(opened), attached_options(opened)
+    warnings = [*opened.damage.splitlines(), *assumed, *software_notes(facts)]
+    found = evaluate(demonstrations, domain, settings, warnings, progress, episodes)
+    learned = [evaluated.option for evaluated in found.options]
+    equal, differing = compare_options(attached, learned, demonstrations)
+    options = (
+        replace(each, reproduced=equal.get((each.participant, each.block.name)))
+        for each in found.options
+    )
+    return replace(found, options=tuple(options), warnings=(*found.warnings, *differing))
 
 
 def evaluate(

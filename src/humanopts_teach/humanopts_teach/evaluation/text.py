@@ -12,6 +12,10 @@ if TYPE_CHECKING:  # it imports this module
     from humanopts_teach.evaluation.games import GamesEvaluation
 
 MOST_POINTS = 12  # of a learning curve that are printed
+REPRODUCED = {
+    True: 'equal to its option file in the bag, to the last digit',
+    False: 'NOT equal to its option file in the bag',
+}
 CURVE_HEAD = ('shown', 'not here', 'return', 'E_I', 'E_beta', 'policy', 'I', 'beta', 'met')
 PLAN_HEAD = (
     *('action set', 'gamma', 'game steps', 'planning ms', 'sweeps'),
@@ -119,6 +123,11 @@ def _option(option: 'OptionEvaluation') -> list[str]:
     return [
         f'{block.name} (by {option.participant or "-"}): {met}',
         f'features: {", ".join(block.features)}',
+        *(
+            []
+            if option.reproduced is None
+            else [f'learned again: {REPRODUCED[option.reproduced]}']
+        ),
         f'mean return: demonstrations {number(block.mean_return_demonstrations)}, '
         f'learned policy {number(block.mean_return_policy)}',
         *(f'not met: {_unmet(c)}' for c in option.judgement.criteria if not c.met),
