@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 
 from humanopts_teach.bags.errors import BagWriteError
-from humanopts_teach.bags.file import BagFile, LIBRARY, RECORD, SELF, SELF_TEXT
+from humanopts_teach.bags.file import BagFile
 from humanopts_teach.bags.metadata import (
     bag_information,
     document,
@@ -19,8 +19,6 @@ from humanopts_teach.bags.metadata import (
     TopicEntry,
 )
 from humanopts_teach.bags.schemas import Definitions
-
-__all__ = ['LIBRARY', 'NO_LIMITS', 'RECORD', 'SELF', 'SELF_TEXT', 'BagWriter', 'Limits']
 
 
 @dataclass(frozen=True)
