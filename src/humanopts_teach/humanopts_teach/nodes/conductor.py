@@ -30,6 +30,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 M = TypeVar('M')
+_PATIENCE = 2.0  # s; a pause may pass, or another node is about to say or show its cause
 _ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
 
 
@@ -95,6 +96,7 @@ class Conductor:
         self._executor.add_node(self.node)
         self._record = bool(parameters['expect_recorder'])
         self._watch = watch
+        self._fine = time.monotonic()  # when no node was paused last
 
     def close(self) -> None:
         """Leave the graph."""
@@ -267,12 +269,13 @@ class Conductor:
 
     def _check_statuses(self) -> None:
         self._check_duplicates()
-        paused = self._paused()
-        if paused:
-            self.catch_up()  # the recorder knows best why others are paused
         if stopped := _stopped(self.node.recorder.message):
             raise LaunchError(stopped)
-        for name, text in paused.items():
+        paused, now = self._paused(), time.monotonic()
+        if not paused:
+            self._fine = now
+        elif now - self._fine > _PATIENCE:
+            name, text = next(iter(paused.items()))
             raise LaunchError(f'{name} cannot go on: {text}')
 
     def _check_duplicates(self) -> None:
