@@ -7,7 +7,7 @@ planning is given more time.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 import math
 import time
 from typing import Any
@@ -38,7 +38,7 @@ from humanopts_learner.planning.sampled.curve import (
     planning_curve,
     seconds_to_reach,
 )
-from humanopts_learner.planning.sampled.tuned import TUNED
+from humanopts_learner.planning.sampled.tuned import TUNED, TUNED_MOVES
 
 GAMES = 1000  # that everything is judged by
 PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et al., section 7
@@ -179,8 +179,8 @@ def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Conte
     if isinstance(domain, PacMan):
         found.append(_interrupted(domain, *list(sets.items())[-1], steps))
     found += [
-        Contender('primitive', PLAN, PRIMITIVE, (), steps),
-        Contender(f'primitive, {GENEROUS}-fold steps', PLAN, PRIMITIVE, (), GENEROUS * steps),
+        _moves('primitive', domain, steps),
+        _moves(f'primitive, {GENEROUS}-fold steps', domain, GENEROUS * steps),
         Contender('random moves', CHANCE, PRIMITIVE),
     ]
     found += [
@@ -192,6 +192,14 @@ def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Conte
             Contender('hand-written rule, at every step', RULE, to_end=False),
         ]
     return found
+
+
+def _moves(name: str, domain: Domain[Any], steps: int) -> Contender:
+    """Return a plan with primitive actions, with settings that were found by hand."""
+    usual = Contender(name, PLAN, PRIMITIVE, (), steps)
+    if not isinstance(domain, PacMan):
+        return usual
+    return replace(usual, gamma=TUNED_MOVES.gamma, how=TUNED_MOVES.sampling)
 
 
 def _interrupted(domain: PacMan, name: str, options: Options, steps: int) -> Contender:
@@ -221,24 +229,30 @@ def _curves(
     """Measure the options, and then primitive actions until they took ten times as long."""
     moved = [carried_over(option, domain) for option in options]
     curves: list[Curve] = []
-    for name, action_set in ((f'human, {_named(options)}', HUMAN), (PRIMITIVE, PRIMITIVE)):
+    measured = (
+        Contender(f'human, {_named(options)}', PLAN, HUMAN, moved),
+        _moves(PRIMITIVE, domain, 0),
+    )
+    for one in measured:
         enough = PATIENCE if not curves else TENFOLD * _needed(curves[0], targets)
-        teller = _CurveTeller(parts.begin('score by planning time'), name, budgets, enough)
+        teller = _CurveTeller(parts.begin('score by planning time'), one.name, budgets, enough)
         rows = planning_curve(
             domain,
-            action_set,
-            moved,
+            one.action_set,
+            one.options,
             max(targets, default=math.inf),
             seed,
             budgets,
             games,
+            one.how,
+            one.gamma,
             progress=teller.on_progress,
             on_row=teller.on_row,
             enough_seconds=enough,
             clock=CLOCK,
         )
         teller.end()
-        curves.append(Curve(name, tuple(rows)))
+        curves.append(Curve(one.name, tuple(rows)))
     return tuple(curves)
 
 

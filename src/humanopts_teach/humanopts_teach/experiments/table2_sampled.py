@@ -14,7 +14,7 @@ from humanopts_learner.planning.sampled.columns import BatchOption
 from humanopts_learner.planning.sampled.curve import Budgets
 from humanopts_learner.planning.sampled.judging import GameReturns
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
-from humanopts_learner.planning.sampled.tuned import TUNED
+from humanopts_learner.planning.sampled.tuned import TUNED, TUNED_MOVES
 from humanopts_teach.experiments.table2_kinds import Kind, OTHER_WAYS, TO_END
 from humanopts_teach.experiments.table2_record import record
 import numpy as np
@@ -49,6 +49,7 @@ class Setting:
     gamma: float
     rounds: int
     explore: float
+    min_samples: int
     penalty: float
     pooling: float
     margin: float
@@ -65,8 +66,8 @@ def settings_to_try(gamma: float, count: int) -> list[Setting]:
     """
     Return settings, the same for every action set; the first is the usual one.
 
-    The second and third were found by hand with the reference options, in either kind of ghosts;
-    the others look farther ahead.
+    The second was found by hand with primitive actions, the third and fourth with the reference
+    options, in either kind of ghosts; the last looks farther ahead.
 
     :param gamma: the domain's own.
     :param count: 1 to 5.
@@ -74,9 +75,11 @@ def settings_to_try(gamma: float, count: int) -> list[Setting]:
     usual = _parts(Sampling())
     settings = [
         Setting(gamma, **usual),
-        *(Setting(tuned.gamma, **_parts(tuned.sampling)) for tuned in TUNED.values()),
+        *(
+            Setting(tuned.gamma, **_parts(tuned.sampling))
+            for tuned in (TUNED_MOVES, *TUNED.values())
+        ),
         Setting(0.985, **usual),
-        Setting(0.995, **usual),
     ]
     return settings[:count]
 

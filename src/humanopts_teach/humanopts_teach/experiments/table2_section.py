@@ -70,8 +70,8 @@ def _text(study: Study) -> list[str]:
         'from every start state, and what varies is whose options they are.',
         'In Pac-Man models are sampled. For every action set, and the options of everybody, the '
         f'same {effort.tried} settings are tried with plans of {effort.search_steps:,} game steps '
-        f'in {effort.search_games} games: the usual one, two that were found by hand with the '
-        'reference options, and two that look farther ahead. '
+        f'in {effort.search_games} games: the usual one, one that was found by hand with '
+        'primitive actions, two with the reference options, and one that looks farther ahead. '
         'With the best of them, plans are made and judged '
         f'with other seeds, {effort.games} games each, from {effort.largest:,} game steps. '
         'Primitive actions alone have finer planning states, and their steps cost less: they get '

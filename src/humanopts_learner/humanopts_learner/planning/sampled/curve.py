@@ -58,6 +58,7 @@ def planning_curve(
     budgets: Budgets = Budgets(),
     episodes: int = 1000,
     how: Sampling = Sampling(),  # noqa: B008
+    gamma: float | None = None,
     progress: Progress | None = None,
     on_row: OnRow | None = None,
     enough_seconds: float = math.inf,
@@ -69,6 +70,7 @@ def planning_curve(
     :param options: not looked at in the set ``primitive``.
     :param target: mean score.
     :param seed: of the plans, and of the games, which are drawn apart from them.
+    :param gamma: as in ``make_sampled_plan``.
     :param on_row: told each row as it comes.
     :param enough_seconds: no larger budget is tried once a plan took so long.
     :raises PlanError: as ``make_sampled_plan``.
@@ -77,7 +79,15 @@ def planning_curve(
     rows: list[CurveRow] = []
     for budget in budgets:
         plan = make_sampled_plan(
-            domain, action_set, options, budget, seed, how=how, progress=progress, clock=clock
+            domain,
+            action_set,
+            options,
+            budget,
+            seed,
+            gamma,
+            how,
+            progress=progress,
+            clock=clock,
         )
         score = Interval.of(plan.play(seed, episodes).total)
         row = CurveRow(action_set, budget, plan.seconds, score, len(plan.solution.values))

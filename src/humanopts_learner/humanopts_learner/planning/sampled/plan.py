@@ -45,12 +45,12 @@ IMPROVEMENTS = 4  # of the policy by pooled values, each evaluated, after value 
 class Sampling:
     """How samples are drawn, and what is made of them."""
 
-    rounds: int = 4  # of play; every one but the first by the policy so far
+    rounds: int = 8  # of play; every one but the first by the policy so far
     n_games: int = 1000  # side by side, at most
     game_steps: int = 400  # that each of them is played in all, at least
     explore: float = 0.2  # share of decisions that are drawn, from the second round on
-    min_samples: int = 2  # pairs of state and column with fewer are not available
-    penalty: float = 5.0  # reward units, by the square root of the number of samples
+    min_samples: int = 1  # pairs of state and column with fewer are not available
+    penalty: float = 0.0  # reward units, by the square root of the number of samples
     pooling: float = 0.0  # samples that the mean over states of other context counts as; 0: none
     margin: float = 10.0  # reward units that stopping an option must be worth when it is played
 
