@@ -130,7 +130,7 @@ def test_a_full_disk_pauses_the_lesson_until_the_next_recorder_has_all_that_was_
         assert ended.status == EndDemonstration.Response.STATUS_OK, ended.detail
         shown.append(ended.uuid)
     assert 'recording stopped: cannot write to' in cause
-    assert 'Everything taught is on disk' in cause
+    assert 'Everything taught so far is on disk' in cause
     assert 'not in this recording: the next one has it' in ended.detail
     for kind, fields in (
         (OpenSession, {'participant': 'p2'}),

@@ -18,7 +18,7 @@ def recorders() -> Recorders:
 def test_a_recorder_that_stopped_is_quoted_with_what_to_do(recorders: Recorders) -> None:
     recorders.heard('a', **STOPPED)
     fault = recorders.look(True)
-    assert fault.startswith('recording stopped: no space. Everything taught is on disk')
+    assert fault.startswith('recording stopped: no space. Everything taught so far is on disk')
     assert recorders.look(False) == fault  # it has ended since
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 PATIENCE = 50  # looks at a recorder that says nothing, after which it is taken to be gone
-_ADVICE = 'Everything taught is on disk: quit, and the same command takes it up again.'
+_ADVICE = 'Everything taught so far is on disk: quit, and the same command takes it up again.'
 SILENT = f'nothing is heard of the recorder any more. {_ADVICE}'
 
 
