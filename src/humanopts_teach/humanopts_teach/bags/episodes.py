@@ -1,7 +1,7 @@
 """The episodes in a bag, of which only those are held that are under way."""
 
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 import math
 from typing import Any, overload
@@ -97,13 +97,18 @@ class Games:
         return stamp.publisher_id, *place
 
 
-def read_episodes(bag: Bag, between: tuple[int, int] = ALWAYS) -> Iterator[Episode]:
+def read_episodes(
+    bag: Bag,
+    between: tuple[int, int] = ALWAYS,
+    chosen: Callable[[Group], bool] = lambda _: True,
+) -> Iterator[Episode]:
     """
     Yield the episodes in a bag as they are over, the last of every game at the end.
 
     :param between: log times that are read, ns.
+    :param chosen: which are decoded.
     """
-    for group in _groups(bag, between):
+    for group in filter(chosen, _groups(bag, between)):
         moments = tuple(_moments(bag, group))
         if moments:
             times = (group.first, group.last)
@@ -143,9 +148,11 @@ class Played(Sequence[Episode]):
         at = 4 * range(len(self))[place]
         game, number, first, last = self._where[at : at + 4]
         key = (*list(self._games)[game], number)
-        for episode in read_episodes(self._bag, (first, last)):
-            if (episode.topic, episode.publisher_id, episode.number) == key:
-                return episode
+        found = read_episodes(
+            self._bag, (first, last), lambda g: (g.topic, g.publisher_id, g.number) == key
+        )
+        for episode in found:
+            return episode
         raise IndexError(f'nothing of episode {place + 1} can be read')
 
 

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 import math
 from typing import Any
 
@@ -32,6 +33,7 @@ from humanopts_teach.bags.summary import (
 _STATUS = 'humanopts_interfaces/msg/LearningStatus'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 PLAN_RESULT = 'humanopts_interfaces/msg/PlanResult'
+_constants = lru_cache(constants)
 _POLICY_RESULT = 'humanopts_interfaces/msg/PolicyResult'
 
 
@@ -205,7 +207,7 @@ class _Survey:
                     points.append(point)
 
     def _result(self, recorded: Recorded, message: Any) -> None:
-        names = constants(self._bag.topics[recorded.topic].schema, 'STATUS_')
+        names = _constants(self._bag.topics[recorded.topic].schema, 'STATUS_')
         name = names.get(message.status, f'status {message.status}')
         self._results[recorded.type][name.lower()] += 1
         if recorded.type == _POLICY_RESULT:  # older versions have no such fields

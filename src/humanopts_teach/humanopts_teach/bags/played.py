@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from humanopts_env.game import Moment, Source
+from humanopts_teach.bags.episodes import Episode
 from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
 
 ACTION_COMMAND = 'humanopts_interfaces/msg/ActionCommand'
 RESET_EVENT = 'humanopts_interfaces/srv/ResetGame_Event'
+AROUND = 10 * 10**9  # ns before and after an episode, in which its commands are looked for
 _REQUEST, _RESPONSE = 1, 2  # ServiceEventInfo: REQUEST_RECEIVED, RESPONSE_SENT; of the server
 _EVENTS = '/reset_game/_service_event'
 
@@ -80,6 +82,12 @@ def read_actors(bag: Bag, between: tuple[int, int] = ALWAYS) -> Actors:
             name = getattr(command, 'option_name', '')  # older versions have no such field
             actors.add(command.publisher_id, command.sequence, name)
     return actors
+
+
+def actors_in(bag: Bag, episode: Episode) -> Actors:
+    """Return whose the commands in an episode were; topics may come a little apart."""
+    first, last = episode.times
+    return read_actors(bag, (max(first - AROUND, 0), last + AROUND))
 
 
 def actor_of(moment: Moment, actors: Actors) -> str:

@@ -6,15 +6,14 @@ import time
 
 from humanopts_env.domains.base import StateError
 from humanopts_teach.bags.demonstrations import read_domain
-from humanopts_teach.bags.episodes import Episode, Played
-from humanopts_teach.bags.played import Actors, read_actors
-from humanopts_teach.bags.reader import Bag, open_bag, silent
+from humanopts_teach.bags.episodes import Played
+from humanopts_teach.bags.played import actors_in
+from humanopts_teach.bags.reader import open_bag, silent
 from humanopts_teach.commands.bar import progress_bar
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.replay import Replay
 
-AROUND = 10 * 10**9  # ns before and after an episode, in which its commands are looked for
 LONGEST_WAIT = 0.2  # seconds, until a window of another size is seen
 
 
@@ -28,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
         there = f'1 to {len(episodes)}' if episodes else 'none'
         raise CommandError(f'there is no episode {arguments.episode} in {bag.path}: {there}')
     place = arguments.episode - 1
-    replay = Replay(domain, episodes, partial(_actors, bag), place, arguments.speed)
+    replay = Replay(domain, episodes, partial(actors_in, bag), place, arguments.speed)
     try:
         if why_not():
             for text in replay.plain():
@@ -39,12 +38,6 @@ def run(arguments: argparse.Namespace) -> int:
     except StateError as error:
         raise CommandError(f'{bag.path}: {error}') from error
     return 0
-
-
-def _actors(bag: Bag, episode: Episode) -> Actors:
-    """Return whose the commands in an episode were; topics may come a little apart."""
-    first, last = episode.times
-    return read_actors(bag, (max(first - AROUND, 0), last + AROUND))
 
 
 def _show(replay: Replay, device: Device) -> None:

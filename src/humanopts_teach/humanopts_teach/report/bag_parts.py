@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_teach.bags.episodes import Episode, read_episodes
 from humanopts_teach.bags.info import summarise
-from humanopts_teach.bags.played import actor_of, Actors, namespace, read_actors
+from humanopts_teach.bags.played import actor_of, Actors, actors_in, namespace
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.summary import BagInfo
 from humanopts_teach.report.data import Frame, TopicRow
@@ -49,15 +49,12 @@ def _film(bag: Bag) -> list[Frame]:
         under_way[whose][1].append(run)
         if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):
             game, (number, runs) = whose, under_way[whose]
-    played = [
-        episode
-        for episode in read_episodes(bag)
-        if (namespace(episode.topic), episode.number) == (game, number) and episode.complete
-    ]
+    found = read_episodes(bag, chosen=lambda g: (namespace(g.topic), g.number) == (game, number))
+    played = [episode for episode in found if episode.complete]
     if not played:
         return []
     modules = any(not run.option for run in runs)
-    return _frames(played[-1], runs, read_actors(bag) if modules else Actors())
+    return _frames(played[-1], runs, actors_in(bag, played[-1]) if modules else Actors())
 
 
 def _frames(episode: Episode, runs: list[_Run], actors: Actors) -> list[Frame]:
