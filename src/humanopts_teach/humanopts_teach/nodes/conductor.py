@@ -30,7 +30,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 M = TypeVar('M')
-_PATIENCE = 2.0  # s; a pause may pass, or another node is about to say or show its cause
+_PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
 _ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
 
 
