@@ -349,3 +349,12 @@ def test_a_chunk_that_claims_to_be_huge_takes_no_memory(bag: Path) -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert len(contents(bag)) == 180
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KiB
+
+
+def test_an_end_that_tells_of_a_huge_index_takes_no_memory(bag: Path) -> None:
+    file = bag / 'bag_0.mcap'
+    data = bytearray(file.read_bytes())
+    struct.pack_into('<Q', data, len(data) - 8 - 20, 100)  # where the summary begins
+    file.write_bytes(data)
+    assert 'not where the end of the file says' in open_bag(bag).damage
+    assert len(contents(bag)) == 200

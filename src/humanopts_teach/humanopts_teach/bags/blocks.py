@@ -138,6 +138,7 @@ def block_data(stream: BinaryIO, block: Block) -> bytes:
     :raises Exception: one of ``DAMAGE``, where they are damaged.
     """
     if block.loose:
+        _check_size(block.length)
         stream.seek(block.offset)
         return stream.read(block.length)
     stream.seek(block.offset + HEAD)

@@ -197,7 +197,9 @@ def _summary(stream: BinaryIO) -> bytes:
     :raises Exception: one of ``DAMAGE``, where they do not fit or the file has no end.
     """
     start = _summary_start(stream)
-    stream.seek(start)
+    stream.seek(start - _DATA_END_BYTES)
+    if stream.read(_DATA_END_BYTES)[:1] != bytes([Opcode.DATA_END]):
+        raise ValueError('it is not where the end of the file says')
     content = stream.read()[:-MAGIC_SIZE]
     checksum = int.from_bytes(content[-4:], 'little')
     if checksum and zlib.crc32(content[:-4]) != checksum:

@@ -146,6 +146,7 @@ class BagInfo:
         """Return the facts for reading."""
         parts = [
             self._head(),
+            self._facts(),
             self._attached(),
             self._options(),
             self._criteria(),
@@ -167,10 +168,6 @@ class BagInfo:
             ('domain', '; '.join(self.domains) or 'not recorded'),
             ('participants', ', '.join(self.participants) or 'none'),
             ('sessions', ', '.join(self.sessions) or 'none'),
-            *(
-                (name.replace('_', ' '), NO_TEACHER if value == 'None' else value)
-                for name, value in sorted(self.facts.items())
-            ),
         ]
         width = max(len(name) for name, _ in pairs)
         return '\n'.join(f'{name:{width}}  {value}' for name, value in pairs)
@@ -190,6 +187,13 @@ class BagInfo:
         ]
         head = ('participant', 'option', 'shown', 'not here', 'steps', 'seconds', 'criteria met')
         return table(head, rows)
+
+    def _facts(self) -> str:
+        rows = [
+            (name.replace('_', ' '), NO_TEACHER if value == 'None' else value)
+            for name, value in sorted(self.facts.items())
+        ]
+        return table(('recorded with', ''), rows)
 
     def _attached(self) -> str:
         rows = [(row.name, row.bytes, row.media_type) for row in self.attached]
