@@ -102,7 +102,7 @@ def assert_read_by_others(bag: Bag) -> None:
 
 
 def test_killed_recorder_loses_half_a_second_at_most(live: Graph, tmp_path: Path) -> None:
-    killed = kill(live, tmp_path / 'one', 1.0)
+    killed = kill(live, tmp_path / 'one', 0.6)
     bag = repaired(tmp_path / 'one')
     found = loss(tmp_path / 'one', bag, killed)
     assert max(found.by_record, found.by_time) <= MOST
