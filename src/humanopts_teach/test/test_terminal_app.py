@@ -520,6 +520,15 @@ def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:
     assert shower.sees_words('not the end (10x), the end (2x) Add "passenger in taxi" (e)')
 
 
+def test_a_start_that_contradicts_an_end_is_explained_by_a_key(shower: Person) -> None:
+    words = 'Where an end can be a start, press s before done.'
+    shower.world.progress = [replace(criteria([]), conflicts=('taxi row 4: the end (2x)',))]
+    assert not shower.sees_words(words)
+    conflict = 'taxi row 4: cannot start here (2x), can start here (1x)'
+    shower.world.progress = [replace(criteria([]), conflicts=('another', conflict))]
+    assert shower.sees_words(words)
+
+
 def test_a_small_window_is_told_so_politely(shower: Person) -> None:
     assert '69 x 24 characters, and 70 x 20 are needed' in shower.sees(69, 24)
     assert '80 x 19 characters, and 70 x 20 are needed' in shower.sees(80, 19)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_TEXTS = 10
+NO_START = 'cannot start here'  # in the words of a situation
 SLIP = 1  # so many different actions in a situation may be a slip of the hand
 
 
@@ -52,7 +53,7 @@ def find_conflicts(data: Dataset, domain: Domain[Any]) -> Conflicts:
     actions = [action.name for action in domain.actions]
     parts: list[tuple[Examples, Callable[[int], str], bool]] = [
         (data.termination, lambda label: ('not the end', 'the end')[label], False),
-        (data.initiation, lambda label: ('cannot start here', 'can start here')[label], False),
+        (data.initiation, lambda label: (NO_START, 'can start here')[label], False),
         (data.policy, lambda label: actions[label], True),
     ]
     clashes = [

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from functools import singledispatch
 import math
 
+from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.criteria import FEWEST
 from humanopts_teach.dialogue.answers import LessonView, Phase
 from humanopts_teach.terminal.app import App, Screen
@@ -104,6 +105,7 @@ def _lesson(screen: LessonScreen, app: App) -> RenderableType:
     parts += _criteria(lesson, progress)
     if progress is not None:
         parts += _conflicts(progress, screen.questions_key(app))
+        parts += _ends(progress, screen.again_key(app))
     return Group(*parts)
 
 
@@ -210,6 +212,13 @@ def _conflicts(progress: ProgressView, key: str) -> list[RenderableType]:
         how = f' ({key})' if key else ''
         lines.append(Text(f'Add "{name}"{how}: it tells most apart.', 'yellow'))
     return lines
+
+
+def _ends(progress: ProgressView, key: str) -> list[RenderableType]:
+    """Return what may be missing where some say that it can start here, and some not."""
+    if not any(NO_START in text for text in progress.conflicts):
+        return []
+    return [Text(f'Where an end can be a start, press {key} before done.', 'yellow')]
 
 
 def _plain(name: str) -> str:

@@ -103,6 +103,10 @@ class LessonScreen(PlainScreen):
         known = Command.QUESTIONS in table.commands.values()
         return table.key(Command.QUESTIONS) if known else ''
 
+    def again_key(self, app: App) -> str:
+        """Return the label of the key that says, with done, that it can start again there."""
+        return _showing(app).key(Command.START_AGAIN)
+
     def keys(self, app: App) -> Keys:
         """Return the keys of the phase and what they do."""
         phase, table = _phase(app), self.table(app)
@@ -179,8 +183,12 @@ def _phase(app: App) -> Phase:
     return app.world.lesson.phase if app.world.lesson is not None else Phase.NO_SESSION
 
 
+def _showing(app: App) -> KeyTable:
+    return key_table(app.domain.actions, _IN_PHASE[Phase.DEMONSTRATING])
+
+
 def _help(app: App) -> Sequence[tuple[str, str]]:
-    table = key_table(app.domain.actions, _IN_PHASE[Phase.DEMONSTRATING])
+    table = _showing(app)
     actions = [(label(action.key), action.description) for action in app.domain.actions]
     commands = [(label(key), _LONG[c]) for key, c in table.commands.items() if c in _LONG]
     return [*actions, *commands, (label('ctrl-c'), 'leave at once')]
