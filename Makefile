@@ -14,6 +14,9 @@ PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*' \
   -not -path '*/nodes/*' -not -name convert.py)
 CHECKED := src tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
+# Two processes, each with a file of tests at a time: while one waits for its graph, one computes.
+SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest \
+  -n 2 --dist loadfile --no-loadscope-reorder
 SHELL := /bin/bash
 
 export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
@@ -24,7 +27,7 @@ unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
-	@echo 'make test    run the tests (ARGS=); make test-slow runs the long ones'
+	@echo 'make test    run the tests, two at a time (ARGS=); make test-slow runs the long ones'
 	@echo 'make lint    ruff, mypy --strict on pure code, package.xml checks'
 	@echo 'make setup   only the set-up that the others do when it is needed'
 	@echo 'make format  reformat the Python code'
@@ -59,7 +62,7 @@ demo: setup
 	@./humanopts demo --domain taxi --out $(OUT) --seed $(SEED)
 
 test: setup
-	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m 'not slow' $(ARGS)
+	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow' $(ARGS)
 
 test-slow: setup
 	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m slow $(ARGS)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 import os
 
-from graph_support.command import DemoRun, run_demo
+from graph_support.command import DemoRun, shared_demo
 from graph_support.live import free_domain_id, Graph
 from humanopts_env.environment import prepare_discovery
 import pytest
@@ -44,11 +44,9 @@ def domain_id() -> Iterator[int]:
 
 
 @pytest.fixture(scope='session')
-def demo(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
-    """A whole demo, which all tests of what it leaves share."""
-    with free_domain_id() as number:
-        return run_demo(
-            tmp_path_factory.mktemp('demo'),
-            number,
-            *('--domain', 'taxi', '--seed', 1, '--episodes', 100),
-        )
+def demo(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> DemoRun:
+    """A whole demo, which all tests of what it leaves share, in whichever process they run."""
+    own = tmp_path_factory.getbasetemp()
+    everybodys = own if worker_id == 'master' else own.parent
+    arguments = ('--domain', 'taxi', '--seed', 1, '--episodes', 100)
+    return shared_demo(everybodys / 'demo', *arguments)

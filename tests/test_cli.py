@@ -12,7 +12,7 @@ from graph_support.command import Command, DemoRun
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach import cli
-from humanopts_teach.bags.demonstrations import read_episodes
+from humanopts_teach.bags.episodes import read_episodes
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import build_parser, main
 from humanopts_teach.commands.setup import default_folder, setup_from
@@ -281,7 +281,7 @@ def test_several_bags_are_evaluated_each_by_itself(
 def test_episode_is_played_as_text_where_there_is_no_terminal(
     capsys: pytest.CaptureFixture[str], demo: DemoRun
 ) -> None:
-    last = len(read_episodes(open_bag(demo.bag)))
+    last = len(list(read_episodes(open_bag(demo.bag))))
     assert run('bag', 'play', demo.bag, '--episode', last) == 0
     out = capsys.readouterr().out
     assert f'episode {last} of {last} · step 0' in out

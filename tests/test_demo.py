@@ -14,11 +14,8 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Kind
 from humanopts_learner.options.files import option_from_json
-from humanopts_teach.bags.demonstrations import (
-    DEMONSTRATION,
-    Episode,
-    read_episodes,
-)
+from humanopts_teach.bags.demonstrations import DEMONSTRATION
+from humanopts_teach.bags.episodes import Episode, read_episodes
 from humanopts_teach.bags.info import count_loss
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.cli import main
@@ -107,7 +104,7 @@ def bag(demo: DemoRun) -> Bag:
 @pytest.fixture(scope='module')
 def episodes(bag: Bag) -> list[Episode]:
     """Every episode in it, those of the lesson first."""
-    return read_episodes(bag)
+    return list(read_episodes(bag))
 
 
 def test_demo_keeps_its_promises_and_says_so(demo: DemoRun) -> None:

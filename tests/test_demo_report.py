@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 import re
 
 from graph_support.command import DemoRun
-from humanopts_teach.bags.demonstrations import read_episodes
+from humanopts_teach.bags.episodes import read_episodes
 from humanopts_teach.bags.reader import open_bag
 import pytest
 
@@ -65,7 +65,7 @@ def test_report_holds_all_its_figures(demo: DemoRun, report: str) -> None:
     assert report[boards:planning].count('<svg') >= 4  # two plans, two layouts
     assert report[planning:film].count('<svg') >= 2  # time and return
     frames = report[film:].count('<li class=')
-    assert frames == len(read_episodes(open_bag(demo.bag))[-1].moments)
+    assert frames == len(list(read_episodes(open_bag(demo.bag)))[-1].moments)
 
 
 def test_numbers_of_the_report_are_those_of_the_summary(demo: DemoRun, report: str) -> None:

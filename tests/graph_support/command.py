@@ -1,7 +1,8 @@
 """The command line as a process of its own, and every process below it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+import fcntl
 import json
 import os
 from pathlib import Path
@@ -16,6 +17,8 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.bags.demonstrations import read_demonstrations
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.demos.entries import entry_from_line
+
+from graph_support.live import free_domain_id
 
 
 class Command:
@@ -138,6 +141,20 @@ def run_demo(folder: Path, domain_id: int, *arguments: Any, seconds: float = 110
         )
     finally:
         command.close()
+
+
+def shared_demo(folder: Path, *arguments: Any) -> DemoRun:
+    """Run a demo, unless another process of the same test run has done so in that folder."""
+    folder.mkdir(exist_ok=True)
+    kept = folder / 'demo.json'
+    with (folder / 'lock').open('w') as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not kept.exists():
+            with free_domain_id() as number:
+                run = run_demo(folder, number, *arguments)
+            kept.write_text(json.dumps(asdict(run), default=str), 'utf-8')
+    values = json.loads(kept.read_text('utf-8'))
+    return DemoRun(**{**values, 'folder': Path(values['folder'])})
 
 
 def shown_in_bag(bag: Bag) -> list[Demonstration]:
