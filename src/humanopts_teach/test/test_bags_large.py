@@ -3,6 +3,8 @@
 from collections.abc import Callable
 import os
 from pathlib import Path
+import re
+import shlex
 import shutil
 import struct
 import subprocess
@@ -23,6 +25,7 @@ from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.export.tables import bag_tables
+import pexpect
 import pytest
 from rclpy.serialization import serialize_message
 
@@ -213,6 +216,7 @@ def test_a_bag_of_1_gb_takes_less_than_500_mb(
     os.truncate(cut / 'bag_0.mcap', LARGE - 30_000_000)
     measure(['check', str(cut), '--repair', repaired], status=1)
     measure(['info', str(cut)])
+    assert len(shares(['info', str(cut)])) > 5
 
 
 def measure(arguments: list[str], status: int = 0) -> None:
@@ -228,3 +232,10 @@ def measure(arguments: list[str], status: int = 0) -> None:
     memory, found = done.stderr.split()[-2:]
     assert int(found) == status, done.stderr
     assert int(memory) < MOST, arguments[0]
+
+
+def shares(arguments: list[str]) -> set[str]:
+    """Return the percentages that a command shows in a terminal."""
+    command = [sys.executable, '-m', 'humanopts_teach.cli', 'bag', *arguments]
+    shown = pexpect.run(shlex.join(command), timeout=600, env={**os.environ, 'TERM': 'xterm'})
+    return set(re.findall(r'\d+%', shown.decode()))

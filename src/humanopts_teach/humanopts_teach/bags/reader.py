@@ -59,7 +59,7 @@ class Bag:
         self.on_read: OnRead = silent  # told how far every pass is
         self._files = files
         self._passage = _Passage(self.files)
-        self._damage = [*damage, *(text for file in files for text in file.damage)]
+        self._damage = dict.fromkeys([*damage, *(text for file in files for text in file.damage)])
         self._decoders: dict[str, Decoder] = {}
         self.topics = _topics(files)
         self._compare_facts()
@@ -155,8 +155,7 @@ class Bag:
 
     def note(self, damage: str) -> None:
         """Keep what was found to be wrong, once."""
-        if damage not in self._damage:
-            self._damage.append(damage)
+        self._damage[damage] = None
 
     def _compare_facts(self) -> None:
         """Note where two places tell differently what the recorder was told."""
