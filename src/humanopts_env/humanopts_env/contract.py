@@ -159,19 +159,21 @@ class DomainContract:
     def test_the_drawing_shows_all_that_may_be_seen(self) -> None:
         """States that differ in a feature that is shown are drawn differently."""
         domain = self.make()
+        states = _states(domain)
         for shown in (*_single_features(domain), None):
             seen: dict[tuple[int, ...], str] = {}
-            for state in _states(domain):
+            for state in states:
                 seen[_visible(domain, state, shown)] = domain.render(state, shown)
             assert len(set(seen.values())) == len(seen), f'{shown} cannot be told from the drawing'
 
     def test_the_drawing_shows_nothing_else(self) -> None:
         """States that agree in the features that are shown are drawn alike."""
         domain = self.make()
+        states = _states(domain)
         half = {feature.name for feature in domain.features[::2]}
         for shown in (*_single_features(domain), half, set()):
             seen: dict[tuple[int, ...], str] = {}
-            for state in _states(domain):
+            for state in states:
                 text = domain.render(state, shown)
                 first = seen.setdefault(_visible(domain, state, shown), text)
                 assert text == first, f'more than {sorted(shown)} can be seen'

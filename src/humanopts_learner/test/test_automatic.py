@@ -35,9 +35,13 @@ PAPERS_NINE = {f'{event} at {place}' for event in ('pickup', 'dropoff') for plac
 
 
 @cache
+def search(name: str, seed: int) -> AutomaticOptions:
+    return find_options(make_domain(name), seed, USUAL if name == 'taxi' else QUICK)
+
+
 def found(name: str, seed: int = 0) -> AutomaticOptions:
     """Return what is found in a domain; in Taxi with the usual parameters."""
-    return find_options(make_domain(name), seed, USUAL if name == 'taxi' else QUICK)
+    return search(name, seed)
 
 
 def bottlenecks(domain: Domain[Any], runs: list[list[int]], most: int = 9) -> list[Bottleneck]:

@@ -31,6 +31,7 @@ def found(name: str) -> AutomaticOptions:
     return find_options(make_domain(name), 0, QUICK)
 
 
+@cache
 def options(name: str) -> list[LearnedOption]:
     """Return the same as learned options."""
     return learned_options(make_domain(name), found(name))
