@@ -35,10 +35,11 @@ STEPS = 20  # of an episode
 LARGE = 1_050_000_000  # bytes
 MOST = 500  # MiB, of a command that reads such a bag
 MEASURE = """
-import resource, sys
+import os, sys
 from humanopts_teach.cli import main
+from humanopts_teach.launching.usage import look
 status = main(['bag', *sys.argv[1:]])
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, status, file=sys.stderr)
+print(look(os.getpid()).peak // 2**20, status, file=sys.stderr)
 """
 
 

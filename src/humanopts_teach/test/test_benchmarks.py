@@ -21,7 +21,7 @@ from humanopts_teach.benchmarks.recording import recording
 from humanopts_teach.benchmarks.records import read_records, RecordWriter
 from humanopts_teach.benchmarks.results import Planned, results_to_dict
 from humanopts_teach.benchmarks.tables import duration, ratio, section_table
-from humanopts_teach.benchmarks.usage import look
+from humanopts_teach.launching.usage import look
 import numpy as np
 import pytest
 from rich.console import Console

@@ -11,9 +11,9 @@ from humanopts_teach.bags.info import count_loss
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.benchmarks.processes import bench_spec, launched, NAMESPACE, wait
 from humanopts_teach.benchmarks.records import read_records
-from humanopts_teach.benchmarks.usage import look, Usage
 from humanopts_teach.launching.launcher import LaunchError
 from humanopts_teach.launching.processes import ProcessSpec
+from humanopts_teach.launching.usage import look, Usage
 
 _PATIENCE = 120.0  # s, beside the time that messages take at their rate
 _USUAL_RATE = 20_000  # messages a second, where a reader takes them as fast as it can

@@ -1,6 +1,6 @@
 """What the recorder says of itself on ``recorder_status``."""
 
-import resource
+import os
 import time
 
 from humanopts_env.nodes.node_base import NodeBase, PublishError
@@ -9,6 +9,7 @@ from humanopts_interfaces.msg import RecorderStatus, StreamLoss
 from humanopts_teach.bags.loss import Ledger
 from humanopts_teach.bags.pace import LIMIT, Pace
 from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.launching.usage import look
 
 _PERIOD = 1.0  # s between statuses that differ only in their counts
 _BEHIND = (
@@ -55,7 +56,7 @@ class RecordingStatus:
         self._behind = behind
 
     def _status(self, complete: bool, stopped: bool, text: str) -> RecorderStatus:
-        used = resource.getrusage(resource.RUSAGE_SELF)
+        used = look(os.getpid())
         return RecorderStatus(
             path=str(self._bag.path),
             files=self._bag.n_files,
@@ -71,8 +72,8 @@ class RecordingStatus:
             ],
             lag=self._pace.report(),
             behind=self._behind,
-            cpu_seconds=used.ru_utime + used.ru_stime,
-            memory=used.ru_maxrss * 1024,  # Linux counts in KiB
+            cpu_seconds=used.cpu,
+            memory=used.peak,
             stopped=stopped,
             text=text,
         )

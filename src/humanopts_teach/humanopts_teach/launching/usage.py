@@ -1,4 +1,8 @@
-"""What a process uses of the machine, as Linux tells it."""
+"""
+What a process uses of the machine, as Linux tells it.
+
+What ``getrusage`` tells of memory begins with that of the program that started the process.
+"""
 
 from dataclasses import dataclass
 import os
