@@ -1,6 +1,7 @@
 """What a bag says: demonstrations, domain, episodes, what is missing, and the summary."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 import json
 import math
 from pathlib import Path
@@ -28,7 +29,7 @@ from humanopts_teach.bags.episodes import Played, read_episodes
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import count_loss, summarise
 from humanopts_teach.bags.loss import MOST_GAPS, Stream
-from humanopts_teach.bags.played import Actors
+from humanopts_teach.bags.played import Actors, read_actors
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.stamps import read_stamp, Stamp
 from humanopts_teach.bags.writer import BagWriter
@@ -303,6 +304,31 @@ def test_the_film_of_modules_tells_which_of_them_acted(tmp_path: Path, taxi: Dom
     frames = bag_parts(write(tmp_path / 'bag', entries)).frames
     assert [frame.option for frame in frames] == ['', 'down', 'left', 'action:west']
     assert [frame.ends_run for frame in frames] == [False, False, False, True]
+
+
+def test_messages_whose_definition_is_another_are_left_out_and_said(
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+) -> None:
+    whole = write(
+        tmp_path / 'whole',
+        [
+            *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
+            ('/domain_info', domain_to_info(taxi)),
+            ('/demonstrations', demonstration_to_message(taxi_lesson[0])),
+            ('/action', ActionCommand()),
+        ],
+    )
+    bag = Bag(whole.path, whole._files, {}, [])
+    for name, topic in list(bag.topics.items()):
+        schema = re.sub('(publisher_id|domain|step) ', r'x\1 ', topic.schema)
+        bag.topics[name] = replace(topic, schema=schema)
+    assert list(read_episodes(bag)) == []
+    assert summarise(bag).episodes == 0
+    assert read_demonstrations(bag) == []
+    assert read_actors(bag).name('', 0) == ''
+    with pytest.raises(BagError, match='does not say which domain'):
+        read_domain(bag)
+    assert len(bag.damage.splitlines()) >= 4
 
 
 def test_info_tells_when_each_criterion_held_first_and_how_it_developed(tmp_path: Path) -> None:

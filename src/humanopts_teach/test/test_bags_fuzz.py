@@ -189,7 +189,7 @@ def numbers_of_info(bag: Bag) -> tuple[dict[str, Any], bool]:
     info.to_text()
     told = info.to_dict()
     warned = bool(info.damage) or any(s.missing or s.duplicates for s in info.streams)
-    return {k: v for k, v in told.items() if k not in ('path', 'bytes', 'damage')}, warned
+    return {k: v for k, v in told.items() if k not in ('path', 'files', 'bytes', 'damage')}, warned
 
 
 def numbers_of_eval(bag: Bag) -> tuple[Any, bool]:

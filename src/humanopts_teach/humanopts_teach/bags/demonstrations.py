@@ -31,10 +31,11 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
     found = []
     for recorded in bag.messages(topics):
         if recorded.message is not None:
-            try:
-                found.append(demonstration_from_message(recorded.message))
-            except DemonstrationError as error:
-                bag.note(f'a message on {recorded.topic} is left out: {error}')
+            with bag.taking(recorded.topic):
+                try:
+                    found.append(demonstration_from_message(recorded.message))
+                except DemonstrationError as error:
+                    bag.note(f'a message on {recorded.topic} is left out: {error}')
     return found
 
 
@@ -45,8 +46,12 @@ def read_domain(bag: Bag) -> Domain[Any]:
     :raises BagError: the bag does not say, or says several, or it is not installed here.
     """
     topics = bag.of_type(DOMAIN_INFO)
-    infos = [r.message for r in bag.messages(topics) if r.message is not None] if topics else []
-    played = sorted({(info.domain, info.parameters) for info in infos})
+    found = set()
+    for recorded in bag.messages(topics) if topics else ():
+        if (info := recorded.message) is not None:
+            with bag.taking(recorded.topic):
+                found.add((info.domain, info.parameters))
+    played = sorted(found)
     if not played:
         raise BagError(f'{bag.path} does not say which domain was played (no domain_info)')
     if len(played) > 1:

@@ -4,7 +4,7 @@ from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 import math
-from typing import Any, overload
+from typing import overload
 
 from humanopts_env.game import Moment, moment_from_message
 from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
@@ -89,7 +89,10 @@ class Games:
         """Return who sent a state, its episode and step; None: it is damaged."""
         if not self._places[recorded.topic]:
             state = self._bag.decode(recorded.topic, recorded.data)
-            return None if state is None else (state.publisher_id, state.episode, state.step)
+            if state is not None:
+                with self._bag.taking(recorded.topic):
+                    return state.publisher_id, state.episode, state.step
+            return None
         stamp, place = read_stamp(recorded.data), read_place(recorded.data)
         if stamp is None or place is None:
             self._bag.note(f'a message on {recorded.topic} does not decode')
@@ -156,9 +159,13 @@ class Played(Sequence[Episode]):
         raise IndexError(f'nothing of episode {place + 1} can be read')
 
 
-def last_state(bag: Bag, group: Group) -> Any:
-    """Return the last state of an episode, decoded; None: it is damaged."""
-    return bag.decode(group.topic, group.states[max(group.states)])
+def is_ended(bag: Bag, group: Group) -> bool:
+    """Tell whether the last state of an episode, as far as it can be read, is its end."""
+    last = bag.decode(group.topic, group.states[max(group.states)])
+    if last is not None:
+        with bag.taking(group.topic):
+            return bool(last.terminated or last.truncated)
+    return False
 
 
 def _topics(bag: Bag) -> list[str]:
@@ -179,7 +186,8 @@ def _moments(bag: Bag, group: Group) -> Iterator[Moment]:
     for step in sorted(group.states):
         state = bag.decode(group.topic, group.states[step])
         if state is not None:
-            try:
-                yield moment_from_message(state)
-            except ValueError as error:
-                bag.note(f'a message on {group.topic} is left out: {error}')
+            with bag.taking(group.topic):
+                try:
+                    yield moment_from_message(state)
+                except ValueError as error:
+                    bag.note(f'a message on {group.topic} is left out: {error}')

@@ -15,7 +15,7 @@ from humanopts_learner.demonstrations import (
     Kind,
 )
 from humanopts_teach.bags.demonstrations import DEMONSTRATION, DOMAIN_INFO
-from humanopts_teach.bags.episodes import GAME_STATE, Games, Group, last_state
+from humanopts_teach.bags.episodes import GAME_STATE, Games, Group, is_ended
 from humanopts_teach.bags.loss import Ledger
 from humanopts_teach.bags.reader import Bag, Recorded
 from humanopts_teach.bags.schemas import constants
@@ -108,7 +108,8 @@ class _Survey:
         if handler is not None:
             message = self._bag.decode(recorded.topic, recorded.data)
             if message is not None:
-                handler(recorded, message)
+                with self._bag.taking(recorded.topic):
+                    handler(recorded, message)
 
     def result(self) -> BagInfo:
         """Return what was collected."""
@@ -184,9 +185,8 @@ class _Survey:
     def _episode(self, group: Group | None) -> None:
         """Count an episode that is over."""
         if group is not None:
-            state = last_state(self._bag, group)
             self._episodes += 1
-            self._episodes_ended += state is not None and (state.terminated or state.truncated)
+            self._episodes_ended += is_ended(self._bag, group)
 
     def _status(self, recorded: Recorded, message: Any) -> None:
         for option in message.options:

@@ -80,7 +80,8 @@ def read_actors(bag: Bag, between: tuple[int, int] = ALWAYS) -> Actors:
     for recorded in _of_type(bag, ACTION_COMMAND, between):
         if (command := recorded.message) is not None:
             name = getattr(command, 'option_name', '')  # older versions have no such field
-            actors.add(command.publisher_id, command.sequence, name)
+            with bag.taking(recorded.topic):
+                actors.add(command.publisher_id, command.sequence, name)
     return actors
 
 
@@ -103,18 +104,25 @@ def source_of(moment: Moment) -> str:
 def read_beginnings(bag: Bag) -> Beginnings:
     """Return how episodes were begun, where it is known."""
     asked: dict[tuple[Any, ...], Any] = {}
-    found = {}
+    found: Beginnings = {}
     for recorded in _of_type(bag, RESET_EVENT):
-        if (event := recorded.message) is None:
-            continue
-        call = (recorded.topic, tuple(event.info.client_gid), event.info.sequence_number)
-        if event.info.event_type == _REQUEST and event.request:
-            asked[call] = event.request[0]
-        elif event.info.event_type == _RESPONSE and event.response and call in asked:
-            request, answer = asked.pop(call), event.response[0]
-            key = (recorded.topic.removesuffix(_EVENTS), answer.episode, answer.state)
-            found[key] = Beginning(int(request.seed), request.start_state)
+        if recorded.message is not None:
+            with bag.taking(recorded.topic):
+                _take_event(recorded.topic, recorded.message, asked, found)
     return found
+
+
+def _take_event(
+    topic: str, event: Any, asked: dict[tuple[Any, ...], Any], found: Beginnings
+) -> None:
+    """Keep a request until it is answered."""
+    call = (topic, tuple(event.info.client_gid), event.info.sequence_number)
+    if event.info.event_type == _REQUEST and event.request:
+        asked[call] = event.request[0]
+    elif event.info.event_type == _RESPONSE and event.response and call in asked:
+        request, answer = asked.pop(call), event.response[0]
+        key = (topic.removesuffix(_EVENTS), answer.episode, answer.state)
+        found[key] = Beginning(int(request.seed), request.start_state)
 
 
 def _of_type(bag: Bag, type_name: str, between: tuple[int, int] = ALWAYS) -> Iterable[Recorded]:

@@ -2,7 +2,7 @@
 
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -152,6 +152,14 @@ class Bag:
         except BagError as error:
             self.note(f'a message on {topic} is left out: {error}')
             return None
+
+    @contextmanager
+    def taking(self, topic: str) -> Iterator[None]:
+        """Leave a message out, and note it, where its definition lacks what is asked of it."""
+        try:
+            yield
+        except AttributeError as error:
+            self.note(f'a message on {topic} is left out: {error}')
 
     def note(self, damage: str) -> None:
         """Keep what was found to be wrong, once."""
