@@ -349,9 +349,11 @@ def test_a_demonstration_less_changes_the_offline_numbers(
             assert {'n_demonstrations', 'mean_return_demonstrations'} <= changed
 
 
+@pytest.mark.slow
 def test_same_seed_teaches_the_same_again(
     demo: DemoRun, bag: Bag, tmp_path: Path, domain_id: int
 ) -> None:
+    """The quick form, with the lesson in one process, is in test_reproduce.py."""
     again = run_demo(tmp_path, domain_id, '--seed', 1, '--episodes', 1)
     assert (again.status, again.errors) == (0, '')
     assert again.summary['options'] == demo.summary['options']

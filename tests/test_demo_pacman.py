@@ -14,6 +14,7 @@ TAUGHT = [
     'go to the nearest power pellet',
     'eat the ghost',
 ]
+pytestmark = pytest.mark.timeout(300)
 SECONDS = {'table_seconds', 'model_seconds', 'sweep_seconds'}
 
 
@@ -77,6 +78,7 @@ RANDOM_CHOICE = 'random choice, 4 options'
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_whole_demo_compares_every_way_to_play(
     tmp_path_factory: pytest.TempPathFactory, domain_id: int
 ) -> None:

@@ -159,7 +159,7 @@ def test_two_namespaces_work_side_by_side(up: Up, live: Graph) -> None:
     for command in both.values():
         command.send(signal.SIGINT)
     for command in both.values():
-        assert command.ended(15.0) == 0
+        assert command.ended(30.0) == 0
         assert (command.errors, command.running()) == ('', {})
 
 

@@ -147,17 +147,17 @@ def test_a_server_that_is_found_after_the_call_still_answers(shared: Graph) -> N
     try:
         executor.add_node(asker)
         client = asker.create_client(Trigger, 'late')
-        task = executor.create_task(asker.answer(client, Trigger.Request(), 5.0))
+        task = executor.create_task(asker.answer(client, Trigger.Request(), 20.0))
         for _ in range(3):
             executor.spin_once(0.05)
         assert not task.done()
         server.create_service(Trigger, 'late', answer)
         executor.add_node(server)
-        executor.spin_until_future_complete(task, 10.0)
+        executor.spin_until_future_complete(task, 20.0)
         assert task.result().message == 'here'
         nobody = asker.create_client(Trigger, 'nobody')
         task = executor.create_task(asker.answer(nobody, Trigger.Request(), 0.2))
-        executor.spin_until_future_complete(task, 10.0)
+        executor.spin_until_future_complete(task, 20.0)
         assert task.result() is None
     finally:
         executor.shutdown()

@@ -12,7 +12,7 @@ from humanopts_teach.bags.reader import Bag, open_bag
 import pytest
 
 SHOWN = 3  # demonstrations on disk before anything happens
-PATIENCE = 15.0  # s for a demo to end; it takes about one
+PATIENCE = 30.0  # s for a demo to end; it takes about one
 DISK = 300_000  # bytes; a demo's bag alone is about twice as large
 Start = Callable[..., Command]
 

@@ -360,7 +360,7 @@ def test_an_option_server_that_is_ended_answers_who_waits(runs: Runs, server: No
         OptionResult.STATUS_FAILED,
         'it failed: option_server stops',
     )
-    assert (server.ended(5.0), 'Traceback' in server.said()) == (0, False)
+    assert (server.ended(), 'Traceback' in server.said()) == (0, False)
 
 
 @pytest.fixture
@@ -380,7 +380,7 @@ def test_who_waits_for_a_state_is_answered_when_the_option_server_ends(alone: Gr
     server.process.send_signal(signal.SIGTERM)
     _, result = goal.result()
     assert result.status == OptionResult.STATUS_NO_EPISODE
-    assert server.ended(5.0) == 0
+    assert server.ended() == 0
 
 
 def test_options_that_the_learner_published_before_are_served(alone: Graph) -> None:

@@ -80,7 +80,7 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_no_process(tmp_path: Path, domain_i
     command = Command(arguments, tmp_path, domain_id)
     command.until(lambda: len(command.running()) >= 2, 'two processes compute')
     command.send(signal.SIGINT)
-    assert command.ended(20) == 130
+    assert command.ended(30) == 130
     assert 'goes on from here' in command.errors
     assert 'Traceback' not in command.errors
     command.gone(20)  # a helper of joblib ends after the others

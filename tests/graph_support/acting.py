@@ -4,7 +4,7 @@ from typing import Any
 
 from humanopts_env.nodes.qos import LATCHED
 from humanopts_interfaces.msg import ActionCommand, ExecutionState, OptionResult, PolicyResult
-from humanopts_interfaces.srv import RunOption, SetExecution
+from humanopts_interfaces.srv import ListOptions, RunOption, SetExecution
 
 from graph_support.live import Goal, Graph
 from graph_support.planning import Planning, start_planning
@@ -25,6 +25,7 @@ class Acting:
         self.commands: list[ActionCommand] = graph.listen(ActionCommand, 'action')
         self.runs: list[OptionResult] = graph.listen(OptionResult, 'option_results')
         self.executions = graph.listen(ExecutionState, 'execution', LATCHED)
+        graph.ask(ListOptions, 'list_options')  # who answers has found the readers made before
         planning.teach(touring())
         self.plan_id = planning.plan('human').plan_id
 
