@@ -261,17 +261,17 @@ def open_bag(path: Path | str, on_read: OnRead = silent) -> Bag:
     :param on_read: told how far every pass over the bag is, beginning with a scan where it has no
         index.
     :raises BagError: there is nothing, it is empty, was written by another program, or holds no
-        humanopts topics.
+        humanopts topics and was not begun by our recorder.
     """
     path = Path(path)
     found = find_files(path)
     files, damage = _indexes(found.files, on_read)
     bag = Bag(path, files, found.information, [*found.damage, *damage])
     bag.on_read = on_read
-    if not bag.topics:
+    if not bag.topics and RECORD not in bag.metadata:  # ours may have been killed at once
         reason = f' ({bag.damage})' if bag.damage else ''
         raise BagError(f'{path} holds no messages{reason}')
-    if not any(topic.type.startswith(INTERFACES) for topic in bag.topics.values()):
+    if bag.topics and not any(t.type.startswith(INTERFACES) for t in bag.topics.values()):
         raise BagError(f'{path} holds no humanopts topics: it is a recording of something else')
     return bag
 

@@ -158,6 +158,7 @@ class BagInfo:
 
     def _head(self) -> str:
         begun = datetime.fromtimestamp(self.start / 1e9, UTC).strftime('%Y-%m-%d %H:%M:%S UTC')
+        begun = begun if self.messages else 'nothing was recorded'
         pairs = [
             ('bag', self.path),
             *(('DAMAGED', line) for line in self.damage.splitlines()),
