@@ -307,7 +307,7 @@ def test_the_leading_messages_of_a_large_chunk_that_was_cut_are_saved(tmp_path: 
     write(path, list(range(1, 241)), flush_every=0, size=1000)
     whole = contents(path)
     start, end = chunk_at(path, 0)
-    assert end - start > 128 * 1024  # zstd compresses it in several parts
+    assert end - start > 64 * 1024  # of two parts that zstd compresses, 128 KiB before that
     change(path, lambda data: data.__delitem__(slice(end - 10, None)))
     found = contents(path)
     assert 100 < len(found) < 480
