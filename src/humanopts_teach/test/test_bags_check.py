@@ -16,10 +16,12 @@ from humanopts_teach.bags.repair import REPAIR, repair
 from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
 from humanopts_teach.cli import main
 from mcap.reader import make_reader
+from mcap.writer import Writer
 import pytest
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
+import yaml
 
 GAME = 'humanopts_interfaces/msg/GameState'
 TEXT = 'std_msgs/msg/String'
@@ -217,6 +219,42 @@ def test_a_repaired_bag_is_whole_for_other_tools(bag: Path, tmp_path: Path) -> N
     out = open_bag(tmp_path / 'out')
     assert out.metadata['humanopts'] == {'seed': '7'}
     assert 'damaged and left out' in out.metadata[REPAIR]['damage']
+
+
+def test_what_a_repaired_bag_lacks_is_still_counted(bag: Path, tmp_path: Path) -> None:
+    flip_in_chunk(bag)
+    before = numbers(bag)
+    assert before == {'/game#1': (100, 90, 10, 0, 0), RECORDER: (100, 90, 10, 0, 0)}
+    repair(open_bag(bag), tmp_path / 'out')
+    assert numbers(tmp_path / 'out') == before
+    repair(open_bag(tmp_path / 'out'), tmp_path / 'again')
+    assert numbers(tmp_path / 'again') == before
+
+
+def test_a_damaged_attachment_is_named_in_a_file_without_an_index(bag: Path) -> None:
+    flip_in_attachment(bag)
+    change(bag, lambda data: data.__delitem__(slice(-100, None)))
+    assert any('attachment options.json' in text for text in check_bag(open_bag(bag)).damage)
+
+
+def test_a_whole_bag_of_another_recorder_is_whole(bag: Path) -> None:
+    name = 'bag_0.mcap'
+    information = yaml.safe_load((bag / 'metadata.yaml').read_text())
+    information['rosbag2_bagfile_information']['custom_data'] = None  # as ros2 bag writes it
+    (bag / 'metadata.yaml').write_text(yaml.safe_dump(information))
+    old = (bag / name).rename(bag.parent / name)
+    with old.open('rb') as source, (bag / name).open('wb') as stream:
+        reader, writer = make_reader(source), Writer(stream)
+        writer.start('ros2', 'another')
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+            to = writer.register_channel(channel.topic, 'cdr', kind)
+            writer.add_message(to, message.log_time, message.data, message.publish_time)
+        told = yaml.safe_dump(information['rosbag2_bagfile_information'])
+        writer.add_metadata('rosbag2', {'serialized_metadata': told})
+        writer.finish()
+    assert check_bag(open_bag(bag)).findings == ()
 
 
 def test_a_repair_needs_no_definitions_installed(

@@ -145,7 +145,7 @@ def test_episodes_come_back_in_order_and_once(tmp_path: Path, taxi: Domain[Any])
     (episode,) = read_episodes(write(tmp_path / 'bag', entries))
     assert list(episode.moments) == moments
     assert (episode.number, episode.complete) == (1, False)
-    assert episode.total_reward == -3.0
+    assert sum(moment.reward for moment in episode.moments) == -3.0
 
 
 def test_a_restarted_game_makes_new_episodes(tmp_path: Path, taxi: Domain[Any]) -> None:
@@ -185,7 +185,7 @@ def test_a_stream_counts_like_a_set(numbers: list[int]) -> None:
     distinct, last = set(numbers), max(numbers)
     assert (stream.first, stream.last, stream.received) == (min(distinct), last, len(distinct))
     assert stream.duplicates == len(numbers) - len(distinct)
-    gaps = [n for low, high in stream.gaps for n in range(low, high + 1)]
+    gaps = [n for low, high in stream._gaps for n in range(low, high + 1)]
     assert gaps == [n for n in range(1, last) if n not in distinct]
     assert stream.missing == len(gaps)
 
@@ -255,7 +255,9 @@ def test_the_summary_counts_what_was_taught_and_done(
     assert info.messages == len(entries)
     assert info.duration == (len(entries) - 1) * 10**9
     assert info.missing == 0
-    assert json.loads(info.to_json())['options'][0]['option'] == PICKUP
+    assert (
+        json.loads(json.dumps(info.to_dict(), allow_nan=False))['options'][0]['option'] == PICKUP
+    )
     text = info.to_text()
     assert 'option runs: interrupted 1, reached 2, stopped_by_plan 1' in text
     assert 'policy runs: 5 options stopped by the plan, 1 changes of execution' in text
@@ -353,8 +355,18 @@ def test_info_tells_when_each_criterion_held_first_and_how_it_developed(tmp_path
         *((1, None, 0.0), (2, 0.3, 1.0), (3, 0.05, 3.0), (4, 0.2, 4.0)),
     ]
     assert row.first_met == row.points[2]
-    assert json.loads(info.to_json())['criteria'][0]['points'][2]['met']
+    assert json.loads(json.dumps(info.to_dict(), allow_nan=False))['criteria'][0]['points'][2][
+        'met'
+    ]
     assert re.search(r'initiation +0\.1 +3 shown, 0 not here +3\.0 +0\.05 +0\.2\n', info.to_text())
+
+
+def test_a_criterion_that_held_without_a_value_is_told_so(tmp_path: Path) -> None:
+    criterion = Criterion(name='return', value=math.nan, threshold=0.1, met=True)
+    option = OptionStatus(participant='p1', option_name=PICKUP, criteria=[criterion])
+    status = LearningStatus(options=[option])
+    info = summarise(write(tmp_path / 'bag', [('/learning_status', status)]))
+    assert re.search(r'return +0\.1 +0 shown, 0 not here +0\.0 +- +-\n', info.to_text())
 
 
 def test_info_lists_attached_files_and_what_the_recorder_was_told(tmp_path: Path) -> None:
@@ -403,6 +415,18 @@ def test_episodes_that_are_read_when_asked_for_are_those_that_are_read_in_order(
         played[4]
 
 
+def test_an_episode_of_which_nothing_can_be_read_has_no_place(
+    tmp_path: Path, taxi: Domain[Any]
+) -> None:
+    entries = games(taxi)
+    for _, state in entries[3:5]:
+        state.action_source = 77
+    bag = write(tmp_path / 'bag', entries)
+    assert [episode.number for episode in read_episodes(bag)] == [1, 3, 1]
+    assert list(Played(bag)) == list(read_episodes(bag))
+    assert '77 is not a valid Source' in bag.damage
+
+
 def test_a_state_after_a_later_episode_is_left_out_and_said(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
@@ -432,4 +456,4 @@ def test_more_gaps_than_are_kept_hide_no_loss() -> None:
     lost = stream.missing
     stream.add(1)  # so late that its gap is not kept
     assert (stream.missing, stream.duplicates, stream.late) == (lost, 1, 0)
-    assert len(stream.gaps) <= 2 * MOST_GAPS
+    assert len(stream._gaps) <= 2 * MOST_GAPS

@@ -4,11 +4,13 @@ from collections.abc import Callable
 import os
 from pathlib import Path
 import resource
+import shutil
 import subprocess
 import sys
 from typing import Any
 
-from humanopts_interfaces.msg import GameState
+from humanopts_interfaces.msg import ActionCommand, GameState
+from humanopts_teach.bags import order
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.errors import BagError, BagWriteError
 from humanopts_teach.bags.info import summarise
@@ -44,7 +46,6 @@ class Block:
         if name.split('.')[0] in {'rclpy', 'humanopts_interfaces', 'std_msgs', 'rosbags'}:
             raise ImportError(f'{name} is not there')
 sys.meta_path.insert(0, Block())
-from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.bags.repair import repair
@@ -244,11 +245,10 @@ def test_messages_come_in_order_of_time_whatever_the_order_of_writing(tmp_path: 
 
 def test_reading_holds_few_chunks_at_a_time(tmp_path: Path, monkeypatch: Any) -> None:
     write_states(tmp_path / 'bag', 200, flush_every=2).close()
-    opened = open_bag(tmp_path / 'bag')
     read: list[int] = []
-    original = opened._read
-    monkeypatch.setattr(opened, '_read', lambda *args: read.append(1) or original(*args))
-    messages = opened.messages(decoded=False)
+    original = order.read_messages
+    monkeypatch.setattr(order, 'read_messages', lambda *args: read.append(1) or original(*args))
+    messages = open_bag(tmp_path / 'bag').messages(decoded=False)
     for _ in range(20):
         next(messages)
     assert len(read) <= 12  # of 100
@@ -327,20 +327,50 @@ def test_a_damaged_index_is_done_without(bag: Path, data: bytes) -> None:
     assert 'index' in opened.damage
 
 
-def test_messages_outside_chunks_are_read(tmp_path: Path) -> None:
-    file = tmp_path / 'plain.mcap'
-    schema = open_schema(tmp_path)
+def write_by_another(file: Path, count: int, **how: Any) -> None:
+    """Write game states as another program does."""
+    schema = open_schema(file.parent)
     with file.open('wb') as stream:
-        writer = Writer(stream, use_chunking=False, compression=CompressionType.NONE)
+        writer = Writer(stream, **how)
         writer.start(profile='ros2')
         channel = writer.register_channel(
             '/game_state', 'cdr', writer.register_schema(GAME, 'ros2msg', schema)
         )
-        for step in range(5):
+        for step in range(count):
             writer.add_message(channel, step, state(step), step)
         writer.finish()
+
+
+PLAIN = {'use_chunking': False, 'compression': CompressionType.NONE}
+
+
+@pytest.mark.parametrize(
+    'how',
+    [PLAIN, {'repeat_channels': False}, {'repeat_schemas': False}, {'use_statistics': False}],
+    ids=['no chunks', 'no topics at the end', 'no types at the end', 'no counts'],
+)
+def test_files_whose_end_tells_less_are_read_and_whole(tmp_path: Path, how: Any) -> None:
+    file = tmp_path / 'other.mcap'
+    write_by_another(file, 5, **how)
     assert steps(file) == [0, 1, 2, 3, 4]
     assert open_bag(file).damage == ''
+
+
+def test_a_scan_of_messages_outside_chunks_tells_how_far_it_is(tmp_path: Path) -> None:
+    file, told = tmp_path / 'plain.mcap', list[int]()
+    write_by_another(file, 50, **PLAIN)
+    open_bag(file, lambda done, _: told.append(done))
+    assert told == sorted(told)
+    assert len(told) > 50
+
+
+def test_a_topic_that_is_defined_in_two_ways_is_said(tmp_path: Path) -> None:
+    for name, message in (('bag', GameState()), ('other', ActionCommand())):
+        with BagWriter(tmp_path / name) as writer:
+            writer.add_topic('/x', f'humanopts_interfaces/msg/{type(message).__name__}')
+            writer.write('/x', serialize_message(message), 1)
+    shutil.copy(tmp_path / 'other' / 'other_0.mcap', tmp_path / 'bag' / 'bag_1.mcap')
+    assert '/x is defined in several ways' in open_bag(tmp_path / 'bag').damage
 
 
 def open_schema(tmp_path: Path) -> bytes:

@@ -3,11 +3,12 @@
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-import math
 from typing import overload
 
 from humanopts_env.game import Moment, moment_from_message
-from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
+from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.order import ALWAYS
+from humanopts_teach.bags.reader import Bag, Recorded
 from humanopts_teach.bags.stamps import read_place, read_stamp, tells_place
 
 GAME_STATE = 'humanopts_interfaces/msg/GameState'
@@ -31,11 +32,6 @@ class Episode:
         last = self.moments[-1]
         return numbers == list(range(len(numbers))) and (last.terminated or last.truncated)
 
-    @property
-    def total_reward(self) -> float:
-        """Undiscounted return of what was recorded."""
-        return math.fsum(moment.reward for moment in self.moments)
-
 
 @dataclass
 class Group:
@@ -45,7 +41,7 @@ class Group:
     publisher_id: str
     number: int
     first: int  # log time, ns
-    last: int
+    last: int = 0
     states: dict[int, bytes] = field(default_factory=dict)  # CDR by step
 
 
@@ -76,9 +72,10 @@ class Games:
             return None
         group = before
         if group is None or episode > group.number:
-            group = self._under_way[game] = Group(*game, episode, recorded.log_time, 0)
+            group = self._under_way[game] = Group(*game, episode, recorded.log_time)
         group.states[step] = recorded.data
-        group.last = recorded.log_time
+        group.first = min(group.first, recorded.log_time)
+        group.last = max(group.last, recorded.log_time)
         return None if group is before else before
 
     def rest(self) -> Iterator[Group]:
@@ -122,11 +119,13 @@ class Played(Sequence[Episode]):
     """The episodes in a bag in the order of ``read_episodes``, each read when it is asked for."""
 
     def __init__(self, bag: Bag) -> None:
-        """Read where the episodes are."""
+        """Read where the episodes are of which something can be read."""
         self._bag = bag
         self._games: dict[tuple[str, str], int] = {}
         self._where = array('q')  # game, number, first and last log time, four for each episode
         for group in _groups(bag, ALWAYS):
+            if next(_moments(bag, group), None) is None:
+                continue
             game = self._games.setdefault((group.topic, group.publisher_id), len(self._games))
             self._where.extend((game, group.number, group.first, group.last))
 
@@ -144,7 +143,8 @@ class Played(Sequence[Episode]):
         """
         Read an episode, or several.
 
-        :raises IndexError: there is none, or nothing of it can be decoded.
+        :raises IndexError: there is none.
+        :raises BagError: it cannot be read any more.
         """
         if isinstance(place, slice):
             return [self[each] for each in range(*place.indices(len(self)))]
@@ -156,7 +156,7 @@ class Played(Sequence[Episode]):
         )
         for episode in found:
             return episode
-        raise IndexError(f'nothing of episode {place + 1} can be read')
+        raise BagError(f'{self._bag.path}: episode {place + 1} cannot be read any more')
 
 
 def is_ended(bag: Bag, group: Group) -> bool:

@@ -153,10 +153,16 @@ def _from_summary(path: Path, stream: BinaryIO) -> FileIndex:
             index.add(_metadata(stream, MetadataIndex.read(part)))
         elif (record := describe(opcode, content[start:end])) is not None:
             index.add(record)
-    if not counted or not chunks:
+    if not counted or not chunks or not _describes_all(index):
         raise _NoIndexError
     index.blocks.extend(_block(index, stream, chunk) for chunk in chunks)
     return index
+
+
+def _describes_all(index: FileIndex) -> bool:
+    """Tell whether topics and types of all messages are there, which some programs leave out."""
+    channels = [index.channels.get(channel) for channel in index.counts]
+    return all(channel and channel.schema_id in {0, *index.schemas} for channel in channels)
 
 
 def _block(index: FileIndex, stream: BinaryIO, content: bytes) -> Block:

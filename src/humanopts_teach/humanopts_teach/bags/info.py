@@ -94,7 +94,7 @@ class _Survey:
     def add(self, recorded: Recorded) -> None:
         """Take in one message."""
         self._first = self._first or recorded.log_time
-        self._last = recorded.log_time
+        self._last = max(self._last, recorded.log_time)
         self._counts[recorded.topic] += 1
         if recorded.topic in self._stamped:
             stamp = read_stamp(recorded.data)

@@ -47,11 +47,6 @@ class Stream:
         """Number of messages that were sent and not received."""
         return self.last - self.received
 
-    @property
-    def gaps(self) -> list[tuple[int, int]]:
-        """First and last number of the runs of missing messages that are kept."""
-        return list(self._gaps)
-
     def _fill(self, sequence: int) -> bool:
         """Take a late message out of its gap; False: it was received before."""
         at = bisect_right(self._gaps, (sequence, self.last)) - 1

@@ -8,7 +8,8 @@ from typing import Any
 
 from humanopts_env.game import Moment, Source
 from humanopts_teach.bags.episodes import Episode
-from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
+from humanopts_teach.bags.order import ALWAYS
+from humanopts_teach.bags.reader import Bag, Recorded
 
 ACTION_COMMAND = 'humanopts_interfaces/msg/ActionCommand'
 RESET_EVENT = 'humanopts_interfaces/srv/ResetGame_Event'

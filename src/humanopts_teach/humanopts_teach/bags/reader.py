@@ -1,27 +1,23 @@
-"""Reads rosbag2 directories and MCAP files, whole or damaged, in bounded memory."""
+"""Opens rosbag2 directories and MCAP files, whole or damaged."""
 
-from bisect import bisect_left
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, ExitStack
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
-from humanopts_teach.bags.blocks import Attached, Block, DAMAGE, FileIndex, read_messages, Stored
+from humanopts_teach.bags.blocks import Attached, FileIndex
 from humanopts_teach.bags.decoding import decode, Decoder, make_decoder
 from humanopts_teach.bags.directory import find_files, load
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.file import LIBRARY, RECORD, SELF, SELF_TEXT
 from humanopts_teach.bags.index import data_fits, read_attachment, read_index
 from humanopts_teach.bags.metadata import FILE
-from mcap.records import Attachment
+from humanopts_teach.bags.order import ALWAYS, OnRead, Pass, Passage, silent
+from mcap.records import Attachment, Schema
 
 INTERFACES = 'humanopts_interfaces/'
-MOST_WAITING = 64 << 20  # bytes of messages that are put in order of time at once
-ALWAYS = (0, 2**64)  # log times
-_EACH = 300  # bytes that a message takes in memory apart from its data
-OnRead = Callable[[int, int], object]  # bytes that a pass over a bag is through, of how many
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +54,11 @@ class Bag:
         self.information = information  # of metadata.yaml; {}: there is none
         self.on_read: OnRead = silent  # told how far every pass is
         self._files = files
-        self._passage = _Passage(self.files)
+        self._passage = Passage(self.files)
         self._damage = dict.fromkeys([*damage, *(text for file in files for text in file.damage)])
         self._decoders: dict[str, Decoder] = {}
         self.topics = _topics(files)
+        self._compare_topics()
         self._compare_facts()
 
     @property
@@ -127,20 +124,25 @@ class Bag:
         :param decoded: fill in ``Recorded.message``.
         :param between: first and last log time, ns.
         """
-        with ExitStack() as stack:
-            streams = [stack.enter_context(file.path.open('rb')) for file in self._files]
-            for stored in self._in_order(streams, topics, between):
-                channel = self._files[stored.file].channels[stored.channel]
-                topic = self.topics[channel.topic]
-                yield Recorded(
-                    topic.name,
-                    topic.type,
-                    stored.log_time,
-                    stored.publish_time,
-                    stored.sequence,
-                    stored.data,
-                    self.decode(topic.name, stored.data) if decoded else None,
-                )
+        found = Pass(
+            self._files,
+            [self._wanted(file, topics) for file in self._files],
+            between,
+            partial(self._passage.tell, self.on_read),
+            self.note,
+        )
+        for stored in found.messages():
+            channel = self._files[stored.file].channels[stored.channel]
+            topic = self.topics[channel.topic]
+            yield Recorded(
+                topic.name,
+                topic.type,
+                stored.log_time,
+                stored.publish_time,
+                stored.sequence,
+                stored.data,
+                self.decode(topic.name, stored.data) if decoded else None,
+            )
 
     def decode(self, topic: str, data: bytes) -> Any:
         """Decode a message of a topic; None: its bytes are damaged, which ``damage`` then says."""
@@ -165,8 +167,18 @@ class Bag:
         """Keep what was found to be wrong, once."""
         self._damage[damage] = None
 
+    def _compare_topics(self) -> None:
+        """Note where messages on one topic are of several types."""
+        for file in self._files:
+            for channel in file.channels.values():
+                topic, schema = self.topics.get(channel.topic), file.schemas.get(channel.schema_id)
+                if topic and schema and (topic.type, topic.schema) != _definition(schema):
+                    self.note(f'{topic.name} is defined in several ways, and read by the last')
+
     def _compare_facts(self) -> None:
-        """Note where two places tell differently what the recorder was told."""
+        """Note where two places tell differently what our recorder was told."""
+        if not self.numbered:
+            return
         told = self.metadata.get(RECORD, {})
         for file in self._files:
             if file.metadata.get(RECORD, told) != told:
@@ -178,38 +190,8 @@ class Bag:
         except ValueError:
             self.note(f'the record {SELF} is damaged')
         for place, copy in copies.items():
-            if copy.get('custom_data', {}) != told:
+            if (copy.get('custom_data') or {}) != told:
                 self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
-
-    def _in_order(
-        self,
-        streams: Sequence[BinaryIO],
-        topics: Collection[str] | None,
-        between: tuple[int, int],
-    ) -> Iterator[Stored]:
-        """Yield messages by time; where blocks overlap in time, those of several are held."""
-        wanted = [self._wanted(file, topics) for file in self._files]
-        first, last = between
-        blocks = sorted(
-            (block.start, number, block.offset, block)
-            for number, file in enumerate(self._files)
-            for block in file.blocks
-            if block.start <= last
-            and block.end >= first
-            and not block.channels.isdisjoint(wanted[number])
-        )
-        waiting: list[Stored] = []
-        for (_, number, offset, block), after in zip(blocks, [*blocks[1:], None]):
-            self._passage.tell(self.on_read, number, offset)
-            found = self._read(streams[number], number, block, wanted[number])
-            waiting += found if between is ALWAYS else (m for m in found if first <= m[0] <= last)
-            waiting.sort()
-            due = len(waiting) if after is None else bisect_left(waiting, after[:3])
-            if due < len(waiting) and _size(waiting[due:]) > MOST_WAITING:
-                self.note('its messages are so far out of order that they are read as they come')
-                due = len(waiting)
-            yield from waiting[:due]
-            del waiting[:due]
 
     def _wanted(self, file: FileIndex, topics: Collection[str] | None) -> frozenset[int]:
         return frozenset(
@@ -217,38 +199,6 @@ class Bag:
             for channel in file.channels.values()
             if channel.topic in self.topics and (topics is None or channel.topic in topics)
         )
-
-    def _read(
-        self, stream: BinaryIO, number: int, block: Block, wanted: frozenset[int]
-    ) -> list[Stored]:
-        try:
-            return read_messages(stream, block, wanted, number)
-        except DAMAGE as error:
-            name = self._files[number].path.name
-            self.note(f'{name}: the chunk at byte {block.offset} is damaged and left out: {error}')
-            return []
-
-
-class _Passage:
-    """How far a pass over several files is."""
-
-    def __init__(self, files: Sequence[Path]) -> None:
-        sizes = [file.stat().st_size if file.exists() else 0 for file in files]
-        self._before = [sum(sizes[:number]) for number in range(len(sizes))]
-        self._total = sum(sizes)
-
-    def tell(self, on_read: OnRead, number: int, offset: int) -> None:
-        """Say that a file is read up to an offset."""
-        on_read(self._before[number] + offset, self._total)
-
-
-def silent(done: int, total: int) -> None:
-    """Tell nobody."""
-
-
-def _size(messages: Sequence[Stored]) -> int:
-    """Return how many bytes messages take, about."""
-    return sum(len(message.data) + _EACH for message in messages)
 
 
 def open_bag(path: Path | str, on_read: OnRead = silent) -> Bag:
@@ -282,7 +232,7 @@ def _indexes(files: Sequence[Path], on_read: OnRead) -> tuple[list[FileIndex], l
 
     :raises BagError: none can.
     """
-    tell = partial(_Passage(files).tell, on_read)
+    tell = partial(Passage(files).tell, on_read)
     found, errors = [], []
     for number, file in enumerate(files):
         try:
@@ -305,10 +255,14 @@ def _topics(files: list[FileIndex]) -> dict[str, Topic]:
             before = found[channel.topic].messages if channel.topic in found else 0
             found[channel.topic] = Topic(
                 channel.topic,
-                schema.name,
-                schema.data.decode(errors='replace'),
+                *_definition(schema),
                 before + file.counts.get(channel.id, 0),
                 channel.metadata.get('offered_qos_profiles', ''),
                 channel.metadata.get('topic_type_hash', ''),
             )
     return dict(sorted(found.items()))
+
+
+def _definition(schema: Schema) -> tuple[str, str]:
+    """Return the name of a type and its ros2msg text."""
+    return schema.name, schema.data.decode(errors='replace')

@@ -19,8 +19,9 @@ def repair(bag: Bag, out: Path) -> int:
     """
     Write what can be read of a bag as a new one, and leave the old one alone.
 
-    Messages keep their bytes, times and order. One that our recorder wrote once and that is there
-    again (its number, time and bytes are the same) is written once.
+    Messages keep their bytes, times and order, and the numbers that our recorder gave them. One
+    that it wrote once and that is there again (number, time and bytes are the same) is written
+    once.
 
     :param out: folder of the new bag; must not exist.
     :return: number of messages written.
@@ -66,7 +67,8 @@ def _copy(bag: Bag, writer: BagWriter) -> int:
             repeated += 1
         else:
             now.add(key)
-            writer.write(recorded.topic, recorded.data, time, recorded.publish_time)
+            number = recorded.sequence if bag.numbered else None
+            writer.write(recorded.topic, recorded.data, time, recorded.publish_time, number)
     return repeated
 
 

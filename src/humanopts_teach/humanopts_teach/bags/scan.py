@@ -39,11 +39,11 @@ def scan(path: Path, stream: BinaryIO, on_byte: OnByte) -> FileIndex:
     run = Run(index, stream)
     closed = False
     for opcode, offset, length in _walk(stream, index):
+        on_byte(offset)
         if opcode in _LOOSE and not closed:
             run.extend(offset, length)
             continue
         run.finish()
-        on_byte(offset)
         closed = closed or opcode == Opcode.DATA_END
         try:
             _take(index, stream, opcode, offset, length)

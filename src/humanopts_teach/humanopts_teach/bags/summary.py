@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime, UTC
-import json
 from typing import Any
 
 NO_TEACHER = 'none: a person taught'  # in place of the simulated teacher's error rate
@@ -138,10 +137,6 @@ class BagInfo:
             'sessions': list(self.sessions),
         }
 
-    def to_json(self) -> str:
-        """Return the facts as JSON."""
-        return json.dumps(self.to_dict(), indent=2)
-
     def to_text(self) -> str:
         """Return the facts for reading."""
         parts = [
@@ -212,7 +207,7 @@ class BagInfo:
                     row.criterion,
                     row.threshold,
                     *(('never', '-', '-') if met is None else _when(met)),
-                    '-' if last.value is None else f'{last.value:.3g}',
+                    _measured(last),
                 )
             )
         head = ('participant', 'option', 'criterion', 'target')
@@ -255,7 +250,12 @@ class BagInfo:
 def _when(point: CriterionPoint) -> tuple[str, str, str]:
     """Return after what a criterion held, when, and its value."""
     shown = f'{point.demonstrations} shown, {point.not_here} not here'
-    return shown, f'{point.seconds:.1f}', f'{point.value:.3g}'
+    return shown, f'{point.seconds:.1f}', _measured(point)
+
+
+def _measured(point: CriterionPoint) -> str:
+    """Return the value of a criterion."""
+    return '-' if point.value is None else f'{point.value:.3g}'
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

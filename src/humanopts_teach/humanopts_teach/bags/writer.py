@@ -120,7 +120,12 @@ class BagWriter:
         return schema
 
     def write(
-        self, topic: str, data: bytes, log_time: int, publish_time: int | None = None
+        self,
+        topic: str,
+        data: bytes,
+        log_time: int,
+        publish_time: int | None = None,
+        sequence: int | None = None,
     ) -> None:
         """
         Add one message.
@@ -128,6 +133,7 @@ class BagWriter:
         :param data: the CDR bytes as received.
         :param log_time: when it was received, ns since the epoch.
         :param publish_time: when it was sent; None: not known, so ``log_time``.
+        :param sequence: its number; None: one more than there are on its topic.
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
         if self._limits.reached(self._file, log_time):
@@ -136,7 +142,8 @@ class BagWriter:
         if not file.knows(topic):
             file.announce(entry, self._definitions.schema(entry.type))
         sent = log_time if publish_time is None else publish_time
-        file.write(topic, data, log_time, sent, entry.messages + 1)
+        number = entry.messages + 1 if sequence is None else sequence
+        file.write(topic, data, log_time, sent, number)
         entry.messages += 1
 
     def attach(

@@ -7,8 +7,9 @@ import time
 from humanopts_env.domains.base import StateError
 from humanopts_teach.bags.demonstrations import read_domain
 from humanopts_teach.bags.episodes import Played
+from humanopts_teach.bags.order import silent
 from humanopts_teach.bags.played import actors_in
-from humanopts_teach.bags.reader import open_bag, silent
+from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.commands.bar import progress_bar
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.terminal.device import Device, why_not
