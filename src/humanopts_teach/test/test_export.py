@@ -130,6 +130,23 @@ def test_step_table_has_every_state_with_the_step_that_led_to_it(
     assert steps['source'][:2] == ['', 'machine']
 
 
+@pytest.mark.parametrize('features', [[999], [-1], []])
+def test_features_that_the_domain_does_not_have_here_are_left_empty_and_said(
+    tmp_path: Path, taxi: Domain[Any], features: list[int]
+) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        for time, (topic, kind, message) in enumerate(entries(taxi, 1, [])):
+            if topic == '/game_state' and message.step == 3:
+                message.features = [*features, *message.features[1:]]
+            writer.add_topic(topic, kind)
+            writer.write(topic, serialize_message(message), time)
+    bag = open_bag(tmp_path / 'bag')
+    steps = columns(bag_tables(bag)[:1])['steps']
+    empty = [place for place, word in enumerate(steps['feature:taxi_col']) if word is None]
+    assert (len(steps['state']), empty) == (STEPS + 1, [3])
+    assert 'states with other features' in bag.damage
+
+
 def test_tables_of_demonstrations_options_and_plans_say_what_was_recorded(
     bag: Bag, taxi_lesson: list[Demonstration]
 ) -> None:

@@ -6,14 +6,13 @@ import json
 import math
 from typing import Any
 
-from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.bags.demonstrations import (
     DEMONSTRATION,
     read_demonstrations,
     read_domain,
 )
-from humanopts_teach.bags.episodes import Episode, read_episodes
+from humanopts_teach.bags.episodes import read_episodes
 from humanopts_teach.bags.info import option_rows, PLAN_RESULT
 from humanopts_teach.bags.played import actor_of, Actors, read_actors, source_of
 from humanopts_teach.bags.reader import Bag
@@ -51,31 +50,44 @@ def bag_tables(bag: Bag) -> list[Table]:
     """
     demonstrations = read_demonstrations(bag) if bag.of_type(DEMONSTRATION) else []
     return [
-        steps_table(read_domain(bag), read_episodes(bag), read_actors(bag)),
+        _steps_table(bag),
         _table('demonstrations', _DEMONSTRATION, map(_demonstration, demonstrations)),
         _table('options', _OPTION, map(asdict, option_rows(bag))),
         _table('plans', _PLAN, _plans(bag)),
     ]
 
 
-def steps_table(domain: Domain[Any], episodes: Iterable[Episode], actors: Actors) -> Table:
+def _steps_table(bag: Bag) -> Table:
     """Return a row for each recorded state, with the step that led to it."""
-    names = (f'{FEATURE_PREFIX}{feature.name}' for feature in domain.features)
-    return Table('steps', (*_STEPS, *names, *_MOVES), _steps(domain, episodes, actors))
+    features = read_domain(bag).features
+    names = (f'{FEATURE_PREFIX}{feature.name}' for feature in features)
+    rows = _steps(bag, [feature.values for feature in features], read_actors(bag))
+    return Table('steps', (*_STEPS, *names, *_MOVES), rows)
 
 
 def _steps(
-    domain: Domain[Any], episodes: Iterable[Episode], actors: Actors
+    bag: Bag, features: Sequence[Sequence[str]], actors: Actors
 ) -> Iterator[tuple[Any, ...]]:
-    values = [feature.values for feature in domain.features]
-    for place, episode in enumerate(episodes, start=1):
+    for place, episode in enumerate(read_episodes(bag), start=1):
         for at in episode.moments:
+            words = _words(features, at.features)
+            if words is None:
+                bag.note(f'{episode.topic}: states with other features have none in the table')
             yield (
                 *(place, episode.publisher_id, episode.number, at.step, at.state),
-                *(words[value] for words, value in zip(values, at.features, strict=True)),
+                *(words or (None,) * len(features)),
                 *(at.previous_action, at.reward, at.terminated, at.truncated),
                 *(source_of(at), actor_of(at, actors)),
             )
+
+
+def _words(features: Sequence[Sequence[str]], values: Sequence[int]) -> list[str] | None:
+    """Return values of features in words; None: the domain has other features here."""
+    if len(values) != len(features):
+        return None
+    pairs = list(zip(features, values))
+    known = all(0 <= value < len(words) for words, value in pairs)
+    return [words[value] for words, value in pairs] if known else None
 
 
 def _demonstration(demo: Demonstration) -> dict[str, Any]:
