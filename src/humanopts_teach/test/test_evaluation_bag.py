@@ -14,6 +14,7 @@ from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.files import option_to_json
 from humanopts_teach.bags.provenance import UNKNOWN
 from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.cli import main
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate,
@@ -168,6 +169,8 @@ def test_options_learned_again_are_compared_with_their_files(
     assert notes == [f'{first[1]!r} by p1 differs from its option file: policy']
     (note,) = compare_options({second: files[second]}, options[:1], taxi_lesson)[1]
     assert 'was not learned again' in note
+    files['automatic', 'down'] = {'uuids': []}  # nobody taught it
+    assert compare_options(files, options, taxi_lesson)[1] == notes
 
 
 def test_a_bag_whose_option_files_come_out_again_says_so(
@@ -191,3 +194,28 @@ def test_a_bag_whose_option_files_come_out_again_says_so(
     assert 'equal to its option file in the bag, to the last digit' in found.to_text()
     (warning,) = (text for text in found.warnings if 'recorded with' in text)
     assert warning.startswith('recorded with numpy 1.0, and this is')
+
+
+@pytest.mark.parametrize(
+    ('asked', 'reason'),
+    [
+        (['--games', '10'], 'plans in taxi are exact'),
+        (['--html', ''], 'it is a folder'),
+        (['--html', 'nowhere/report.html'], 'there is no such folder'),
+        ([], 'no topic of demonstrations'),
+    ],
+)
+def test_what_cannot_be_done_is_refused_before_the_work(
+    tmp_path: Path,
+    taxi: Domain[Any],
+    capsys: pytest.CaptureFixture[str],
+    asked: list[str],
+    reason: str,
+) -> None:
+    with BagWriter(tmp_path / 'bag') as bag:  # of which nothing can be learned
+        bag.add_topic('/domain_info', 'humanopts_interfaces/msg/DomainInfo')
+        bag.write('/domain_info', serialize_message(domain_to_info(taxi)), 1)
+    if '--html' in asked:
+        asked = ['--html', str(tmp_path / asked[1])]
+    assert main(['bag', 'eval', str(tmp_path / 'bag'), *asked]) == 2
+    assert reason in capsys.readouterr().err

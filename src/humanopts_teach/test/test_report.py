@@ -238,6 +238,20 @@ def test_a_report_of_a_bag_alone_has_no_live_numbers(
     assert 'id="boards"' in page
 
 
+@pytest.mark.parametrize('equal', [None, True, False])
+def test_a_report_says_whether_options_equal_their_files(
+    evaluation: BagEvaluation, equal: bool | None
+) -> None:
+    first, second = evaluation.options
+    options = (replace(first, reproduced=equal), second)
+    data = ReportData('Taxi', replace(evaluation, options=options))
+    page, found = render_report(data), [finding.text for finding in findings(data)]
+    assert page.count('Learned again, it is') == (equal is not None)
+    assert ('>equal to its option file in the bag, to the last digit<' in page) is (equal is True)
+    assert ('>NOT equal to its option file in the bag<' in page) is (equal is False)
+    assert any('1 option learned again' in text for text in found) is (equal is True)
+
+
 def test_a_report_that_cannot_be_written_is_an_error_with_its_path(
     data: ReportData, tmp_path: Path
 ) -> None:

@@ -5,8 +5,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 import json
+import os
+from pathlib import Path
 import sys
 
+from humanopts_teach.bags.demonstrations import read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
@@ -15,6 +18,7 @@ from humanopts_teach.commands.bar import progress_bar, Tell
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
+    check_games,
     evaluate_bag,
     EvaluationError,
     with_games,
@@ -49,15 +53,13 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 def _eval(arguments: argparse.Namespace) -> int:
-    if arguments.html and len(arguments.bags) > 1:
-        raise CommandError('--html reports on one bag: give one')
-    if arguments.html and not arguments.html.parent.is_dir():
-        raise CommandError(f'cannot write {arguments.html}: there is no such folder')
-    bags, found = [], []
-    for path in arguments.bags:
-        with progress_bar() as tell:
-            bags.append(open_bag(path, tell))
-            found.append(_evaluated(bags[-1], arguments.games, tell))
+    if arguments.html:
+        _check_report(arguments.html, len(arguments.bags))
+    with progress_bar() as tell:
+        bags = [open_bag(path, tell) for path in arguments.bags]
+        for bag in bags if arguments.games else ():
+            check_games(read_domain(bag))
+        found = [_evaluated(bag, arguments.games, tell) for bag in bags]
     _print(arguments.json, bags, found)
     for bag, evaluation in zip(bags, found):
         whose = f'{bag.path}: ' if len(bags) > 1 else ''
@@ -73,6 +75,18 @@ def _eval(arguments: argparse.Namespace) -> int:
             raise CommandError(str(error)) from error
         print(f'report: {arguments.html}', file=sys.stderr)
     return 0
+
+
+def _check_report(path: Path, bags: int) -> None:
+    """Refuse a report before the work for it."""
+    if bags > 1:
+        raise CommandError('--html reports on one bag: give one')
+    if path.is_dir():
+        raise CommandError(f'cannot write {path}: it is a folder')
+    if not path.parent.is_dir():
+        raise CommandError(f'cannot write {path}: there is no such folder')
+    if not os.access(path.parent, os.W_OK):
+        raise CommandError(f'cannot write {path}: the folder is not writable')
 
 
 def _evaluated(bag: Bag, games: int, tell: Tell) -> BagEvaluation:

@@ -21,6 +21,7 @@ from humanopts_learner.planning.any_domain import AnyPlan, judge_plan, plan_in, 
 from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
 from humanopts_learner.planning.sampled.comparison import Tell
+from humanopts_learner.planning.sampled.games import batch_domain
 from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.games import evaluate_games, GAMES, GamesEvaluation
@@ -189,6 +190,20 @@ def evaluate(
     )
 
 
+def check_games(domain: Domain[Any]) -> None:
+    """
+    Check that plans can be compared in many games.
+
+    :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
+    """
+    if is_enumerable(domain):
+        raise EvaluationError(f'plans in {domain.name} are exact: there is nothing to estimate')
+    try:
+        batch_domain(domain)
+    except PlanError as error:
+        raise EvaluationError(f'the games cannot be played: {error}') from error
+
+
 def with_games(
     evaluation: BagEvaluation, games: int = GAMES, progress: Tell | None = None
 ) -> BagEvaluation:
@@ -200,8 +215,7 @@ def with_games(
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """
     domain = evaluation.domain
-    if is_enumerable(domain):
-        raise EvaluationError(f'plans in {domain.name} are exact: there is nothing to estimate')
+    check_games(domain)
     people = list(dict.fromkeys(option.participant for option in evaluation.options))
     found = {}
     for number, person in enumerate(people):

@@ -35,6 +35,7 @@ def compare_options(
     """
     Compare option files with the same options learned again.
 
+    :param attached: those that nobody taught, automatic options, are passed over.
     :param demonstrations: that the options were learned from, among others.
     :return: whether they are equal to the last digit, and in words where they are not.
     """
@@ -50,7 +51,7 @@ def compare_options(
             equal[key] = not wrong
             if wrong:
                 notes.append(f'{_named(key)} differs from its option file: {", ".join(wrong)}')
-    lone = [key for key in attached if key not in equal]
+    lone = [key for key, file in attached.items() if key not in equal and file.get('uuids')]
     notes += [f'{_named(key)} has an option file, but was not learned again' for key in lone]
     return equal, notes
 

@@ -43,6 +43,7 @@ def findings(data: ReportData, games: Sequence[Finding] = ()) -> list[Finding]:
         found.append(_loss(data.topics))
     if data.summary is not None:
         found.append(_offline(data))
+    found += _reproduced(data.evaluation.options)
     return [*found, *(Finding(False, text + '.') for text in data.evaluation.warnings)]
 
 
@@ -162,6 +163,15 @@ def _offline(data: ReportData) -> Finding:
         'Learned and planned again from the bag alone, every number but seconds equals the live '
         'one to the last digit.',
     )
+
+
+def _reproduced(options: Sequence[OptionEvaluation]) -> list[Finding]:
+    """Say that options equal their files in the bag; where one does not, a warning says so."""
+    compared = [option.reproduced for option in options if option.reproduced is not None]
+    if not compared or not all(compared):
+        return []
+    text = f'{counted(len(compared), "option")} learned again from the bag alone, '
+    return [Finding(True, f'{text}to the last digit as in the option files that are in it.')]
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -13,6 +13,7 @@ from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvalu
 from humanopts_teach.evaluation.games import Curve
 from humanopts_teach.evaluation.options_block import OptionBlock
 from humanopts_teach.evaluation.summary import write_text
+from humanopts_teach.evaluation.text import REPRODUCED
 from humanopts_teach.report.board_figure import board_figures
 from humanopts_teach.report.curves import learning_curves
 from humanopts_teach.report.data import Frame, ReportData, TopicRow
@@ -66,6 +67,7 @@ class OptionSection:
     met: bool
     n_not_here: int
     seconds: str  # of teaching
+    reproduced: bool | None  # equal to the option file in the bag; None: there is none
     criteria: list[tuple[str, str, str, bool]]  # name, value, threshold, met
     curves: list[str]
     rows: list[Row]
@@ -131,6 +133,7 @@ def render_report(data: ReportData) -> str:
             _option_section(option, place, evaluation, live.get(option.block.name))
             for place, option in enumerate(evaluation.options)
         ],
+        'reproduced': REPRODUCED,
         'has_live': data.summary is not None,
         'boards': board_figures(exact, 'board'),
         'planning': planning,
@@ -170,6 +173,7 @@ def _option_section(
         met=block.criteria_met,
         n_not_here=option.option.n_not_here,
         seconds=duration(_seconds(option)),
+        reproduced=option.reproduced,
         criteria=[
             (
                 c.name,
