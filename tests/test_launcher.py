@@ -3,23 +3,24 @@
 from collections.abc import Callable, Iterator
 import os
 from pathlib import Path
+import resource
 import signal
 import time
 
 from graph_support.command import Command
 from graph_support.live import GAME, Graph, RECORDER
-from humanopts_env.domains.base import Parameter
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.launching.launcher import Launcher, LaunchError
 from humanopts_teach.launching.lock import only_launch
-from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
+from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
+from humanopts_teach.nodes.conductor import Conductor
 import pytest
 
 Launch = Callable[..., Launcher]
 
 
-def spec(name: str, module: str, **parameters: Parameter) -> ProcessSpec:
+def spec(name: str, module: str, **parameters: Value) -> ProcessSpec:
     return ProcessSpec(name, module.split('.')[0], module, parameters)
 
 
@@ -97,6 +98,55 @@ def test_the_recorder_is_stopped_when_the_others_are_gone(
         NodeStatus.STATE_STOPPING,
     ]
     assert launcher.node_names == []
+
+
+def test_a_bag_that_could_not_be_ended_is_told(
+    launch: Launch, live: Graph, tmp_path: Path
+) -> None:
+    (tmp_path / 'go.json').write_text('x' * 100_000)
+    recorder = spec(
+        'recorder', RECORDER, path=str(tmp_path / 'bag'), attach=[str(tmp_path / 'go.json')]
+    )
+    launcher = launch(recorder)
+    live.ready('/recorder')
+    resource.prlimit(launcher.pid('recorder'), resource.RLIMIT_FSIZE, (90_000, 90_000))
+    (problem,) = launcher.stop()
+    assert problem.startswith('the node recorder ended (exit status 1); its last lines:')
+    assert f'recording stopped: cannot write to {tmp_path}/bag/bag_0.mcap' in problem
+    assert 'was not closed' in open_bag(tmp_path / 'bag').damage
+
+
+def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
+    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def record(name: str) -> int:
+        return live.start(RECORDER, path=str(tmp_path / name)).process.pid
+
+    def check() -> None:
+        looks.append(bool(conductor.node.duplicates))
+        if looks.count(True) > 1:
+            raise LaunchError('the other is there')
+
+    looks: list[bool] = []
+    said: list[str] = []
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    first = record('first')
+    parameters = {'expect_recorder': True}
+    conductor = Conductor('/', parameters, tmp_path / 'first', watch=lambda: None)
+    try:
+        conductor.wait_ready(['/recorder'])
+        assert conductor.unrecorded() == ''
+        resource.prlimit(first, resource.RLIMIT_FSIZE, (1000, 1000))
+        with pytest.raises(LaunchError, match='recording stopped: cannot write to'):
+            conductor.wait(lambda: False, 20.0, 'the end of the recording')
+        record('second')
+        with pytest.raises(LaunchError, match='the other is there'):
+            conductor.stay(check, said.append)
+        assert conductor.unrecorded().startswith('recording stopped: cannot write to')
+        assert conductor.unrecorded().endswith(f'humanopts bag info {tmp_path}/first')
+        assert [line.partition(':')[0] for line in said] == ['/recorder is paused']
+    finally:
+        conductor.close()
 
 
 def test_a_log_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:

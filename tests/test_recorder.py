@@ -485,6 +485,17 @@ def test_a_full_disk_is_said_and_holds_nobody_back(graph: Graph) -> None:
     assert first.message.data == 'before'
 
 
+def test_a_recorder_that_stopped_stays_when_nodes_come(graph: Graph) -> None:
+    graph.record('-p', 'max_seconds:=0.1')
+    (graph.path / 'metadata.yaml.new').mkdir()
+    graph.until(lambda: graph.status.stopped, 'the end of the recording')
+    late = graph.node.create_publisher(GameState, 'game_state', STREAM)
+    graph.until(lambda: late.get_subscription_count() > 0, 'the recorder')
+    said = graph.status.sequence
+    graph.until(lambda: graph.status.sequence > said, 'another word')
+    assert graph.stop() == 0
+
+
 @pytest.mark.parametrize(
     ('options', 'reason'),
     [

@@ -492,6 +492,25 @@ def test_a_file_that_cannot_grow_stops_the_writer_and_keeps_what_was_written(
     assert 'was not closed' in opened.damage  # it ends after a whole record
 
 
+def test_a_split_that_cannot_be_described_stops_the_writer_and_keeps_what_was_written(
+    tmp_path: Path,
+) -> None:
+    writer = write_states(tmp_path / 'bag', 30, limits=Limits(seconds=1.0))
+    obstacle = tmp_path / 'bag' / 'metadata.yaml.new'
+    obstacle.mkdir()
+    with pytest.raises(BagWriteError, match='cannot write in'):
+        writer.write('/game_state', state(30), START + 2 * 10**9)
+    writer.add_topic('/chatter', 'std_msgs/msg/String')  # nodes still come
+    writer.attach('options/p1/go.json', b'{}')
+    assert open_bag(tmp_path / 'bag').damage
+    obstacle.rmdir()
+    writer.close()
+    opened = open_bag(tmp_path / 'bag')
+    assert opened.damage == ''
+    assert [r.message.step for r in opened.messages()] == list(range(30))
+    assert [kept.name for kept in opened.attached()] == ['options/p1/go.json']
+
+
 def test_bags_are_read_with_no_ros_installed(bag: Path) -> None:
     environment = {k: v for k, v in os.environ.items() if k != 'AMENT_PREFIX_PATH'}
     done = subprocess.run(

@@ -9,6 +9,7 @@ from humanopts_teach.bags.pace import Pace
 from humanopts_teach.bags.provenance import attachments, lock_hash, software, UNKNOWN
 from humanopts_teach.cli import build_parser
 from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.commands.session import check_setup
 from humanopts_teach.commands.setup import setup_from
 from humanopts_teach.launching.processes import common_parameters, processes, Setup
 import numpy as np
@@ -75,6 +76,17 @@ def test_attachments_are_the_json_files_of_folders_and_any_file_by_name(tmp_path
     (tmp_path / 'notes.txt').write_text('x')
     paths = [tmp_path / name for name in ('options', 'notes.txt', 'not there')]
     assert [name for name, _ in attachments(paths)] == ['options/p1/go.json', 'notes.txt']
+
+
+def test_a_name_that_is_not_in_utf_8_is_kept_as_far_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / 'go\udcff.json').write_text('{}')
+    assert [name for name, _ in attachments([tmp_path])] == [f'{tmp_path.name}/go?.json']
+
+
+def test_a_folder_that_is_not_in_utf_8_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    with pytest.raises(CommandError, match='is not in UTF-8; choose another --out'):
+        check_setup(Setup('taxi', tmp_path / 'b\udcff'))
+    assert not any(tmp_path.iterdir())
 
 
 def test_every_node_of_a_launch_is_told_what_is_recorded() -> None:

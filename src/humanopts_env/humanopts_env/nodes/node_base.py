@@ -129,6 +129,7 @@ class NodeBase(Node):
         )
         self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
         self.ready = False
+        self.failed = False  # the process ends with status 1, though it came to its end
         self.set_status(NodeStatus.STATE_STARTING)
         self._deadline_group = ReentrantCallbackGroup()
         self._start_timer = self.create_timer(_CHECK_PERIOD, self._check_start)
@@ -375,4 +376,4 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+    return int(node is not None and node.failed)

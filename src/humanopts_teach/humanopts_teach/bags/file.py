@@ -56,7 +56,7 @@ class BagFile:
         return self._sink.tell()
 
     def announce(self, topic: TopicEntry, schema: str) -> None:
-        """Add a topic."""
+        """Add a topic; errors as ``write``."""
         if topic.type not in self._schemas:
             self._schemas[topic.type] = self._writer.register_schema(
                 topic.type, 'ros2msg', schema.encode()

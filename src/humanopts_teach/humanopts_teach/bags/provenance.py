@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 import hashlib
 from importlib.metadata import PackageNotFoundError, version
+import os
 from pathlib import Path
 import platform
 
@@ -42,9 +43,10 @@ def attachments(paths: Sequence[Path]) -> Iterator[tuple[str, Path]]:
         passed over.
     """
     for path in paths:
-        for file in sorted(path.rglob('*.json')) if path.is_dir() else [path]:
-            if file.is_file():
-                yield file.relative_to(path.parent).as_posix(), file
+        for file in sorted(path.rglob('*.json')) if os.path.isdir(path) else [path]:
+            if os.path.isfile(file):  # False, too, where nobody may look
+                name = file.relative_to(path.parent).as_posix()
+                yield name.encode('utf-8', 'replace').decode('utf-8'), file
 
 
 def _places() -> list[Path]:

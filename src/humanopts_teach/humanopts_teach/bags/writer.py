@@ -109,6 +109,7 @@ class BagWriter:
         :param type_hash: RIHS01_..., where it is known; kept for messages only.
         :return: the schema of its messages.
         :raises SchemaError: the type's definition is not installed here.
+        :raises BagWriteError: the disk is full or the file cannot be written.
         """
         schema = self._definitions.schema(type_name)
         if name in self._topics:
@@ -188,7 +189,9 @@ class BagWriter:
         """
         if not self._closed:
             self._closed = True
-            self._finish(self._file)
+            information = self._information()
+            self._file.finish(information)
+            self._describe(information)
 
     def __enter__(self) -> 'BagWriter':
         """Return the writer; leaving the context closes it."""
@@ -207,18 +210,14 @@ class BagWriter:
         """Begin the next file and finish this one."""
         file, self._file = self._file, self._begin_file(len(self._files))
         self._files.append(self._file)
+        information = self._information()
         try:
-            self._finish(file)
+            file.finish(information)
         except BagWriteError:
             self._files.pop().discard()
             self._file = file
             raise
-
-    def _finish(self, file: BagFile) -> None:
-        """Finish a file, and describe the bag."""
-        information = self._information()
-        file.finish(information)
-        self._describe(information)
+        self._describe(information)  # on failure the new file stays: the old takes nothing more
 
     def _make_directory(self) -> None:
         try:

@@ -48,12 +48,15 @@ def check_setup(setup: Setup, *, new: bool = False) -> None:
         _check_folder(setup, new)
     except DomainError as error:
         raise CommandError(str(error)) from error
+    except UnicodeEncodeError:
+        raise CommandError(f'{setup.directory} is not in UTF-8; choose another --out') from None
     except OSError as error:
         raise CommandError(f'cannot write in {setup.directory}: {error.strerror}') from error
 
 
 def _check_folder(setup: Setup, new: bool) -> None:
     folder = setup.directory
+    str(folder).encode()  # parameters and the bag name it
     if new and folder.is_dir() and any(folder.iterdir()):
         raise CommandError(f'{folder} is not empty; choose another --out')
     if setup.record and setup.bag.exists():
@@ -106,7 +109,7 @@ def _conduct(
         launcher.check()
         progress(conductor)
 
-    conductor = Conductor(namespace, common_parameters(setup), watch=watch)
+    conductor = Conductor(namespace, common_parameters(setup), setup.bag, watch=watch)
     return conductor
 
 

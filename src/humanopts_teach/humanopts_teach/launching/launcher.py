@@ -106,10 +106,7 @@ class Launcher:
         for running in self._running:
             status = running.process.poll()
             if status is not None and running.spec.name not in besides:
-                raise LaunchError(
-                    f'the node {running.spec.name} ended ({_ending(status)}) while it was needed'
-                    f'{_last_lines(running.log)}'
-                )
+                raise LaunchError(_end_of(running, ' while it was needed'))
 
     def stop(self) -> list[str]:
         """
@@ -150,26 +147,26 @@ class Launcher:
         return path
 
     def _end(self, entries: Sequence[_Running]) -> list[str]:
-        for entry in entries:
-            if entry.process.poll() is None:
-                entry.process.send_signal(signal.SIGTERM)
+        alive = [entry for entry in entries if entry.process.poll() is None]
+        for entry in alive:
+            entry.process.send_signal(signal.SIGTERM)
         deadline = time.monotonic() + _STOP_SECONDS
         problems = []
-        for entry in entries:
+        for entry in alive:
             try:
                 entry.process.wait(max(0.0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
                 entry.process.kill()
                 entry.process.wait()
                 problems.append(f'{entry.spec.name} did not stop when asked and was killed')
+            if entry.process.returncode > 0:
+                problems.append(_end_of(entry))
         return problems
 
     def _terminal_status(self, running: _Running) -> int:
         status = running.process.returncode
         if status < 0:
-            raise LaunchError(
-                f'the node {running.spec.name} ended ({_ending(status)}){_last_lines(running.log)}'
-            )
+            raise LaunchError(_end_of(running))
         if status:
             sys.stderr.write(running.log.read_text(encoding='utf-8', errors='replace'))
         return status
@@ -192,10 +189,11 @@ def _child_environment() -> Mapping[str, str]:
     return {**os.environ, LAUNCHER_PID: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
 
 
-def _ending(status: int) -> str:
-    if status < 0:
-        return f'by signal {signal.Signals(-status).name}'
-    return f'exit status {status}'
+def _end_of(running: _Running, when: str = '') -> str:
+    """Say how a process ended that did, and what it wrote last."""
+    status = running.process.returncode
+    how = f'by signal {signal.Signals(-status).name}' if status < 0 else f'exit status {status}'
+    return f'the node {running.spec.name} ended ({how}){when}{_last_lines(running.log)}'
 
 
 def _last_lines(log: Path) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 import json
+from pathlib import Path
 import time
 from typing import Any, Generic, TypeVar
 
@@ -21,7 +22,7 @@ from humanopts_interfaces.msg import (
     PolicyResult,
     RecorderStatus,
 )
-from humanopts_teach.launching.launcher import LaunchError
+from humanopts_teach.launching.launcher import LaunchError, RECORDER
 from humanopts_teach.launching.processes import Value
 from humanopts_teach.teacher.simulated import FINISHED
 import rclpy
@@ -50,7 +51,7 @@ class ConductorNode(NodeBase):
 
     def __init__(self) -> None:
         super().__init__('conductor')
-        self.statuses: dict[str, NodeStatus] = {}  # by fully qualified node name
+        self.statuses: dict[str, NodeStatus] = {}  # by full name, of the first process
         self.duplicates: set[str] = set()  # node names that two processes use
         self.create_subscription(NodeStatus, 'node_status', self._keep_status, LATCHED_ALL)
         self.state = Latest(self, GameState, 'current_state')
@@ -68,11 +69,11 @@ class ConductorNode(NodeBase):
         self.feedback = message.feedback
 
     def _keep_status(self, status: NodeStatus) -> None:
-        known = self.statuses.get(status.node)
-        other = known is not None and known.publisher_id != status.publisher_id
-        if other and known is not None and known.state != NodeStatus.STATE_STOPPING:
+        known = self.statuses.get(status.node, status)
+        if status.publisher_id == known.publisher_id or known.state == NodeStatus.STATE_STOPPING:
+            self.statuses[status.node] = status
+        else:
             self.duplicates.add(status.node)
-        self.statuses[status.node] = status
 
 
 class Conductor:
@@ -84,7 +85,12 @@ class Conductor:
     """
 
     def __init__(
-        self, namespace: str, parameters: Mapping[str, Value], *, watch: Callable[[], None]
+        self,
+        namespace: str,
+        parameters: Mapping[str, Value],
+        bag: Path,
+        *,
+        watch: Callable[[], None],
     ) -> None:
         arguments = ['--ros-args', '-r', f'__ns:={namespace}', '--disable-stdout-logs']
         for name, value in parameters.items():
@@ -94,7 +100,7 @@ class Conductor:
         self.node = ConductorNode()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self._record = bool(parameters['expect_recorder'])
+        self._record, self._bag = bool(parameters['expect_recorder']), bag
         self._watch = watch
         self._fine = time.monotonic()  # when no node was paused last
 
@@ -205,10 +211,11 @@ class Conductor:
         while True:
             self._executor.spin_once(0.05)
             check()
-            self._check_duplicates()
+            self._check_duplicates(self._name(RECORDER))  # a new one takes over from ours
             paused = self._paused()
             for name in sorted(told.keys() - paused.keys()):
-                tell(f'{name} goes on')
+                if self.node.statuses[name].state == NodeStatus.STATE_READY:
+                    tell(f'{name} goes on')
             for name, text in paused.items():
                 if told.get(name) != text:
                     tell(f'{name} is paused: {text}')
@@ -220,11 +227,9 @@ class Conductor:
             self._executor.spin_once(0.0)
 
     def unrecorded(self) -> str:
-        """Say why nothing is recorded any more, as far as is known; empty: all is."""
-        lesson, recorder = self.node.lesson.message, self.node.recorder.message
-        if lesson is None or not lesson.paused:
-            return ''
-        return _stopped(recorder) or lesson.paused
+        """Say why the bag is short, or nothing is recorded, as far as is known; empty: neither."""
+        lesson = self.node.lesson.message
+        return self._stopped() or (lesson.paused if lesson is not None else '')
 
     def teacher_finished(self) -> bool:
         """Tell whether the simulated teacher has taught everything."""
@@ -244,8 +249,17 @@ class Conductor:
         return reply.result().result.result
 
     def _status(self, name: str) -> NodeStatus | None:
-        prefix = self.node.get_namespace().rstrip('/')
-        return self.node.statuses.get(f'{prefix}/{name}')
+        return self.node.statuses.get(self._name(name))
+
+    def _name(self, name: str) -> str:
+        return f'{self.node.get_namespace().rstrip("/")}/{name}'
+
+    def _stopped(self) -> str:
+        """Say why the launch's recorder has stopped, and what is left; empty: it has not."""
+        status = self._status(RECORDER)
+        if status is None or status.state != NodeStatus.STATE_PAUSED:
+            return ''
+        return f'{status.text}. The bag can be read: humanopts bag info {self._bag}'
 
     def _missing(self, names: list[str]) -> list[str]:
         ready = {
@@ -269,7 +283,7 @@ class Conductor:
 
     def _check_statuses(self) -> None:
         self._check_duplicates()
-        if stopped := _stopped(self.node.recorder.message):
+        if stopped := self._stopped():
             raise LaunchError(stopped)
         paused, now = self._paused(), time.monotonic()
         if not paused:
@@ -278,17 +292,9 @@ class Conductor:
             name, text = next(iter(paused.items()))
             raise LaunchError(f'{name} cannot go on: {text}')
 
-    def _check_duplicates(self) -> None:
-        if self.node.duplicates:
+    def _check_duplicates(self, besides: str = '') -> None:
+        if found := sorted(self.node.duplicates - {besides}):
             raise LaunchError(
-                f'{", ".join(sorted(self.node.duplicates))} runs already in this ROS_DOMAIN_ID '
-                'and namespace; stop the other launch, or choose another --namespace or '
-                'ROS_DOMAIN_ID'
+                f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop the '
+                'other launch, or choose another --namespace or ROS_DOMAIN_ID'
             )
-
-
-def _stopped(recorder: RecorderStatus | None) -> str:
-    """Say why a recorder has stopped, and what is left; empty: it has not."""
-    if recorder is None or not recorder.stopped:
-        return ''
-    return f'{recorder.text}. The bag can be read: humanopts bag info {recorder.path}'

@@ -15,7 +15,7 @@ from humanopts_teach.bags.pace import Pace
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.stamps import is_stamped, read_stamp
 from humanopts_teach.bags.writer import BagWriter, Limits
-from humanopts_teach.nodes.intake import Intake, Taken
+from humanopts_teach.nodes.intake import Intake, Taken, Tap
 from humanopts_teach.nodes.recording_status import RecordingStatus
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
@@ -61,10 +61,11 @@ class Recorder(NodeBase):
 
     def waits_for(self) -> str | None:
         """Wait until every publisher is matched."""
-        return None if self._complete else 'the publishers on the graph'
+        return self._stopped or (None if self._complete else 'the publishers on the graph')
 
     def close(self) -> None:
-        """Take what is still on its way, and close the bag."""
+        """Take what is still on its way, and close the bag; fail where that stops it only now."""
+        told = self._stopped
         end = time.monotonic() + _LINGER
         quiet = time.monotonic() + _QUIET
         while time.monotonic() < min(quiet, end):
@@ -76,6 +77,7 @@ class Recorder(NodeBase):
                 finish()
             except BagWriteError as error:
                 self._stop(error)
+        self.failed = self._stopped != told  # nobody who heard of it is left
 
     def _begin(self) -> BagWriter:
         """
@@ -125,13 +127,21 @@ class Recorder(NodeBase):
             self._matched = found.complete
             self._new = self._new or bool(found.added)
             for tap in found.added:
-                try:
-                    schema = self._bag.add_topic(tap.topic, tap.type, tap.offers, tap.type_hash)
-                except SchemaError as error:
-                    self._text = str(error)
-                    continue
-                self._counted[tap.topic] = is_stamped(schema)
+                self._announce(tap)
         self._say()
+
+    def _announce(self, tap: Tap) -> None:
+        """Add a topic to the bag."""
+        if self._stopped:
+            return
+        try:
+            schema = self._bag.add_topic(tap.topic, tap.type, tap.offers, tap.type_hash)
+        except SchemaError as error:
+            self._text = str(error)
+        except BagWriteError as error:
+            self._stop(error)
+        else:
+            self._counted[tap.topic] = is_stamped(schema)
 
     def _take(self) -> None:
         """Record what has arrived, and come again sooner where there was something."""
