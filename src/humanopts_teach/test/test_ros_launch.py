@@ -53,6 +53,10 @@ def test_every_argument_reaches_a_parameter() -> None:
         'seed': '12',
         'strategy': 'coverage',
         'budget': '9',
+        'record_include': 'lesson/*; action',
+        'record_exclude': 'rosout',
+        'split_bytes': '500000',
+        'split_seconds': '60',
         'step_period': '2',
         'taught': 'go up; go down',
     }
@@ -68,6 +72,12 @@ def test_every_argument_reaches_a_parameter() -> None:
     assert specs['learner']['directory'] == '/data/study/options'
     assert str(specs['recorder']['path']).startswith('/data/study/bags/launch-')
     assert specs['simulated_teacher']['options'] == ['go up', 'go down']
+    for parameters in specs.values():
+        assert parameters['record_include'] == ['lesson/*', 'action']
+        assert parameters['record_exclude'] == ['rosout']
+    limits = (specs['recorder']['max_bytes'], specs['recorder']['max_seconds'])
+    assert limits == (500_000, 60.0)
+    assert [type(limit) for limit in limits] == [int, float]
 
 
 @pytest.mark.parametrize(
@@ -80,6 +90,8 @@ def test_every_argument_reaches_a_parameter() -> None:
         ('teach', 'perhaps'),
         ('record', '1'),
         ('step_period', 'slow'),
+        ('split_bytes', '5M'),
+        ('split_seconds', 'true'),
         ('domain_parameters', '[7]'),
         ('domain_parameters', 'rows=7'),
     ],

@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from humanopts_learner.options.criteria import usual_thresholds
-from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
+from humanopts_teach.launching.processes import processes, ProcessSpec, Recording, Setup
 
 
 class LaunchArgumentError(ValueError):
@@ -33,6 +33,10 @@ ARGUMENTS = (
     LaunchArgument('budget', '150', 'most start states shown for an option'),
     LaunchArgument('teach', 'true', 'whether lesson and learner run: true or false'),
     LaunchArgument('record', 'true', 'whether everything goes into a new bag: true or false'),
+    LaunchArgument('record_include', '', 'topics to record, as "lesson/*;action"; empty: all'),
+    LaunchArgument('record_exclude', '', 'topics not to record, in the same form'),
+    LaunchArgument('split_bytes', '0', 'size at which the bag goes on in another file; 0: never'),
+    LaunchArgument('split_seconds', '0.0', 'and time after which it does; 0: never'),
     LaunchArgument('step_period', '0.0', "seconds between a machine's steps, to watch it"),
     LaunchArgument(
         'taught', '', 'options that a simulated teacher teaches, separated by ";"; empty: nobody'
@@ -66,10 +70,24 @@ def setup_from_launch(values: Mapping[str, str]) -> Setup:
         budget=_parsed(values, 'budget', int, 'a whole number'),
         teach=_parsed(values, 'teach', bool, 'true or false'),
         record=_parsed(values, 'record', bool, 'true or false'),
-        step_period=float(_parsed(values, 'step_period', (int, float), 'a number of seconds')),
-        taught=tuple(name.strip() for name in values['taught'].split(';') if name.strip()),
+        recording=Recording(
+            _listed(values, 'record_include'),
+            _listed(values, 'record_exclude'),
+            _parsed(values, 'split_bytes', int, 'a whole number'),
+            _seconds(values, 'split_seconds'),
+        ),
+        step_period=_seconds(values, 'step_period'),
+        taught=_listed(values, 'taught'),
         bag_name=time.strftime('bags/launch-%Y%m%d-%H%M%S'),
     )
+
+
+def _listed(values: Mapping[str, str], name: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in values[name].split(';') if part.strip())
+
+
+def _seconds(values: Mapping[str, str], name: str) -> float:
+    return float(_parsed(values, name, (int, float), 'a number of seconds'))
 
 
 def _parsed(values: Mapping[str, str], name: str, kind: Any, wanted: str) -> Any:
