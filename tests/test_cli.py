@@ -238,7 +238,7 @@ def test_bag_that_was_cut_short_says_so_and_gives_what_is_left(
     assert 'go to passenger and pickup' in out
     assert 'cut short' in err
     cut.write_bytes(content[:2000])
-    check_refused(capsys, run('bag', 'eval', cut), 'no messages')
+    check_refused(capsys, run('bag', 'eval', cut), 'no domain_info', 'cut short')
 
 
 def test_eval_of_a_bag_writes_a_report_or_says_why_not(

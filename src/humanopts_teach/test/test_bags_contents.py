@@ -30,7 +30,7 @@ from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import count_loss, summarise
 from humanopts_teach.bags.loss import MOST_GAPS, Stream
 from humanopts_teach.bags.played import Actors, read_actors
-from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.bags.reader import Bag, MOST_NOTES, open_bag
 from humanopts_teach.bags.stamps import read_stamp, Stamp
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.report.bag_parts import bag_parts
@@ -413,6 +413,14 @@ def test_episodes_that_are_read_when_asked_for_are_those_that_are_read_in_order(
     assert list(played) == listed
     with pytest.raises(IndexError):
         played[4]
+
+
+def test_damage_of_ever_other_kinds_takes_little_room(tmp_path: Path) -> None:
+    bag = write(tmp_path / 'bag', [('/game_state', numbered(1))])
+    for number in range(10 * MOST_NOTES):
+        bag.note(f'kind {number}')
+    assert len(bag.damage.splitlines()) == MOST_NOTES + 1
+    assert bag.damage.endswith('and more of the kind')
 
 
 def test_an_episode_of_which_nothing_can_be_read_has_no_place(

@@ -45,15 +45,15 @@ def read_domain(bag: Bag) -> Domain[Any]:
 
     :raises BagError: the bag does not say, or says several, or it is not installed here.
     """
-    topics = bag.of_type(DOMAIN_INFO)
     found = set()
-    for recorded in bag.messages(topics) if topics else ():
+    for recorded in bag.messages(bag.of_type(DOMAIN_INFO)):
         if (info := recorded.message) is not None:
             with bag.taking(recorded.topic):
                 found.add((info.domain, info.parameters))
     played = sorted(found)
     if not played:
-        raise BagError(f'{bag.path} does not say which domain was played (no domain_info)')
+        reasons = '; '.join(['no domain_info', *bag.damage.splitlines()])
+        raise BagError(f'{bag.path} does not say which domain was played ({reasons})')
     if len(played) > 1:
         names = ', '.join(f'{name} {parameters}' for name, parameters in played)
         raise BagError(f'{bag.path} holds games of several domains: {names}')

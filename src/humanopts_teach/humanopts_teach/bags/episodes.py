@@ -174,8 +174,8 @@ def _topics(bag: Bag) -> list[str]:
 
 
 def _groups(bag: Bag, between: tuple[int, int]) -> Iterator[Group]:
-    games, topics = Games(bag), _topics(bag)
-    for recorded in bag.messages(topics, decoded=False, between=between) if topics else ():
+    games = Games(bag)
+    for recorded in bag.messages(_topics(bag), decoded=False, between=between):
         if (over := games.add(recorded)) is not None:
             yield over
     yield from games.rest()

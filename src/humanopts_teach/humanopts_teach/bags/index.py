@@ -138,14 +138,13 @@ def _from_summary(path: Path, stream: BinaryIO) -> FileIndex:
     """
     content = _summary(stream)
     index = FileIndex(path)
-    counted, chunks = False, []
+    chunks = []
     for opcode, start, end in split(content):
         part = ReadDataStream(BytesIO(content[start:end]))
         if opcode == Opcode.CHUNK_INDEX:
             chunks.append(content[start:end])
         elif opcode == Opcode.STATISTICS:
             index.counts.update(Statistics.read(part).channel_message_counts)
-            counted = True
         elif opcode == Opcode.ATTACHMENT_INDEX:
             at = AttachmentIndex.read(part)
             index.attachments[at.name] = Attached(at.offset, at.data_size, at.media_type)
@@ -153,7 +152,7 @@ def _from_summary(path: Path, stream: BinaryIO) -> FileIndex:
             index.add(_metadata(stream, MetadataIndex.read(part)))
         elif (record := describe(opcode, content[start:end])) is not None:
             index.add(record)
-    if not counted or not chunks or not _describes_all(index):
+    if not index.counts or not chunks or not _describes_all(index):
         raise _NoIndexError
     index.blocks.extend(_block(index, stream, chunk) for chunk in chunks)
     return index

@@ -2,14 +2,13 @@
 
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 from humanopts_env.game import Moment, Source
 from humanopts_teach.bags.episodes import Episode
 from humanopts_teach.bags.order import ALWAYS
-from humanopts_teach.bags.reader import Bag, Recorded
+from humanopts_teach.bags.reader import Bag
 
 ACTION_COMMAND = 'humanopts_interfaces/msg/ActionCommand'
 RESET_EVENT = 'humanopts_interfaces/srv/ResetGame_Event'
@@ -78,7 +77,7 @@ def read_actors(bag: Bag, between: tuple[int, int] = ALWAYS) -> Actors:
     :param between: log times that are read, ns.
     """
     actors = Actors()
-    for recorded in _of_type(bag, ACTION_COMMAND, between):
+    for recorded in bag.messages(bag.of_type(ACTION_COMMAND), between=between):
         if (command := recorded.message) is not None:
             name = getattr(command, 'option_name', '')  # older versions have no such field
             with bag.taking(recorded.topic):
@@ -106,7 +105,7 @@ def read_beginnings(bag: Bag) -> Beginnings:
     """Return how episodes were begun, where it is known."""
     asked: dict[tuple[Any, ...], Any] = {}
     found: Beginnings = {}
-    for recorded in _of_type(bag, RESET_EVENT):
+    for recorded in bag.messages(bag.of_type(RESET_EVENT)):
         if recorded.message is not None:
             with bag.taking(recorded.topic):
                 _take_event(recorded.topic, recorded.message, asked, found)
@@ -124,8 +123,3 @@ def _take_event(
         request, answer = asked.pop(call), event.response[0]
         key = (topic.removesuffix(_EVENTS), answer.episode, answer.state)
         found[key] = Beginning(int(request.seed), request.start_state)
-
-
-def _of_type(bag: Bag, type_name: str, between: tuple[int, int] = ALWAYS) -> Iterable[Recorded]:
-    topics = bag.of_type(type_name)
-    return bag.messages(topics, between=between) if topics else ()

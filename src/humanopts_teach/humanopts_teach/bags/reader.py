@@ -18,6 +18,7 @@ from humanopts_teach.bags.order import ALWAYS, OnRead, Pass, Passage, silent
 from mcap.records import Attachment, Schema
 
 INTERFACES = 'humanopts_interfaces/'
+MOST_NOTES = 1000  # kinds of damage that are told
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +166,7 @@ class Bag:
 
     def note(self, damage: str) -> None:
         """Keep what was found to be wrong, once."""
-        self._damage[damage] = None
+        self._damage[damage if len(self._damage) < MOST_NOTES else 'and more of the kind'] = None
 
     def _compare_topics(self) -> None:
         """Note where messages on one topic are of several types."""

@@ -97,8 +97,7 @@ def _demonstration(demo: Demonstration) -> dict[str, Any]:
 
 def _plans(bag: Bag) -> Iterator[dict[str, Any]]:
     """Yield what plans came to; bags of older versions do not have every field."""
-    topics = bag.of_type(PLAN_RESULT)
-    for recorded in bag.messages(topics) if topics else ():
+    for recorded in bag.messages(bag.of_type(PLAN_RESULT)):
         if (result := recorded.message) is not None:
             names = constants(bag.topics[recorded.topic].schema, 'STATUS_')
             status = names.get(result.status, str(result.status)).lower()

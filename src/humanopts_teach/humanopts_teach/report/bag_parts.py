@@ -38,8 +38,7 @@ def _film(bag: Bag) -> list[Frame]:
     """Return the frames of the last episode that learned options brought to its end."""
     under_way: dict[str, tuple[int, list[_Run]]] = {}  # episode and its runs, of each game
     game, number, runs = '', 0, list[_Run]()
-    results = bag.of_type(_OPTION_RESULT)
-    for recorded in bag.messages(results) if results else ():
+    for recorded in bag.messages(bag.of_type(_OPTION_RESULT)):
         if (message := recorded.message) is None:
             continue
         whose, first = namespace(recorded.topic), message.first_step

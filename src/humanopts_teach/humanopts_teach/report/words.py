@@ -170,8 +170,8 @@ def _reproduced(options: Sequence[OptionEvaluation]) -> list[Finding]:
     compared = [option.reproduced for option in options if option.reproduced is not None]
     if not compared or not all(compared):
         return []
-    text = f'{counted(len(compared), "option")} learned again from the bag alone, '
-    return [Finding(True, f'{text}to the last digit as in the option files that are in it.')]
+    text = f'{counted(len(compared), "option")} learned again from the bag alone: equal to the '
+    return [Finding(True, f'{text}option files in it, to the last digit.')]
 
 
 def number(value: float | None, digits: int = 4) -> str:
