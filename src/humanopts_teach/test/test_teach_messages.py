@@ -16,6 +16,7 @@ from humanopts_interfaces.srv import (
     EndDemonstration,
     OpenSession,
 )
+from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.convert import (
     answered,
     progress_from_message,
@@ -151,3 +152,24 @@ def test_a_lesson_that_cannot_publish_pauses_and_goes_on_when_it_can(
     publish_with(sent.append)
     assert told[1:] == [(NodeStatus.STATE_READY, '')]
     assert [message.participant for message in sent] == ['p1']
+
+
+def test_a_lesson_whose_demonstrations_cannot_be_sent_shows_why_it_is_paused(
+    lesson_node: LessonNode, monkeypatch: pytest.MonkeyPatch, taxi_lesson: list[Demonstration]
+) -> None:
+    sent: list[LessonState] = []
+
+    def blocked(message: object) -> None:
+        raise PublishError('a reader has stopped')
+
+    monkeypatch.setattr(lesson_node._state_out, 'publish', sent.append)
+    monkeypatch.setattr(lesson_node._demonstrations_out, 'publish', blocked)
+    lesson_node.ready = True
+    lesson_node._unsent.append(taxi_lesson[0])
+    lesson_node._tick()
+    lesson_node._tick()
+    assert [message.paused for message in sent] == ['a reader has stopped']
+    monkeypatch.undo()
+    lesson_node._tick()
+    assert lesson_node._lesson is not None
+    assert lesson_node._lesson.view.paused == ''

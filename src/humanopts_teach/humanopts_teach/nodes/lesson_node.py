@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import datetime, UTC
 from pathlib import Path
 import sys
@@ -356,6 +357,8 @@ class LessonNode(NodeBase):
         except PublishError as error:
             cause = str(error)
             self._lesson.pause(cause)
+            with suppress(PublishError):  # where it is not this that cannot be sent
+                self._send_view()
         if cause != self._told:
             self._told = cause
             self.set_status(NodeStatus.STATE_PAUSED if cause else NodeStatus.STATE_READY, cause)
@@ -364,6 +367,9 @@ class LessonNode(NodeBase):
         while self._unsent:
             self._demonstrations_out.publish(demonstration_to_message(self._unsent[0]))
             self._unsent.popleft()
+        self._send_view()
+
+    def _send_view(self) -> None:
         view = self._lesson.view
         if view != self._shown:
             self._state_out.publish(view_to_message(view))
