@@ -105,7 +105,7 @@ def test_the_recorder_of_a_launch_splits_and_keeps_the_option_files() -> None:
     assert recorder['attach'] == [str(setup.directory / 'options')]
 
 
-@pytest.mark.parametrize('size', ['0', '-1', '5 M', '5T', 'M', '1.5G', '٣'])
+@pytest.mark.parametrize('size', ['0', '-1', '5 M', '5T', 'M', '1.5G', '5000000000G', '٣'])
 def test_what_is_no_size_is_refused(size: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         launch('--split-bytes', size)

@@ -2,6 +2,8 @@
 
 import argparse
 
+from humanopts_teach.launching.processes import MOST_BYTES
+
 _UNITS = {'': 1, 'k': 10**3, 'M': 10**6, 'G': 10**9}
 
 
@@ -37,9 +39,10 @@ def add_recording_options(command: argparse.ArgumentParser) -> None:
 def _size(text: str) -> int:
     digits = text.rstrip('kMG')
     unit = _UNITS.get(text[len(digits) :])
-    if unit is None or not (digits.isascii() and digits.isdigit()) or not 0 < int(digits) < 2**40:
+    size = int(digits) * unit if unit and digits.isascii() and digits.isdigit() else 0
+    if not 0 < size <= MOST_BYTES:
         raise argparse.ArgumentTypeError(f'{text!r} is not a size such as 500M')
-    return int(digits) * unit
+    return size
 
 
 def _seconds(text: str) -> float:

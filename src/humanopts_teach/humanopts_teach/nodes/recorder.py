@@ -15,6 +15,7 @@ from humanopts_teach.bags.pace import Pace
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.stamps import is_stamped, read_stamp
 from humanopts_teach.bags.writer import BagWriter, Limits
+from humanopts_teach.launching.processes import MOST_BYTES
 from humanopts_teach.nodes.intake import Intake, Taken, Tap
 from humanopts_teach.nodes.recording_status import RecordingStatus
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
@@ -87,7 +88,7 @@ class Recorder(NodeBase):
         """
         path = str(self.setting('path', '', 'directory of the bag; must not exist'))
         facts = str(self.setting('metadata', '{}', 'JSON object of facts to keep in the bag'))
-        most = IntegerRange(from_value=0, to_value=2**62, step=1)
+        most = IntegerRange(from_value=0, to_value=MOST_BYTES, step=1)
         longest = FloatingPointRange(from_value=0.0, to_value=1e9)
         limits = Limits(
             self.setting('max_bytes', 0, 'size of a file; 0: any', integer_range=[most]),
