@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 GLOBAL = ('/rosout', '/parameter_events')  # recorded whatever the namespace
+MOST_BYTES = 2**62  # that can be asked for as the size of a file
 NEEDED = ('demonstrations', 'domain_info')  # what an offline evaluation learns from
 
 

@@ -9,7 +9,6 @@ from humanopts_env.domains.base import Parameter
 from humanopts_learner.options.criteria import Thresholds
 
 Value = Parameter | list[str]
-MOST_BYTES = 2**62  # that the recorder takes as a limit
 _PATIENCE = 5.0  # s that a run waits for game, beside the time that game takes for a step
 
 

@@ -7,7 +7,7 @@ import sys
 import time
 
 from humanopts_env.nodes.node_base import NodeBase, run_node, StartError
-from humanopts_env.recording import Selection
+from humanopts_env.recording import MOST_BYTES, Selection
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_teach.bags.errors import BagWriteError, SchemaError
 from humanopts_teach.bags.loss import Ledger
@@ -15,7 +15,6 @@ from humanopts_teach.bags.pace import Pace
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.stamps import is_stamped, read_stamp
 from humanopts_teach.bags.writer import BagWriter, Limits
-from humanopts_teach.launching.processes import MOST_BYTES
 from humanopts_teach.nodes.intake import Intake, Taken, Tap
 from humanopts_teach.nodes.recording_status import RecordingStatus
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
