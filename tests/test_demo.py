@@ -173,7 +173,7 @@ def test_mean_return_is_that_of_the_episodes_and_near_the_optimum(
 ) -> None:
     domain, played = Taxi(), episodes[-100:]
     assert all(episode.complete and episode.moments[-1].terminated for episode in played)
-    mean = sum(episode.total_reward for episode in played) / 100
+    mean = sum(moment.reward for episode in played for moment in episode.moments) / 100
     assert demo.summary['execution']['mean_return'] == pytest.approx(mean, abs=1e-12)
     best = _best_returns(domain)
     starts = [domain.index(domain.decode(episode.moments[0].state)) for episode in played]
@@ -224,7 +224,7 @@ def _all(bag: Bag, topic: str) -> list[Any]:
 
 def test_no_message_is_lost(bag: Bag) -> None:
     streams = list(count_loss(bag))
-    assert [(t, who, s.gaps) for t, who, s in streams if s.missing or s.duplicates] == []
+    assert [(t, who, s.missing) for t, who, s in streams if s.missing or s.duplicates] == []
     assert len(streams) > 20
     assert bag.damage == ''
 
