@@ -94,7 +94,12 @@ def test_whole_demo_compares_every_way_to_play(
         assert {row['kind'] for row in setting['rows']} == {'plan', 'chance', 'rule'}
     for setting in (random, chase):
         names = [r['name'] for r in setting['rows'] if len(r['options']) == 4]
-        assert names == ['human, 4 options', 'human, 4 options, interrupted', RANDOM_CHOICE]
+        assert names == [
+            'human, 4 options',
+            'human, 4 options, interrupted',
+            'human+primitive, 4 options, interrupted, 4-fold steps',
+            RANDOM_CHOICE,
+        ]
     four = next(r for r in random['rows'] if r['name'] == 'human, 4 options')
     (free,) = [r for r in random['rows'] if r['kind'] == 'chance' and len(r['options']) == 4]
     human = demo.summary['planning'][0]

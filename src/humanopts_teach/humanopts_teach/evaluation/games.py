@@ -20,7 +20,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.any_domain import GAME_STEPS
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
+from humanopts_learner.planning.plan import HUMAN, HUMAN_AND_PRIMITIVE, PRIMITIVE
 from humanopts_learner.planning.sampled.comparison import (
     carried_over,
     CHANCE,
@@ -38,7 +38,7 @@ from humanopts_learner.planning.sampled.curve import (
     planning_curve,
     seconds_to_reach,
 )
-from humanopts_learner.planning.sampled.tuned import TUNED, TUNED_MOVES
+from humanopts_learner.planning.sampled.tuned import TUNED, TUNED_BOTH, TUNED_MOVES
 
 GAMES = 1000  # that everything is judged by
 PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et al., section 7
@@ -177,7 +177,7 @@ def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Conte
         Contender(f'human, {name}', PLAN, HUMAN, chosen, steps) for name, chosen in sets.items()
     ]
     if isinstance(domain, PacMan):
-        found.append(_interrupted(domain, *list(sets.items())[-1], steps))
+        found += _interrupted(domain, *list(sets.items())[-1], steps)
     found += [
         _moves('primitive', domain, steps),
         _moves(f'primitive, {GENEROUS}-fold steps', domain, GENEROUS * steps),
@@ -202,19 +202,19 @@ def _moves(name: str, domain: Domain[Any], steps: int) -> Contender:
     return replace(usual, gamma=TUNED_MOVES.gamma, how=TUNED_MOVES.sampling)
 
 
-def _interrupted(domain: PacMan, name: str, options: Options, steps: int) -> Contender:
-    """Return the plan that stops options, with settings that were found by hand."""
-    tuned = TUNED[str(domain.parameters['ghosts'])]
-    return Contender(
-        f'human, {name}, interrupted',
-        PLAN,
-        HUMAN,
-        options,
-        steps,
-        tuned.gamma,
-        tuned.sampling,
-        Execution.INTERRUPTED,
-    )
+def _interrupted(domain: PacMan, name: str, options: Options, steps: int) -> list[Contender]:
+    """Return the plans that stop options, with settings that were found by hand."""
+    alone, mixed = TUNED[str(domain.parameters['ghosts'])], TUNED_BOTH
+    more = f'human+primitive, {name}, interrupted, {GENEROUS}-fold steps'
+    return [
+        Contender(
+            label, PLAN, action_set, options, budget, t.gamma, t.sampling, Execution.INTERRUPTED
+        )
+        for label, action_set, budget, t in (
+            (f'human, {name}, interrupted', HUMAN, steps, alone),
+            (more, HUMAN_AND_PRIMITIVE, GENEROUS * steps, mixed),
+        )
+    ]
 
 
 def _curves(
