@@ -87,8 +87,10 @@ class Pass:
             name = self.files[number].path.name
             self.note(f'{name}: the chunk at byte {block.offset} is damaged and left out: {error}')
             return []
+        if self.between is ALWAYS:
+            return found
         first, last = self.between
-        return [m for m in found if first <= m.log_time <= last]
+        return [message for message in found if first <= message.log_time <= last]
 
 
 def _size(messages: Sequence[Stored]) -> int:
