@@ -266,3 +266,18 @@ def test_attached_files_come_out_below_the_folder_only(
     assert not (tmp_path / 'outside.json').exists()
     if not refusal:
         assert main(command) == 2  # nothing is overwritten
+
+
+def test_attached_files_that_are_all_damaged_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.add_topic('/action', f'{MESSAGES}ActionCommand')
+        writer.write('/action', serialize_message(ActionCommand()), 1)
+        writer.attach('notes.txt', b'as it was')
+    (file,) = (tmp_path / 'bag').glob('*.mcap')
+    file.write_bytes(file.read_bytes().replace(b'as it was', b'as it is.'))
+    out = tmp_path / 'out'
+    assert main(['bag', 'export', str(tmp_path / 'bag'), '--to', 'files', '--out', str(out)]) == 2
+    assert 'all files attached' in capsys.readouterr().err
+    assert list(out.iterdir()) == []

@@ -10,8 +10,8 @@ def write_attached(bag: Bag, out: Path) -> list[Path]:
     """
     Write every attached file that is whole under its name there.
 
-    :raises ExportError: none is attached, or one has a name that is outside of the folder, or is
-        there already.
+    :raises ExportError: none is attached or none is whole, or one has a name that is outside of
+        the folder, or is there already.
     :raises OSError: the folder cannot be written to.
     """
     if not bag.attachments:
@@ -27,4 +27,6 @@ def write_attached(bag: Bag, out: Path) -> list[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(file.data)
         paths.append(path)
+    if not paths:
+        raise ExportError(f'all files attached to {bag.path} are damaged')
     return paths
