@@ -8,6 +8,7 @@ import uuid
 
 from humanopts_env.convert import domain_to_info
 from humanopts_env.domains.base import Domain
+from humanopts_interfaces.msg import GameState, OptionResult
 from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.criteria import Thresholds
@@ -219,3 +220,22 @@ def test_what_cannot_be_done_is_refused_before_the_work(
         asked = ['--html', str(tmp_path / asked[1])]
     assert main(['bag', 'eval', str(tmp_path / 'bag'), *asked]) == 2
     assert reason in capsys.readouterr().err
+
+
+def test_a_state_that_is_none_of_the_domain_is_an_error_of_the_report(
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson, capsys: pytest.CaptureFixture[str]
+) -> None:
+    messages = [
+        domain_to_info(taxi),
+        demonstration_to_message(taxi_lesson[0]),
+        GameState(publisher_id='/game#1', sequence=1, episode=1, state='chess e4'),
+        GameState(publisher_id='/game#1', sequence=2, episode=1, step=1, terminated=True),
+        OptionResult(option_name='fetch', episode=1, step_count=1, terminated=True),
+    ]
+    with BagWriter(tmp_path / 'bag') as bag:
+        for time, message in enumerate(messages):
+            name = type(message).__name__
+            bag.add_topic(f'/{name.lower()}', f'humanopts_interfaces/msg/{name}')
+            bag.write(f'/{name.lower()}', serialize_message(message), time)
+    assert main(['bag', 'eval', str(tmp_path / 'bag'), '--html', str(tmp_path / 'r.html')]) == 2
+    assert "'chess e4' is not a taxi state" in capsys.readouterr().err

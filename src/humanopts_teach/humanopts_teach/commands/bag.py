@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 import sys
 
+from humanopts_env.domains.base import StateError
 from humanopts_teach.bags.demonstrations import read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
@@ -71,8 +72,8 @@ def _eval(arguments: argparse.Namespace) -> int:
             parts = bag_parts(bags[0])
         try:
             write_evaluation_report(arguments.html, found[0], parts.frames, parts.topics)
-        except SummaryError as error:
-            raise CommandError(str(error)) from error
+        except (StateError, SummaryError) as error:
+            raise CommandError(f'no report: {error}') from error
         print(f'report: {arguments.html}', file=sys.stderr)
     return 0
 
