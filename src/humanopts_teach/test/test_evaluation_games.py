@@ -18,8 +18,8 @@ from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate,
     EvaluationError,
-    with_games,
 )
+from humanopts_teach.evaluation.bag_games import with_games
 from humanopts_teach.evaluation.games import (
     Curve,
     evaluate_games,
@@ -96,9 +96,7 @@ def test_every_action_set_and_baseline_plays_in_both_settings(games: GamesEvalua
     for setting in games.settings:
         kinds = [(row.kind, len(row.options)) for row in setting.rows]
         assert kinds == [
-            *(
-                (PLAN, count) for count in (3, 4, 4, 4, 0, 0)
-            ),  # two of four interrupted
+            *((PLAN, count) for count in (3, 4, 4, 4, 0, 0)),  # two of four interrupted
             *((CHANCE, count) for count in (0, 3, 4)),
             *((RULE, 0), (RULE, 0)),
         ]

@@ -19,11 +19,10 @@ from humanopts_teach.commands.bar import progress_bar, Tell
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
-    check_games,
     evaluate_bag,
     EvaluationError,
-    with_games,
 )
+from humanopts_teach.evaluation.bag_games import check_games, with_games
 from humanopts_teach.evaluation.difference import compare, difference_text, read_lesson
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.report.bag_parts import bag_parts

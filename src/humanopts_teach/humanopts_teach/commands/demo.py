@@ -30,8 +30,8 @@ from humanopts_teach.evaluation.bag_evaluation import (
     evaluate_bag,
     EvaluationError,
     judged_by,
-    with_games,
 )
+from humanopts_teach.evaluation.bag_games import with_games
 from humanopts_teach.evaluation.options_block import differences, option_block, OptionBlock
 from humanopts_teach.evaluation.planning import plan_differences, PlanningRow, row_of_result
 from humanopts_teach.evaluation.summary import (
