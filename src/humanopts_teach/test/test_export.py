@@ -184,6 +184,16 @@ def test_parquet_files_hold_the_tables(
         assert parquet.read_table(path).to_pydict() == found[path.stem]
 
 
+def test_a_parquet_column_may_begin_with_many_unknown_values(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parquet = pytest.importorskip('pyarrow.parquet')
+    monkeypatch.setattr(files, 'BATCH', 2)
+    options = [None, None, None, 'flee']
+    (path,) = write_parquet([Table('steps', ('option',), [(name,) for name in options])], tmp_path)
+    assert parquet.read_table(path).to_pydict() == {'option': options}
+
+
 @pytest.mark.parametrize('write', ['parquet', 'minari'])
 def test_export_says_which_package_is_missing(
     tmp_path: Path, bag: Bag, monkeypatch: pytest.MonkeyPatch, write: str

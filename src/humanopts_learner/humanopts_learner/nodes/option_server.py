@@ -64,7 +64,7 @@ class OptionServerNode(NodeBase):
         group = ReentrantCallbackGroup()
         self.recorded_service(RunOption, 'run_option', self._on_run, group)
         self.recorded_service(ListOptions, 'list_options', self._on_list, group)
-        self.recorded_service(QueryOption, 'query_option', self._on_query)
+        self.recorded_service(QueryOption, 'query_option', self._on_query, group)
         self.recorded_action(ExecuteOption, 'execute_option', self._execute, group)
 
     def waits_for(self) -> str | None:
@@ -186,9 +186,10 @@ class OptionServerNode(NodeBase):
         response.primitive_actions = library.primitive_names
         return response
 
-    def _on_query(
+    async def _on_query(
         self, request: QueryOption.Request, response: QueryOption.Response
     ) -> QueryOption.Response:
+        await self.provided()
         current = self._runner.state
         text = request.state or (current.state if current is not None else '')
         try:

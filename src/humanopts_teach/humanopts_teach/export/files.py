@@ -54,13 +54,19 @@ def write_parquet(tables: Sequence[Table], out: Path) -> list[Path]:
 
 
 def _write_batches(table: Table, path: Path, pyarrow: Any, parquet: Any) -> None:
-    """Write a table in parts, all of the types that the first has."""
+    """Write a table in parts, all of the types that the first has; text where it has nothing."""
     rows, schema = iter(table.rows), None
     with ExitStack() as stack:
         while (part := list(islice(rows, BATCH))) or schema is None:
             columns = dict(zip(table.head, zip(*part))) or dict.fromkeys(table.head, ())
             batch = pyarrow.table({name: list(c) for name, c in columns.items()}, schema)
             if schema is None:
+                types = {f.name: f.type for f in batch.schema}
+                empty = dict.fromkeys(
+                    (name for name, kind in types.items() if kind == pyarrow.null()),
+                    pyarrow.string(),
+                )
+                batch = batch.cast(pyarrow.schema({**types, **empty}))
                 schema = batch.schema
                 writer = stack.enter_context(parquet.ParquetWriter(path, schema))
             writer.write_table(batch)
