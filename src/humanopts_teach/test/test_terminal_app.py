@@ -307,6 +307,14 @@ def test_an_estimate_that_cannot_be_made_is_not_made(shower: Person) -> None:
     assert 'How many more it takes cannot be told yet.' in shower.sees()
 
 
+def test_a_person_is_told_why_a_lesson_goes_on_whose_criteria_hold(shower: Person) -> None:
+    progress = criteria([('return', 0.0, 1.0, True, True)])
+    shower.world.progress = [replace(progress, criteria_met=True)]
+    assert shower.sees_words('All criteria hold, but from some starts it still fails.')
+    shower.lesson(Phase.FINISHED)
+    assert shower.sees_words('All criteria hold. ')
+
+
 def test_a_person_is_told_when_the_criteria_will_be_measured(shower: Person) -> None:
     progress = criteria([('return', float('nan'), 1.0, False, False)])
     few = replace(progress, n_demonstrations=FEWEST - 1, more_needed=-1)

@@ -161,7 +161,7 @@ def _criteria(lesson: LessonView, progress: ProgressView | None) -> list[Rendera
     table.add_row('', *(Text(head, 'dim', no_wrap=True) for head in ('learned', 'now', 'needs')))
     for criterion in progress.criteria:
         table.add_row(*_criterion(criterion))
-    parts: list[RenderableType] = [table, _estimate(progress)]
+    parts: list[RenderableType] = [table, _estimate(lesson, progress)]
     if not math.isnan(progress.mean_return_policy):
         yours, learned = progress.mean_return_demonstrations, progress.mean_return_policy
         text = f'mean return from your starts: yours {yours:.2f}, learned {learned:.2f}'
@@ -189,10 +189,13 @@ def _criterion(criterion: CriterionView) -> list[Text]:
     ]
 
 
-def _estimate(progress: ProgressView) -> Text:
+def _estimate(lesson: LessonView, progress: ProgressView) -> Text:
     more = progress.more_needed
     if progress.criteria_met:
-        return Text('All criteria hold.', 'bold green')
+        goes_on = lesson.phase in {Phase.READY, Phase.DEMONSTRATING}
+        still = goes_on and set(progress.features) == set(lesson.chosen_features)
+        but = ', but from some starts it still fails.' if still else '.'
+        return Text(f'All criteria hold{but}', 'bold green')
     if progress.n_demonstrations < FEWEST:
         return Text(f'Measured from {FEWEST} demonstrations on.')
     if more < 0:
