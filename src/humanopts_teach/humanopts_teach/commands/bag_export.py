@@ -35,7 +35,6 @@ def _write(bag: Bag, form: str, out: Path) -> str:
     """Write the files, and return what there is to say of them."""
     if form == 'minari':
         return _dataset(bag, out)
-    out.mkdir(parents=True, exist_ok=True)
     if form == 'files':
         return '\n'.join(map(str, write_attached(bag, out)))
     write = {'csv': write_csv, 'parquet': write_parquet}[form]

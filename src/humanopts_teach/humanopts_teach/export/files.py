@@ -22,6 +22,7 @@ def write_csv(tables: Sequence[Table], out: Path) -> list[Path]:
 
     :raises OSError: the folder cannot be written to.
     """
+    out.mkdir(parents=True, exist_ok=True)
     paths = []
     for table in tables:
         paths.append(out / f'{table.name}.csv')
@@ -46,6 +47,7 @@ def write_parquet(tables: Sequence[Table], out: Path) -> list[Path]:
         raise ExportError(
             'Parquet needs pyarrow, which is not installed: pip install pyarrow'
         ) from error
+    out.mkdir(parents=True, exist_ok=True)
     paths = []
     for table in tables:
         paths.append(out / f'{table.name}.parquet')
