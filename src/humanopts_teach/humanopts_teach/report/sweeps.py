@@ -10,7 +10,7 @@ from humanopts_learner.planning.plan import Plan
 from humanopts_learner.planning.sweeps import sweep_table, SweepRow
 from humanopts_teach.report.figures import drawing, SERIES
 from humanopts_teach.report.words import number
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 
 MOST_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for this
 ALL_ROWS, STEP = 30, 1.1  # sweeps that are all in the table; from there on each so many times on
@@ -85,6 +85,10 @@ def _figure(tables: Mapping[str, Sequence[SweepRow]], name: str) -> str:
                 label=f'{called}: {len(rows) - 1} sweeps',
             )
         axes.set_yscale('log')
+        low, high = axes.get_ylim()
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 100 * low else (1,)))
+        axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
+        axes.yaxis.set_minor_locator(NullLocator())
         axes.set(title='Residual of each sweep', xlabel='sweep', ylabel='reward units')
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.grid(axis='y')
