@@ -75,7 +75,7 @@ def test_a_node_that_was_killed_in_silence_is_named_with_the_signal(
     (number,) = set(children()) - others
     os.kill(number, signal.SIGKILL)
     assert death(launcher) == (
-        'the node game ended (by signal SIGKILL) while it was needed; it wrote nothing'
+        'the node game ended (by signal SIGKILL) while it was needed; its log is empty'
     )
 
 

@@ -27,7 +27,8 @@ def run(arguments: argparse.Namespace) -> int:
     print('starting ...', flush=True)
     with session(setup, arguments.namespace) as running:
         status = running.launcher.run_terminal()
-        print(f'demonstrations, options and the bag are in {setup.directory}')
+        print(f'demonstrations and options are in {setup.directory}')
+        print(f'the bag is {setup.bag}')
         running.conductor.catch_up()
         running.check_recording()
     return status

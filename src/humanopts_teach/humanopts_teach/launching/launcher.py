@@ -203,5 +203,5 @@ def _last_lines(log: Path) -> str:
         return ''
     tail = [line for line in lines if line.strip()][-TAIL_LINES:]
     if not tail:
-        return '; it wrote nothing'
+        return '; its log is empty'
     return '; its last lines:\n' + '\n'.join(f'  {line}' for line in tail)
