@@ -277,7 +277,8 @@ def test_a_lesson_of_a_person_has_no_error_rate_to_tell(tmp_path: Path) -> None:
 def test_the_film_is_of_the_last_game_even_where_two_count_alike(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
-    entries: list[tuple[str, Any]] = []
+    refused = OptionResult(option_name='unknown', status=OptionResult.STATUS_UNKNOWN_OPTION)
+    entries: list[tuple[str, Any]] = [('/left/option_results', refused)]
     for where, actions in (('left', ['north', 'east']), ('right', ['south', 'south', 'west'])):
         states = [moment_to_message(moment) for moment in play(taxi, actions)]
         states[-1].terminated = True

@@ -39,7 +39,8 @@ def _film(bag: Bag) -> list[Frame]:
     under_way: dict[str, tuple[int, list[_Run]]] = {}  # episode and its runs, of each game
     game, number, runs = '', 0, list[_Run]()
     for recorded in bag.messages(bag.of_type(_OPTION_RESULT)):
-        if (message := recorded.message) is None:
+        message = recorded.message
+        if message is None or not message.episode:  # damaged, or refused
             continue
         whose, first = namespace(recorded.topic), message.first_step
         if under_way.get(whose, (0,))[0] != message.episode:
