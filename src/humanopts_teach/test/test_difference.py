@@ -71,6 +71,18 @@ def test_a_demonstration_that_was_changed_is_told_by_field(
     )
 
 
+def test_times_of_demonstrations_are_one_line_of_the_text(
+    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+) -> None:
+    slower = [replace(demo, seconds=demo.seconds + 2) for demo in short[:3]]
+    found = compare(whole, lesson(taxi, [*slower, *short[3:]]))
+    (line,) = difference_text(found).splitlines()[1:]
+    before = sum(demo.seconds for demo in short[:3])
+    assert line.split() == (
+        f'demonstration seconds of 3, added up {before:g} {before + 6:g}'.split()
+    )
+
+
 def test_participants_options_features_and_plans_are_compared(
     taxi: Domain[Any], short: list[Demonstration], whole: Lesson
 ) -> None:

@@ -20,6 +20,7 @@ from humanopts_teach.evaluation.options_block import OptionBlock
 
 HEAD = ('what', 'of', 'A', 'B')
 DEMONSTRATION = 'demonstration'
+SECONDS = 'seconds of '  # what most demonstrations differ in: the text adds them up
 MOST_SHOWN = 40  # characters of a value in the table; JSON has all of it
 TREES = ('policy', 'initiation', 'termination')
 _APART = {'name', 'features'}  # of an OptionBlock: compared by themselves
@@ -78,7 +79,11 @@ def difference_text(found: Sequence[Difference]) -> str:
         return 'the lessons are the same'
     lone = [d for d in found if d.what == DEMONSTRATION and None in (d.a, d.b)]
     options = Counter((_option_of(d.a or d.b), d.b is None) for d in lone)
-    rows = [[d.what, d.of, _shown(d.a), _shown(d.b)] for d in found if d not in lone]
+    timed = [d for d in found if d.what == DEMONSTRATION and d.of.startswith(SECONDS)]
+    rows = [[d.what, d.of, _shown(d.a), _shown(d.b)] for d in found if d not in [*lone, *timed]]
+    if timed:
+        sums = (sum(seconds) for seconds in zip(*((d.a, d.b) for d in timed)))
+        rows.append([DEMONSTRATION, f'{SECONDS}{len(timed)}, added up', *map(_shown, sums)])
     for name in dict.fromkeys(name for name, _ in options):
         counts = (f'{options[name, in_a]} that are only here' for in_a in (True, False))
         rows.append([DEMONSTRATION, f'of {name}', *counts])
