@@ -45,7 +45,7 @@ $(VENV)/.locked: requirements.lock
 	@touch $@
 
 build/.interfaces: $(VENV)/.locked $(INTERFACES)
-	@echo 'Building the ROS interfaces (about a minute) ...'
+	@echo 'Building the ROS interfaces (one to three minutes) ...'
 	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(BUILD) --packages-select humanopts_interfaces \
 	  $(CMAKE_ARGS) 2> >(grep -v 'local_setup' >&2)
 	@touch $@

@@ -1,5 +1,6 @@
 """The command line: help, one plain line for any bad input, and two launches in one place."""
 
+from importlib.metadata import version
 import json
 from pathlib import Path
 import resource
@@ -66,6 +67,11 @@ def test_help_of_every_command_names_its_options(
     out, err = capsys.readouterr()
     assert err == ''
     assert [word for word in words if word not in out] == []
+
+
+def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run('--version') == 0
+    assert capsys.readouterr().out.strip() == version('humanopts_teach')
 
 
 def test_strategies_on_offer_are_those_of_the_learner() -> None:

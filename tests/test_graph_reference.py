@@ -99,6 +99,7 @@ def full(shared: Graph) -> Iterator[Graph]:
     shared.start(TEACHER, options=['go to passenger'], expect_recorder=True)
     ready('simulated_teacher')
     shared.until(lambda: recorder and recorder[-1].complete, 'the recorder')
+    shared.until(lambda: len(nodes_of(shared)) > len(everybody), 'the names of all nodes')
     yield shared
     teach.kill(signal.SIGTERM)
     os.close(master)

@@ -8,6 +8,7 @@ from pathlib import Path
 import sys
 from typing import NoReturn
 
+from humanopts_teach.bags.provenance import software
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.commands.recording import add_recording_options
 from humanopts_teach.demos.store import CODE, CODE_RULE
@@ -32,6 +33,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog='humanopts', description='Teach options to a game-playing agent, and plan with them.'
     )
+    parser.add_argument('--version', action='version', version=software()['humanopts_version'])
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     demo = commands.add_parser(
         'demo', help='the whole graph with a simulated teacher: a bag, options and a report'
