@@ -82,11 +82,11 @@ class StampedPublisher(Generic[M]):
             raise PublishError(self._why(error)) from error
         self.sequence += 1
 
-    def recorded(self) -> bool:
-        """Tell whether the recorder's subscription is matched."""
+    def recorded(self, recorders: int = 1) -> bool:
+        """Tell whether the subscriptions of so many recorders are matched."""
         readers = self._node.get_subscriptions_info_by_topic(self.topic)
         matched = self._publisher.get_subscription_count() >= len(readers)
-        return matched and self._node.is_recorded(self.topic)
+        return matched and self._node.is_recorded(self.topic, recorders)
 
     def heard_by(self, node_name: str) -> bool:
         """Tell whether a node's subscription is matched, so that a message would arrive."""
@@ -208,12 +208,12 @@ class NodeBase(Node):
             result_timeout=_RESULT_TIMEOUT,
         )
 
-    def is_recorded(self, topic: str) -> bool:
-        """Tell whether the recorder has subscribed to a topic, or is told to leave it out."""
+    def is_recorded(self, topic: str, recorders: int = 1) -> bool:
+        """Tell whether so many recorders subscribe to a topic, or are told to leave it out."""
         if not self.selection.wants(self.resolve_topic_name(topic)):
             return True
         readers = self.get_subscriptions_info_by_topic(topic)
-        return any(reader.node_name == RECORDER for reader in readers)
+        return sum(reader.node_name == RECORDER for reader in readers) >= recorders
 
     async def answer(self, client: Client, request: Any, seconds: float) -> Any:
         """

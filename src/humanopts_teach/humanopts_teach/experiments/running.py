@@ -1,14 +1,17 @@
 """Running cells in several processes, or on a Dask cluster, with those that are done left out."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, ExitStack
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 import signal
+import threading
 import time
 from typing import Any, Protocol
 
 from humanopts_teach.experiments.cells import Cell, CellStore
 from joblib import delayed, Parallel, parallel_config
+from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
 
 class ClusterError(RuntimeError):
@@ -90,9 +93,10 @@ def _replies(cells: Sequence[Cell], jobs: int, dask: str) -> Iterator[_Reply]:
             delayed(_compute)(number, cells[number].compute, dict(cells[number].parameters))
             for number in order
         )
-        with _deaf_to_interrupts():
-            replies = work(tasks)
-        yield from replies
+        with ExitStack() as stack:
+            with _deaf_to_interrupts():
+                replies = stack.enter_context(closing(work(tasks)))
+            yield from replies
 
 
 def _compute(number: int, compute: Any, parameters: dict[str, Any]) -> _Reply:
@@ -108,6 +112,8 @@ def _compute(number: int, compute: Any, parameters: dict[str, Any]) -> _Reply:
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
     """Have processes that are started meanwhile not hear Ctrl-C; this one ends them."""
+    for tracker in (resource_tracker, loky_tracker):  # each hears it again once it has started
+        tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -116,9 +122,26 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 
 @contextmanager
+def _quiet_thread() -> Iterator[None]:
+    """Say nothing where joblib's thread no longer finds work, since that was given up."""
+    before = threading.excepthook
+
+    def hook(error: threading.ExceptHookArgs) -> None:
+        name = error.thread.name if error.thread is not None else ''
+        if error.exc_type is not KeyError or name != 'ExecutorManagerThread':
+            before(error)
+
+    threading.excepthook = hook
+    try:
+        yield
+    finally:
+        threading.excepthook = before
+
+
+@contextmanager
 def _backend(jobs: int, dask: str) -> Iterator[None]:
     if not dask:
-        with parallel_config(backend='loky', n_jobs=jobs):
+        with parallel_config(backend='loky', n_jobs=jobs), _quiet_thread():
             yield
         return
     try:

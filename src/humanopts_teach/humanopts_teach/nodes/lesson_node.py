@@ -322,9 +322,10 @@ class LessonNode(NodeBase):
 
     def _look_at_recording(self) -> None:
         """Notice that nothing is recorded; then that it is, and have the new bag get all."""
-        fault = self._recorders.look(self._recorder_status.get_publisher_count() > 0)
+        there = self._recorder_status.get_publisher_count()
+        fault = self._recorders.look(there > 0)
         if self._unrecorded and not fault:
-            if not self._demonstrations_out.recorded():
+            if not self._demonstrations_out.recorded(there):  # one that stopped may be among them
                 return
             self._unsent.extend(self._lesson.demonstrations())
         self._unrecorded = fault
