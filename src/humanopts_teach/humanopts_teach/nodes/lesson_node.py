@@ -242,7 +242,7 @@ class LessonNode(NodeBase):
     async def _begin(self, prepared: Answer) -> Answer:
         """Have game begin the episode, and wait for its first state on the stream."""
         lesson, until = self._lesson, self._waiting.until
-        if not await until(self._reset.service_is_ready, _GAME_DEADLINE):
+        if not await until(self._game_is_there, _GAME_DEADLINE):
             return lesson.not_begun(Status.NO_GAME, 'Game does not serve reset_game.')
         reply = await self.answer(
             self._reset,
@@ -266,6 +266,11 @@ class LessonNode(NodeBase):
         if lesson.phase is not Phase.DEMONSTRATING:
             return Answer(Status.NO_GAME, lesson.view.text)
         return answer
+
+    def _game_is_there(self) -> bool:
+        """Tell whether game can be asked, and what it then publishes will be heard."""
+        heard = self._game_states.get_publisher_count() > 0
+        return heard and bool(self._reset.service_is_ready())
 
     async def _on_end(
         self, request: EndDemonstration.Request, response: EndDemonstration.Response
