@@ -1,5 +1,7 @@
 """The node game on the real graph: what it takes, what it refuses, and how it survives."""
 
+from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 import json
 from pathlib import Path
@@ -310,18 +312,35 @@ while not ended:
 """
 
 
-def slow_reader(graph: Graph, kind: type, topic: str) -> tuple[NodeProcess, Path]:
-    """Start a reader that keeps everything; return it, and the file with what it has read."""
+def slow_reader(
+    graph: Graph, kind: type, topic: str, say: Callable[[], Any]
+) -> tuple[NodeProcess, Path]:
+    """
+    Start a reader that keeps everything; return it, and the file with what it has read.
+
+    :param say: has game publish on the topic; called until the reader hears it.
+    """
     numbers, profile = graph.folder / 'numbers', graph.folder / 'patient.xml'
     profile.write_text(PATIENT)
     command = ['-c', READER, str(numbers), str(profile), kind.__name__, topic]
     reader = graph.run(command, 'reader')
 
-    def readers() -> set[str]:
-        return {r.node_name for r in graph.node.get_subscriptions_info_by_topic(topic)}
+    def there() -> bool:
+        readers = graph.node.get_subscriptions_info_by_topic(topic)
+        return any(reader.node_name == 'slow_reader' for reader in readers)
 
-    graph.until(lambda: readers() >= {'person', 'slow_reader'}, 'the reader')
+    def heard() -> bool:  # which is later: we and game get to know the reader apart
+        say()
+        return bool(numbers.read_text())
+
+    graph.until(there, 'the reader')
+    graph.until(heard, 'the reader to hear game')
     return reader, numbers
+
+
+def has_read(numbers: Path, message: GameState | ActionRefusal) -> bool:
+    """Tell whether a message's number is in a slow reader's file."""
+    return str(message.sequence) in numbers.read_text().split()
 
 
 def flood_until_paused(graph: Graph, player: Player) -> str:
@@ -344,12 +363,12 @@ def test_a_stopped_reader_pauses_the_game_and_no_state_is_lost_or_doubled(live: 
     live.start(GAME)
     live.ready('/game')
     player = Player(live)
-    reader, numbers = slow_reader(live, GameState, 'game_state')
+    reader, numbers = slow_reader(live, GameState, 'game_state', lambda: player.reset(START))
     player.reset(START)
     first = player.state.sequence
     for _ in range(100):  # game and reader know each other well before it stops
         player.do('pickup')
-    live.until(lambda: str(player.state.sequence) in numbers.read_text().split(), 'the reader')
+    live.until(lambda: has_read(numbers, player.state), 'the reader')
     reader.pause()
     cause = flood_until_paused(live, player)
     assert 'cannot publish on /game_state' in cause
@@ -360,7 +379,7 @@ def test_a_stopped_reader_pauses_the_game_and_no_state_is_lost_or_doubled(live: 
     player.fresh(START)
     assert taken(player.do('south'))[0] == 1
     last = player.state.sequence
-    live.until(lambda: str(last) in numbers.read_text().split(), 'the reader to have it all')
+    live.until(lambda: has_read(numbers, player.state), 'the reader to have it all')
     assert reader.kill(signal.SIGTERM) == 0
     for got in (player.states, numbers.read_text().split()):
         seen = [int(getattr(state, 'sequence', state)) for state in got]
@@ -372,10 +391,11 @@ def test_a_stopped_reader_of_refusals_pauses_the_game_which_then_goes_on(live: G
     live.ready('/game')
     player = Player(live)
     player.fresh(START)
-    reader, numbers = slow_reader(live, ActionRefusal, 'action_refused')
+    jump = partial(player.do, 'jump')
+    reader, numbers = slow_reader(live, ActionRefusal, 'action_refused', jump)
     for _ in range(100):
-        player.do('jump')
-    live.until(lambda: '100' in numbers.read_text().split(), 'the reader')
+        jump()
+    live.until(lambda: has_read(numbers, player.refusals[-1]), 'the reader')
     reader.pause()
 
     def paused() -> bool:
@@ -391,6 +411,6 @@ def test_a_stopped_reader_of_refusals_pauses_the_game_which_then_goes_on(live: G
     reader.go_on()
     live.until(lambda: live.state('/game') == NodeStatus.STATE_READY, 'game to go on')
     assert taken(player.do('south'))[0] == 1
-    last = player.refusals[-1].sequence
-    assert [refusal.sequence for refusal in player.refusals] == list(range(1, last + 1))
+    first, last = player.refusals[0].sequence, player.refusals[-1].sequence
+    assert [refusal.sequence for refusal in player.refusals] == list(range(first, last + 1))
     assert reader.kill(signal.SIGTERM) == 0

@@ -37,6 +37,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
 _RETRY_PERIOD = 0.5  # s between attempts to send what could not be sent
 _HOLDER_PERIOD = 1.0  # s between looks whether the person's terminal is still there
+_HOLDER_LOOKS = 2  # that must miss it in a row, since a new node is heard before it is listed
 
 
 class GameNode(NodeBase):
@@ -66,6 +67,7 @@ class GameNode(NodeBase):
         self._pacing = Pacing(self._game)
         self._pace = self.create_timer(self._period or 1.0, self._on_pace, autostart=False)
         self._retry = self.create_timer(_RETRY_PERIOD, self._on_retry, autostart=False)
+        self._holder_missed = 0
         self.create_timer(_HOLDER_PERIOD, self._check_holder)
 
     def on_ready(self) -> None:
@@ -128,13 +130,13 @@ class GameNode(NodeBase):
     def _check_holder(self) -> None:
         """Free control that a terminal holds which is no longer there."""
         control = self._game.control
-        if control.holder is not Holder.PERSON:
-            return
         name = control.holder_id.split('#')[0]
         there = {
             f'{space.rstrip("/")}/{node}' for node, space in self.get_node_names_and_namespaces()
         }
-        if name.startswith('/') and name not in there:
+        missing = control.holder is Holder.PERSON and name.startswith('/') and name not in there
+        self._holder_missed = self._holder_missed + 1 if missing else 0
+        if self._holder_missed == _HOLDER_LOOKS:
             self._send_control(self._game.release(f'the terminal {name} is gone'))
 
     def _send_control(self, control: Control) -> None:
