@@ -37,6 +37,7 @@ def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
         terminated=demo.terminated,
         can_start_at_end=demo.can_start_at_end,
         seconds=demo.seconds,
+        withdrawn=demo.withdrawn,
     )
 
 

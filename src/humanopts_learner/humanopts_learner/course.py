@@ -13,7 +13,7 @@ from humanopts_learner.demonstrations import (
 )
 from humanopts_learner.journal import Journal
 from humanopts_learner.options.criteria import judge, Judgement, Thresholds
-from humanopts_learner.options.files import option_to_json, save_option
+from humanopts_learner.options.files import option_to_json, remove_option, save_option
 from humanopts_learner.options.learn import learn_option, NotLearnableError
 from humanopts_learner.options.option import LearnedOption
 
@@ -59,13 +59,13 @@ class Course:
 
     def take(self, demo: Demonstration) -> bool:
         """
-        Keep a demonstration and learn from it.
+        Keep a demonstration and learn from it, or from what is left when it is withdrawn.
 
-        :return: False when it is known already, and nothing changed.
+        :return: False when it is known already, or was withdrawn, and nothing changed.
         :raises DemonstrationError: it cannot be used; it is not kept.
         :raises CourseError: it could not be written; it is not kept.
         """
-        if any(known.uuid == demo.uuid for known in self._demos):
+        if any(k.uuid == demo.uuid and k.withdrawn >= demo.withdrawn for k in self._demos):
             return False
         check_demonstration(demo, self._domain)
         try:
@@ -90,16 +90,16 @@ class Course:
                 self._demos.append(demo)
             except DemonstrationError as error:
                 self.problems.append(f'line {number} of {self._journal.path} is left out: {error}')
-        for participant, option_name in group_by_option(self._demos):
-            self._learn(participant, option_name)
+        for whose in dict.fromkeys((demo.participant, demo.option_name) for demo in self._demos):
+            self._learn(*whose)
 
     def _learn(self, participant: str, option_name: str) -> None:
         key = participant, option_name
-        demos = group_by_option(self._demos)[key]
+        demos = group_by_option(self._demos).get(key, [])
         try:
             option = learn_option(demos, self._domain, self._seed)
         except NotLearnableError:
-            self._progress[key] = OptionProgress(demos, None, None, '')
+            self._unlearn(participant, option_name, demos)
             return
         judgement = judge(demos, self._domain, self._thresholds, self._seed, option)
         try:
@@ -108,3 +108,14 @@ class Course:
             self.problems.append(f'cannot write the file of {option_name!r}: {error}')
         file = option_to_json(option, [])
         self._progress[key] = OptionProgress(demos, option, judgement, file)
+
+    def _unlearn(self, participant: str, option_name: str, demos: list[Demonstration]) -> None:
+        """Forget the option that was learned from what is withdrawn, if there was one."""
+        try:
+            remove_option(self._directory, participant, option_name)
+        except OSError as error:
+            self.problems.append(f'cannot remove the file of {option_name!r}: {error}')
+        if demos:
+            self._progress[participant, option_name] = OptionProgress(demos, None, None, '')
+        else:
+            self._progress.pop((participant, option_name), None)

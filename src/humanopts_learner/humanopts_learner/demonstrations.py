@@ -53,6 +53,7 @@ class Demonstration:
     terminated: bool = False
     can_start_at_end: bool = False
     seconds: float = 0.0
+    withdrawn: bool = False  # taken back: it counts no more
 
     @cached_property
     def feature_rows(self) -> NDArray[np.int32]:
@@ -68,6 +69,8 @@ class Demonstration:
         """Return the demonstration as one line of JSON."""
         values = asdict(self)
         values['kind'] = self.kind.value
+        if not self.withdrawn:
+            del values['withdrawn']
         return json.dumps(values, sort_keys=True)
 
     @classmethod
@@ -90,7 +93,8 @@ class Demonstration:
 
         :raises DemonstrationError: a field is missing or has the wrong form.
         """
-        missing = [field.name for field in fields(cls) if field.name not in values]
+        needed = [field.name for field in fields(cls) if field.name != 'withdrawn']
+        missing = [name for name in needed if name not in values]
         if missing:
             raise DemonstrationError(f'the demonstration has no {", ".join(missing)}')
         try:
@@ -112,6 +116,7 @@ class Demonstration:
                 terminated=bool(values['terminated']),
                 can_start_at_end=bool(values['can_start_at_end']),
                 seconds=float(values['seconds']),
+                withdrawn=bool(values.get('withdrawn', False)),
             )
         except (TypeError, ValueError, OverflowError) as error:
             raise DemonstrationError(f'a field of the demonstration is wrong: {error}') from error
@@ -123,7 +128,8 @@ def demonstration_from_message(message: Any) -> Demonstration:
 
     :raises DemonstrationError: its kind is unknown.
     """
-    values = {field.name: getattr(message, field.name) for field in fields(Demonstration)}
+    names = (field.name for field in fields(Demonstration))
+    values = {name: getattr(message, name) for name in names if hasattr(message, name)}
     kinds = {number: kind for kind, number in KIND_NUMBERS.items()}
     values['kind'] = kinds.get(message.kind, f'number {message.kind}')
     flat, width = list(message.features), len(message.feature_names) or 1
@@ -162,10 +168,11 @@ def group_by_option(
     """
     Group by (participant, option name), in order of first appearance, each sorted by number.
 
-    A uuid that appears again is dropped, so a stream that was repeated counts once.
+    A uuid that appears again is dropped, so a stream that was repeated counts once; one that was
+    withdrawn, before or after, does not count at all.
     """
     groups: dict[tuple[str, str], list[Demonstration]] = {}
-    seen: set[str] = set()
+    seen = {demo.uuid for demo in demonstrations if demo.withdrawn}
     for demo in demonstrations:
         if demo.uuid not in seen:
             seen.add(demo.uuid)

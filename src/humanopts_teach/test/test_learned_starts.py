@@ -1,5 +1,6 @@
 """Start states by what was learned, as the lesson node draws them."""
 
+from dataclasses import replace
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -48,12 +49,22 @@ def test_it_knows_the_demonstrations_that_the_newest_option_was_learned_from(
     taxi: Any, shown: list[Demonstration], option: LearnedOption
 ) -> None:
     chooser = starts(taxi)
-    assert not chooser.knows('p1', OPTION, shown[0].uuid)
+    newer = replace(shown[0], uuid='a newer one')
+    assert not chooser.knows(shown[0])
     chooser.learned('p1', OPTION, option_to_json(option, []))
-    assert all(chooser.knows('p1', OPTION, demo.uuid) for demo in shown)
-    assert not chooser.knows('p1', OPTION, 'a newer one')
-    assert not chooser.knows('p2', OPTION, shown[0].uuid)
-    assert starts(taxi, 'random').knows('p1', OPTION, 'a newer one')
+    assert all(chooser.knows(demo) for demo in shown)
+    assert not chooser.knows(newer)
+    assert not chooser.knows(replace(shown[0], participant='p2'))
+    assert starts(taxi, 'random').knows(newer)
+
+
+def test_it_knows_that_one_is_withdrawn_once_the_option_is_learned_without_it(
+    taxi: Any, shown: list[Demonstration], option: LearnedOption
+) -> None:
+    chooser = starts(taxi)
+    chooser.learned('p1', OPTION, option_to_json(option, []))
+    assert not chooser.knows(replace(shown[0], withdrawn=True))
+    assert chooser.knows(replace(shown[0], uuid='left out', withdrawn=True))
 
 
 @pytest.mark.parametrize(

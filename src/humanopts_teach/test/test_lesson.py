@@ -39,8 +39,8 @@ class Starts:
     ) -> Any:
         return TAXI.sample_states(rng, 1)[0]
 
-    def knows(self, participant: str, option_name: str, uuid: str) -> bool:
-        return self.known is None or uuid in self.known
+    def knows(self, demonstration: Demonstration) -> bool:
+        return self.known is None or (demonstration.uuid in self.known) != demonstration.withdrawn
 
     def exhausted(
         self,
@@ -606,7 +606,7 @@ def test_the_lesson_waits_until_start_states_know_of_the_demonstration(table: Ta
     learning(table).learned()
     assert table.lesson.phase is Phase.LEARNING
     table.starts.known.add(table.lesson.awaited)
-    table.lesson.learner_said([])
+    table.lesson.starts_know_more()
     assert table.lesson.phase is Phase.READY
 
 

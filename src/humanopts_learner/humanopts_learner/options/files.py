@@ -82,9 +82,9 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     return option, demonstrations
 
 
-def option_path(directory: Path, option: LearnedOption) -> Path:
+def option_path(directory: Path, participant: str, name: str) -> Path:
     """Return where the file of an option is kept."""
-    return directory / _slug(option.participant) / f'{_slug(option.name)}.json'
+    return directory / _slug(participant) / f'{_slug(name)}.json'
 
 
 def save_option(
@@ -98,7 +98,7 @@ def save_option(
     :return: the path of the file.
     :raises OSError: it cannot be written; what was there before is unchanged.
     """
-    path = option_path(directory, option)
+    path = option_path(directory, option.participant, option.name)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:
@@ -106,13 +106,25 @@ def save_option(
             file.write(option_to_json(option, demonstrations))
             file.flush()
             os.fsync(file.fileno())
-        if path.exists() and not _is_of(path, option):
+        if path.exists() and not _is_of(path, option.participant, option.name):
             path.rename(_free_name(path))
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
     _sync_folder(path.parent)
     return path
+
+
+def remove_option(directory: Path, participant: str, name: str) -> None:
+    """
+    Remove the file of an option, if there is one; any other in its place is kept.
+
+    :raises OSError: it cannot be removed.
+    """
+    path = option_path(directory, participant, name)
+    if path.exists() and _is_of(path, participant, name):
+        path.unlink()
+        _sync_folder(path.parent)
 
 
 def load_option(path: Path) -> tuple[LearnedOption, list[Demonstration]]:
@@ -186,12 +198,12 @@ def _slug(name: str) -> str:
     return f'{readable}-{hashlib.sha256(name.encode()).hexdigest()[:8]}'.lstrip('-')
 
 
-def _is_of(path: Path, option: LearnedOption) -> bool:
+def _is_of(path: Path, participant: str, name: str) -> bool:
     try:
         found, _ = load_option(path)
     except OptionFileError:
         return False
-    return (found.name, found.participant) == (option.name, option.participant)
+    return (found.participant, found.name) == (participant, name)
 
 
 def _free_name(path: Path) -> Path:

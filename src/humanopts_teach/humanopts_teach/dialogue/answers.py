@@ -17,6 +17,7 @@ class Status(Enum):
     NOT_ASKED = 'not asked'
     NOT_CURRENT = 'not current'
     NOT_SAVED = 'not saved'
+    NO_DEMONSTRATION = 'no demonstration'
     NO_FEATURE = 'no feature'
     NO_GAME = 'no game'
     NO_STEPS = 'no steps'
@@ -57,7 +58,7 @@ class Answer:
     resumed: bool = False
     state: str = ''  # start state, in the domain's notation
     seed: int = 0  # of the chance in the episode
-    demonstration: Demonstration | None = None  # that was kept
+    demonstration: Demonstration | None = None  # that was kept, or taken back
 
     @property
     def ok(self) -> bool:
@@ -91,6 +92,7 @@ class LessonView:
     chosen_features: tuple[str, ...] = ()
     n_demonstrations: int = 0
     n_not_here: int = 0
+    last_uuid: str = ''  # of the newest demonstration; empty: none
     budget: int = 0
     strategy: str = ''
     start_state: str = ''

@@ -14,12 +14,8 @@ class OptionHistory:
     def __init__(self, name: str, features: Sequence[Feature]) -> None:
         self.name = name
         self.questions = Questions(name, features)
-        self.demonstrations: list[Demonstration] = []
-
-    @property
-    def number(self) -> int:
-        """Of the next demonstration: 1, 2, 3, ...; it also names the draw of its start state."""
-        return max((demo.number for demo in self.demonstrations), default=0) + 1
+        self.demonstrations: list[Demonstration] = []  # those that count
+        self.number = 1  # of the next one, counted on; it also names the draw of its start state
 
     @property
     def n_trajectories(self) -> int:
@@ -27,9 +23,22 @@ class OptionHistory:
         return sum(demo.kind is Kind.TRAJECTORY for demo in self.demonstrations)
 
     @property
+    def newest(self) -> Demonstration | None:
+        """The demonstration that can be taken back."""
+        return self.demonstrations[-1] if self.demonstrations else None
+
+    @property
     def n_not_here(self) -> int:
         """Answers that the option makes no sense in a state."""
         return len(self.demonstrations) - self.n_trajectories
+
+    def add(self, demo: Demonstration) -> None:
+        """Take in one more demonstration, or that one is withdrawn."""
+        self.number = max(self.number, demo.number + 1)
+        if demo.withdrawn:
+            self.demonstrations = [d for d in self.demonstrations if d.uuid != demo.uuid]
+        else:
+            self.demonstrations.append(demo)
 
 
 class History:
@@ -64,7 +73,7 @@ class History:
             entry.option_name, OptionHistory(entry.option_name, self._features)
         )
         if isinstance(entry, Demonstration):
-            option.demonstrations.append(entry)
+            option.add(entry)
         elif isinstance(entry, OptionDefined):
             self.last_option[entry.session] = entry.option_name
             if entry.ask_again:

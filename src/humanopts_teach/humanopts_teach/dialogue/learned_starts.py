@@ -54,12 +54,14 @@ class LearnedStarts:
         option = self._options.get((participant, option_name))
         return choose_start_state(self._strategy, self._domain, option, demonstrations, rng)
 
-    def knows(self, participant: str, option_name: str, uuid: str) -> bool:
-        """Tell whether start states are drawn with this demonstration counted in."""
+    def knows(self, demonstration: Demonstration) -> bool:
+        """Tell whether start states are drawn with this one counted in; out, if withdrawn."""
         if self._strategy != FAILURES:
             return True
-        option = self._options.get((participant, option_name))
-        return option is not None and uuid in option.uuids
+        option = self._options.get((demonstration.participant, demonstration.option_name))
+        return (
+            option is not None and (demonstration.uuid in option.uuids) != demonstration.withdrawn
+        )
 
     def exhausted(
         self,

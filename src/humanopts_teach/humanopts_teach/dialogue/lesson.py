@@ -20,22 +20,14 @@ from humanopts_teach.demos.store import DemonstrationStore
 from humanopts_teach.demos.trace import Trace
 from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Progress, Status, Verdict
 from humanopts_teach.dialogue.collecting import Attempt, build, Label, objection
+from humanopts_teach.dialogue.hints import hint
 from humanopts_teach.dialogue.history import OptionHistory
+from humanopts_teach.dialogue.learning import Learning
 from humanopts_teach.dialogue.notebook import Notebook
 from humanopts_teach.dialogue.questions import question_text
 from humanopts_teach.dialogue.start_states import StartDraws, StartStates
 
-_HINTS = {
-    Phase.NO_SESSION: 'Open a session to begin.',
-    Phase.NO_OPTION: 'Name the option that you want to teach.',
-    Phase.ASKING: 'Answer the question.',
-    Phase.READY: 'Begin the next demonstration.',
-    Phase.DEMONSTRATING: 'Show the option, then say done; or say not here, or discard.',
-    Phase.LEARNING: 'The learner works on the demonstration.',
-    Phase.FINISHED: 'Name the next option to teach.',
-}
 _UNRECORDED = 'on disk, but not in this recording: the next one has it'
-_GOES_ON = (Phase.DEMONSTRATING, Phase.LEARNING)  # also while the lesson is paused
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +68,7 @@ class Lesson:
         self._attempt: Attempt | None = None
         self._again = ''  # start state of a demonstration that came to nothing
         self._preparing = False  # game was asked for an episode and has not answered
-        self._awaited = ''  # uuid that the learner works on
-        self._progress: dict[tuple[str, str], Progress] = {}
+        self._learning = Learning()
         self._done = False  # criteria met, and the strategy has nothing left to ask
         self._notice = ''
         self._paused = ''  # why nothing new can be begun; empty: it can
@@ -95,58 +86,37 @@ class Lesson:
             return Phase.DEMONSTRATING
         if self._option.questions.open is not None:
             return Phase.ASKING
-        if self._awaited:
+        if self._learning.awaited is not None:
             return Phase.LEARNING
         return Phase.FINISHED if self._done or self._spent else Phase.READY
 
     def demonstrations(self) -> list[Demonstration]:
-        """Return all that anybody has shown in this domain, in the order of the store."""
+        """
+        Return all that anybody has shown in this domain, in the order of the store.
+
+        Of one that was taken back there is only the word that it is withdrawn.
+        """
         return self._notebook.demonstrations()
 
     @property
     def awaited(self) -> str:
         """The uuid of the demonstration that the learner works on; empty: none."""
-        return self._awaited
+        demo = self._learning.awaited
+        return demo.uuid if demo is not None else ''
 
     @property
     def criteria_met(self) -> bool:
         """Whether the learner says so, on the features that are chosen now."""
-        if self._option is None:
-            return False
-        known = self._progress.get((self._notebook.participant, self._option.name))
-        chosen = set(self._option.questions.chosen)
-        return known is not None and known.criteria_met and set(known.features) == chosen
+        option = self._option
+        return option is not None and self._learning.criteria_met(
+            self._notebook.participant, option
+        )
 
     @property
     def view(self) -> LessonView:
         """Everything that a terminal shows."""
-        base = LessonView(
-            phase=self.phase,
-            participant=self._notebook.participant,
-            session=self._notebook.session,
-            budget=self._rules.budget,
-            strategy=self._rules.strategy,
-            paused=self._paused,
-            text=f'{self._notice} {self._hint()}'.strip(),
-        )
-        option, attempt = self._option, self._attempt
-        if option is None:
-            return base
-        feature = option.questions.open
-        return replace(
-            base,
-            option_name=option.name,
-            question_id=self._notebook.question_id,
-            question=question_text(option.name, feature) if feature is not None else '',
-            question_feature=feature.name if feature is not None else '',
-            questions_total=len(self._domain.features),
-            chosen_features=option.questions.chosen,
-            n_demonstrations=option.n_trajectories,
-            n_not_here=option.n_not_here,
-            start_state=attempt.start_state if attempt is not None else '',
-            episode=attempt.episode if attempt is not None else 0,
-            criteria_met=self.criteria_met,
-        )
+        shown = self._view
+        return replace(shown, text=f'{self._notice} {hint(shown)}'.strip())
 
     # What the person asks for.
 
@@ -241,6 +211,19 @@ class Lesson:
         )
         return self._keep_demonstration(demonstration)
 
+    def withdraw(self, uuid: str = '') -> Answer:
+        """
+        Take back the newest demonstration of the option; its start state comes again.
+
+        :param uuid: of the one that is meant, so that no other is taken back; empty: whichever
+            is the newest.
+        """
+        answer = self._hindrance() or self._notebook.withdraw(uuid)
+        if answer.demonstration is not None:
+            self._again, self._notice = answer.demonstration.states[0], ''
+            self._learning.awaited = answer.demonstration
+        return answer
+
     # What the game and the learner tell.
 
     def saw(self, moment: Moment) -> bool:
@@ -259,35 +242,28 @@ class Lesson:
         return self._trace.episode == episode and self._trace.last >= step
 
     def learner_said(self, progress: Sequence[Progress]) -> None:
-        """Take in what the learner knows of each option, or that start states know more now."""
-        self._progress.update({(p.participant, p.option_name): p for p in progress})
-        option = self._option
+        """Take in what the learner knows of every option."""
+        self._learning.heard(progress)
+        self.starts_know_more()
+
+    def starts_know_more(self) -> None:
+        """Go on where both learner and start states have counted the newest demonstration."""
+        option, awaited = self._option, self._learning.awaited
         if option is None:
             return
-        if self._awaited:
-            known = self._progress.get((self._notebook.participant, option.name))
-            counted = known is not None and known.last_uuid == self._awaited
-            if not counted or not self._draws.know(
-                self._notebook.participant, option, self._awaited
-            ):
+        if awaited is not None:
+            if not self._learning.has_counted(awaited) or not self._draws.know(option, awaited):
                 return
-            self._awaited = ''
+            self._learning.awaited = None
         self._look_at_progress()
 
     def learner_refused(self, uuid: str, detail: str) -> None:
         """Take in that the learner did not take a demonstration; it stays in the store."""
-        if uuid == self._awaited:
-            self._awaited = ''
-            self._notice = f'The learner refused the demonstration: {detail}.'
+        self._notice = self._learning.refused(uuid, detail) or self._notice
 
     def learner_silent(self) -> None:
         """Go on without the learner, which has not answered in time."""
-        if self._awaited:
-            self._awaited = ''
-            self._notice = (
-                'The learner does not answer. The demonstration is on disk, and is sent again '
-                'to the next learner that starts.'
-            )
+        self._notice = self._learning.silent() or self._notice
 
     def pause(self, reason: str) -> None:
         """
@@ -300,6 +276,37 @@ class Lesson:
     # How it is done.
 
     @property
+    def _view(self) -> LessonView:
+        """The view without its text."""
+        base = LessonView(
+            phase=self.phase,
+            participant=self._notebook.participant,
+            session=self._notebook.session,
+            budget=self._rules.budget,
+            strategy=self._rules.strategy,
+            paused=self._paused,
+        )
+        option, attempt = self._option, self._attempt
+        if option is None:
+            return base
+        feature = option.questions.open
+        return replace(
+            base,
+            option_name=option.name,
+            question_id=self._notebook.question_id,
+            question=question_text(option.name, feature) if feature is not None else '',
+            question_feature=feature.name if feature is not None else '',
+            questions_total=len(self._domain.features),
+            chosen_features=option.questions.chosen,
+            n_demonstrations=option.n_trajectories,
+            n_not_here=option.n_not_here,
+            last_uuid=option.newest.uuid if option.newest is not None else '',
+            start_state=attempt.start_state if attempt is not None else '',
+            episode=attempt.episode if attempt is not None else 0,
+            criteria_met=self.criteria_met,
+        )
+
+    @property
     def _spent(self) -> bool:
         return self._option is not None and (
             len(self._option.demonstrations) >= self._rules.budget
@@ -308,16 +315,6 @@ class Lesson:
     @property
     def _occupied(self) -> bool:
         return self._attempt is not None or self._preparing
-
-    def _hint(self) -> str:
-        still = self._paused and self.phase not in _GOES_ON
-        hint = 'The lesson is paused.' if still else _HINTS[self.phase]
-        if self.phase is not Phase.FINISHED:
-            return hint
-        budget = self._rules.budget
-        reached = 'All criteria hold.' if self.criteria_met else 'Not all criteria hold.'
-        spent = f'The budget of {budget} is spent. ' if self._spent else ''
-        return f'{spent}{reached} {hint}'
 
     def _hindrance(self) -> Answer | None:
         if self._paused:
@@ -331,14 +328,14 @@ class Lesson:
         if self._preparing or self._attempt is not None:
             return _wrong('a demonstration is under way; end it first')
         if self._spent and self.phase is Phase.FINISHED:
-            return Answer(Status.BUDGET_SPENT, self._hint())
-        return _wrong(self._hint())
+            return Answer(Status.BUDGET_SPENT, hint(self._view))
+        return _wrong(hint(self._view))
 
     def _turned(self, answer: Answer) -> Answer:
         """Turn to the option that the notebook is open at now."""
         if answer.ok:
             if self._option is not self._notebook.option:
-                self._awaited = self._again = ''
+                self._learning.awaited, self._again = None, ''
             self._option = self._notebook.option
             self._notice = ''
             self._look_at_progress()
@@ -387,7 +384,7 @@ class Lesson:
             return failed
         self._attempt = None
         self._again = self._notice = ''
-        self._awaited = demonstration.uuid
+        self._learning.awaited = demonstration
         text = f'demonstration {demonstration.number} of {demonstration.option_name} is kept'
         if self._paused:
             self._notice = f'The demonstration is {_UNRECORDED}.'

@@ -1,6 +1,7 @@
 """Who teaches, what is taught and what was answered: the part of a lesson that is written."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -44,14 +45,20 @@ class Notebook:
         return self._history.n_answers + 1
 
     def demonstrations(self) -> list[Demonstration]:
-        """Return all that anybody has shown in this domain, in the order of the store."""
-        return [
+        """
+        Return all that anybody has shown in this domain, in the order of the store.
+
+        Of one that was taken back there is only the word that it is withdrawn.
+        """
+        shown = [
             entry
             for participant in self._store.participants()
             for entry in self._store.entries(participant)
             if isinstance(entry, Demonstration)
             and (entry.domain, entry.domain_parameters) == self._key
         ]
+        withdrawn = {demo.uuid for demo in shown if demo.withdrawn}
+        return [demo for demo in shown if demo.withdrawn or demo.uuid not in withdrawn]
 
     def open_session(self, participant: str, session: str) -> Answer:
         """
@@ -111,6 +118,27 @@ class Notebook:
         if not option.questions.answers:
             return Answer(Status.NO_FEATURE, ALL_NO)
         return Answer(Status.OK, f'{feature.name}: {"yes" if yes else "no"}')
+
+    def withdraw(self, uuid: str) -> Answer:
+        """
+        Take back the newest demonstration of the option.
+
+        :param uuid: of the one that is meant; empty: whichever is the newest.
+        """
+        if self.option is None:
+            return Answer(Status.WRONG_PHASE, 'name the option first')
+        newest = self.option.newest
+        if newest is None:
+            detail = f'no demonstration of {self.option.name} is left to take back'
+            return Answer(Status.NO_DEMONSTRATION, detail)
+        if uuid not in ('', newest.uuid):
+            detail = f'{uuid} is not the newest demonstration of {self.option.name}'
+            return Answer(Status.NO_DEMONSTRATION, detail)
+        withdrawn = replace(newest, withdrawn=True)
+        if (failed := self.keep(withdrawn)) is not None:
+            return failed
+        text = f'demonstration {newest.number} of {newest.option_name} is taken back'
+        return Answer(Status.OK, text, demonstration=withdrawn)
 
     def keep(self, entry: Entry) -> Answer | None:
         """Write an entry of the open session; what is answered tells why it could not be."""

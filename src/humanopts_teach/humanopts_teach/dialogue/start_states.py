@@ -23,8 +23,8 @@ class StartStates(Protocol):
         """Draw the state from which the person is asked to demonstrate next."""
         ...
 
-    def knows(self, participant: str, option_name: str, uuid: str) -> bool:
-        """Tell whether what it has learned counts this demonstration in."""
+    def knows(self, demonstration: Demonstration) -> bool:
+        """Tell whether what it has learned counts this one in; out, where it is withdrawn."""
         ...
 
     def exhausted(
@@ -73,9 +73,9 @@ class StartDraws:
         """Return the seed of the chance in the next demonstration's episode."""
         return int(self._generator('episode', participant, option).integers(2**63))
 
-    def know(self, participant: str, option: OptionHistory, uuid: str) -> bool:
-        """Tell whether the next draw counts a demonstration in."""
-        return not option.n_trajectories or self._starts.knows(participant, option.name, uuid)
+    def know(self, option: OptionHistory, demonstration: Demonstration) -> bool:
+        """Tell whether the next draw counts this one in; out, where it is withdrawn."""
+        return not option.n_trajectories or self._starts.knows(demonstration)
 
     def exhausted(self, participant: str, option: OptionHistory) -> bool:
         """Tell whether the strategy has nothing left to ask, once the criteria hold."""

@@ -91,6 +91,7 @@ class _InProcess:
         self._game = Game(domain)
         self._moment: Moment | None = None
         self._options: dict[str, LearnedOption] = {}
+        self._progress: dict[str, Progress] = {}  # by option
 
     def run(self) -> Taught:
         """Do what the teacher does next, until it is done or gives up."""
@@ -162,8 +163,8 @@ class _InProcess:
             features = option.features
             self._starts.learned(newest.participant, name, option_to_json(option, []))
             enough = self._enough(shown, option)
-        progress = Progress(newest.participant, name, features, newest.uuid, enough)
-        self._lesson.learner_said([progress])
+        self._progress[name] = Progress(newest.participant, name, features, newest.uuid, enough)
+        self._lesson.learner_said(list(self._progress.values()))
 
 
 def _check(answer: Answer) -> Answer:

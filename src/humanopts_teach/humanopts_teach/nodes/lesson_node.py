@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime, UTC
-from pathlib import Path
 import sys
 import time
 from typing import Any
@@ -34,24 +33,24 @@ from humanopts_interfaces.srv import (
     EndDemonstration,
     OpenSession,
     ResetGame,
+    WithdrawDemonstration,
 )
 from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.option import OptionError
-from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach.convert import (
     answered,
     progress_from_message,
     verdict_from_number,
     view_to_message,
 )
-from humanopts_teach.demos.store import DemonstrationStore, StoreError
 from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Status, Verdict
 from humanopts_teach.dialogue.learned_starts import LearnedStarts
-from humanopts_teach.dialogue.lesson import Lesson, LessonRules
+from humanopts_teach.dialogue.lesson import Lesson
 from humanopts_teach.dialogue.recorders import Recorders
+from humanopts_teach.nodes.lesson_settings import open_store, read_rules
 from humanopts_teach.nodes.waiting import Waiting
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange
+from rcl_interfaces.msg import FloatingPointRange
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 _TICK = 0.1  # s between looks at deadlines
@@ -64,7 +63,7 @@ class LessonNode(NodeBase):
 
     def __init__(self) -> None:
         super().__init__('lesson')
-        self._rules = self._read_rules()
+        self._rules = read_rules(self)
         self._until_no_failures = bool(
             self.setting(
                 'until_no_failures',
@@ -85,8 +84,7 @@ class LessonNode(NodeBase):
             'participant', '', 'code of the person whose session is opened at the start; or empty'
         )
         self._session = self.setting('session', '', 'its session; empty: a new one')
-        directory = self.setting('directory', 'demonstrations', 'folder of all demonstrations')
-        self._store = self._open_store(Path(directory))
+        self._store = open_store(self)
         self._lesson: Lesson | None = None
         self._state_out = self.stamped_publisher(LessonState, 'lesson_state', LATCHED)
         self._demonstrations_out = self.stamped_publisher(DemonstrationMessage, 'demonstrations')
@@ -128,37 +126,6 @@ class LessonNode(NodeBase):
         """Let another lesson use the folder."""
         self._store.close()
 
-    def _read_rules(self) -> LessonRules:
-        default = LessonRules()
-        numbers = IntegerRange(from_value=1, to_value=1_000_000, step=1)
-        seeds = IntegerRange(from_value=0, to_value=2**62, step=1)
-        strategy = self.setting(
-            'strategy', default.strategy, 'of start states: random, coverage or failures'
-        )
-        if strategy not in STRATEGIES:
-            raise StartError(
-                f'parameter strategy: {strategy!r} is none of {", ".join(STRATEGIES)}'
-            )
-        return LessonRules(
-            strategy,
-            self.setting(
-                'budget',
-                default.budget,
-                'demonstrations that are asked for at most for one option',
-                integer_range=[numbers],
-            ),
-            self.setting('seed', 0, 'of every random draw', integer_range=[seeds]),
-        )
-
-    def _open_store(self, directory: Path) -> DemonstrationStore:
-        try:
-            store = DemonstrationStore(directory)
-        except StoreError as error:
-            raise StartError(str(error)) from error
-        for damage in store.damage:
-            self.get_logger().warning(damage)
-        return store
-
     def _on_domain(self, info: DomainInfo) -> None:
         if self._lesson is not None:
             return
@@ -196,6 +163,7 @@ class LessonNode(NodeBase):
         serve(AnswerQuestion, 'answer_question', self._on_answer)
         serve(BeginDemonstration, 'begin_demonstration', self._on_begin)
         serve(EndDemonstration, 'end_demonstration', self._on_end)
+        serve(WithdrawDemonstration, 'withdraw_demonstration', self._on_withdraw)
         self.create_subscription(
             DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM
         )
@@ -280,6 +248,15 @@ class LessonNode(NodeBase):
         if verdict in (Verdict.DONE, Verdict.NOT_HERE):
             await self._waiting.until(lambda: lesson.reached(*here), _GAME_DEADLINE)
         answer = lesson.end_demonstration(verdict, *here, request.can_start_at_end)
+        return self._told_learner(response, answer)
+
+    def _on_withdraw(
+        self, request: WithdrawDemonstration.Request, response: WithdrawDemonstration.Response
+    ) -> WithdrawDemonstration.Response:
+        return self._told_learner(response, self._lesson.withdraw(request.uuid))
+
+    def _told_learner(self, response: Any, answer: Answer) -> Any:
+        """Answer, and publish the demonstration that was kept or taken back."""
         if answer.demonstration is not None:
             response.uuid = answer.demonstration.uuid
             self._asked_learner = time.monotonic()
@@ -314,7 +291,7 @@ class LessonNode(NodeBase):
                 self._starts.learned(option.participant, option.name, option.model)
             except OptionError as error:
                 self.get_logger().error(f'learned_options: {error}')
-        self._lesson.learner_said([])
+        self._lesson.starts_know_more()
         self._show()
 
     def _on_recorder(self, status: RecorderStatus) -> None:

@@ -20,6 +20,7 @@ _SERVICES = {
     ask.AnswerQuestion: (srv.AnswerQuestion, 'lesson/answer_question'),
     ask.Begin: (srv.BeginDemonstration, 'lesson/begin_demonstration'),
     ask.End: (srv.EndDemonstration, 'lesson/end_demonstration'),
+    ask.Withdraw: (srv.WithdrawDemonstration, 'lesson/withdraw_demonstration'),
     ask.SetControl: (srv.SetControl, 'set_control'),
     ask.NewEpisode: (srv.ResetGame, 'reset_game'),
     ask.ListOptions: (srv.ListOptions, 'list_options'),
@@ -123,6 +124,8 @@ class Calls:
                     step=step,
                     can_start_at_end=can_start_at_end,
                 )
+            case ask.Withdraw(uuid):
+                return srv.WithdrawDemonstration.Request(uuid=uuid)
             case ask.SetControl(hold):
                 return srv.SetControl.Request(hold=hold, holder_id=self._node.publisher_id)
             case ask.NewEpisode(seed):
@@ -146,7 +149,9 @@ class Calls:
             reply = ask.Reply(
                 request,
                 ok=ok or response.status == again,
-                text='' if ok and not isinstance(request, ask.DefineOption) else text,
+                text=''
+                if ok and not isinstance(request, ask.DefineOption | ask.Withdraw)
+                else text,
                 names=tuple(getattr(response, 'known_options', ())),
                 episode=getattr(response, 'episode', 0),
             )

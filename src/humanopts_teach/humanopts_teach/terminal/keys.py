@@ -36,6 +36,7 @@ class Command(Enum):
     START_AGAIN = 'start again'
     NOT_HERE = 'not here'
     DISCARD = 'discard'
+    TAKE_BACK = 'take back'
     QUESTIONS = 'questions'
     BEGIN = 'begin'
     RUN = 'run'
@@ -52,6 +53,7 @@ _WANTED: Mapping[Command, Sequence[str]] = {  # keys by preference
     Command.START_AGAIN: 'sa',
     Command.NOT_HERE: 'nh',
     Command.DISCARD: [BACKSPACE],
+    Command.TAKE_BACK: 'ub',
     Command.QUESTIONS: 'ek',
     Command.BEGIN: [ENTER],
     Command.RUN: 'rg',

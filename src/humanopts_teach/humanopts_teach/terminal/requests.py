@@ -44,6 +44,13 @@ class End:
 
 
 @dataclass(frozen=True, slots=True)
+class Withdraw:
+    """Take back the newest demonstration of the option."""
+
+    uuid: str
+
+
+@dataclass(frozen=True, slots=True)
 class Drive:
     """Take one primitive action as a person, and so take control."""
 
@@ -119,6 +126,7 @@ Request = (
     | AnswerQuestion
     | Begin
     | End
+    | Withdraw
     | Drive
     | SetControl
     | NewEpisode
@@ -172,6 +180,8 @@ def settled(reply: Reply, world: World) -> bool:
             return begun and game is not None and game.episode >= reply.episode
         case End():
             return lesson is not None and lesson.phase is not Phase.DEMONSTRATING
+        case Withdraw(uuid):
+            return lesson is not None and lesson.last_uuid != uuid
         case NewEpisode():
             return game is not None and game.episode >= reply.episode
         case SetExecution(execution):

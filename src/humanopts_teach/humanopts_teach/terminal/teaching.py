@@ -7,7 +7,14 @@ from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen, Keys, PlainScreen
 from humanopts_teach.terminal.keys import Command, key_table, KeyTable, label, SPACE
-from humanopts_teach.terminal.requests import AnswerQuestion, Begin, DefineOption, End, Reply
+from humanopts_teach.terminal.requests import (
+    AnswerQuestion,
+    Begin,
+    DefineOption,
+    End,
+    Reply,
+    Withdraw,
+)
 
 _ALWAYS = (Command.QUESTIONS, Command.MENU, Command.HELP, Command.QUIT)
 _IN_PHASE: dict[Phase, tuple[Command, ...]] = {
@@ -16,16 +23,18 @@ _IN_PHASE: dict[Phase, tuple[Command, ...]] = {
         Command.START_AGAIN,
         Command.NOT_HERE,
         Command.DISCARD,
+        Command.TAKE_BACK,
         *_ALWAYS,
     ),
-    Phase.READY: (Command.BEGIN, *_ALWAYS),
-    Phase.FINISHED: (Command.RUN, *_ALWAYS),
+    Phase.READY: (Command.BEGIN, Command.TAKE_BACK, *_ALWAYS),
+    Phase.FINISHED: (Command.RUN, Command.TAKE_BACK, *_ALWAYS),
 }
 _ELSE = (Command.MENU, Command.HELP, Command.QUIT)
 _SHORT = {
     Command.DONE: 'done',
     Command.NOT_HERE: 'not here',
     Command.DISCARD: 'discard',
+    Command.TAKE_BACK: 'undo the last',
     Command.QUESTIONS: 'questions',
     Command.BEGIN: 'begin',
     Command.RUN: 'run it',
@@ -38,6 +47,7 @@ _LONG = {
     Command.START_AGAIN: 'with done: the option could start again where it ended, or could not',
     Command.NOT_HERE: 'the option makes no sense from this start; only before the first step',
     Command.DISCARD: 'forget this demonstration and try the same start again',
+    Command.TAKE_BACK: 'take back the last demonstration that was kept, and show it anew',
     Command.QUESTIONS: 'answer again what the option depends on; demonstrations are kept',
     Command.MENU: 'to the menu; a demonstration under way is discarded',
     Command.QUIT: 'leave; everything taught is saved, and is taken up again next time',
@@ -87,6 +97,8 @@ class LessonScreen(PlainScreen):
             self.automatic = False
         elif isinstance(reply.request, AnswerQuestion) and not reply.ok:
             self.rest = False
+        elif isinstance(reply.request, Withdraw) and reply.ok:
+            self.automatic = True
         elif isinstance(reply.request, End) and reply.ok:
             self.again = False
             self.automatic = not app.world.paused
@@ -95,7 +107,10 @@ class LessonScreen(PlainScreen):
         """Return the keys of the phase."""
         phase = _phase(app)
         actions = app.domain.actions if phase is Phase.DEMONSTRATING else ()
-        return key_table(actions, _IN_PHASE.get(phase, _ELSE))
+        commands = _IN_PHASE.get(phase, _ELSE)
+        if app.world.lesson is None or not app.world.lesson.last_uuid:
+            commands = tuple(c for c in commands if c is not Command.TAKE_BACK)
+        return key_table(actions, commands)
 
     def questions_key(self, app: App) -> str:
         """Return the label of the key that asks the questions again; empty: not now."""
@@ -128,6 +143,7 @@ class LessonScreen(PlainScreen):
             Command.DONE: lambda: self._verdict(Verdict.DONE, app),
             Command.NOT_HERE: lambda: self._verdict(Verdict.NOT_HERE, app),
             Command.DISCARD: lambda: self._verdict(Verdict.DISCARD, app),
+            Command.TAKE_BACK: lambda: self._take_back(lesson, app),
             Command.START_AGAIN: self._toggle,
             Command.QUESTIONS: lambda: leave(
                 'Answer the questions again', lambda app: self._ask_again(lesson, app)
@@ -151,6 +167,22 @@ class LessonScreen(PlainScreen):
     def _verdict(self, verdict: Verdict, app: App) -> None:
         if (game := app.world.game) is not None:
             app.ask(End(verdict, game.at, self.again and verdict is Verdict.DONE))
+
+    def _take_back(self, lesson: LessonView, app: App) -> None:
+        """Take back the newest demonstration, and discard the one under way; ask first."""
+
+        def withdraw(app: App) -> None:
+            app.show(self)
+            if (game := app.world.game) is not None and _phase(app) is Phase.DEMONSTRATING:
+                app.ask(End(Verdict.DISCARD, game.at))
+            app.ask(Withdraw(lesson.last_uuid))
+
+        before = 'before this one ' if lesson.phase is Phase.DEMONSTRATING else ''
+        question = (
+            f'Take back the last demonstration {before}that was kept? It counts no more, and you '
+            'show it anew from the same start.'
+        )
+        app.show(ConfirmScreen(question, withdraw, self._back))
 
     def _leave(self, words: str, go: Callable[[App], None], app: App) -> None:
         """Discard the demonstration under way and go; ask first if steps were taken."""
