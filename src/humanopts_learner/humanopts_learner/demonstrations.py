@@ -1,6 +1,6 @@
 """Demonstrations: what a person showed, checked against the rules of the game."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from enum import Enum
 from functools import cached_property
@@ -162,20 +162,31 @@ def check_demonstration(demonstration: Demonstration, domain: Domain[Any]) -> No
     _check_steps(demo, domain)
 
 
+def each_once(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:
+    """
+    Drop what is repeated, in a stream or a journal, by uuid.
+
+    :return: in order of first appearance; withdrawn are those that were withdrawn at any time.
+    """
+    once: dict[str, Demonstration] = {}
+    for demo in demonstrations:
+        known = once.setdefault(demo.uuid, demo)
+        if demo.withdrawn and not known.withdrawn:
+            once[demo.uuid] = demo
+    return list(once.values())
+
+
 def group_by_option(
-    demonstrations: Sequence[Demonstration],
+    demonstrations: Iterable[Demonstration],
 ) -> dict[tuple[str, str], list[Demonstration]]:
     """
     Group by (participant, option name), in order of first appearance, each sorted by number.
 
-    A uuid that appears again is dropped, so a stream that was repeated counts once; one that was
-    withdrawn, before or after, does not count at all.
+    Each uuid counts once, and one that was withdrawn not at all.
     """
     groups: dict[tuple[str, str], list[Demonstration]] = {}
-    seen = {demo.uuid for demo in demonstrations if demo.withdrawn}
-    for demo in demonstrations:
-        if demo.uuid not in seen:
-            seen.add(demo.uuid)
+    for demo in each_once(demonstrations):
+        if not demo.withdrawn:
             groups.setdefault((demo.participant, demo.option_name), []).append(demo)
     for group in groups.values():
         group.sort(key=lambda demo: (demo.number, demo.uuid))

@@ -11,7 +11,7 @@ from humanopts_learner.demonstrations import (
     Demonstration,
     demonstration_from_message,
     DemonstrationError,
-    group_by_option,
+    each_once,
     Kind,
 )
 from humanopts_teach.bags.demonstrations import DEMONSTRATION, DOMAIN_INFO
@@ -155,23 +155,27 @@ class _Survey:
 
     def option_rows(self) -> list[OptionRow]:
         """Return what was collected of options."""
-        rows = []
-        for (participant, name), demos in group_by_option(self._demonstrations).items():
-            shown = [demo for demo in demos if demo.kind is Kind.TRAJECTORY]
-            rows.append(
-                OptionRow(
-                    participant=participant,
-                    option=name,
-                    sessions=tuple(dict.fromkeys(demo.session for demo in demos)),
-                    features=demos[-1].chosen_features,
-                    demonstrations=len(shown),
-                    not_here=len(demos) - len(shown),
-                    steps=sum(len(demo.actions) for demo in shown),
-                    seconds=math.fsum(d.seconds for d in demos if math.isfinite(d.seconds)),
-                    criteria_met=self._criteria.get((participant, name), False),
-                )
-            )
-        return rows
+        taught: dict[tuple[str, str], list[Demonstration]] = {}
+        for demo in each_once(self._demonstrations):
+            taught.setdefault((demo.participant, demo.option_name), []).append(demo)
+        return [self._option_row(*whose, demos) for whose, demos in taught.items()]
+
+    def _option_row(self, participant: str, name: str, demos: list[Demonstration]) -> OptionRow:
+        kept = [demo for demo in demos if not demo.withdrawn]
+        shown = [demo for demo in kept if demo.kind is Kind.TRAJECTORY]
+        newest = max(kept or demos, key=lambda demo: demo.number)
+        return OptionRow(
+            participant=participant,
+            option=name,
+            sessions=tuple(dict.fromkeys(demo.session for demo in demos)),
+            features=newest.chosen_features,
+            demonstrations=len(shown),
+            not_here=len(kept) - len(shown),
+            withdrawn=len(demos) - len(kept),
+            steps=sum(len(demo.actions) for demo in shown),
+            seconds=math.fsum(demo.seconds for demo in kept if math.isfinite(demo.seconds)),
+            criteria_met=self._criteria.get((participant, name), False),
+        )
 
     def _demonstration(self, recorded: Recorded, message: Any) -> None:
         try:

@@ -28,6 +28,7 @@ class OptionRow:
     features: tuple[str, ...]
     demonstrations: int
     not_here: int
+    withdrawn: int  # taken back, and counted nowhere else
     steps: int  # in all demonstrations
     seconds: float  # that the person took for them
     criteria_met: bool  # as the learner last said
@@ -175,14 +176,15 @@ class BagInfo:
                 row.option,
                 row.demonstrations,
                 row.not_here,
+                row.withdrawn,
                 row.steps,
                 f'{row.seconds:.0f}',
                 'yes' if row.criteria_met else 'no',
             )
             for row in self.options
         ]
-        head = ('participant', 'option', 'shown', 'not here', 'steps', 'seconds', 'criteria met')
-        return table(head, rows)
+        taught = ('participant', 'option', 'shown', 'not here', 'taken back')
+        return table((*taught, 'steps', 'seconds', 'criteria met'), rows)
 
     def _facts(self) -> str:
         rows = [

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 import json
 from typing import Any
 
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, each_once
 from humanopts_teach.bags.demonstrations import read_demonstrations
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.summary import table
@@ -52,7 +52,7 @@ def read_lesson(bag: Bag, progress: OnProgress | None = None) -> Lesson:
     :raises EvaluationError: it holds no demonstration to learn from.
     """
     evaluation = evaluate_bag(bag, progress)
-    return Lesson(evaluation, {demo.uuid: demo for demo in read_demonstrations(bag)})
+    return Lesson(evaluation, {demo.uuid: demo for demo in each_once(read_demonstrations(bag))})
 
 
 def compare(a: Lesson, b: Lesson) -> list[Difference]:

@@ -6,7 +6,7 @@ import json
 import math
 from typing import Any
 
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, each_once
 from humanopts_teach.bags.demonstrations import (
     DEMONSTRATION,
     read_demonstrations,
@@ -48,7 +48,7 @@ def bag_tables(bag: Bag) -> list[Table]:
 
     :raises BagError: the bag does not say which domain was played, or it is not installed.
     """
-    demonstrations = read_demonstrations(bag) if bag.of_type(DEMONSTRATION) else []
+    demonstrations = each_once(read_demonstrations(bag)) if bag.of_type(DEMONSTRATION) else []
     return [
         _steps_table(bag),
         _table('demonstrations', _DEMONSTRATION, map(_demonstration, demonstrations)),
