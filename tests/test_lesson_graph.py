@@ -24,8 +24,10 @@ from humanopts_interfaces.srv import (
     BeginDemonstration,
     DefineOption,
     EndDemonstration,
+    ListOptions,
     OpenSession,
     ResetGame,
+    WithdrawDemonstration,
 )
 from humanopts_teach.demos.store import DemonstrationStore
 import pytest
@@ -35,11 +37,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-DOMAIN_ID = 121
 PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
 START = 'taxi 0,1 passenger R destination G'
 CHOSEN = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col', 'passenger_in_taxi')
 GAME, LEARNER = 'humanopts_env.nodes.game_node', 'humanopts_learner.nodes.learner_node'
+OPTION_SERVER = 'humanopts_learner.nodes.option_server'
 LESSON = 'humanopts_teach.nodes.lesson_node'
 TEACHER = 'humanopts_teach.nodes.simulated_teacher'
 
@@ -47,13 +49,13 @@ TEACHER = 'humanopts_teach.nodes.simulated_teacher'
 class Graph:
     """Processes of one test, and a node that sees and asks what a person does."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, domain_id: int) -> None:
+        self.folder, self.domain_id = folder, domain_id
         self.processes: dict[str, subprocess.Popen[str]] = {}
         self.context = Context()
         rclpy.init(
             context=self.context,
-            domain_id=DOMAIN_ID,
+            domain_id=domain_id,
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self.node = Node('person', context=self.context)
@@ -89,7 +91,7 @@ class Graph:
         arguments = [f'{name}:={value}' for name, value in parameters.items()]
         options = [part for text in arguments for part in ('-p', text)]
         command = [sys.executable, '-m', module, '--ros-args', *options]
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(DOMAIN_ID)}
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain_id)}
         self.processes[module] = subprocess.Popen(
             command, env=environment, text=True, stderr=subprocess.PIPE
         )
@@ -191,8 +193,8 @@ class Graph:
 
 
 @pytest.fixture
-def graph(tmp_path: Path) -> Iterator[Graph]:
-    opened = Graph(tmp_path)
+def graph(tmp_path: Path, domain_id: int) -> Iterator[Graph]:
+    opened = Graph(tmp_path, domain_id)
     yield opened
     opened.close()
 
@@ -237,10 +239,10 @@ def test_the_simulated_teacher_teaches_until_the_criteria_hold(graph: Graph) -> 
     assert numbers == list(range(1, len(numbers) + 1))
 
 
-def test_the_same_seed_gives_the_same_lesson(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_lesson(tmp_path: Path, domain_id: int) -> None:
     lessons = []
     for name in ('first', 'second'):
-        graph = Graph(tmp_path / name)
+        graph = Graph(tmp_path / name, domain_id)
         try:
             teach(graph, options=f"['{PICKUP}']")
             lessons.append(uuids(graph))
@@ -296,6 +298,49 @@ def test_a_learner_that_comes_late_gets_every_demonstration(graph: Graph) -> Non
         'the learner to know of it',
     )
     assert graph.latest[LearningStatus].options[0].last_uuid == graph.shown[0].uuid
+
+
+def test_what_is_taken_back_is_unlearned_and_run_no_more(graph: Graph) -> None:
+    graph.start(GAME)
+    graph.start(LEARNER, directory=graph.folder / 'options')
+    graph.start(OPTION_SERVER)
+    graph.start_lesson()
+    graph.taught_up_to_ready()
+    for _ in range(2):
+        episode = graph.begin()
+        graph.drive(episode, 'west', 'pickup')
+        assert graph.end(episode, 2).status == EndDemonstration.Response.STATUS_OK
+        graph.phase(LessonState.PHASE_READY)
+
+    def learned() -> list[tuple[int, str]]:
+        options = graph.latest[LearningStatus].options
+        return [(option.n_demonstrations, option.last_uuid) for option in options]
+
+    def served() -> list[str]:
+        return list(graph.ask(ListOptions, 'list_options').option_names)
+
+    first, second = uuids(graph)
+    stale = graph.ask(WithdrawDemonstration, 'lesson/withdraw_demonstration', uuid=first)
+    assert stale.status == WithdrawDemonstration.Response.STATUS_NO_DEMONSTRATION
+    for uuid, left in ((second, [(1, first)]), (first, [])):
+        assert graph.lesson.last_uuid == uuid
+        taken = graph.ask(WithdrawDemonstration, 'lesson/withdraw_demonstration', uuid=uuid)
+        assert (taken.status, taken.uuid) == (WithdrawDemonstration.Response.STATUS_OK, uuid)
+        graph.until(lambda left=left: learned() == left, 'the learner to count it out')
+        graph.phase(LessonState.PHASE_READY)
+    graph.until(lambda: not served(), 'the option to be gone')
+    assert [message.withdrawn for message in graph.shown[-2:]] == [True, True]
+    none = graph.ask(WithdrawDemonstration, 'lesson/withdraw_demonstration')
+    assert none.status == WithdrawDemonstration.Response.STATUS_NO_DEMONSTRATION
+
+    graph.kill(LEARNER)
+    graph.latest.pop(LearningStatus)
+    graph.start(LEARNER, directory=graph.folder / 'forgot everything')
+    graph.until(lambda: LearningStatus in graph.latest, 'the new learner')
+    episode = graph.begin()
+    graph.drive(episode, 'west', 'pickup')
+    third = graph.end(episode, 2).uuid
+    graph.until(lambda: learned() == [(1, third)], 'the new learner to know what counts')
 
 
 def test_a_person_gets_clear_refusals_and_can_go_on(graph: Graph) -> None:

@@ -16,6 +16,7 @@ from humanopts_interfaces.srv import (
     DefineOption,
     EndDemonstration,
     OpenSession,
+    WithdrawDemonstration,
 )
 from humanopts_teach.bags.demonstrations import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
@@ -29,6 +30,7 @@ SERVICES: dict[type, str] = {
     AnswerQuestion: 'lesson/answer_question',
     BeginDemonstration: 'lesson/begin_demonstration',
     EndDemonstration: 'lesson/end_demonstration',
+    WithdrawDemonstration: 'lesson/withdraw_demonstration',
 }
 
 
@@ -137,6 +139,7 @@ def test_a_full_disk_pauses_the_lesson_until_the_next_recorder_has_all_that_was_
         (DefineOption, {'name': 'another'}),
         (AnswerQuestion, {'question_id': 1}),
         (BeginDemonstration, {}),
+        (WithdrawDemonstration, {}),
     ):
         refused = sitting.ask(kind, **fields)
         assert refused.status == kind.Response.STATUS_PAUSED

@@ -157,3 +157,60 @@ def test_an_option_file_that_cannot_be_written_is_a_problem_but_no_loss(
     (problem,) = course.problems
     assert 'cannot write the file of' in problem
     assert reopen().progress()[0].demonstrations == few[:2]
+
+
+def withdrawn(demo: Demonstration) -> Demonstration:
+    return replace(demo, withdrawn=True)
+
+
+def test_what_is_withdrawn_is_unlearned_and_stays_so(
+    reopen: Open, few: list[Demonstration]
+) -> None:
+    course = reopen()
+    for demo in few:
+        course.take(demo)
+    assert course.take(withdrawn(few[-1])) is True
+    for again in (few[-1], withdrawn(few[-1])):
+        assert course.take(again) is False
+    (progress,) = course.progress()
+    assert progress.demonstrations == few[:-1]
+    assert progress.option == learn_option(few[:-1], TAXI, SEED)
+    assert reopen().progress() == course.progress()
+
+
+def test_an_option_of_which_nothing_is_left_is_gone_with_its_file(
+    reopen: Open, few: list[Demonstration], tmp_path: Path
+) -> None:
+    course = reopen()
+    course.take(few[0])
+    course.take(withdrawn(few[0]))
+    assert course.progress() == reopen().progress() == []
+    assert load_options(tmp_path / 'options') == ([], [])
+    course.take(few[1])
+    assert load_options(tmp_path / 'options')[0] == [learn_option([few[1]], TAXI, SEED)]
+
+
+def test_an_option_with_not_here_alone_left_is_known_and_has_no_file(
+    reopen: Open, few: list[Demonstration], person: Any, tmp_path: Path
+) -> None:
+    refusal = replace(
+        few[1],
+        kind=Kind.NOT_HERE,
+        states=few[1].states[:1],
+        features=few[1].features[:1],
+        actions=(),
+        rewards=(),
+    )
+    course = reopen()
+    for demo in (refusal, few[0], withdrawn(few[0])):
+        course.take(demo)
+    (progress,) = course.progress()
+    assert (progress.demonstrations, progress.option) == ([refusal], None)
+    assert load_options(tmp_path / 'options') == ([], [])
+
+
+def test_a_withdrawal_that_comes_first_holds(reopen: Open, few: list[Demonstration]) -> None:
+    course = reopen()
+    assert course.take(withdrawn(few[0])) is True
+    assert course.take(few[0]) is False
+    assert course.progress() == []

@@ -1,8 +1,9 @@
 """Demonstrations: whatever the game could not have shown is refused, with the reason."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 import json
+from types import SimpleNamespace
 from typing import Any
 import uuid
 
@@ -10,7 +11,9 @@ from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
+    demonstration_from_message,
     DemonstrationError,
+    each_once,
     group_by_option,
     Kind,
 )
@@ -164,3 +167,28 @@ def test_groups_keep_people_apart_and_count_repeats_once(demo: Demonstration) ->
     groups = group_by_option([later, other, demo, later, demo])
     assert list(groups) == [(demo.participant, demo.option_name), ('bob', demo.option_name)]
     assert groups[demo.participant, demo.option_name] == [demo, later]
+
+
+@pytest.mark.parametrize('order', [(0, 1, 2), (1, 0, 2), (1, 2, 0), (0, 2, 0, 1, 0)])
+def test_a_demonstration_that_was_withdrawn_before_or_after_counts_no_more(
+    demo: Demonstration, order: tuple[int, ...]
+) -> None:
+    other = replace(demo, uuid=str(uuid.uuid4()), number=2)
+    said = (demo, replace(demo, withdrawn=True), other)
+    told = [said[n] for n in order]
+    assert group_by_option(told) == {(demo.participant, demo.option_name): [other]}
+    assert {d.uuid: d.withdrawn for d in each_once(told)} == {demo.uuid: True, other.uuid: False}
+
+
+def test_only_what_was_withdrawn_says_so_in_json(demo: Demonstration) -> None:
+    withdrawn = replace(demo, withdrawn=True)
+    assert 'withdrawn' not in demo.to_json()
+    assert Demonstration.from_json(withdrawn.to_json()) == withdrawn
+
+
+def test_a_message_of_an_older_version_is_not_withdrawn(demo: Demonstration) -> None:
+    values = {field.name: getattr(demo, field.name) for field in fields(Demonstration)}
+    del values['withdrawn']
+    flat = [value for row in demo.features for value in row]
+    older = SimpleNamespace(**values | {'kind': 1, 'features': flat})
+    assert demonstration_from_message(older) == demo

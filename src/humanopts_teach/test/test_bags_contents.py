@@ -228,10 +228,13 @@ def test_the_summary_counts_what_was_taught_and_done(
             )
         ]
     )
+    wrong = replace(taxi_lesson[0], uuid='taken back')
     entries: list[tuple[str, Any]] = [
         ('/domain_info', domain_to_info(taxi)),
         *(('/demonstrations', demonstration_to_message(demo)) for demo in taxi_lesson),
         ('/demonstrations', demonstration_to_message(taxi_lesson[0])),  # repeated
+        ('/demonstrations', demonstration_to_message(wrong)),
+        ('/demonstrations', demonstration_to_message(replace(wrong, withdrawn=True))),
         ('/learning_status', status),
         *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
         *(('/option_results', OptionResult(status=code)) for code in (1, 1, 5, 12)),
@@ -243,6 +246,7 @@ def test_the_summary_counts_what_was_taught_and_done(
     pickup = next(row for row in info.options if row.option == PICKUP)
     demos = [demo for demo in taxi_lesson if demo.option_name == PICKUP]
     assert pickup.demonstrations + pickup.not_here == len(demos)
+    assert pickup.withdrawn == 1
     assert pickup.steps == sum(len(demo.actions) for demo in demos)
     assert pickup.criteria_met
     assert info.participants == ('p1',)

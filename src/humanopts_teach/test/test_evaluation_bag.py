@@ -54,6 +54,17 @@ def test_one_demonstration_less_changes_the_numbers(
     assert fewer.blocks[1] == evaluation.blocks[1]
 
 
+def test_what_was_taken_back_is_as_if_it_had_never_been_shown(
+    taxi: Domain[Any], taxi_lesson: Lesson, evaluation: BagEvaluation
+) -> None:
+    wrong = replace(taxi_lesson[3], uuid=str(uuid.uuid4()), can_start_at_end=True, number=1000)
+    told = [*taxi_lesson[:9], wrong, replace(wrong, withdrawn=True), *taxi_lesson[9:], wrong]
+    assert evaluate([*taxi_lesson, wrong], taxi, SETTINGS).blocks != evaluation.blocks
+    found = evaluate(told, taxi, SETTINGS)
+    assert found.blocks == evaluation.blocks
+    assert [option.curve for option in found.options] == [o.curve for o in evaluation.options]
+
+
 def test_the_learning_curve_ends_at_the_options_block(evaluation: BagEvaluation) -> None:
     for option in evaluation.options:
         last = option.curve[-1]

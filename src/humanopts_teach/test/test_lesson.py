@@ -21,6 +21,7 @@ TAXI = make_domain('taxi')
 OPTION = 'go to passenger and pickup'
 CHOSEN = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col')
 START = 'taxi 0,1 passenger R destination G'
+OTHER = 'taxi 3,1 passenger B destination R'
 
 
 class Starts:
@@ -192,6 +193,12 @@ TABLE = [
     ),
     ('answer_question', dict.fromkeys(Phase, Status.NOT_ASKED) | {Phase.ASKING: Status.OK}),
     ('prepare', dict.fromkeys(Phase, Status.WRONG_PHASE) | {Phase.READY: Status.OK}),
+    (
+        'withdraw',
+        dict.fromkeys(Phase, Status.WRONG_PHASE)
+        | dict.fromkeys((Phase.ASKING, Phase.READY), Status.NO_DEMONSTRATION)
+        | dict.fromkeys((Phase.LEARNING, Phase.FINISHED), Status.OK),
+    ),
     ('end', dict.fromkeys(Phase, Status.WRONG_PHASE) | {Phase.DEMONSTRATING: Status.NO_STEPS}),
 ]
 REQUESTS: dict[str, Callable[[Table], Answer]] = {
@@ -199,6 +206,7 @@ REQUESTS: dict[str, Callable[[Table], Answer]] = {
     'define_option': lambda table: table.lesson.define_option('another'),
     'answer_question': lambda table: table.lesson.answer_question(1, True),
     'prepare': lambda table: table.lesson.prepare(),
+    'withdraw': lambda table: table.lesson.withdraw(),
     'end': lambda table: table.lesson.end_demonstration(Verdict.DONE, 1, 0, False),
 }
 
@@ -218,10 +226,11 @@ def test_every_request_is_answered_in_every_phase(
 
 
 FULL = 'recording stopped: the disk is full'
+NEW_THINGS = ['open_session', 'define_option', 'answer_question', 'prepare', 'withdraw']
 
 
 @pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
-@pytest.mark.parametrize('name', ['open_session', 'define_option', 'answer_question', 'prepare'])
+@pytest.mark.parametrize('name', NEW_THINGS)
 def test_while_it_is_paused_nothing_new_begins_and_then_all_goes_on(
     table: Table, phase: Phase, name: str
 ) -> None:
@@ -277,7 +286,7 @@ def test_every_phase_says_what_comes_next(table: Table, phase: Phase) -> None:
     assert view.text
 
 
-@pytest.mark.parametrize('name', ['open_session', 'define_option', 'answer_question', 'prepare'])
+@pytest.mark.parametrize('name', NEW_THINGS)
 def test_nothing_comes_between_the_request_for_an_episode_and_its_start(
     table: Table, name: str
 ) -> None:
@@ -738,3 +747,98 @@ def test_the_same_lesson_gives_the_same_uuids_and_any_difference_others(tmp_path
 
     assert uuid('a', 'west') == uuid('b', 'west', seconds=9.0)
     assert uuid('c', 'south') != uuid('d', 'west')
+
+
+def test_the_newest_demonstration_can_be_taken_back_and_shown_anew(table: Table) -> None:
+    table.ready().shown()
+    first = table.lesson.view.last_uuid
+    table.began(OTHER).drive('west').end()
+    table.learned()
+    newest = table.lesson.view.last_uuid
+    answer = table.lesson.withdraw(newest)
+    assert answer.ok
+    assert answer.demonstration is not None
+    assert (answer.demonstration.uuid, answer.demonstration.withdrawn) == (newest, True)
+    view = table.lesson.view
+    assert (view.phase, view.n_demonstrations, view.last_uuid) == (Phase.LEARNING, 1, first)
+    table.learned()
+    assert table.lesson.phase is Phase.LEARNING  # the learner has not counted it out yet
+    table.lesson.learner_said([Progress('p1', OPTION, CHOSEN, first, False)])
+    assert table.lesson.prepare().state == OTHER
+
+
+def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
+    table: Table,
+) -> None:
+    spent(table)
+    assert table.lesson.withdraw().ok
+    table.lesson.learner_said([])
+    assert table.lesson.phase is Phase.READY
+    again = table.began().drive('west').end().demonstration
+    assert again is not None
+    assert again.number == 6
+
+
+def test_a_lesson_that_was_finished_goes_on_without_what_made_it_so(table: Table) -> None:
+    met(table)
+    assert table.lesson.withdraw().ok
+    table.lesson.learner_said([])  # the option has no demonstration left
+    assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
+
+
+def test_only_the_newest_of_the_option_that_is_taught_can_be_taken_back(table: Table) -> None:
+    table.ready().shown()
+    older = table.lesson.view.last_uuid
+    table.shown()
+    refused = table.lesson.withdraw(older)
+    assert refused.status is Status.NO_DEMONSTRATION
+    assert older in refused.detail
+    table.lesson.define_option('another')
+    assert table.lesson.withdraw().status is Status.NO_DEMONSTRATION
+    assert table.lesson.demonstrations()[1].withdrawn is False
+
+
+def test_what_was_taken_back_stays_so_after_a_restart_and_is_told_to_the_learner(
+    store: DemonstrationStore,
+) -> None:
+    table = Table(store).ready().shown().shown()
+    newest = table.lesson.view.last_uuid
+    table.lesson.withdraw()
+    resumed = Table(store)
+    resumed.lesson.open_session('p1', 's1')
+    assert resumed.lesson.view.n_demonstrations == 1
+    told = [(demo.uuid, demo.withdrawn) for demo in resumed.lesson.demonstrations()]
+    assert told == [(resumed.lesson.view.last_uuid, False), (newest, True)]
+
+
+def test_a_withdrawal_that_cannot_be_written_changes_nothing(
+    table: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = table.ready().shown().lesson.view
+    with monkeypatch.context() as patch:
+        _fill_disk(patch)
+        assert table.lesson.withdraw().status is Status.NOT_SAVED
+    assert table.lesson.view == view
+    assert table.lesson.withdraw().ok
+
+
+def test_a_learner_that_does_not_take_a_withdrawal_is_quoted(table: Table) -> None:
+    table.ready().shown().lesson.withdraw()
+    table.lesson.learner_refused(table.lesson.awaited, 'cannot write')
+    assert table.lesson.phase is Phase.READY
+    assert 'did not take the demonstration back: cannot write' in table.lesson.view.text
+    table.shown().lesson.withdraw()
+    table.lesson.learner_silent()
+    assert 'taken back is on disk' in table.lesson.view.text
+
+
+def test_start_states_are_drawn_only_once_they_know_of_a_withdrawal(table: Table) -> None:
+    table.ready().shown().shown()
+    uuid = table.lesson.view.last_uuid
+    table.starts.known = {uuid}
+    table.lesson.withdraw()
+    table.lesson.learner_said([])
+    assert table.lesson.phase is Phase.LEARNING
+    table.starts.known.clear()
+    table.lesson.starts_know_more()
+    assert table.lesson.phase is Phase.READY

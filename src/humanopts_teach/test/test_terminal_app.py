@@ -27,6 +27,7 @@ from humanopts_teach.terminal.requests import (
     RunOption,
     SetControl,
     SetExecution,
+    Withdraw,
 )
 from humanopts_teach.terminal.world import CriterionView, GameView, ProgressView
 import pytest
@@ -265,6 +266,38 @@ def test_questions_can_be_answered_again(shower: Person) -> None:
     assert discard == End(Verdict.DISCARD, (2, 0))
     shower.lesson(Phase.READY)
     assert shower.answer(discard) == DefineOption(NAME, ask_again=True)
+
+
+def test_the_last_demonstration_is_taken_back_after_a_question_and_shown_anew(
+    shower: Person,
+) -> None:
+    assert shower.press('u') is None
+    assert not shower.sees_words('Take back')  # there is none yet
+    shower.lesson(Phase.DEMONSTRATING, last_uuid='abc')
+    assert 'u undo the last' in shower.sees()
+    shower.press('left')
+    shower.game(step=1)
+    assert shower.press('u') is None
+    assert shower.sees_words('Take back the last demonstration before this one')
+    assert shower.press('x') is None
+    discard = shower.press('u', 'enter')
+    assert discard == End(Verdict.DISCARD, (2, 1))
+    shower.lesson(Phase.READY)
+    withdraw = shower.answer(discard)
+    assert withdraw == Withdraw('abc')
+    shower.lesson(Phase.LEARNING, last_uuid='')
+    assert shower.answer(withdraw, text='demonstration 1 is taken back') is None
+    assert shower.sees_words('demonstration 1 is taken back')
+    assert shower.lesson(Phase.READY) == Begin()
+
+
+def test_a_finished_option_can_still_be_undone_and_a_refusal_is_told(shower: Person) -> None:
+    shower.lesson(Phase.FINISHED, last_uuid='abc')
+    withdraw = shower.press('u', 'enter')
+    assert withdraw == Withdraw('abc')
+    assert shower.answer(withdraw, ok=False, text='it is not the newest') is None
+    assert shower.sees_words('it is not the newest')
+    assert shower.lesson(Phase.READY) is None
 
 
 def criteria(values: Iterable[tuple[str, float, float, bool, bool]]) -> ProgressView:
@@ -512,6 +545,7 @@ def test_while_the_lesson_is_paused_the_next_start_waits_for_a_key(shower: Perso
 
 def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:
     values = [(name, 0.125, 0.05, True, False) for name in ('return', 'initiation', 'termination')]
+    shower.lesson(Phase.DEMONSTRATING, last_uuid='abc')
     situation = ', '.join(f'{name.replace("_", " ")} 4' for name in CHOSEN)
     shower.world.progress = [
         replace(
