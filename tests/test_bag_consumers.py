@@ -63,13 +63,16 @@ def by_foxglove(bag: Bag) -> list[str]:
 
 @pytest.fixture(scope='module')
 def split(tmp_path_factory: pytest.TempPathFactory, bag: Bag, ours: list[Recorded]) -> Path:
-    """The messages of the demo in a bag of several files, with attachments."""
+    """The messages of the demo in a bag of several files of several chunks, with attachments."""
     path = tmp_path_factory.mktemp('split') / 'bag'
-    with BagWriter(path, FACTS, limits=Limits(seconds=5.0)) as writer:
+    share = (ours[-1].log_time - ours[0].log_time) / 1e9 / 4
+    with BagWriter(path, FACTS, limits=Limits(seconds=share)) as writer:
         for topic in bag.topics.values():
             writer.add_topic(topic.name, topic.type, yaml.safe_load(topic.qos), topic.type_hash)
-        for message in ours:
+        for number, message in enumerate(ours):
             writer.write(message.topic, message.data, message.log_time, message.publish_time)
+            if number % 50 == 0:
+                writer.flush()
         for name, data in FILES.items():
             writer.attach(name, data, 'application/octet-stream')
     return path
@@ -260,7 +263,7 @@ def test_foxglove_reads_messages_and_attachments_of_several_files(
 def test_foxglove_and_rosbags_read_what_a_repair_saves_of_a_file_cut_short(
     split: Path, tmp_path: Path
 ) -> None:
-    cut, whole = tmp_path / 'cut.mcap', split / 'bag_0.mcap'
+    cut, whole = tmp_path / 'cut.mcap', max(split.glob('*.mcap'), key=lambda f: f.stat().st_size)
     with whole.open('rb') as stream:
         last = make_reader(stream).get_summary().chunk_indexes[-1]
     cut.write_bytes(whole.read_bytes()[: last.chunk_start_offset + last.chunk_length // 2])

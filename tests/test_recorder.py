@@ -157,6 +157,10 @@ class Graph:
         """Return what is in the bag of a topic, also while it is being written."""
         return [r.message for r in open_bag(self.path).messages([topic])]
 
+    def holds(self, topic: str, count: int) -> None:
+        """Wait until so many messages of a topic are in the bag; ``stop`` waits for nothing."""
+        self.until(lambda: len(self.recorded(topic)) >= count, f'{count} messages on {topic}')
+
     def stop(self, number: int = signal.SIGTERM) -> int:
         """Signal the recorder and wait for its end."""
         assert self.recorder is not None
@@ -220,6 +224,7 @@ def test_service_requests_and_responses_are_recorded(graph: Graph) -> None:
     for number in range(5):
         future = client.call_async(SetControl.Request(hold=True, holder_id=f'terminal {number}'))
         graph.until(future.done, 'an answer')
+    graph.holds('/set_control/_service_event', 20)  # each call has four
     graph.stop()
     events = [r.message for r in open_bag(graph.path).messages(['/set_control/_service_event'])]
     requests = [event.request[0].holder_id for event in events if event.request]
@@ -235,6 +240,10 @@ def test_action_feedback_and_status_are_recorded(graph: Graph) -> None:
         goal.succeed()
         return Plan.Result()
 
+    def last_status() -> int:
+        said = graph.recorded('/plan/_action/status')
+        return int(said[-1].status_list[-1].status) if said else 0
+
     server = ActionServer(graph.node, Plan, 'plan', execute)
     client = ActionClient(graph.node, Plan, 'plan')
     graph.record()
@@ -244,14 +253,12 @@ def test_action_feedback_and_status_are_recorded(graph: Graph) -> None:
     graph.until(accepted.done, 'the goal')
     result = accepted.result().get_result_async()
     graph.until(result.done, 'the result')
+    graph.holds('/plan/_action/feedback', 3)
+    graph.until(lambda: last_status() == 4, 'the status: it succeeded')
     graph.stop()
-    messages = list(
-        open_bag(graph.path).messages(['/plan/_action/feedback', '/plan/_action/status'])
-    )
-    feedback = [r.message.feedback.sweeps for r in messages if 'feedback' in r.topic]
-    states = [r.message.status_list[-1].status for r in messages if 'status' in r.topic]
+    feedback = [m.feedback.sweeps for m in graph.recorded('/plan/_action/feedback')]
     assert feedback == [0, 1, 2]
-    assert states[-1] == 4  # succeeded
+    assert last_status() == 4
     client.destroy()
     server.destroy()
 
@@ -260,6 +267,7 @@ def test_what_was_latched_before_the_recorder_came_is_recorded(graph: Graph) -> 
     early = graph.node.create_publisher(GameState, 'current_state', LATCHED)
     early.publish(GameState(publisher_id='/early#1', sequence=1, state='early'))
     graph.record()
+    graph.holds('/current_state', 1)
     graph.stop()
     bag = open_bag(graph.path)
     assert [r.message.state for r in bag.messages(['/current_state'])] == ['early']
@@ -289,27 +297,38 @@ def test_publishers_that_promise_less_are_matched(graph: Graph) -> None:
     second = graph.node.create_publisher(String, 'mixed', BEST_EFFORT)
     graph.until(lambda: second.get_subscription_count() > 0, 'a match with less')
     graph.until(lambda: first.get_subscription_count() > 0, 'a match')
-    second.publish(String(data='second'))
     first.publish(String(data='first'))
-    graph.until(lambda: graph.status.messages > 0, 'a status')
+
+    def recorded() -> set[str]:
+        return {message.data for message in graph.recorded('/mixed')}
+
+    def both() -> bool:
+        second.publish(String(data='second'))  # best effort: one may be lost
+        return recorded() == {'first', 'second'}
+
+    graph.until(both, 'messages of both')
     graph.stop()
-    recorded = {r.message.data for r in open_bag(graph.path).messages(['/mixed'])}
-    assert recorded == {'first', 'second'}
+    assert recorded() == {'first', 'second'}
 
 
 def test_the_log_the_parameters_and_the_recorder_itself_are_recorded(graph: Graph) -> None:
+    def logged() -> list[str]:
+        return [message.msg for message in graph.recorded('/rosout')]
+
+    def changed() -> list[str]:
+        events = graph.recorded('/parameter_events')
+        return [p.name for event in events for p in event.changed_parameters]
+
     graph.node.declare_parameter('colour', 'red')
     graph.record('-p', 'metadata:=\'{"seed": 7, "strategy": "failures"}\'')
     graph.node.get_logger().info('a line of the log')
     graph.node.set_parameters([rclpy.Parameter('colour', value='blue')])
+    graph.until(lambda: 'a line of the log' in logged(), 'the log')
+    graph.until(lambda: changed() == ['colour'], 'the change of a parameter')
     graph.stop()
     bag = open_bag(graph.path)
-    logged = [r.message.msg for r in bag.messages(['/rosout'])]
-    changed = [
-        p.name for r in bag.messages(['/parameter_events']) for p in r.message.changed_parameters
-    ]
-    assert 'a line of the log' in logged
-    assert changed == ['colour']
+    assert 'a line of the log' in logged()
+    assert changed() == ['colour']
     assert {'/recorder_status', '/node_status'} <= counts(bag).keys()
     facts = {'seed': '7', 'strategy': 'failures', 'record_include': '["*"]', **software()}
     assert facts.items() <= bag.metadata['humanopts'].items()
@@ -324,6 +343,7 @@ def test_a_namespace_is_recorded_without_its_neighbours(graph: Graph) -> None:
     graph.recorder = graph.begin('-r', '__ns:=/a')
     graph.until(lambda: graph.status.complete, 'the recorder')
     graph.until(lambda: ours.get_subscription_count() == 1, 'a match')
+    graph.holds('/a/chatter', 1)
     graph.stop()
     topics = set(open_bag(graph.path).topics)
     assert '/a/chatter' in topics
