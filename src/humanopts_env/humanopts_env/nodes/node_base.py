@@ -11,6 +11,7 @@ import uuid
 
 from humanopts_env.environment import LAUNCHER_PID, prepare_discovery
 from humanopts_env.nodes.qos import LATCHED, STREAM
+from humanopts_env.nodes.waiting import Waiting
 from humanopts_env.recording import Selection
 from humanopts_interfaces.msg import NodeStatus
 from rcl_interfaces.msg import ParameterDescriptor
@@ -28,7 +29,6 @@ from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 
 M = TypeVar('M')
 RECORDER = 'recorder'
@@ -37,7 +37,7 @@ _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _PRESENCE_PERIOD = 1.0  # s between looks whether a server that was asked is still there
 _PROVISION = 5.0  # s that a request waits for what its server still needs
-_CHECK_PERIOD = 0.02  # s between looks at what is waited for
+_CHECK_PERIOD = 0.02  # s between looks at what the start or the end of a node waits for
 
 
 class StartError(RuntimeError):
@@ -132,6 +132,7 @@ class NodeBase(Node):
         self.failed = False  # the process ends with status 1, though it came to its end
         self.set_status(NodeStatus.STATE_STARTING)
         self._deadline_group = ReentrantCallbackGroup()
+        self.waiting = Waiting(self)  # of this node's coroutines
         self._start_timer = self.create_timer(_CHECK_PERIOD, self._check_start)
 
     def setting(self, name: str, default: Any, description: str, **limits: Any) -> Any:
@@ -223,7 +224,7 @@ class NodeBase(Node):
 
         :return: the response; None when there is none after ``seconds``, or the server is gone.
         """
-        if not await self.comes(client.service_is_ready, min(seconds, _PRESENCE_PERIOD)):
+        if not await self.waiting.until(client.service_is_ready, min(seconds, _PRESENCE_PERIOD)):
             return None
         future, deadline = client.call_async(request), time.monotonic() + seconds
 
@@ -241,27 +242,9 @@ class NodeBase(Node):
             self.destroy_timer(timer)
             client.remove_pending_request(future)
 
-    async def comes(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Wait in a coroutine until a condition holds; False: it does not, after ``seconds``."""
-        if condition():
-            return True
-        came, deadline = Future(), time.monotonic() + seconds
-
-        def look() -> None:
-            holds = condition()
-            if not came.done() and (holds or time.monotonic() >= deadline):
-                came.set_result(holds)
-
-        timer = self.create_timer(_CHECK_PERIOD, look, callback_group=self._deadline_group)
-        try:
-            return await came
-        finally:
-            timer.cancel()
-            self.destroy_timer(timer)
-
     async def provided(self) -> bool:
         """Wait in a coroutine for what the node ``waits_for``; False: it did not come."""
-        return await self.comes(lambda: self.waits_for() is None, _PROVISION)
+        return await self.waiting.until(lambda: self.waits_for() is None, _PROVISION)
 
     def set_status(self, state: int, text: str = '') -> None:
         """Publish the node's state; a failure to do so is only logged."""

@@ -98,6 +98,7 @@ class PlannerNode(NodeBase):
     def _on_options(self, message: LearnedOptions) -> None:
         self._options, problems = options_from_message(message)
         self._version = message.sequence
+        self.waiting.look()
         for problem in problems:
             self.get_logger().error(problem)
 
@@ -199,7 +200,7 @@ class PlannerNode(NodeBase):
 
     async def _options_arrive(self, sequence: int) -> None:
         """Wait until the options are at least as new as the request wants."""
-        if not await self.comes(lambda: self._version >= sequence, _OPTIONS_SECONDS):
+        if not await self.waiting.until(lambda: self._version >= sequence, _OPTIONS_SECONDS):
             raise PlanError(f'learned_options {sequence} did not come, only {self._version}')
 
 

@@ -49,7 +49,6 @@ from humanopts_teach.dialogue.learned_starts import LearnedStarts
 from humanopts_teach.dialogue.lesson import Lesson
 from humanopts_teach.dialogue.recorders import Recorders
 from humanopts_teach.nodes.lesson_settings import open_store, read_rules
-from humanopts_teach.nodes.waiting import Waiting
 from rcl_interfaces.msg import FloatingPointRange
 from rclpy.callback_groups import ReentrantCallbackGroup
 
@@ -95,7 +94,6 @@ class LessonNode(NodeBase):
         self._told = ''  # why the lesson is paused, as the node's status says
         self._learner = ''  # publisher_id of the learner that is known
         self._asked_learner = 0.0  # time of the newest demonstration, s
-        self._waiting = Waiting(self)
         self._reentrant = ReentrantCallbackGroup()
         self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
@@ -209,7 +207,7 @@ class LessonNode(NodeBase):
 
     async def _begin(self, prepared: Answer) -> Answer:
         """Have game begin the episode, and wait for its first state on the stream."""
-        lesson, until = self._lesson, self._waiting.until
+        lesson, until = self._lesson, self.waiting.until
         if not await until(self._game_is_there, _GAME_DEADLINE):
             return lesson.not_begun(Status.NO_GAME, 'Game does not serve reset_game.')
         reply = await self.answer(
@@ -246,7 +244,7 @@ class LessonNode(NodeBase):
         lesson = self._lesson
         verdict, here = verdict_from_number(request.verdict), (request.episode, request.step)
         if verdict in (Verdict.DONE, Verdict.NOT_HERE):
-            await self._waiting.until(lambda: lesson.reached(*here), _GAME_DEADLINE)
+            await self.waiting.until(lambda: lesson.reached(*here), _GAME_DEADLINE)
         answer = lesson.end_demonstration(verdict, *here, request.can_start_at_end)
         return self._told_learner(response, answer)
 
@@ -271,7 +269,7 @@ class LessonNode(NodeBase):
             return
         if self._lesson.saw(moment_from_message(message)):
             self._show()
-        self._waiting.look()
+        self.waiting.look()
 
     def _on_receipt(self, receipt: DemonstrationReceipt) -> None:
         if receipt.status == DemonstrationReceipt.STATUS_REFUSED:
@@ -319,7 +317,6 @@ class LessonNode(NodeBase):
         self._show()
 
     def _tick(self) -> None:
-        self._waiting.look()
         if self._lesson is None:
             return
         late = time.monotonic() - self._asked_learner > self._learner_deadline

@@ -3,21 +3,27 @@
 from collections.abc import Callable
 import time
 
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.task import Future
+
+_PERIOD = 0.02  # s between looks at what is waited for
 
 
 class Waiting:
     """
     Conditions that coroutines of one node wait for.
 
-    The coroutines must be in a reentrant callback group. ``look`` must be called when something
-    may have come about, and regularly, so that deadlines are kept.
+    The coroutines must be in a reentrant callback group. Conditions are looked at regularly while
+    there are any; ``look`` wakes at once who waits for what has just come about.
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._open: list[tuple[Future, Callable[[], bool], float]] = []
+        self._timer = node.create_timer(
+            _PERIOD, self.look, callback_group=ReentrantCallbackGroup(), autostart=False
+        )
 
     def look(self) -> None:
         """Wake those whose condition holds or whose time is over."""
@@ -30,11 +36,14 @@ class Waiting:
             else:
                 still.append(entry)
         self._open = still
+        if not still:
+            self._timer.cancel()
 
     async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Wait until a condition holds; False: it did not in time."""
         if not condition():
             future = Future(executor=self._node.executor)
             self._open.append((future, condition, time.monotonic() + seconds))
+            self._timer.reset()
             await future
         return condition()
