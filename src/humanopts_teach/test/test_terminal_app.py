@@ -265,7 +265,25 @@ def test_questions_can_be_answered_again(shower: Person) -> None:
     discard = shower.press('e')
     assert discard == End(Verdict.DISCARD, (2, 0))
     shower.lesson(Phase.READY)
-    assert shower.answer(discard) == DefineOption(NAME, ask_again=True)
+    again = shower.answer(discard)
+    assert again == DefineOption(NAME, ask_again=True)
+    shower.lesson(Phase.ASKING, question_id=11, question_feature='taxi_row', chosen_features=())
+    shower.answer(again)
+    assert 'Enter as before: yes' in shower.sees()
+    answered = shower.press('enter')
+    assert answered == AnswerQuestion(11, True)
+    shower.lesson(Phase.ASKING, question_id=12, question_feature='destination_row')
+    shower.answer(answered)
+    assert 'Enter as before: no' in shower.sees()
+    assert shower.press('enter') == AnswerQuestion(12, False)
+
+
+def test_questions_that_are_asked_for_the_first_time_have_no_earlier_answer(
+    teacher: Person,
+) -> None:
+    teacher.lesson(Phase.ASKING, question_id=1, question_feature='taxi_row', chosen_features=())
+    assert 'as before' not in teacher.sees()
+    assert teacher.press('enter') is None
 
 
 def test_the_last_demonstration_is_taken_back_after_a_question_and_shown_anew(
@@ -569,6 +587,9 @@ def test_a_start_that_contradicts_an_end_is_explained_by_a_key(shower: Person) -
     conflict = 'taxi row 4: cannot start here (2x), can start here (1x)'
     shower.world.progress = [replace(criteria([]), conflicts=('another', conflict))]
     assert shower.sees_words(words)
+    missing = replace(shower.world.progress[0], suggested_feature='passenger_in_taxi')
+    shower.world.progress = [missing]
+    assert not shower.sees_words(words)
 
 
 def test_a_small_window_is_told_so_politely(shower: Person) -> None:

@@ -219,8 +219,8 @@ def _conflicts(progress: ProgressView, key: str) -> list[RenderableType]:
 
 def _ends(progress: ProgressView, key: str) -> list[RenderableType]:
     """Return what may be missing where some say that it can start here, and some not."""
-    if not any(NO_START in text for text in progress.conflicts):
-        return []
+    if progress.suggested_feature or not any(NO_START in text for text in progress.conflicts):
+        return []  # where a feature is missing, that is why
     return [Text(f'Where an end can be a start, press {key} before done.', 'yellow')]
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen, Keys, PlainScreen
-from humanopts_teach.terminal.keys import Command, key_table, KeyTable, label, SPACE
+from humanopts_teach.terminal.keys import Command, ENTER, key_table, KeyTable, label, SPACE
 from humanopts_teach.terminal.requests import (
     AnswerQuestion,
     Begin,
@@ -48,7 +48,7 @@ _LONG = {
     Command.NOT_HERE: 'the option makes no sense from this start; only before the first step',
     Command.DISCARD: 'forget this demonstration and try the same start again',
     Command.TAKE_BACK: 'take back the last demonstration that was kept, and show it anew',
-    Command.QUESTIONS: 'answer again what the option depends on; demonstrations are kept',
+    Command.QUESTIONS: 'answer again what the option depends on, Enter for an answer as before',
     Command.MENU: 'to the menu; a demonstration under way is discarded',
     Command.QUIT: 'leave; everything taught is saved, and is taken up again next time',
 }
@@ -63,6 +63,7 @@ class LessonScreen(PlainScreen):
     again: bool = False  # the next done says that the option could start again there
     automatic: bool = False  # the next demonstration begins by itself
     rest: bool = False  # all other questions are answered no
+    earlier: tuple[str, ...] | None = None  # chosen before the questions were asked again
 
     def press(self, key: str, app: App) -> None:
         """Carry out one key as the phase has it."""
@@ -74,6 +75,8 @@ class LessonScreen(PlainScreen):
         self.rest = False
         if lesson.phase is Phase.ASKING and key in tuple('yYnN'):
             app.ask(AnswerQuestion(lesson.question_id, key in 'yY'))
+        elif lesson.phase is Phase.ASKING and key == ENTER and self.earlier is not None:
+            app.ask(AnswerQuestion(lesson.question_id, lesson.question_feature in self.earlier))
         elif key in tuple('oO') and _can_skip(lesson):
             self.rest = True
         elif lesson.phase is Phase.READY and key == SPACE:
@@ -126,7 +129,11 @@ class LessonScreen(PlainScreen):
         """Return the keys of the phase and what they do."""
         phase, table = _phase(app), self.table(app)
         first: Keys = [('y', 'yes'), ('n', 'no')] if phase is Phase.ASKING else []
-        if app.world.lesson is not None and _can_skip(app.world.lesson):
+        lesson = app.world.lesson
+        if lesson is not None and lesson.phase is Phase.ASKING and self.earlier is not None:
+            before = 'yes' if lesson.question_feature in self.earlier else 'no'
+            first.append((label(ENTER), f'as before: {before}'))
+        if lesson is not None and _can_skip(lesson):
             first.append(('o', 'no to all others'))
         if phase is Phase.DEMONSTRATING:
             first = [(label(action.key), action.name) for action in app.domain.actions]
@@ -203,6 +210,7 @@ class LessonScreen(PlainScreen):
             discard(app)
 
     def _ask_again(self, lesson: LessonView, app: App) -> None:
+        self.earlier = lesson.chosen_features
         app.show(self)
         app.ask(DefineOption(lesson.option_name, ask_again=True))
 
