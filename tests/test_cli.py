@@ -2,6 +2,7 @@
 
 from importlib.metadata import version
 import json
+import os
 from pathlib import Path
 import resource
 import signal
@@ -226,6 +227,19 @@ def test_what_is_no_bag_is_refused(
     ):
         path = tmp_path / name
         check_refused(capsys, run('bag', command[0], path, *command[1:]), str(path), words)
+
+
+def test_bags_below_a_folder_that_is_none_are_named_the_newest_first(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    bags = [tmp_path / 'bags' / name for name in ('a', 'd', 'b', 'c')]
+    for age, bag in enumerate(bags):
+        bag.mkdir(parents=True)
+        (bag / 'metadata.yaml').touch()
+        os.utime(bag, (1e9 - age, 1e9 - age))
+    words = f'; bags below it: {bags[0]}, {bags[1]}, {bags[2]} and 1 more'
+    for folder in (tmp_path, tmp_path / 'bags'):
+        check_refused(capsys, run('bag', 'info', folder), f'{folder} is not a bag', words)
 
 
 def test_bag_that_was_cut_short_says_so_and_gives_what_is_left(

@@ -9,6 +9,7 @@ from humanopts_teach.bags.metadata import FILE, ROOT
 import yaml
 
 MOST_FILES = 100_000  # a larger number of a file is none
+_MOST_NAMED = 3  # bags that are named in place of a folder that is none
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 # What damaged text makes the loader raise, ValueError apart.
 _NO_YAML = (
@@ -53,8 +54,20 @@ def find_files(path: Path) -> Directory:
     damage += [f'{name} is not there, and later files are' for name in _gaps([*found, *listed])]
     files = [*dict.fromkeys(file for file in listed if file in found), *unlisted] or found
     if not files:
-        raise BagError(f'{path} is not a bag: there is no MCAP file in it')
+        raise BagError(f'{path} is not a bag: there is no MCAP file in it{_below(path)}')
     return Directory(files, information, damage)
+
+
+def _below(path: Path) -> str:
+    """Name the bags in a folder that is none, and in its folders; empty: there are none."""
+    there = [*path.glob(f'*/{FILE}'), *path.glob(f'*/*/{FILE}')]
+    newest = sorted(
+        (file.parent for file in there), key=lambda bag: bag.stat().st_mtime, reverse=True
+    )
+    if not newest:
+        return ''
+    more = f' and {len(newest) - _MOST_NAMED} more' if len(newest) > _MOST_NAMED else ''
+    return f'; bags below it: {", ".join(map(str, newest[:_MOST_NAMED]))}{more}'
 
 
 def _place(file: Path) -> tuple[str, int]:
