@@ -3,6 +3,7 @@
 import hashlib
 from pathlib import Path
 import platform
+from typing import Any
 
 from humanopts_env.recording import Selection
 from humanopts_teach.bags.pace import Pace
@@ -11,16 +12,15 @@ from humanopts_teach.cli import build_parser
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.commands.session import check_setup
 from humanopts_teach.commands.setup import setup_from
-from humanopts_teach.launching.processes import common_parameters, processes, Setup
+from humanopts_teach.launching.processes import common_parameters, processes, Recording, Setup
 import numpy as np
 import pytest
 
 
-def launch(*options: str, evaluated: bool = False) -> Setup:
+def launch(*options: str, evaluated: bool = False, **own: Any) -> Setup:
     """Return the setup of ``humanopts up`` with these options."""
-    return setup_from(
-        build_parser().parse_args(['up', 'taxi', *options]), Path('x'), evaluated=evaluated
-    )
+    arguments = build_parser().parse_args(['up', 'taxi', *options])
+    return setup_from(arguments, Path('x'), evaluated=evaluated, **own)
 
 
 def test_a_message_that_waits_too_long_puts_the_recorder_behind_for_a_second() -> None:
@@ -119,3 +119,11 @@ def test_a_bag_that_could_not_be_evaluated_is_said_or_refused(
     assert Selection(include=['game_state']).unevaluable in capsys.readouterr().err
     with pytest.raises(CommandError, match='domain_info will not be recorded'):
         launch('--record-exclude', 'domain_info', evaluated=True)
+
+
+def test_where_nothing_is_recorded_nothing_is_said_of_a_bag(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    setup = launch('--record-include', 'game_state', record=False)
+    assert setup.recording == Recording()
+    assert capsys.readouterr().err == ''

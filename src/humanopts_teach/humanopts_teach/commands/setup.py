@@ -42,7 +42,7 @@ def setup_from(
         budget=arguments.budget,
         thresholds=_thresholds(arguments),
         step_period=arguments.step_period,
-        recording=_recording(arguments, evaluated),
+        recording=_recording(arguments, evaluated) if own.get('record', True) else Recording(),
         **own,
     )
 
