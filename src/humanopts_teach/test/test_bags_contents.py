@@ -1,9 +1,6 @@
-"""What a bag says: demonstrations, domain, episodes, what is missing, and the summary."""
+"""What a bag says: demonstrations, domain, episodes, numbers, and the film of a game."""
 
-from collections.abc import Iterable
 from dataclasses import replace
-import json
-import math
 from pathlib import Path
 import re
 from typing import Any
@@ -11,74 +8,31 @@ from typing import Any
 from humanopts_env.convert import domain_to_info, moment_to_message
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.game import Command, Game, Moment, Source
-from humanopts_interfaces.msg import (
-    ActionCommand,
-    Criterion,
-    GameState,
-    LearningStatus,
-    OptionResult,
-    OptionStatus,
-    PlanResult,
-    PolicyResult,
-)
+from humanopts_interfaces.msg import ActionCommand, GameState, OptionResult
 from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import check_demonstration, Demonstration, DemonstrationError
 from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
 from humanopts_teach.bags.episodes import Played, read_episodes
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.info import count_loss, summarise
+from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.loss import MOST_GAPS, Stream
 from humanopts_teach.bags.played import Actors, read_actors
-from humanopts_teach.bags.reader import Bag, MOST_NOTES, open_bag
+from humanopts_teach.bags.reader import Bag, MOST_NOTES
 from humanopts_teach.bags.stamps import read_stamp, Stamp
-from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.report.bag_parts import bag_parts
 from hypothesis import given, strategies
 import pytest
 from rclpy.serialization import serialize_message
-from std_msgs.msg import String
-
-PICKUP = 'go to passenger and pickup'
-
-
-def write(path: Path, entries: Iterable[tuple[str, Any]], publisher: str = '/n#1') -> Bag:
-    """Write (topic, message) pairs, numbered per topic, and open the bag."""
-    numbers: dict[str, int] = {}
-    with BagWriter(path) as writer:
-        for time, (topic, message) in enumerate(entries, start=1):
-            package, kind = type(message).__module__.split('.')[:2]
-            writer.add_topic(topic, f'{package}/{kind}/{type(message).__name__}')
-            if hasattr(message, 'publisher_id') and not message.sequence:
-                numbers[topic] = numbers.get(topic, 0) + 1
-                message.publisher_id, message.sequence = publisher, numbers[topic]
-            writer.write(topic, serialize_message(message), time * 10**9)
-    return open_bag(path)
-
-
-def numbered(sequence: int, publisher: str = '/game#1') -> GameState:
-    """Return a message with a number."""
-    return GameState(publisher_id=publisher, sequence=sequence, state='s')
-
-
-def play(domain: Domain[Any], actions: list[str]) -> list[Moment]:
-    """Play one episode."""
-    game = Game(domain)
-    first = game.reset('', 3, Source.MACHINE).moment
-    assert first is not None
-    moments = [first]
-    for action in actions:
-        number = len(moments)
-        game.command(Command('/x#1', number, Source.MACHINE, 1, number - 1, action))
-        moments.append(game.moment)
-    return moments
+from teach_support.bags import numbered, play, write_messages
 
 
 def test_demonstrations_come_back_equal(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
 ) -> None:
     messages = [demonstration_to_message(demo) for demo in taxi_lesson]
-    bag = write(tmp_path / 'bag', (('/ns/demonstrations', message) for message in messages))
+    bag = write_messages(
+        tmp_path / 'bag', (('/ns/demonstrations', message) for message in messages)
+    )
     found = read_demonstrations(bag)
     assert found == taxi_lesson
     for demo in found:
@@ -90,7 +44,9 @@ def test_a_demonstration_of_no_kind_is_left_out_and_said(
 ) -> None:
     broken, whole = map(demonstration_to_message, taxi_lesson[:2])
     broken.kind = 0
-    bag = write(tmp_path / 'bag', [('/demonstrations', broken), ('/demonstrations', whole)])
+    bag = write_messages(
+        tmp_path / 'bag', [('/demonstrations', broken), ('/demonstrations', whole)]
+    )
     assert read_demonstrations(bag) == [taxi_lesson[1]]
     assert 'left out' in bag.damage
 
@@ -100,20 +56,20 @@ def test_features_that_make_no_whole_rows_are_refused_as_live(
 ) -> None:
     broken = demonstration_to_message(taxi_lesson[0])
     broken.features.pop()
-    (found,) = read_demonstrations(write(tmp_path / 'bag', [('/demonstrations', broken)]))
+    (found,) = read_demonstrations(write_messages(tmp_path / 'bag', [('/demonstrations', broken)]))
     with pytest.raises(DemonstrationError, match='rows'):
         check_demonstration(found, taxi)
 
 
 def test_a_bag_without_demonstrations_says_so(tmp_path: Path) -> None:
-    bag = write(tmp_path / 'bag', [('/game_state', numbered(1))])
+    bag = write_messages(tmp_path / 'bag', [('/game_state', numbered(1))])
     with pytest.raises(BagError, match='no topic of demonstrations'):
         read_demonstrations(bag)
 
 
 def test_the_domain_comes_back_with_its_parameters(tmp_path: Path) -> None:
     domain = make_domain('taxi', {'rows': 8, 'cols': 7})
-    bag = write(tmp_path / 'bag', [('/domain_info', domain_to_info(domain))])
+    bag = write_messages(tmp_path / 'bag', [('/domain_info', domain_to_info(domain))])
     found = read_domain(bag)
     assert (found.name, dict(found.parameters)) == ('taxi', dict(domain.parameters))
 
@@ -131,7 +87,7 @@ def test_a_domain_that_is_missing_unknown_or_not_the_only_one_is_named(tmp_path:
         ([('/a/domain_info', taxi), ('/b/domain_info', other)], 'several domains'),
     ]
     for number, (entries, reason) in enumerate(cases):
-        bag = write(tmp_path / f'bag{number}', entries)
+        bag = write_messages(tmp_path / f'bag{number}', entries)
         with pytest.raises(BagError, match=reason):
             read_domain(bag)
 
@@ -142,7 +98,7 @@ def test_episodes_come_back_in_order_and_once(tmp_path: Path, taxi: Domain[Any])
     for moment in moments:
         entries.append(('/game_state', moment_to_message(moment)))
         entries.append(('/current_state', moment_to_message(moment)))
-    (episode,) = read_episodes(write(tmp_path / 'bag', entries))
+    (episode,) = read_episodes(write_messages(tmp_path / 'bag', entries))
     assert list(episode.moments) == moments
     assert (episode.number, episode.complete) == (1, False)
     assert sum(moment.reward for moment in episode.moments) == -3.0
@@ -153,7 +109,7 @@ def test_a_restarted_game_makes_new_episodes(tmp_path: Path, taxi: Domain[Any]) 
     again = [moment_to_message(m) for m in play(taxi, ['east'])]
     for number, message in enumerate(again, start=1):
         message.publisher_id, message.sequence = '/game#2', number
-    bag = write(tmp_path / 'bag', [('/game_state', m) for m in [*moments, *again]])
+    bag = write_messages(tmp_path / 'bag', [('/game_state', m) for m in [*moments, *again]])
     assert [(e.publisher_id, len(e.moments)) for e in read_episodes(bag)] == [
         ('/n#1', 2),
         ('/game#2', 2),
@@ -190,94 +146,6 @@ def test_a_stream_counts_like_a_set(numbers: list[int]) -> None:
     assert stream.missing == len(gaps)
 
 
-def test_gaps_made_by_hand_are_counted_per_topic_and_publisher(tmp_path: Path) -> None:
-    entries: list[tuple[str, Any]] = [('/a', numbered(n)) for n in (1, 2, 5, 6, 6)]
-    entries += [('/a', numbered(n, '/game#2')) for n in (3, 4)]
-    entries += [('/b', numbered(n)) for n in (1, 2, 3)]
-    entries += [('/rosout', String(data='not numbered'))]
-    bag = write(tmp_path / 'bag', entries)
-    rows = {
-        (topic, who): (s.first, s.last, s.received, s.missing, s.duplicates)
-        for topic, who, s in count_loss(bag)
-    }
-    assert rows == {
-        ('/a', '/game#1'): (1, 6, 4, 2, 1),
-        ('/a', '/game#2'): (3, 4, 2, 2, 0),
-        ('/b', '/game#1'): (1, 3, 3, 0, 0),
-    }
-    info = summarise(bag)
-    assert info.missing == 4
-    assert [(t.name, t.messages, t.counted) for t in info.topics] == [
-        ('/a', 7, True),
-        ('/b', 3, True),
-        ('/rosout', 1, False),
-    ]
-    assert 'missing: 4 messages' in info.to_text()
-
-
-def test_the_summary_counts_what_was_taught_and_done(
-    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
-) -> None:
-    status = LearningStatus(
-        options=[
-            OptionStatus(
-                option_name=PICKUP,
-                participant='p1',
-                criteria_met=True,
-                criteria=[Criterion(value=math.nan)],
-            )
-        ]
-    )
-    wrong = replace(taxi_lesson[0], uuid='taken back')
-    entries: list[tuple[str, Any]] = [
-        ('/domain_info', domain_to_info(taxi)),
-        *(('/demonstrations', demonstration_to_message(demo)) for demo in taxi_lesson),
-        ('/demonstrations', demonstration_to_message(taxi_lesson[0])),  # repeated
-        ('/demonstrations', demonstration_to_message(wrong)),
-        ('/demonstrations', demonstration_to_message(replace(wrong, withdrawn=True))),
-        ('/learning_status', status),
-        *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
-        *(('/option_results', OptionResult(status=code)) for code in (1, 1, 5, 12)),
-        ('/plan_results', PlanResult(status=1)),
-        ('/policy_results', PolicyResult(status=1, interruptions=3, execution_changes=1)),
-        ('/policy_results', PolicyResult(status=2, interruptions=2)),
-    ]
-    info = summarise(write(tmp_path / 'bag', entries))
-    pickup = next(row for row in info.options if row.option == PICKUP)
-    demos = [demo for demo in taxi_lesson if demo.option_name == PICKUP]
-    assert pickup.demonstrations + pickup.not_here == len(demos)
-    assert pickup.withdrawn == 1
-    assert pickup.steps == sum(len(demo.actions) for demo in demos)
-    assert pickup.criteria_met
-    assert info.participants == ('p1',)
-    assert info.sessions == ('s1',)
-    assert info.option_runs == {'reached': 2, 'interrupted': 1, 'stopped_by_plan': 1}
-    assert info.plans == {'converged': 1}
-    assert info.policy_runs == {'done': 1, 'canceled': 1}
-    assert (info.interruptions, info.execution_changes) == (5, 1)
-    assert (info.episodes, info.episodes_ended) == (1, 0)
-    assert info.messages == len(entries)
-    assert info.duration == (len(entries) - 1) * 10**9
-    assert info.missing == 0
-    assert (
-        json.loads(json.dumps(info.to_dict(), allow_nan=False))['options'][0]['option'] == PICKUP
-    )
-    text = info.to_text()
-    assert 'option runs: interrupted 1, reached 2, stopped_by_plan 1' in text
-    assert 'policy runs: 5 options stopped by the plan, 1 changes of execution' in text
-    assert PICKUP in text
-
-
-def test_a_lesson_of_a_person_has_no_error_rate_to_tell(tmp_path: Path) -> None:
-    facts = {'seed': '3', 'teacher_error_rate': 'None'}
-    with BagWriter(tmp_path / 'bag', facts) as writer:
-        writer.add_topic('/game_state', 'humanopts_interfaces/msg/GameState')
-        writer.write('/game_state', serialize_message(numbered(1)), 1)
-    text = summarise(open_bag(tmp_path / 'bag')).to_text()
-    assert re.search(r'teacher error rate +none: a person taught\n', text)
-    assert 'None' not in text
-
-
 def test_the_film_is_of_the_last_game_even_where_two_count_alike(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
@@ -289,7 +157,7 @@ def test_the_film_is_of_the_last_game_even_where_two_count_alike(
         entries += [(f'/{where}/game_state', state) for state in states]
         run = OptionResult(option_name=where, episode=1, step_count=len(actions), terminated=True)
         entries.append((f'/{where}/option_results', run))
-    frames = bag_parts(write(tmp_path / 'bag', entries)).frames
+    frames = bag_parts(write_messages(tmp_path / 'bag', entries)).frames
     assert [frame.action for frame in frames] == ['', 'south', 'south', 'west']
     assert [frame.option for frame in frames] == ['', 'right', 'right', 'right']
     assert [frame.ends_run for frame in frames] == [False, False, False, True]
@@ -308,7 +176,7 @@ def test_the_film_of_modules_tells_which_of_them_acted(tmp_path: Path, taxi: Dom
         entries.append(('/action', command))
     run = OptionResult(episode=1, step_count=3, terminated=True, execution='modular_mass')
     entries.append(('/option_results', run))
-    frames = bag_parts(write(tmp_path / 'bag', entries)).frames
+    frames = bag_parts(write_messages(tmp_path / 'bag', entries)).frames
     assert [frame.option for frame in frames] == ['', 'down', 'left', 'action:west']
     assert [frame.ends_run for frame in frames] == [False, False, False, True]
 
@@ -316,7 +184,7 @@ def test_the_film_of_modules_tells_which_of_them_acted(tmp_path: Path, taxi: Dom
 def test_messages_whose_definition_is_another_are_left_out_and_said(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
 ) -> None:
-    whole = write(
+    whole = write_messages(
         tmp_path / 'whole',
         [
             *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
@@ -336,58 +204,6 @@ def test_messages_whose_definition_is_another_are_left_out_and_said(
     with pytest.raises(BagError, match='does not say which domain'):
         read_domain(bag)
     assert len(bag.damage.splitlines()) >= 4
-
-
-def test_info_tells_when_each_criterion_held_first_and_how_it_developed(tmp_path: Path) -> None:
-    values = [(1, math.nan), (2, 0.3), (2, 0.3), (3, 0.05), (4, 0.2)]
-    statuses = []
-    for shown, value in values:
-        measured = not math.isnan(value)
-        criterion = Criterion(
-            name='initiation',
-            value=value,
-            threshold=0.1,
-            measurable=measured,
-            met=measured and value <= 0.1,
-        )
-        option = OptionStatus(
-            participant='p1', option_name=PICKUP, n_demonstrations=shown, criteria=[criterion]
-        )
-        statuses.append(LearningStatus(options=[option]))
-    info = summarise(write(tmp_path / 'bag', [('/learning_status', s) for s in statuses]))
-    (row,) = info.criteria
-    assert [(p.demonstrations, p.value, p.seconds) for p in row.points] == [
-        *((1, None, 0.0), (2, 0.3, 1.0), (3, 0.05, 3.0), (4, 0.2, 4.0)),
-    ]
-    assert row.first_met == row.points[2]
-    assert json.loads(json.dumps(info.to_dict(), allow_nan=False))['criteria'][0]['points'][2][
-        'met'
-    ]
-    assert re.search(r'initiation +0\.1 +3 shown, 0 not here +3\.0 +0\.05 +0\.2\n', info.to_text())
-
-
-def test_a_criterion_that_held_without_a_value_is_told_so(tmp_path: Path) -> None:
-    criterion = Criterion(name='return', value=math.nan, threshold=0.1, met=True)
-    option = OptionStatus(participant='p1', option_name=PICKUP, criteria=[criterion])
-    status = LearningStatus(options=[option])
-    info = summarise(write(tmp_path / 'bag', [('/learning_status', status)]))
-    assert re.search(r'return +0\.1 +0 shown, 0 not here +0\.0 +- +-\n', info.to_text())
-
-
-def test_info_lists_attached_files_and_what_the_recorder_was_told(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'bag', {'lock_sha256': 'ab12', 'seed': '3'}) as writer:
-        writer.add_topic('/game_state', 'humanopts_interfaces/msg/GameState')
-        writer.write('/game_state', serialize_message(numbered(1)), 1)
-        writer.attach('options/p1/fetch.json', b'{"a": 1}')
-    info = summarise(open_bag(tmp_path / 'bag'))
-    (row,) = info.attached
-    assert (row.name, row.bytes, row.media_type) == (
-        'options/p1/fetch.json',
-        8,
-        'application/json',
-    )
-    assert re.search(r'options/p1/fetch\.json +8 +application/json', info.to_text())
-    assert re.search(r'lock sha256 +ab12\n', info.to_text())
 
 
 def games(taxi: Domain[Any]) -> list[tuple[str, GameState]]:
@@ -410,7 +226,7 @@ def games(taxi: Domain[Any]) -> list[tuple[str, GameState]]:
 def test_episodes_that_are_read_when_asked_for_are_those_that_are_read_in_order(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
-    bag = write(tmp_path / 'bag', games(taxi))
+    bag = write_messages(tmp_path / 'bag', games(taxi))
     listed, played = list(read_episodes(bag)), Played(bag)
     assert [len(episode.moments) for episode in listed] == [3, 2, 4, 2]
     assert len(played) == 4
@@ -421,7 +237,7 @@ def test_episodes_that_are_read_when_asked_for_are_those_that_are_read_in_order(
 
 
 def test_damage_of_ever_other_kinds_takes_little_room(tmp_path: Path) -> None:
-    bag = write(tmp_path / 'bag', [('/game_state', numbered(1))])
+    bag = write_messages(tmp_path / 'bag', [('/game_state', numbered(1))])
     for number in range(10 * MOST_NOTES):
         bag.note(f'kind {number}')
     assert len(bag.damage.splitlines()) == MOST_NOTES + 1
@@ -434,7 +250,7 @@ def test_an_episode_of_which_nothing_can_be_read_has_no_place(
     entries = games(taxi)
     for _, state in entries[3:5]:
         state.action_source = 77
-    bag = write(tmp_path / 'bag', entries)
+    bag = write_messages(tmp_path / 'bag', entries)
     assert [episode.number for episode in read_episodes(bag)] == [1, 3, 1]
     assert list(Played(bag)) == list(read_episodes(bag))
     assert '77 is not a valid Source' in bag.damage
@@ -445,7 +261,7 @@ def test_a_state_after_a_later_episode_is_left_out_and_said(
 ) -> None:
     entries = games(taxi)
     late = entries.pop(2)
-    bag = write(tmp_path / 'bag', [*entries, late])
+    bag = write_messages(tmp_path / 'bag', [*entries, late])
     assert [len(episode.moments) for episode in read_episodes(bag)] == [2, 2, 4, 2]
     assert 'after a later episode are left out' in bag.damage
 

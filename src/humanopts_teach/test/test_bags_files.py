@@ -1,44 +1,23 @@
 """Bag files: what is written is read again, and damage costs only what is damaged."""
 
-from collections.abc import Callable
 import os
 from pathlib import Path
 import resource
-import shutil
 import subprocess
 import sys
 from typing import Any
 
-from humanopts_interfaces.msg import ActionCommand, GameState
 from humanopts_teach.bags import order
-from humanopts_teach.bags.check import check_bag
-from humanopts_teach.bags.errors import BagError, BagWriteError
+from humanopts_teach.bags.errors import BagWriteError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.repair import repair
-from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
+from humanopts_teach.bags.writer import BagWriter
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
 import pytest
-from rclpy.serialization import serialize_message
-from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
-from std_msgs.msg import String
+from teach_support.bags import GAME, QOS, START, state, steps, write_states
 import yaml
 
-START = 10**18  # ns since the epoch
-GAME = 'humanopts_interfaces/msg/GameState'
-QOS = {
-    'history': 'keep_all',
-    'depth': 0,
-    'reliability': 'reliable',
-    'durability': 'volatile',
-    'deadline': {'sec': 9223372036, 'nsec': 854775807},
-    'lifespan': {'sec': 9223372036, 'nsec': 854775807},
-    'liveliness': 'automatic',
-    'liveliness_lease_duration': {'sec': 9223372036, 'nsec': 854775807},
-    'avoid_ros_namespace_conventions': False,
-}
 NO_ROS = """
 import sys
 class Block:
@@ -51,31 +30,6 @@ from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.bags.repair import repair
 print(summarise(open_bag(sys.argv[1])).messages)
 """
-
-
-def state(step: int) -> bytes:
-    """Return the bytes of a message."""
-    filler = os.urandom(40).hex()  # does not compress
-    return serialize_message(GameState(episode=1, step=step, state=filler, sequence=step + 1))
-
-
-def write_states(
-    path: Path, count: int, flush_every: int = 10, limits: Limits = NO_LIMITS
-) -> BagWriter:
-    """Begin a bag of game states, one a millisecond, and leave it open."""
-    writer = BagWriter(path, {'seed': '7'}, limits=limits)
-    writer.add_topic('/game_state', GAME, [QOS], 'RIHS01_ab')
-    for step in range(count):
-        time = START + step * 10**6
-        writer.write('/game_state', state(step), time, time - 5)
-        if (step + 1) % flush_every == 0:
-            writer.flush()
-    return writer
-
-
-def steps(path: Path) -> list[int]:
-    """Return the steps in a bag, in the order of reading."""
-    return [recorded.message.step for recorded in open_bag(path).messages()]
 
 
 @pytest.fixture
@@ -132,99 +86,6 @@ def test_the_mcap_package_finds_profile_index_statistics_and_facts(bag: Path) ->
         assert summary.statistics.message_count == 100
         assert {chunk.compression for chunk in summary.chunk_indexes} == {'zstd'}
         assert [m.name for m in reader.iter_metadata()] == ['humanopts', 'rosbag2']
-
-
-def information(path: Path) -> Any:
-    """Return what metadata.yaml says of a bag."""
-    return yaml.safe_load((path / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-
-
-@pytest.mark.parametrize('limits', [Limits(seconds=0.03), Limits(bytes=3000)])
-def test_a_bag_goes_on_in_another_file_and_nothing_is_lost(tmp_path: Path, limits: Limits) -> None:
-    write_states(tmp_path / 'bag', 100, limits=limits).close()
-    opened = open_bag(tmp_path / 'bag')
-    assert len(opened.files) > 2
-    assert [r.message.step for r in opened.messages()] == list(range(100))
-    assert [r.sequence for r in opened.messages()] == list(range(1, 101))
-    assert check_bag(opened).findings == ()
-    assert summarise(opened).missing == 0
-    if limits.bytes:
-        assert all(file.stat().st_size > limits.bytes for file in opened.files[:-1])
-
-
-def test_each_file_of_a_bag_is_whole_by_itself(tmp_path: Path) -> None:
-    write_states(tmp_path / 'bag', 100, limits=Limits(seconds=0.03)).close()
-    found: list[int] = []
-    for number in range(4):
-        file = tmp_path / 'bag' / f'bag_{number}.mcap'
-        alone = open_bag(file)
-        assert alone.damage == ''
-        assert alone.metadata['humanopts'] == {'seed': '7'}
-        found += steps(file)
-        with file.open('rb') as stream:
-            summary = make_reader(stream, validate_crcs=True).get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        assert summary.statistics.message_count == alone.n_messages
-        assert summary.chunk_indexes
-    assert found == list(range(100))
-
-
-def test_metadata_tells_of_each_file(tmp_path: Path) -> None:
-    write_states(tmp_path / 'bag', 100, limits=Limits(seconds=0.03)).close()
-    told = information(tmp_path / 'bag')
-    assert told['relative_file_paths'] == [f'bag_{number}.mcap' for number in range(4)]
-    assert [file['message_count'] for file in told['files']] == [30, 30, 30, 10]
-    assert [
-        (f['starting_time']['nanoseconds_since_epoch'] - START, f['duration']['nanoseconds'])
-        for f in told['files']
-    ] == [(n * 30_000_000, 29_000_000) for n in range(3)] + [(90_000_000, 9_000_000)]
-    assert (told['message_count'], told['duration']['nanoseconds']) == (100, 99_000_000)
-
-
-def test_rosbags_reads_every_file(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'bag', limits=Limits(seconds=0.03)) as writer:
-        writer.add_topic('/game_state', GAME, [QOS])
-        for step in range(100):
-            writer.write('/game_state', state(step), START + step * 10**6)
-    with AnyReader([tmp_path / 'bag']) as reader:
-        read = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()]
-        assert [message.step for message in read] == list(range(100))
-        assert reader.message_count == 100
-
-
-def test_a_topic_is_in_the_files_that_have_its_messages(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'bag', limits=Limits(seconds=1.0)) as writer:
-        for topic in ('/a', '/b', '/silent'):
-            writer.add_topic(topic, GAME, [QOS])
-        for second, topic, step in ((0, '/a', 0), (1, '/b', 0), (2, '/a', 1)):
-            writer.write(topic, state(step), second * 10**9)
-    topics = [
-        list(open_bag(tmp_path / 'bag' / f'bag_{number}.mcap').topics) for number in range(3)
-    ]
-    assert topics == [['/a', '/b', '/silent'], ['/b'], ['/a']]
-    assert set(open_bag(tmp_path / 'bag').topics) == {'/a', '/b', '/silent'}
-    assert check_bag(open_bag(tmp_path / 'bag')).whole
-
-
-def test_a_split_describes_the_files_so_far(tmp_path: Path) -> None:
-    write_states(tmp_path / 'bag', 65, limits=Limits(seconds=0.03))
-    told = information(tmp_path / 'bag')
-    assert [file['message_count'] for file in told['files']] == [30, 30, 0]
-    opened = open_bag(tmp_path / 'bag')  # as after kill -9
-    assert [r.message.step for r in opened.messages()] == list(range(60))
-    assert 'bag_2.mcap' in opened.damage
-
-
-def test_a_repair_keeps_what_is_attached_to_a_bag_of_several_files(tmp_path: Path) -> None:
-    with write_states(tmp_path / 'bag', 100, limits=Limits(seconds=0.03)) as writer:
-        writer.attach('options/p1/go.json', b'{"a": 1}', times=(5, 6))
-    (tmp_path / 'bag' / 'metadata.yaml').unlink()
-    assert repair(open_bag(tmp_path / 'bag'), tmp_path / 'whole') == 100
-    opened = open_bag(tmp_path / 'whole')
-    assert check_bag(opened).whole
-    (kept,) = opened.attached()
-    assert (kept.name, kept.data, kept.create_time) == ('options/p1/go.json', b'{"a": 1}', 5)
 
 
 def test_messages_come_in_order_of_time_whatever_the_order_of_writing(tmp_path: Path) -> None:
@@ -327,133 +188,6 @@ def test_a_damaged_index_is_done_without(bag: Path, data: bytes) -> None:
     assert 'index' in opened.damage
 
 
-def write_by_another(file: Path, count: int, *, without_counts: bool = False, **how: Any) -> None:
-    """
-    Write game states as another program does.
-
-    :param without_counts: of the messages of each topic; an empty map is how a file says so.
-    """
-    schema = open_schema(file.parent)
-    with file.open('wb') as stream:
-        writer = Writer(stream, **how)
-        writer.start(profile='ros2')
-        channel = writer.register_channel(
-            '/game_state', 'cdr', writer.register_schema(GAME, 'ros2msg', schema)
-        )
-        for step in range(count):
-            writer.add_message(channel, step, state(step), step)
-        if without_counts:
-            writer._Writer__statistics.channel_message_counts.clear()
-        writer.finish()
-
-
-PLAIN = {'use_chunking': False, 'compression': CompressionType.NONE}
-
-
-@pytest.mark.parametrize(
-    'how',
-    [
-        PLAIN,
-        {'repeat_channels': False},
-        {'repeat_schemas': False},
-        {'use_statistics': False},
-        {'without_counts': True},
-    ],
-    ids=['no chunks', 'no topics', 'no types', 'no statistics', 'no counts'],
-)
-def test_files_whose_end_tells_less_are_read_and_whole(tmp_path: Path, how: Any) -> None:
-    file = tmp_path / 'other.mcap'
-    write_by_another(file, 5, **how)
-    assert steps(file) == [0, 1, 2, 3, 4]
-    assert check_bag(open_bag(file)).damage == ()
-
-
-def test_a_scan_of_messages_outside_chunks_tells_how_far_it_is(tmp_path: Path) -> None:
-    file, told = tmp_path / 'plain.mcap', list[int]()
-    write_by_another(file, 50, **PLAIN)
-    open_bag(file, lambda done, _: told.append(done))
-    assert told == sorted(told)
-    assert len(told) > 50
-
-
-def test_a_topic_that_is_defined_in_two_ways_is_said(tmp_path: Path) -> None:
-    for name, message in (('bag', GameState()), ('other', ActionCommand())):
-        with BagWriter(tmp_path / name) as writer:
-            writer.add_topic('/x', f'humanopts_interfaces/msg/{type(message).__name__}')
-            writer.write('/x', serialize_message(message), 1)
-    shutil.copy(tmp_path / 'other' / 'other_0.mcap', tmp_path / 'bag' / 'bag_1.mcap')
-    assert '/x is defined in several ways' in open_bag(tmp_path / 'bag').damage
-
-
-def open_schema(tmp_path: Path) -> bytes:
-    """Return the schema of GameState."""
-    with BagWriter(tmp_path / 'for_schema') as writer:
-        return writer.add_topic('/game_state', GAME).encode()
-
-
-def nothing(path: Path) -> None:
-    """Leave nothing there."""
-
-
-def empty_folder(path: Path) -> None:
-    """Make an empty folder."""
-    path.mkdir()
-
-
-def empty_file(path: Path) -> None:
-    """Make an empty file."""
-    path.touch()
-
-
-def foreign_file(path: Path) -> None:
-    """Make a file of another program."""
-    path.write_bytes(b'SQLite format 3\0' + bytes(100))
-
-
-def foreign_bag(path: Path) -> None:
-    """Record something else."""
-    with BagWriter(path) as writer:
-        writer.add_topic('/chatter', 'std_msgs/msg/String')
-        writer.write('/chatter', serialize_message(String(data='hello')), 1)
-
-
-def nothing_in_it(path: Path) -> None:
-    """Make what another program leaves that recorded nothing."""
-    path.mkdir()
-    with (path / 'bag_0.mcap').open('wb') as stream:
-        writer = Writer(stream)
-        writer.start('ros2', 'another')
-        writer.finish()
-
-
-def sqlite_bag(path: Path) -> None:
-    """Make what ros2 bag makes with its other storage."""
-    path.mkdir()
-    (path / 'metadata.yaml').write_text(
-        'rosbag2_bagfile_information:\n  storage_identifier: sqlite3\n'
-    )
-
-
-@pytest.mark.parametrize(
-    ('make', 'reason'),
-    [
-        (nothing, 'there is no bag at'),
-        (empty_folder, 'is not a bag: there is no MCAP file'),
-        (empty_file, 'is empty'),
-        (foreign_file, 'written by another program'),
-        (foreign_bag, 'no humanopts topics'),
-        (sqlite_bag, 'sqlite3 format'),
-        (nothing_in_it, 'holds no messages'),
-    ],
-)
-def test_what_is_no_bag_is_refused_with_the_reason(
-    tmp_path: Path, make: Callable[[Path], None], reason: str
-) -> None:
-    make(tmp_path / 'bag')
-    with pytest.raises(BagError, match=reason):
-        open_bag(tmp_path / 'bag')
-
-
 def test_a_recorder_that_was_killed_before_the_first_message_leaves_an_empty_bag(
     tmp_path: Path,
 ) -> None:
@@ -502,25 +236,6 @@ def test_a_file_that_cannot_grow_stops_the_writer_and_keeps_what_was_written(
     opened = open_bag(tmp_path / 'bag')
     assert [r.message.step for r in opened.messages()] == list(range(30))
     assert 'was not closed' in opened.damage  # it ends after a whole record
-
-
-def test_a_split_that_cannot_be_described_stops_the_writer_and_keeps_what_was_written(
-    tmp_path: Path,
-) -> None:
-    writer = write_states(tmp_path / 'bag', 30, limits=Limits(seconds=1.0))
-    obstacle = tmp_path / 'bag' / 'metadata.yaml.new'
-    obstacle.mkdir()
-    with pytest.raises(BagWriteError, match='cannot write in'):
-        writer.write('/game_state', state(30), START + 2 * 10**9)
-    writer.add_topic('/chatter', 'std_msgs/msg/String')  # nodes still come
-    writer.attach('options/p1/go.json', b'{}')
-    assert open_bag(tmp_path / 'bag').damage
-    obstacle.rmdir()
-    writer.close()
-    opened = open_bag(tmp_path / 'bag')
-    assert opened.damage == ''
-    assert [r.message.step for r in opened.messages()] == list(range(30))
-    assert [kept.name for kept in opened.attached()] == ['options/p1/go.json']
 
 
 def test_bags_are_read_with_no_ros_installed(bag: Path) -> None:

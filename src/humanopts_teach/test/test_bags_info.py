@@ -1,0 +1,169 @@
+"""``bag info``: what was taught and done, what is missing, and what is attached."""
+
+from dataclasses import replace
+import json
+import math
+from pathlib import Path
+import re
+from typing import Any
+
+from humanopts_env.convert import domain_to_info, moment_to_message
+from humanopts_env.domains.base import Domain
+from humanopts_interfaces.msg import (
+    Criterion,
+    LearningStatus,
+    OptionResult,
+    OptionStatus,
+    PlanResult,
+    PolicyResult,
+)
+from humanopts_learner.convert import demonstration_to_message
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_teach.bags.info import count_loss, summarise
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.writer import BagWriter
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+from teach_support.bags import numbered, play, write_messages
+
+PICKUP = 'go to passenger and pickup'
+
+
+def test_gaps_made_by_hand_are_counted_per_topic_and_publisher(tmp_path: Path) -> None:
+    entries: list[tuple[str, Any]] = [('/a', numbered(n)) for n in (1, 2, 5, 6, 6)]
+    entries += [('/a', numbered(n, '/game#2')) for n in (3, 4)]
+    entries += [('/b', numbered(n)) for n in (1, 2, 3)]
+    entries += [('/rosout', String(data='not numbered'))]
+    bag = write_messages(tmp_path / 'bag', entries)
+    rows = {
+        (topic, who): (s.first, s.last, s.received, s.missing, s.duplicates)
+        for topic, who, s in count_loss(bag)
+    }
+    assert rows == {
+        ('/a', '/game#1'): (1, 6, 4, 2, 1),
+        ('/a', '/game#2'): (3, 4, 2, 2, 0),
+        ('/b', '/game#1'): (1, 3, 3, 0, 0),
+    }
+    info = summarise(bag)
+    assert info.missing == 4
+    assert [(t.name, t.messages, t.counted) for t in info.topics] == [
+        ('/a', 7, True),
+        ('/b', 3, True),
+        ('/rosout', 1, False),
+    ]
+    assert 'missing: 4 messages' in info.to_text()
+
+
+def test_the_summary_counts_what_was_taught_and_done(
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+) -> None:
+    status = LearningStatus(
+        options=[
+            OptionStatus(
+                option_name=PICKUP,
+                participant='p1',
+                criteria_met=True,
+                criteria=[Criterion(value=math.nan)],
+            )
+        ]
+    )
+    wrong = replace(taxi_lesson[0], uuid='taken back')
+    entries: list[tuple[str, Any]] = [
+        ('/domain_info', domain_to_info(taxi)),
+        *(('/demonstrations', demonstration_to_message(demo)) for demo in taxi_lesson),
+        ('/demonstrations', demonstration_to_message(taxi_lesson[0])),  # repeated
+        ('/demonstrations', demonstration_to_message(wrong)),
+        ('/demonstrations', demonstration_to_message(replace(wrong, withdrawn=True))),
+        ('/learning_status', status),
+        *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
+        *(('/option_results', OptionResult(status=code)) for code in (1, 1, 5, 12)),
+        ('/plan_results', PlanResult(status=1)),
+        ('/policy_results', PolicyResult(status=1, interruptions=3, execution_changes=1)),
+        ('/policy_results', PolicyResult(status=2, interruptions=2)),
+    ]
+    info = summarise(write_messages(tmp_path / 'bag', entries))
+    pickup = next(row for row in info.options if row.option == PICKUP)
+    demos = [demo for demo in taxi_lesson if demo.option_name == PICKUP]
+    assert pickup.demonstrations + pickup.not_here == len(demos)
+    assert pickup.withdrawn == 1
+    assert pickup.steps == sum(len(demo.actions) for demo in demos)
+    assert pickup.criteria_met
+    assert info.participants == ('p1',)
+    assert info.sessions == ('s1',)
+    assert info.option_runs == {'reached': 2, 'interrupted': 1, 'stopped_by_plan': 1}
+    assert info.plans == {'converged': 1}
+    assert info.policy_runs == {'done': 1, 'canceled': 1}
+    assert (info.interruptions, info.execution_changes) == (5, 1)
+    assert (info.episodes, info.episodes_ended) == (1, 0)
+    assert info.messages == len(entries)
+    assert info.duration == (len(entries) - 1) * 10**9
+    assert info.missing == 0
+    assert (
+        json.loads(json.dumps(info.to_dict(), allow_nan=False))['options'][0]['option'] == PICKUP
+    )
+    text = info.to_text()
+    assert 'option runs: interrupted 1, reached 2, stopped_by_plan 1' in text
+    assert 'policy runs: 5 options stopped by the plan, 1 changes of execution' in text
+    assert PICKUP in text
+
+
+def test_a_lesson_of_a_person_has_no_error_rate_to_tell(tmp_path: Path) -> None:
+    facts = {'seed': '3', 'teacher_error_rate': 'None'}
+    with BagWriter(tmp_path / 'bag', facts) as writer:
+        writer.add_topic('/game_state', 'humanopts_interfaces/msg/GameState')
+        writer.write('/game_state', serialize_message(numbered(1)), 1)
+    text = summarise(open_bag(tmp_path / 'bag')).to_text()
+    assert re.search(r'teacher error rate +none: a person taught\n', text)
+    assert 'None' not in text
+
+
+def test_info_tells_when_each_criterion_held_first_and_how_it_developed(tmp_path: Path) -> None:
+    values = [(1, math.nan), (2, 0.3), (2, 0.3), (3, 0.05), (4, 0.2)]
+    statuses = []
+    for shown, value in values:
+        measured = not math.isnan(value)
+        criterion = Criterion(
+            name='initiation',
+            value=value,
+            threshold=0.1,
+            measurable=measured,
+            met=measured and value <= 0.1,
+        )
+        option = OptionStatus(
+            participant='p1', option_name=PICKUP, n_demonstrations=shown, criteria=[criterion]
+        )
+        statuses.append(LearningStatus(options=[option]))
+    info = summarise(write_messages(tmp_path / 'bag', [('/learning_status', s) for s in statuses]))
+    (row,) = info.criteria
+    assert [(p.demonstrations, p.value, p.seconds) for p in row.points] == [
+        *((1, None, 0.0), (2, 0.3, 1.0), (3, 0.05, 3.0), (4, 0.2, 4.0)),
+    ]
+    assert row.first_met == row.points[2]
+    assert json.loads(json.dumps(info.to_dict(), allow_nan=False))['criteria'][0]['points'][2][
+        'met'
+    ]
+    assert re.search(r'initiation +0\.1 +3 shown, 0 not here +3\.0 +0\.05 +0\.2\n', info.to_text())
+
+
+def test_a_criterion_that_held_without_a_value_is_told_so(tmp_path: Path) -> None:
+    criterion = Criterion(name='return', value=math.nan, threshold=0.1, met=True)
+    option = OptionStatus(participant='p1', option_name=PICKUP, criteria=[criterion])
+    status = LearningStatus(options=[option])
+    info = summarise(write_messages(tmp_path / 'bag', [('/learning_status', status)]))
+    assert re.search(r'return +0\.1 +0 shown, 0 not here +0\.0 +- +-\n', info.to_text())
+
+
+def test_info_lists_attached_files_and_what_the_recorder_was_told(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag', {'lock_sha256': 'ab12', 'seed': '3'}) as writer:
+        writer.add_topic('/game_state', 'humanopts_interfaces/msg/GameState')
+        writer.write('/game_state', serialize_message(numbered(1)), 1)
+        writer.attach('options/p1/fetch.json', b'{"a": 1}')
+    info = summarise(open_bag(tmp_path / 'bag'))
+    (row,) = info.attached
+    assert (row.name, row.bytes, row.media_type) == (
+        'options/p1/fetch.json',
+        8,
+        'application/json',
+    )
+    assert re.search(r'options/p1/fetch\.json +8 +application/json', info.to_text())
+    assert re.search(r'lock sha256 +ab12\n', info.to_text())

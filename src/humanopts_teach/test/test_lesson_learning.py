@@ -1,0 +1,263 @@
+"""The learner's word, criteria, budget, restarts, and what is taken back."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from humanopts_teach.demos.entries import Entry
+from humanopts_teach.demos.store import DemonstrationStore
+from humanopts_teach.dialogue.answers import Phase, Progress, Status, Verdict
+import pytest
+from teach_support.lesson import (
+    CHOSEN,
+    fill_disk,
+    learning,
+    met,
+    OPTION,
+    OTHER,
+    spent,
+    START,
+    Table,
+)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[DemonstrationStore]:
+    with DemonstrationStore(tmp_path) as opened:
+        yield opened
+
+
+@pytest.fixture
+def table(store: DemonstrationStore) -> Table:
+    return Table(store)
+
+
+def test_the_lesson_waits_until_the_newest_demonstration_is_counted_in(table: Table) -> None:
+    learning(table)
+    table.lesson.learner_said([Progress('p1', OPTION, CHOSEN, 'older', True)])
+    assert table.lesson.phase is Phase.LEARNING
+    table.lesson.learner_said([Progress('p2', OPTION, CHOSEN, table.lesson.awaited, True)])
+    assert table.lesson.phase is Phase.LEARNING
+    table.learned()
+    assert table.lesson.phase is Phase.READY
+
+
+def test_the_lesson_waits_until_start_states_know_of_the_demonstration(table: Table) -> None:
+    table.starts.known = set()
+    learning(table).learned()
+    assert table.lesson.phase is Phase.LEARNING
+    table.starts.known.add(table.lesson.awaited)
+    table.lesson.starts_know_more()
+    assert table.lesson.phase is Phase.READY
+
+
+def test_not_here_alone_teaches_start_states_nothing(table: Table) -> None:
+    table.starts.known = set()
+    assert table.ready().began().end(Verdict.NOT_HERE).ok
+    table.learned()
+    assert table.lesson.phase is Phase.READY
+
+
+def test_a_learner_that_refuses_is_quoted(table: Table) -> None:
+    uuid = learning(table).lesson.awaited
+    table.lesson.learner_refused('another', 'not this one')
+    assert table.lesson.phase is Phase.LEARNING
+    table.lesson.learner_refused(uuid, 'it has no steps')
+    assert table.lesson.phase is Phase.READY
+    assert 'it has no steps' in table.lesson.view.text
+
+
+def test_a_silent_learner_does_not_stop_the_lesson(table: Table) -> None:
+    learning(table).lesson.learner_silent()
+    assert table.lesson.phase is Phase.READY
+    assert 'learner does not answer' in table.lesson.view.text
+    assert table.shown().lesson.view.n_demonstrations == 2
+
+
+def test_criteria_that_hold_finish_the_option(table: Table) -> None:
+    view = met(table).lesson.view
+    assert (view.phase, view.criteria_met) == (Phase.FINISHED, True)
+    assert 'All criteria hold' in view.text
+    assert table.lesson.define_option('the next').ok
+    assert table.lesson.phase is Phase.ASKING
+    table.lesson.define_option(OPTION)
+    assert table.lesson.phase is Phase.FINISHED
+
+
+def test_a_strategy_with_something_left_to_ask_goes_on(table: Table) -> None:
+    table.starts.more = True
+    met(table)
+    assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, True)
+    table.starts.more = False
+    table.shown()
+    assert table.lesson.phase is Phase.READY  # the criteria hold no longer
+    table.learned(met=True)
+    assert table.lesson.phase is Phase.FINISHED
+
+
+@pytest.mark.parametrize('not_here', [0, 2])
+def test_the_budget_ends_the_lesson_whatever_the_criteria_say(table: Table, not_here: int) -> None:
+    table.ready()
+    for number in range(5):
+        assert table.lesson.phase is Phase.READY
+        table.began(START)
+        verdict = Verdict.NOT_HERE if number < not_here else Verdict.DONE
+        table.drive(*(() if number < not_here else ('west',)))
+        assert table.end(verdict).ok
+        table.learned()
+    assert table.lesson.phase is Phase.FINISHED
+    assert 'budget of 5 is spent. Not all criteria hold.' in table.lesson.view.text
+    assert table.lesson.prepare().status is Status.BUDGET_SPENT
+
+
+def test_the_budget_counts_for_each_option(table: Table) -> None:
+    spent(table)
+    assert table.lesson.define_option('another').ok
+    table.answer_all()
+    assert table.lesson.phase is Phase.READY
+
+
+def test_a_lesson_is_taken_up_after_a_restart_where_it_was_left(
+    store: DemonstrationStore,
+) -> None:
+    table = Table(store).ready().shown()
+    table.lesson.define_option('half asked')
+    table.lesson.answer_question(table.lesson.view.question_id, True)
+    left = table.lesson.view
+
+    resumed = Table(store)
+    answer = resumed.lesson.open_session('p1', 's1')
+    assert answer.known_options == (OPTION, 'half asked')
+    assert resumed.lesson.view == left
+    assert resumed.lesson.define_option(OPTION).resumed
+    assert resumed.lesson.view.chosen_features == CHOSEN
+    kept = resumed.began().drive('west').end().demonstration
+    assert kept is not None
+    assert kept.number == 2
+    assert [demo.number for demo in resumed.lesson.demonstrations()] == [1, 2]
+
+
+def test_another_session_begins_without_an_option_and_keeps_the_counts(
+    store: DemonstrationStore,
+) -> None:
+    Table(store).ready().shown()
+    resumed = Table(store)
+    assert resumed.lesson.open_session('p1', 's2').known_options == (OPTION,)
+    assert resumed.lesson.phase is Phase.NO_OPTION
+    resumed.lesson.define_option(OPTION)
+    assert resumed.lesson.view.n_demonstrations == 1
+
+
+def test_participants_and_domains_are_kept_apart(store: DemonstrationStore) -> None:
+    Table(store).ready().shown()
+    assert Table(store).lesson.open_session('p2', 's1').known_options == ()
+    other: list[Entry] = [
+        replace(demo, domain_parameters='{"rows": 9}')
+        for demo in Table(store).lesson.demonstrations()
+    ]
+    store.append(other[0])
+    assert len(Table(store).lesson.demonstrations()) == 1
+    assert Table(store).defined().lesson.view.n_demonstrations == 1
+
+
+def test_criteria_learned_before_a_restart_still_hold(store: DemonstrationStore) -> None:
+    met(Table(store))
+    resumed = Table(store)
+    resumed.learned(met=True)
+    resumed.opened()
+    assert resumed.lesson.phase is Phase.FINISHED
+
+
+def test_the_newest_demonstration_can_be_taken_back_and_shown_anew(table: Table) -> None:
+    table.ready().shown()
+    first = table.lesson.view.last_uuid
+    table.began(OTHER).drive('west').end()
+    table.learned()
+    newest = table.lesson.view.last_uuid
+    answer = table.lesson.withdraw(newest)
+    assert answer.ok
+    assert answer.demonstration is not None
+    assert (answer.demonstration.uuid, answer.demonstration.withdrawn) == (newest, True)
+    view = table.lesson.view
+    assert (view.phase, view.n_demonstrations, view.last_uuid) == (Phase.LEARNING, 1, first)
+    table.learned()
+    assert table.lesson.phase is Phase.LEARNING  # the learner has not counted it out yet
+    table.lesson.learner_said([Progress('p1', OPTION, CHOSEN, first, False)])
+    assert table.lesson.prepare().state == OTHER
+
+
+def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
+    table: Table,
+) -> None:
+    spent(table)
+    assert table.lesson.withdraw().ok
+    table.lesson.learner_said([])
+    assert table.lesson.phase is Phase.READY
+    again = table.began().drive('west').end().demonstration
+    assert again is not None
+    assert again.number == 6
+
+
+def test_a_lesson_that_was_finished_goes_on_without_what_made_it_so(table: Table) -> None:
+    met(table)
+    assert table.lesson.withdraw().ok
+    table.lesson.learner_said([])  # the option has no demonstration left
+    assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
+
+
+def test_only_the_newest_of_the_option_that_is_taught_can_be_taken_back(table: Table) -> None:
+    table.ready().shown()
+    older = table.lesson.view.last_uuid
+    table.shown()
+    refused = table.lesson.withdraw(older)
+    assert refused.status is Status.NO_DEMONSTRATION
+    assert older in refused.detail
+    table.lesson.define_option('another')
+    assert table.lesson.withdraw().status is Status.NO_DEMONSTRATION
+    assert table.lesson.demonstrations()[1].withdrawn is False
+
+
+def test_what_was_taken_back_stays_so_after_a_restart_and_is_told_to_the_learner(
+    store: DemonstrationStore,
+) -> None:
+    table = Table(store).ready().shown().shown()
+    newest = table.lesson.view.last_uuid
+    table.lesson.withdraw()
+    resumed = Table(store)
+    resumed.lesson.open_session('p1', 's1')
+    assert resumed.lesson.view.n_demonstrations == 1
+    told = [(demo.uuid, demo.withdrawn) for demo in resumed.lesson.demonstrations()]
+    assert told == [(resumed.lesson.view.last_uuid, False), (newest, True)]
+
+
+def test_a_withdrawal_that_cannot_be_written_changes_nothing(
+    table: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = table.ready().shown().lesson.view
+    with monkeypatch.context() as patch:
+        fill_disk(patch)
+        assert table.lesson.withdraw().status is Status.NOT_SAVED
+    assert table.lesson.view == view
+    assert table.lesson.withdraw().ok
+
+
+def test_a_learner_that_does_not_take_a_withdrawal_is_quoted(table: Table) -> None:
+    table.ready().shown().lesson.withdraw()
+    table.lesson.learner_refused(table.lesson.awaited, 'cannot write')
+    assert table.lesson.phase is Phase.READY
+    assert 'did not take the demonstration back: cannot write' in table.lesson.view.text
+    table.shown().lesson.withdraw()
+    table.lesson.learner_silent()
+    assert 'taken back is on disk' in table.lesson.view.text
+
+
+def test_start_states_are_drawn_only_once_they_know_of_a_withdrawal(table: Table) -> None:
+    table.ready().shown().shown()
+    uuid = table.lesson.view.last_uuid
+    table.starts.known = {uuid}
+    table.lesson.withdraw()
+    table.lesson.learner_said([])
+    assert table.lesson.phase is Phase.LEARNING
+    table.starts.known.clear()
+    table.lesson.starts_know_more()
+    assert table.lesson.phase is Phase.READY

@@ -1,0 +1,211 @@
+"""The lesson's requests: every one in every phase, while paused, and its codes and questions."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from humanopts_teach.demos.store import DemonstrationStore
+from humanopts_teach.dialogue.answers import Answer, Phase, Status, Verdict
+import pytest
+from teach_support.lesson import (
+    CHOSEN,
+    fill_disk,
+    met,
+    OPTION,
+    preparing,
+    START,
+    Table,
+    TAXI,
+    TO_PHASE,
+)
+
+# What each request answers in each phase.
+TABLE = [
+    ('open_session', dict.fromkeys(Phase, Status.OK) | {Phase.DEMONSTRATING: Status.WRONG_PHASE}),
+    (
+        'define_option',
+        dict.fromkeys(Phase, Status.OK)
+        | dict.fromkeys((Phase.NO_SESSION, Phase.DEMONSTRATING), Status.WRONG_PHASE),
+    ),
+    ('answer_question', dict.fromkeys(Phase, Status.NOT_ASKED) | {Phase.ASKING: Status.OK}),
+    ('prepare', dict.fromkeys(Phase, Status.WRONG_PHASE) | {Phase.READY: Status.OK}),
+    (
+        'withdraw',
+        dict.fromkeys(Phase, Status.WRONG_PHASE)
+        | dict.fromkeys((Phase.ASKING, Phase.READY), Status.NO_DEMONSTRATION)
+        | dict.fromkeys((Phase.LEARNING, Phase.FINISHED), Status.OK),
+    ),
+    ('end', dict.fromkeys(Phase, Status.WRONG_PHASE) | {Phase.DEMONSTRATING: Status.NO_STEPS}),
+]
+REQUESTS: dict[str, Callable[[Table], Answer]] = {
+    'open_session': lambda table: table.lesson.open_session('p2', ''),
+    'define_option': lambda table: table.lesson.define_option('another'),
+    'answer_question': lambda table: table.lesson.answer_question(1, True),
+    'prepare': lambda table: table.lesson.prepare(),
+    'withdraw': lambda table: table.lesson.withdraw(),
+    'end': lambda table: table.lesson.end_demonstration(Verdict.DONE, 1, 0, False),
+}
+FULL = 'recording stopped: the disk is full'
+NEW_THINGS = ['open_session', 'define_option', 'answer_question', 'prepare', 'withdraw']
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Iterator[Table]:
+    with DemonstrationStore(tmp_path) as store:
+        yield Table(store)
+
+
+@pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
+@pytest.mark.parametrize(('request_name', 'statuses'), TABLE)
+def test_every_request_is_answered_in_every_phase(
+    table: Table, phase: Phase, request_name: str, statuses: dict[Phase, Status]
+) -> None:
+    TO_PHASE[phase](table)
+    assert table.lesson.phase is phase
+    answer = REQUESTS[request_name](table)
+    assert answer.status is statuses[phase]
+    assert answer.detail
+    if not answer.ok:
+        assert table.lesson.phase is phase
+
+
+@pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
+@pytest.mark.parametrize('name', NEW_THINGS)
+def test_while_it_is_paused_nothing_new_begins_and_then_all_goes_on(
+    table: Table, phase: Phase, name: str
+) -> None:
+    view = TO_PHASE[phase](table).lesson.view
+    table.lesson.pause(FULL)
+    answer = REQUESTS[name](table)
+    assert (answer.status, answer.detail) == (Status.PAUSED, f'the lesson is paused: {FULL}')
+    paused = table.lesson.view
+    assert (paused.phase, paused.paused) == (phase, FULL)
+    assert paused.text
+    table.lesson.pause('')
+    assert table.lesson.view == view
+    assert REQUESTS[name](table).status is dict(TABLE)[name][phase]
+
+
+def test_a_demonstration_under_way_is_kept_while_paused_and_said_to_be_unrecorded(
+    table: Table,
+) -> None:
+    table.ready().began(START).drive('west')
+    table.lesson.pause(FULL)
+    assert table.drive('west').end(Verdict.NOT_HERE).status is Status.STEPS_TAKEN
+    answer = table.end()
+    assert answer.ok
+    assert 'not in this recording: the next one has it' in answer.detail
+    assert 'not in this recording: the next one has it' in table.lesson.view.text
+    table.learned()
+    assert (table.lesson.phase, table.lesson.view.n_demonstrations) == (Phase.READY, 1)
+    assert 'The lesson is paused.' in table.lesson.view.text
+    assert table.lesson.demonstrations() == [answer.demonstration]
+
+
+def test_a_demonstration_under_way_can_be_discarded_while_paused(table: Table) -> None:
+    table.ready().began(START).drive('west')
+    table.lesson.pause(FULL)
+    assert table.end(Verdict.DISCARD).ok
+    table.lesson.pause('')
+    assert table.lesson.prepare().state == START
+
+
+def test_an_episode_that_begins_after_the_pause_is_no_demonstration(table: Table) -> None:
+    table.ready().lesson.prepare(START)
+    table.lesson.pause(FULL)
+    assert table.lesson.began(1, START).status is Status.PAUSED
+    assert table.lesson.phase is Phase.READY
+    table.lesson.pause('')
+    assert table.lesson.prepare().ok
+
+
+@pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
+def test_every_phase_says_what_comes_next(table: Table, phase: Phase) -> None:
+    view = TO_PHASE[phase](table).lesson.view
+    assert view.phase is phase
+    assert view.text
+
+
+@pytest.mark.parametrize('name', NEW_THINGS)
+def test_nothing_comes_between_the_request_for_an_episode_and_its_start(
+    table: Table, name: str
+) -> None:
+    answer = REQUESTS[name](preparing(table))
+    assert answer.status in (Status.WRONG_PHASE, Status.NOT_ASKED)
+
+
+@pytest.mark.parametrize(
+    ('participant', 'session'), [('', 's1'), ('a b', ''), ('../x', ''), ('p1', 's/1')]
+)
+def test_a_session_needs_codes(table: Table, participant: str, session: str) -> None:
+    assert table.lesson.open_session(participant, session).status is Status.BAD_NAME
+    assert table.lesson.phase is Phase.NO_SESSION
+
+
+def test_a_new_session_is_named_after_the_day_and_counted(table: Table) -> None:
+    assert table.lesson.open_session('p1', '').session == '20260102-1'
+    assert table.lesson.open_session('p1', '').session == '20260102-2'
+    assert table.lesson.open_session('p2', '').session == '20260102-1'
+
+
+@pytest.mark.parametrize(
+    'name', ['', '   ', 'x' * 61, 'two\nlines', 'bell\a', 'action:north', '\u200b']
+)
+def test_an_option_needs_a_name_that_can_be_shown(table: Table, name: str) -> None:
+    assert table.opened().lesson.define_option(name).status is Status.BAD_NAME
+    assert table.lesson.phase is Phase.NO_OPTION
+
+
+def test_one_question_is_asked_for_each_feature_in_the_words_of_the_paper(table: Table) -> None:
+    view = table.defined().lesson.view
+    assert view.question == f"Does the '{OPTION}' option depend on {TAXI.features[0].question}?"
+    assert (view.question_id, view.questions_total) == (1, len(TAXI.features))
+    table.answer_all()
+    assert table.lesson.view.chosen_features == CHOSEN
+    assert table.lesson.view.question_id == 0
+
+
+def test_an_answer_to_another_question_changes_nothing(table: Table) -> None:
+    table.defined().lesson.answer_question(1, True)
+    again = table.lesson.answer_question(1, True)
+    assert again.status is Status.NOT_ASKED
+    assert 'question 2 is' in again.detail
+    assert table.lesson.view.question_id == 2
+
+
+def test_the_questions_are_asked_again_when_all_answers_are_no(table: Table) -> None:
+    assert table.defined().answer_all(()).status is Status.NO_FEATURE
+    view = table.lesson.view
+    assert view.phase is Phase.ASKING
+    assert (view.question_feature, view.question_id) == (TAXI.features[0].name, 11)
+    assert 'no' in view.text
+    assert table.answer_all().ok
+
+
+def test_asking_again_forgets_the_answers_and_keeps_the_demonstrations(table: Table) -> None:
+    met(table)
+    answer = table.lesson.define_option(OPTION, ask_again=True)
+    assert (answer.status, answer.resumed) == (Status.OK, True)
+    assert table.lesson.phase is Phase.ASKING
+    assert table.lesson.view.n_demonstrations == 1
+    table.answer_all(CHOSEN[:2])
+    assert table.lesson.phase is Phase.READY  # the criteria held on other features
+    assert not table.lesson.criteria_met
+
+
+@pytest.mark.parametrize(
+    ('phase', 'request_name'),
+    [
+        (Phase.NO_SESSION, 'open_session'),
+        (Phase.NO_OPTION, 'define_option'),
+        (Phase.ASKING, 'answer_question'),
+    ],
+)
+def test_a_full_disk_is_told_and_changes_nothing(
+    table: Table, monkeypatch: pytest.MonkeyPatch, phase: Phase, request_name: str
+) -> None:
+    before = TO_PHASE[phase](table).lesson.view
+    with monkeypatch.context() as patch:
+        fill_disk(patch)
+        assert REQUESTS[request_name](table).status is Status.NOT_SAVED
+    assert table.lesson.view == before
+    assert REQUESTS[request_name](table).ok

@@ -1,0 +1,84 @@
+"""Bags of what the test says, and what is in them."""
+
+from collections.abc import Iterable
+import os
+from pathlib import Path
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.game import Command, Game, Moment, Source
+from humanopts_interfaces.msg import GameState
+from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
+from rclpy.serialization import serialize_message
+
+START = 10**18  # ns since the epoch
+GAME = 'humanopts_interfaces/msg/GameState'
+QOS = {
+    'history': 'keep_all',
+    'depth': 0,
+    'reliability': 'reliable',
+    'durability': 'volatile',
+    'deadline': {'sec': 9223372036, 'nsec': 854775807},
+    'lifespan': {'sec': 9223372036, 'nsec': 854775807},
+    'liveliness': 'automatic',
+    'liveliness_lease_duration': {'sec': 9223372036, 'nsec': 854775807},
+    'avoid_ros_namespace_conventions': False,
+}
+
+
+def state(step: int) -> bytes:
+    """Return the bytes of a game state."""
+    filler = os.urandom(40).hex()  # does not compress
+    return serialize_message(GameState(episode=1, step=step, state=filler, sequence=step + 1))
+
+
+def write_states(
+    path: Path, count: int, flush_every: int = 10, limits: Limits = NO_LIMITS
+) -> BagWriter:
+    """Begin a bag of game states, one a millisecond, and leave it open."""
+    writer = BagWriter(path, {'seed': '7'}, limits=limits)
+    writer.add_topic('/game_state', GAME, [QOS], 'RIHS01_ab')
+    for step in range(count):
+        time = START + step * 10**6
+        writer.write('/game_state', state(step), time, time - 5)
+        if (step + 1) % flush_every == 0:
+            writer.flush()
+    return writer
+
+
+def steps(path: Path) -> list[int]:
+    """Return the steps in a bag, in the order of reading."""
+    return [recorded.message.step for recorded in open_bag(path).messages()]
+
+
+def write_messages(path: Path, entries: Iterable[tuple[str, Any]], publisher: str = '/n#1') -> Bag:
+    """Write (topic, message) pairs, numbered per topic, and open the bag."""
+    numbers: dict[str, int] = {}
+    with BagWriter(path) as writer:
+        for time, (topic, message) in enumerate(entries, start=1):
+            package, kind = type(message).__module__.split('.')[:2]
+            writer.add_topic(topic, f'{package}/{kind}/{type(message).__name__}')
+            if hasattr(message, 'publisher_id') and not message.sequence:
+                numbers[topic] = numbers.get(topic, 0) + 1
+                message.publisher_id, message.sequence = publisher, numbers[topic]
+            writer.write(topic, serialize_message(message), time * 10**9)
+    return open_bag(path)
+
+
+def numbered(sequence: int, publisher: str = '/game#1') -> GameState:
+    """Return a message with a number."""
+    return GameState(publisher_id=publisher, sequence=sequence, state='s')
+
+
+def play(domain: Domain[Any], actions: list[str]) -> list[Moment]:
+    """Play one episode."""
+    game = Game(domain)
+    first = game.reset('', 3, Source.MACHINE).moment
+    assert first is not None
+    moments = [first]
+    for action in actions:
+        number = len(moments)
+        game.command(Command('/x#1', number, Source.MACHINE, 1, number - 1, action))
+        moments.append(game.moment)
+    return moments

@@ -1,0 +1,193 @@
+"""A lesson with everybody around it in the hands of the test; nothing here needs ROS."""
+
+from collections.abc import Callable, Sequence
+import errno
+import os
+from typing import Any
+
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.game import Moment, Source
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_teach.demos.store import DemonstrationStore
+from humanopts_teach.dialogue.answers import Answer, Phase, Progress, Verdict
+from humanopts_teach.dialogue.lesson import Lesson, LessonRules
+import numpy as np
+import pytest
+
+TAXI = make_domain('taxi')
+OPTION = 'go to passenger and pickup'
+CHOSEN = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col')
+START = 'taxi 0,1 passenger R destination G'
+OTHER = 'taxi 3,1 passenger B destination R'
+
+
+class Starts:
+    """Start states without a learner: what is learned is set by the test."""
+
+    def __init__(self) -> None:
+        self.known: set[str] | None = None  # uuids counted in; None: all
+        self.more = False  # the strategy has something left to ask
+
+    def choose(
+        self,
+        participant: str,
+        option_name: str,
+        demonstrations: Sequence[Demonstration],
+        rng: np.random.Generator,
+    ) -> Any:
+        return TAXI.sample_states(rng, 1)[0]
+
+    def knows(self, demonstration: Demonstration) -> bool:
+        return self.known is None or (demonstration.uuid in self.known) != demonstration.withdrawn
+
+    def exhausted(
+        self,
+        participant: str,
+        option_name: str,
+        demonstrations: Sequence[Demonstration],
+        rng: np.random.Generator,
+    ) -> bool:
+        return not self.more
+
+
+class Table:
+    """A lesson with the person, the game and the learner in the hands of the test."""
+
+    def __init__(self, store: DemonstrationStore, *, budget: int = 5, seed: int = 0) -> None:
+        self.store = store
+        self.starts = Starts()
+        self.time = 100.0
+        self.episode = 0
+        self.here: Moment | None = None
+        self.lesson = Lesson(
+            TAXI,
+            store,
+            self.starts,
+            LessonRules('random', budget, seed),
+            clock=lambda: self.time,
+            today=lambda: '20260102',
+        )
+
+    def opened(self) -> 'Table':
+        """Open a session."""
+        assert self.lesson.open_session('p1', 's1').ok
+        return self
+
+    def defined(self) -> 'Table':
+        """Name the option, whose questions are now asked."""
+        self.opened()
+        assert self.lesson.define_option(OPTION).ok
+        return self
+
+    def answer_all(self, chosen: Sequence[str] = CHOSEN) -> Answer:
+        """Answer yes for these features, and no for the others."""
+        for feature in TAXI.features:
+            view = self.lesson.view
+            assert view.question_feature == feature.name
+            answer = self.lesson.answer_question(view.question_id, feature.name in chosen)
+        return answer
+
+    def ready(self) -> 'Table':
+        """Answer the questions too."""
+        self.defined()
+        assert self.answer_all().ok
+        return self
+
+    def began(self, start_state: str = '') -> 'Table':
+        """Let the game begin the episode that the lesson asks for."""
+        prepared = self.lesson.prepare(start_state)
+        assert prepared.ok, prepared
+        self.episode += 1
+        self.arrives(prepared.state)
+        assert self.lesson.began(self.episode, prepared.state).ok
+        return self
+
+    def arrives(self, state: str) -> bool:
+        """Let the game's first state of an episode arrive."""
+        features = tuple(TAXI.feature_values(TAXI.decode(state)).tolist())
+        self.here = Moment(self.episode, 0, state, features)
+        return self.lesson.saw(self.here)
+
+    def drive(self, *actions: str, source: Source = Source.PERSON) -> 'Table':
+        """Take these actions, and let the lesson see each state."""
+        for name in actions:
+            assert self.here is not None
+            action = [a.name for a in TAXI.actions].index(name)
+            out = TAXI.step(TAXI.decode(self.here.state), action, np.random.default_rng(0))
+            self.here = Moment(
+                self.here.episode,
+                self.here.step + 1,
+                TAXI.encode(out.state),
+                tuple(TAXI.feature_values(out.state).tolist()),
+                previous_action=name,
+                action_source=source,
+                reward=out.reward,
+                terminated=out.terminated,
+            )
+            self.lesson.saw(self.here)
+        return self
+
+    def end(self, verdict: Verdict | None = Verdict.DONE, again: bool = False) -> Answer:
+        """Give a verdict on the state that is there."""
+        assert self.here is not None
+        return self.lesson.end_demonstration(verdict, self.here.episode, self.here.step, again)
+
+    def learned(self, *, met: bool = False, features: tuple[str, ...] = CHOSEN) -> None:
+        """Let the learner tell that the newest demonstration is counted in."""
+        self.lesson.learner_said(
+            [Progress('p1', OPTION, features, self.lesson.awaited or 'old', met)]
+        )
+
+    def shown(self) -> 'Table':
+        """Give one demonstration, learned from."""
+        self.began().drive('west')
+        assert self.end().ok
+        self.learned()
+        return self
+
+
+def preparing(table: Table) -> Table:
+    """Ask for an episode, which has not begun."""
+    assert table.ready().lesson.prepare().ok
+    return table
+
+
+def learning(table: Table) -> Table:
+    """Give a demonstration, and leave the learner to it."""
+    assert table.ready().began().drive('west').end().ok
+    return table
+
+
+def met(table: Table) -> Table:
+    """Let the criteria hold after one demonstration."""
+    learning(table).learned(met=True)
+    return table
+
+
+def spent(table: Table) -> Table:
+    """Spend the budget."""
+    table.ready()
+    for _ in range(5):
+        table.shown()
+    return table
+
+
+# The way from no session to each phase.
+TO_PHASE: dict[Phase, Callable[[Table], Table]] = {
+    Phase.NO_SESSION: lambda table: table,
+    Phase.NO_OPTION: Table.opened,
+    Phase.ASKING: Table.defined,
+    Phase.READY: Table.ready,
+    Phase.DEMONSTRATING: lambda table: table.ready().began(),
+    Phase.LEARNING: learning,
+    Phase.FINISHED: met,
+}
+
+
+def fill_disk(patch: pytest.MonkeyPatch) -> None:
+    """Let every write fail as on a full disk."""
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    patch.setattr(os, 'fsync', full)
