@@ -44,6 +44,7 @@ class Waiting:
         if not condition():
             future = Future(executor=self._node.executor)
             self._open.append((future, condition, time.monotonic() + seconds))
-            self._timer.reset()
+            if self._timer.is_canceled():
+                self._timer.reset()
             await future
         return condition()
