@@ -32,7 +32,7 @@ TABLE = [
         'withdraw',
         dict.fromkeys(Phase, Status.WRONG_PHASE)
         | dict.fromkeys((Phase.ASKING, Phase.READY), Status.NO_DEMONSTRATION)
-        | dict.fromkeys((Phase.LEARNING, Phase.FINISHED), Status.OK),
+        | {Phase.FINISHED: Status.OK},
     ),
     ('end', dict.fromkeys(Phase, Status.WRONG_PHASE) | {Phase.DEMONSTRATING: Status.NO_STEPS}),
 ]

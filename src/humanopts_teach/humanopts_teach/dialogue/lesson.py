@@ -218,7 +218,9 @@ class Lesson:
         :param uuid: of the one that is meant, so that no other is taken back; empty: whichever
             is the newest.
         """
-        answer = self._hindrance() or self._notebook.withdraw(uuid)
+        working = self._learning.awaited is not None
+        wait = _wrong('the learner still works on a demonstration; wait for it')
+        answer = self._hindrance() or (wait if working else self._notebook.withdraw(uuid))
         if answer.demonstration is not None:
             self._again, self._notice = answer.demonstration.states[0], ''
             self._learning.awaited = answer.demonstration
