@@ -87,6 +87,7 @@ QUIET = {
     '/extract_options/_action/status',
     '/extraction_goals',
     '/extraction_results',
+    '/lesson/withdraw_demonstration/_service_event',
     '/list_options/_service_event',
     '/option_values',
     '/query_option/_service_event',

@@ -14,6 +14,7 @@ from humanopts_interfaces.msg import (
     ActionCommand,
     ControlState,
     Demonstration,
+    DemonstrationReceipt,
     GameState,
     LearningStatus,
     LessonState,
@@ -174,6 +175,16 @@ class Graph:
             step=step,
         )
 
+    def show(self) -> str:
+        """Give a demonstration that a learner counts in; return its uuid."""
+        episode = self.begin()
+        self.drive(episode, 'west', 'pickup')
+        ended = self.end(episode, 2)
+        assert ended.status == EndDemonstration.Response.STATUS_OK, ended.detail
+        self.until(lambda: self.lesson.last_uuid == ended.uuid, 'the lesson to keep it')
+        self.phase(LessonState.PHASE_READY)
+        return str(ended.uuid)
+
     def kill(self, module: str, how: signal.Signals = signal.SIGKILL) -> tuple[int, str]:
         """End a process; return its status and what it said."""
         process = self.processes.pop(module)
@@ -257,11 +268,10 @@ def test_a_lesson_that_was_killed_goes_on_where_it_was(graph: Graph) -> None:
     graph.start(LEARNER, directory=graph.folder / 'options')
     graph.start_lesson()
     graph.taught_up_to_ready()
-    episode = graph.begin()
-    graph.drive(episode, 'west', 'pickup')
-    assert graph.end(episode, 2).status == EndDemonstration.Response.STATUS_OK
-    graph.phase(LessonState.PHASE_READY)
+    uuid = graph.show()
+    graph.until(lambda: bool(graph.shown), 'the demonstration')
     first = graph.shown[0]
+    assert first.uuid == uuid
     graph.begin()
     graph.kill(LESSON)
 
@@ -306,30 +316,27 @@ def test_what_is_taken_back_is_unlearned_and_run_no_more(graph: Graph) -> None:
     graph.start(OPTION_SERVER)
     graph.start_lesson()
     graph.taught_up_to_ready()
-    for _ in range(2):
-        episode = graph.begin()
-        graph.drive(episode, 'west', 'pickup')
-        assert graph.end(episode, 2).status == EndDemonstration.Response.STATUS_OK
-        graph.phase(LessonState.PHASE_READY)
+    first, second = graph.show(), graph.show()
 
     def learned() -> list[tuple[int, str]]:
-        options = graph.latest[LearningStatus].options
+        status = graph.latest.get(LearningStatus)
+        options = status.options if status is not None else ()
         return [(option.n_demonstrations, option.last_uuid) for option in options]
 
     def served() -> list[str]:
         return list(graph.ask(ListOptions, 'list_options').option_names)
 
-    first, second = uuids(graph)
     stale = graph.ask(WithdrawDemonstration, 'lesson/withdraw_demonstration', uuid=first)
     assert stale.status == WithdrawDemonstration.Response.STATUS_NO_DEMONSTRATION
     for uuid, left in ((second, [(1, first)]), (first, [])):
-        assert graph.lesson.last_uuid == uuid
         taken = graph.ask(WithdrawDemonstration, 'lesson/withdraw_demonstration', uuid=uuid)
         assert (taken.status, taken.uuid) == (WithdrawDemonstration.Response.STATUS_OK, uuid)
         graph.until(lambda left=left: learned() == left, 'the learner to count it out')
+        newest = left[0][1] if left else ''
+        graph.until(lambda uuid=newest: graph.lesson.last_uuid == uuid, 'the lesson to say so')
         graph.phase(LessonState.PHASE_READY)
     graph.until(lambda: not served(), 'the option to be gone')
-    assert [message.withdrawn for message in graph.shown[-2:]] == [True, True]
+    graph.until(lambda: sum(m.withdrawn for m in graph.shown) == 2, 'both words of it')
     none = graph.ask(WithdrawDemonstration, 'lesson/withdraw_demonstration')
     assert none.status == WithdrawDemonstration.Response.STATUS_NO_DEMONSTRATION
 
@@ -341,6 +348,34 @@ def test_what_is_taken_back_is_unlearned_and_run_no_more(graph: Graph) -> None:
     graph.drive(episode, 'west', 'pickup')
     third = graph.end(episode, 2).uuid
     graph.until(lambda: learned() == [(1, third)], 'the new learner to know what counts')
+
+
+@pytest.mark.parametrize('refuses', [False, True])
+def test_a_learner_that_missed_something_gets_it_once_it_is_heard_again(
+    graph: Graph, refuses: bool
+) -> None:
+    graph.start(GAME)
+    graph.start_lesson(learner_deadline=5.0 if refuses else 0.2)
+    says = graph.node.create_publisher(LearningStatus, 'learning_status', LATCHED)
+    answers = graph.node.create_publisher(DemonstrationReceipt, 'demonstration_receipts', STREAM)
+    graph.until(lambda: says.get_subscription_count() > 1, 'the lesson to listen')
+    graph.until(lambda: answers.get_subscription_count() > 0, 'the lesson to listen')
+    says.publish(LearningStatus(publisher_id='/learner#1'))
+    graph.taught_up_to_ready()
+    episode = graph.begin()
+    graph.drive(episode, 'west', 'pickup')
+    uuid = graph.end(episode, 2).uuid
+    if refuses:
+        status = DemonstrationReceipt.STATUS_REFUSED
+        answers.publish(DemonstrationReceipt(uuid=uuid, status=status, detail='a full disk'))
+        words = 'refused the demonstration: a full disk'
+    else:
+        words = 'learner does not answer'
+    graph.until(lambda: words in graph.lesson.text, words)
+    known = len(graph.shown)
+    says.publish(LearningStatus(publisher_id='/learner#1'))
+    graph.until(lambda: len(graph.shown) > known, 'the demonstration again')
+    assert graph.shown[-1].uuid == uuid
 
 
 def test_a_person_gets_clear_refusals_and_can_go_on(graph: Graph) -> None:

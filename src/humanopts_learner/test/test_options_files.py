@@ -53,6 +53,7 @@ def test_a_file_has_one_node_and_one_demonstration_on_each_line(
     option: LearnedOption, fetching: Shown
 ) -> None:
     text = option_to_json(option, fetching)
+    assert 'withdrawn' not in text  # as before there was such a thing
     lines = text.splitlines()
     assert sum('"counts"' in line for line in lines) == sum(
         len(tree.left) for tree in (option.policy, option.initiation, option.termination)

@@ -61,6 +61,19 @@ def test_a_demonstration_that_is_missing_is_named_and_changes_what_is_learned(
     json.dumps([d.a for d in found])
 
 
+def test_a_demonstration_that_was_taken_back_is_told_to_be_so(
+    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+) -> None:
+    withdrawn = replace(short[0], withdrawn=True)
+    undone = lesson(taxi, [withdrawn, *short[1:]])
+    found = compare(whole, undone)
+    told = [d for d in found if d.what == 'demonstration']
+    assert told == [Difference('demonstration', f'withdrawn of {withdrawn.uuid}', False, True)]
+    assert f'withdrawn of {withdrawn.uuid}' in difference_text(found)
+    lone = difference_text(compare(undone, lesson(taxi, short[1:])))
+    assert f'of {short[0].option_name} by p1, taken back  1 that are only here' in lone
+
+
 def test_a_demonstration_that_was_changed_is_told_by_field(
     taxi: Domain[Any], short: list[Demonstration], whole: Lesson
 ) -> None:

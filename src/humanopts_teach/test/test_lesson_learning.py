@@ -261,3 +261,31 @@ def test_start_states_are_drawn_only_once_they_know_of_a_withdrawal(table: Table
     table.starts.known.clear()
     table.lesson.starts_know_more()
     assert table.lesson.phase is Phase.READY
+
+
+@pytest.mark.parametrize('how', ['silent', 'refused'])
+def test_criteria_that_rest_on_what_was_taken_back_hold_no_more(table: Table, how: str) -> None:
+    met(table).lesson.withdraw()
+    if how == 'silent':
+        table.lesson.learner_silent()
+    else:
+        table.lesson.learner_refused(table.lesson.awaited, 'cannot write')
+    assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
+    assert table.lesson.prepare().ok
+
+
+def test_what_was_taken_back_is_shown_anew_after_a_restart_and_another_option_too(
+    store: DemonstrationStore,
+) -> None:
+    table = Table(store).ready().began(OTHER).drive('west')
+    assert table.end().ok
+    table.learned()
+    table.lesson.withdraw()
+    resumed = Table(store)
+    resumed.lesson.open_session('p1', 's1')
+    resumed.lesson.define_option('another')
+    resumed.lesson.define_option(OPTION)
+    assert resumed.began().lesson.view.start_state == OTHER
+    assert resumed.drive('west').end().ok
+    resumed.learned()
+    assert resumed.lesson.prepare().state != OTHER

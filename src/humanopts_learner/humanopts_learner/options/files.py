@@ -1,7 +1,6 @@
 """Options as files: versioned, readable JSON with the demonstrations that they came from."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 import hashlib
 import json
 import os
@@ -44,7 +43,7 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
         **{key: list(getattr(option, key)) for key in NAMES},
         'columns': columns,
         **trees,
-        'demonstrations': [{**asdict(demo), 'kind': demo.kind.value} for demo in demonstrations],
+        'demonstrations': [json.loads(demo.to_json()) for demo in demonstrations],
     }
     return _pretty(data) + '\n'
 

@@ -15,6 +15,8 @@ class OptionHistory:
         self.name = name
         self.questions = Questions(name, features)
         self.demonstrations: list[Demonstration] = []  # those that count
+        self.withdrawn: set[str] = set()  # uuids
+        self.again = ''  # start state of the one that was withdrawn last, until one is kept
         self.number = 1  # of the next one, counted on; it also names the draw of its start state
 
     @property
@@ -36,8 +38,11 @@ class OptionHistory:
         """Take in one more demonstration, or that one is withdrawn."""
         self.number = max(self.number, demo.number + 1)
         if demo.withdrawn:
+            self.withdrawn.add(demo.uuid)
+            self.again = demo.states[0]
             self.demonstrations = [d for d in self.demonstrations if d.uuid != demo.uuid]
         else:
+            self.again = ''
             self.demonstrations.append(demo)
 
 

@@ -33,7 +33,12 @@ class Learning:
         """Whether the learner says so, on the features that are chosen now."""
         known = self._progress.get((participant, option.name))
         chosen = set(option.questions.chosen)
-        return known is not None and known.criteria_met and set(known.features) == chosen
+        return (
+            known is not None
+            and known.criteria_met
+            and known.last_uuid not in option.withdrawn  # it has not counted that one out
+            and set(known.features) == chosen
+        )
 
     def has_counted(self, demo: Demonstration) -> bool:
         """Tell whether the newest demonstration is counted in; out, where it is withdrawn."""

@@ -222,7 +222,7 @@ class Lesson:
         wait = _wrong('the learner still works on a demonstration; wait for it')
         answer = self._hindrance() or (wait if working else self._notebook.withdraw(uuid))
         if answer.demonstration is not None:
-            self._again, self._notice = answer.demonstration.states[0], ''
+            self._again = self._notice = ''  # the option itself knows where to start again
             self._learning.awaited = answer.demonstration
         return answer
 
@@ -262,10 +262,12 @@ class Lesson:
     def learner_refused(self, uuid: str, detail: str) -> None:
         """Take in that the learner did not take a demonstration; it stays in the store."""
         self._notice = self._learning.refused(uuid, detail) or self._notice
+        self._look_at_progress()
 
     def learner_silent(self) -> None:
         """Go on without the learner, which has not answered in time."""
         self._notice = self._learning.silent() or self._notice
+        self._look_at_progress()
 
     def pause(self, reason: str) -> None:
         """
@@ -354,7 +356,7 @@ class Lesson:
     def _start_state(self, asked_for: str, option: OptionHistory) -> str:
         if asked_for:
             return self._draws.check(asked_for)
-        return self._again or self._draws.draw(self._notebook.participant, option)
+        return self._again or option.again or self._draws.draw(self._notebook.participant, option)
 
     def _watch(self, moment: Moment) -> bool:
         if self._attempt is None:

@@ -91,7 +91,8 @@ def difference_text(found: Sequence[Difference]) -> str:
 
 
 def _option_of(demo: Mapping[str, Any]) -> str:
-    return f'{demo["option"]} by {demo["participant"]}'
+    gone = ', taken back' if demo['withdrawn'] else ''
+    return f'{demo["option"]} by {demo["participant"]}{gone}'
 
 
 def _settings(evaluation: BagEvaluation) -> dict[str, Any]:
@@ -135,10 +136,12 @@ def _demonstrations(
             del side[uuid]
     found = _differences(DEMONSTRATION, '', *lone)
     for uuid in both:
-        found += _differences(
-            'demonstration', uuid, *(json.loads(side[uuid].to_json()) for side in (a, b))
-        )
+        found += _differences(DEMONSTRATION, uuid, *(_whole(side[uuid]) for side in (a, b)))
     return found
+
+
+def _whole(demo: Demonstration) -> dict[str, Any]:
+    return {**json.loads(demo.to_json()), 'withdrawn': demo.withdrawn}
 
 
 def _brief(demo: Demonstration) -> dict[str, Any]:
@@ -147,6 +150,7 @@ def _brief(demo: Demonstration) -> dict[str, Any]:
         'participant': demo.participant,
         'kind': demo.kind.value,
         'steps': len(demo.actions),
+        'withdrawn': demo.withdrawn,
     }
 
 

@@ -273,6 +273,8 @@ class LessonNode(NodeBase):
 
     def _on_receipt(self, receipt: DemonstrationReceipt) -> None:
         if receipt.status == DemonstrationReceipt.STATUS_REFUSED:
+            if receipt.uuid == self._lesson.awaited:
+                self._learner = ''  # a full disk of its own, perhaps: sent again with the next
             self._lesson.learner_refused(receipt.uuid, receipt.detail)
             self._show()
 
@@ -322,6 +324,7 @@ class LessonNode(NodeBase):
         late = time.monotonic() - self._asked_learner > self._learner_deadline
         if self._lesson.awaited and late:
             self._lesson.learner_silent()
+            self._learner = ''  # it may lack what was sent, once it is heard again
         if self.ready:
             self._look_at_recording()
         self._show()
