@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 PATIENCE = 50  # looks at a recorder that says nothing, after which it is taken to be gone
 _ADVICE = 'Everything taught so far is on disk: quit, and the same command takes it up again.'
-SILENT = f'nothing is heard of the recorder any more. {_ADVICE}'
+SILENT = (
+    'nothing is heard of the recorder any more, and the bag may lack the last seconds. ' + _ADVICE
+)
 
 
 @dataclass(slots=True)
