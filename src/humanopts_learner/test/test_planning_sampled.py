@@ -1,5 +1,6 @@
 """Sampled models and plans against exact ones, in domains small enough to have both."""
 
+from dataclasses import replace
 from typing import Any
 
 from humanopts_env.domains.rooms import Rooms
@@ -19,7 +20,7 @@ from humanopts_learner.planning.sampled.curve import (
     planning_curve,
     seconds_to_reach,
 )
-from humanopts_learner.planning.sampled.games import batch_domain, Watcher
+from humanopts_learner.planning.sampled.games import batch_domain, Watcher, watcher_for
 from humanopts_learner.planning.sampled.judging import Interval, play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from humanopts_learner.planning.sampled.policies import UniformPolicy
@@ -28,6 +29,7 @@ from humanopts_learner.planning.sampled.runs import Runs
 from humanopts_learner.planning.sampled.sampling import Sampler, Trace
 from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
+from numpy.typing import NDArray
 import pytest
 from tabular_games import TabularGames
 
@@ -312,3 +314,46 @@ def test_games_that_begin_again_are_seen_as_they_are() -> None:
     assert np.array_equal(runs.view.rows, seen.rows)
     changed = np.flatnonzero(before[0] != runs.batch[0])
     assert set(changed) <= {3, 40}
+
+
+class _Telling(TabularGames):
+    """Games whose primitive actions are told nothing, and whose options the state."""
+
+    def planning_sizes(self, *, fine: bool) -> tuple[int, ...]:
+        """One planning state, or one for each state."""
+        return (1,) if fine else super().planning_sizes(fine=False)
+
+    def planning_features(
+        self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
+    ) -> NDArray[np.int32]:
+        """Tell nothing, or the state."""
+        told = super().planning_features(batch, rows, fine=False)
+        return np.zeros((len(told), 1), dtype=np.int32) if fine else told
+
+    def planning_mixture(self) -> tuple[int, ...]:
+        """Plans with both get what the options are told."""
+        return tuple(range(len(super().planning_sizes(fine=False))))
+
+
+def test_plans_with_options_and_primitive_actions_see_what_both_are_told() -> None:
+    """Were they told only what primitive actions are, all states would be one."""
+    domain = Rooms()
+    batches = watcher_for(_Telling(domain), 'human+primitive')
+    assert batches.context == tuple(range(len(batches.beside)))
+    batch = np.arange(domain.n_states)[None]
+    codes = batches(batch).codes
+    assert len(set(codes.tolist())) == domain.n_states
+    assert set(batches.without_context(codes).tolist()) == {0}
+    assert set(watcher_for(_Telling(domain), 'primitive')(batch).codes.tolist()) == {0}
+
+
+def test_reluctance_leaves_primitive_actions_where_they_gain_less() -> None:
+    """So great a reluctance leaves options alone wherever one can start."""
+    plan = rooms_plan('human+primitive', how=replace(EXACT, reluctance=100.0))
+    values = plan.policy.values
+    n_options = len(plan.columns.options)
+    some = np.isfinite(values[:, :n_options]).any(axis=1)
+    assert some.any()
+    assert (values[some].argmax(axis=1) < n_options).all()
+    free = rooms_plan('human+primitive').policy.values
+    assert (free[some[: len(free)]].argmax(axis=1) >= n_options).any()

@@ -13,13 +13,12 @@ from typing import Any, Protocol
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, option_tables
-from humanopts_learner.planning.action_sets import OPTIONS_ONLY
 from humanopts_learner.planning.arbitration import Execution, OptionValues
 from humanopts_learner.planning.continuation import stop_table, winners
 from humanopts_learner.planning.errors import ModelError
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns
 from humanopts_learner.planning.sampled.counts import StateIndex
-from humanopts_learner.planning.sampled.games import batch_domain, Watcher
+from humanopts_learner.planning.sampled.games import batch_domain, watcher_for
 from humanopts_learner.planning.sampled.plan import batch_options
 from humanopts_learner.planning.sampled.policies import executed, GreedyPolicy
 import numpy as np
@@ -136,7 +135,7 @@ class _SampledArbiter:
         greedy = GreedyPolicy(columns, StateIndex(values.situations), values.choosing)
         self._columns = columns
         self._policy = executed(greedy, values.going_on, execution, values.slack)
-        self._watch = Watcher(games, fine=values.action_set not in OPTIONS_ONLY)
+        self._watch = watcher_for(games, values.action_set)
 
     def before_step(self, state: Any, running: str) -> Ruling:
         view, nothing = self._watch(self._watch.games.batch_of([state])), np.random.default_rng(0)

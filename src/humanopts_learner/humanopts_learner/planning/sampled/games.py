@@ -6,6 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_learner.planning.action_sets import OPTIONS_ONLY, PRIMITIVE
 from humanopts_learner.planning.errors import NotEnumerableError, PlanError
 from humanopts_learner.planning.sampled.pacman import PacManGames
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 Ints = NDArray[np.intp]
 Flags = NDArray[np.bool_]
-LARGEST_CODE = 2**40  # planning states are numbered below this
+LARGEST_CODE = 2**53  # planning states are numbered below this
 
 
 class BatchDomain(Protocol):
@@ -95,6 +96,15 @@ class HasContext(Protocol):
         ...
 
 
+@runtime_checkable
+class HasMixture(Protocol):
+    """A batched domain whose options are told what primitive actions are not."""
+
+    def planning_mixture(self) -> tuple[int, ...]:
+        """Return the columns of the options' planning features that plans with both get too."""
+        ...
+
+
 def batch_domain(domain: Domain[Any]) -> BatchDomain:
     """
     Return the batched form of a domain.
@@ -129,14 +139,16 @@ class View:
 class Watcher:
     """Looks at batches."""
 
-    def __init__(self, games: BatchDomain, *, fine: bool) -> None:
+    def __init__(self, games: BatchDomain, *, fine: bool, beside: tuple[int, ...] = ()) -> None:
         """
-        Prepare for one action set.
+        Prepare for one action set; ``watcher_for`` knows what it needs.
 
+        :param beside: columns of what is not fine that are seen before the fine ones.
         :raises PlanError: the planning features have too many values.
         """
-        self.games, self.fine = games, fine
-        sizes = games.planning_sizes(fine=fine)
+        self.games, self.fine, self.beside = games, fine, beside
+        coarse = games.planning_sizes(fine=False) if beside else ()
+        sizes = (*(coarse[column] for column in beside), *games.planning_sizes(fine=fine))
         if np.prod(sizes, dtype=np.float64) > LARGEST_CODE:
             raise PlanError(f'planning features of {sizes} values are too fine')
         self._sizes, self._radix = sizes, np.cumprod([1, *sizes[:-1]], dtype=np.int64)
@@ -145,11 +157,16 @@ class Watcher:
         """Return what is seen of a batch."""
         rows = self.games.batch_features(batch)
         features = self.games.planning_features(batch, rows, fine=self.fine)
+        if self.beside:
+            coarse = self.games.planning_features(batch, rows, fine=False)
+            features = np.concatenate([coarse[:, list(self.beside)], features], axis=1)
         return View(batch, rows, features @ self._radix, self.games)
 
     @property
     def context(self) -> tuple[int, ...]:
-        """Columns of the planning features of context."""
+        """Columns of the planning features of context; all that are seen beside the fine ones."""
+        if self.beside:
+            return tuple(range(len(self.beside)))
         if isinstance(self.games, HasContext):
             return self.games.planning_context(fine=self.fine)
         return ()
@@ -160,3 +177,19 @@ class Watcher:
             radix = self._radix[column]
             codes = codes - codes // radix % self._sizes[column] * radix
         return codes
+
+
+def watcher_for(games: BatchDomain, action_set: str) -> Watcher:
+    """
+    Return what looks at batches for an action set.
+
+    Plans with options and primitive actions see what both need. Without what the options are told,
+    states that look alike would hide where progress is made, and primitive actions, valued step by
+    step, would wander among them.
+
+    :raises PlanError: the planning features have too many values.
+    """
+    beside: tuple[int, ...] = ()
+    if action_set not in (*OPTIONS_ONLY, PRIMITIVE) and isinstance(games, HasMixture):
+        beside = games.planning_mixture()
+    return Watcher(games, fine=action_set not in OPTIONS_ONLY, beside=beside)

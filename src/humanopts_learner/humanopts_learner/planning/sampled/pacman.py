@@ -86,6 +86,11 @@ class PacManGames:
         names = () if fine else [feature.name for feature in PLANNING_FEATURES]
         return tuple(column for column, name in enumerate(names) if name in CONTEXT)
 
+    def planning_mixture(self) -> tuple[int, ...]:
+        """Return the columns of what is near, rather than of what is left."""
+        left = (*CONTEXT, 'lives')
+        return tuple(c for c, feature in enumerate(PLANNING_FEATURES) if feature.name not in left)
+
     def planning_features(
         self, batch: PacManBatch, rows: NDArray[np.int32], *, fine: bool
     ) -> NDArray[np.int32]:

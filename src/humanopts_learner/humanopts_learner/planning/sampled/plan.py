@@ -11,7 +11,6 @@ from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.action_sets import (
     check_action_set,
-    OPTIONS_ONLY,
     PRIMITIVE,
     Progress,
     say_nothing,
@@ -22,7 +21,12 @@ from humanopts_learner.planning.model import expected_values, RowModel
 from humanopts_learner.planning.plan import Clock, Decision, SweepProgress
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns, LearnedBatchOption
 from humanopts_learner.planning.sampled.counts import Counts
-from humanopts_learner.planning.sampled.games import batch_domain, BatchDomain, Watcher
+from humanopts_learner.planning.sampled.games import (
+    batch_domain,
+    BatchDomain,
+    Watcher,
+    watcher_for,
+)
 from humanopts_learner.planning.sampled.judging import GameReturns, play_games
 from humanopts_learner.planning.sampled.policies import (
     ArbitratedPolicy,
@@ -52,6 +56,7 @@ class Sampling:
     min_samples: int = 1  # pairs of state and column with fewer are not available
     penalty: float = 0.0  # reward units, by the square root of the number of samples
     pooling: float = 0.0  # samples that the mean over states of other context counts as; 0: none
+    reluctance: float = 0.0  # reward units that a primitive action beside options seems worth less
     margin: float = 10.0  # reward units that stopping an option must be worth when it is played
 
     def __post_init__(self) -> None:
@@ -62,7 +67,7 @@ class Sampling:
         """
         if min(self.rounds - 1, self.n_games, self.min_samples) < 1:
             raise PlanError(f'{self} needs two rounds, one game and one sample, at least')
-        numbers = (self.penalty, self.pooling, self.margin)
+        numbers = (self.penalty, self.pooling, self.reluctance, self.margin)
         finite = all(0.0 <= number < math.inf for number in numbers)
         if not 0.0 <= self.explore <= 1.0 or not finite:
             raise PlanError(f'{self} needs a share from 0 to 1; others finite, from 0')
@@ -212,7 +217,7 @@ class _Planning:
         self._how, self._tell, self._clock = how, tell, clock
         self._execution = execution
         self._columns = Columns(games, action_set, options)
-        self._watch = Watcher(games, fine=action_set not in OPTIONS_ONLY)
+        self._watch = watcher_for(games, action_set)
         self._counts = Counts(self._columns.modelled, self._columns.first_fallback)
         self._sampler = Sampler(
             self._watch,
@@ -272,6 +277,8 @@ class _Planning:
     def _take(self, values: NDArray[np.float64]) -> None:
         """Make the policy of the values (S, modelled)."""
         choosing, others = self._pooled(values), values[:, self._columns.first_fallback :]
+        if n_options := len(self._columns.options):
+            choosing[:, n_options:] -= self._how.reluctance
         self._policy = GreedyPolicy(self._columns, self._counts.index.snapshot(), choosing)
         self._going_on = np.full(choosing.shape, -np.inf)
         self._going_on[:, : others.shape[1]] = others

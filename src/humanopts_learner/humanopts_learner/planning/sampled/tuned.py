@@ -18,7 +18,9 @@ class Tuned:
 
 
 TUNED_MOVES = Tuned(0.95, Sampling(rounds=16))  # primitive actions, with either rule of the ghosts
-TUNED_BOTH = Tuned(0.95, Sampling(rounds=16, margin=5.0))  # and options beside them, interrupted
+TUNED_BOTH = Tuned(  # and options beside them, interrupted
+    0.95, Sampling(rounds=16, pooling=30.0, reluctance=15.0, margin=5.0)
+)
 TUNED = {  # options that are interrupted, by the rule of the ghosts; with the reference options
     'random': Tuned(
         0.985,
