@@ -8,6 +8,7 @@ from humanopts_interfaces.srv import EndDemonstration
 from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Progress, Verdict
 
 _PHASES = {phase: int(getattr(LessonState, f'PHASE_{phase.name}')) for phase in Phase}
+_LISTS = ('chosen_features', 'earlier_features')  # of LessonState
 _VERDICTS = {
     verdict: int(getattr(EndDemonstration.Request, f'VERDICT_{verdict.name}'))
     for verdict in Verdict
@@ -18,7 +19,8 @@ def view_to_message(view: LessonView) -> LessonState:
     """Encode where the lesson stands; header, publisher_id and sequence are left to the sender."""
     values = asdict(view)
     values['phase'] = _PHASES[view.phase]
-    values['chosen_features'] = list(view.chosen_features)
+    for name in _LISTS:
+        values[name] = list(values[name])
     return LessonState(**values)
 
 
@@ -33,7 +35,8 @@ def view_from_message(message: LessonState) -> LessonView:
         raise ValueError(f'the lesson is in unknown phase {message.phase}')
     values = {field.name: getattr(message, field.name) for field in fields(LessonView)}
     values['phase'] = phases[message.phase]
-    values['chosen_features'] = tuple(message.chosen_features)
+    for name in _LISTS:
+        values[name] = tuple(values[name])
     return LessonView(**values)
 
 

@@ -68,10 +68,20 @@ def test_a_demonstration_that_was_taken_back_is_told_to_be_so(
     undone = lesson(taxi, [withdrawn, *short[1:]])
     found = compare(whole, undone)
     told = [d for d in found if d.what == 'demonstration']
-    assert told == [Difference('demonstration', f'withdrawn of {withdrawn.uuid}', False, True)]
-    assert f'withdrawn of {withdrawn.uuid}' in difference_text(found)
+    which = f'withdrawn of {withdrawn.uuid} (of {withdrawn.option_name} by p1)'
+    assert told == [Difference('demonstration', which, False, True)]
+    assert which in difference_text(found)
     lone = difference_text(compare(undone, lesson(taxi, short[1:])))
     assert f'of {short[0].option_name} by p1, taken back  1 that are only here' in lone
+
+
+def test_every_criterion_and_what_was_not_here_are_compared(
+    taxi: Domain[Any], taxi_lesson: list[Demonstration], whole: Lesson
+) -> None:
+    found = compare(whole, lesson(taxi, taxi_lesson))
+    told = {d.of.split(' of ')[0] for d in found if d.what == 'criteria'}
+    criteria = {f'criterion {name}' for name in ('return', 'initiation', 'termination')}
+    assert told >= {'n_demonstrations', 'n_not_here', *criteria}
 
 
 def test_a_demonstration_that_was_changed_is_told_by_field(
@@ -79,9 +89,8 @@ def test_a_demonstration_that_was_changed_is_told_by_field(
 ) -> None:
     slower = [replace(short[0], seconds=99.0), *short[1:]]
     (found,) = compare(whole, lesson(taxi, slower))
-    assert found == Difference(
-        'demonstration', f'seconds of {short[0].uuid}', short[0].seconds, 99.0
-    )
+    which = f'seconds of {short[0].uuid} (of {short[0].option_name} by p1)'
+    assert found == Difference('demonstration', which, short[0].seconds, 99.0)
 
 
 def test_times_of_demonstrations_are_one_line_of_the_text(

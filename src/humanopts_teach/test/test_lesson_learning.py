@@ -289,3 +289,33 @@ def test_what_was_taken_back_is_shown_anew_after_a_restart_and_another_option_to
     assert resumed.drive('west').end().ok
     resumed.learned()
     assert resumed.lesson.prepare().state != OTHER
+
+
+def test_what_was_taken_back_is_shown_anew_one_by_one(table: Table) -> None:
+    table.ready()
+    for start in (START, OTHER):
+        assert table.began(start).drive('west').end().ok
+        table.learned()
+    for _ in range(2):
+        assert table.lesson.withdraw().ok
+        table.lesson.learner_said([])
+    for start in (START, OTHER):
+        assert table.began().lesson.view.start_state == start
+        assert table.drive('west').end().ok
+        table.learned()
+
+
+def test_questions_that_are_asked_again_keep_what_was_chosen_before(
+    store: DemonstrationStore,
+) -> None:
+    table = Table(store).ready()
+    assert table.lesson.view.earlier_features == ()
+    table.lesson.define_option(OPTION, ask_again=True)
+    table.lesson.answer_question(table.lesson.view.question_id, False)
+    resumed = Table(store).opened()
+    assert (resumed.lesson.view.phase, resumed.lesson.view.chosen_features) == (Phase.ASKING, ())
+    assert resumed.lesson.view.earlier_features == CHOSEN
+    resumed.lesson.define_option(OPTION, ask_again=True)
+    assert resumed.lesson.view.earlier_features == CHOSEN
+    assert resumed.answer_all().ok
+    assert resumed.lesson.view.earlier_features == ()

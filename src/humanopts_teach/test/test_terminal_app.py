@@ -267,7 +267,13 @@ def test_questions_can_be_answered_again(shower: Person) -> None:
     shower.lesson(Phase.READY)
     again = shower.answer(discard)
     assert again == DefineOption(NAME, ask_again=True)
-    shower.lesson(Phase.ASKING, question_id=11, question_feature='taxi_row', chosen_features=())
+    shower.lesson(
+        Phase.ASKING,
+        question_id=11,
+        question_feature='taxi_row',
+        chosen_features=(),
+        earlier_features=CHOSEN,
+    )
     shower.answer(again)
     assert 'Enter as before: yes' in shower.sees()
     answered = shower.press('enter')
@@ -275,7 +281,24 @@ def test_questions_can_be_answered_again(shower: Person) -> None:
     shower.lesson(Phase.ASKING, question_id=12, question_feature='destination_row')
     shower.answer(answered)
     assert 'Enter as before: no' in shower.sees()
-    assert shower.press('enter') == AnswerQuestion(12, False)
+    answered = shower.press('enter')
+    assert answered == AnswerQuestion(12, False)
+    shower.lesson(Phase.ASKING, question_id=13, question_feature='taxi_col')
+    assert shower.answer(answered) is None
+    answered = shower.press('o')
+    assert answered == AnswerQuestion(13, True)
+    shower.lesson(Phase.ASKING, question_id=14, question_feature='destination_col')
+    answered = shower.answer(answered)
+    assert answered == AnswerQuestion(14, False)
+    shower.lesson(Phase.READY, chosen_features=CHOSEN, earlier_features=())
+    assert shower.answer(answered) is None
+
+
+def test_help_on_a_question_explains_the_keys_of_questions(teacher: Person) -> None:
+    teacher.lesson(Phase.ASKING, question_id=1, question_feature='taxi_row', chosen_features=())
+    teacher.press('?')
+    assert 'pickup' not in teacher.sees()
+    assert teacher.sees_words('y yes')
 
 
 def test_questions_that_are_asked_for_the_first_time_have_no_earlier_answer(
@@ -296,7 +319,8 @@ def test_the_last_demonstration_is_taken_back_after_a_question_and_shown_anew(
     shower.press('left')
     shower.game(step=1)
     assert shower.press('u') is None
-    assert shower.sees_words('Take back the last demonstration before this one')
+    assert shower.sees_words('Take back the one before this?')
+    assert shower.sees_words('This one is discarded.')
     assert shower.press('x') is None
     discard = shower.press('u', 'enter')
     assert discard == End(Verdict.DISCARD, (2, 1))
@@ -581,7 +605,9 @@ def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:
 
 
 def test_a_start_that_contradicts_an_end_is_explained_by_a_key(shower: Person) -> None:
-    words = 'Where an end can be a start, press s before done.'
+    words = (
+        'If the last one was a slip, press u. Where an end can be a start, press s before done.'
+    )
     shower.world.progress = [replace(criteria([]), conflicts=('taxi row 4: the end (2x)',))]
     assert not shower.sees_words(words)
     conflict = 'taxi row 4: cannot start here (2x), can start here (1x)'

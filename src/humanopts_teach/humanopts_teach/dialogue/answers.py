@@ -90,6 +90,7 @@ class LessonView:
     question_feature: str = ''
     questions_total: int = 0
     chosen_features: tuple[str, ...] = ()
+    earlier_features: tuple[str, ...] = ()  # before the questions were asked again
     n_demonstrations: int = 0
     n_not_here: int = 0
     last_uuid: str = ''  # of the newest demonstration; empty: none

@@ -16,7 +16,7 @@ class OptionHistory:
         self.questions = Questions(name, features)
         self.demonstrations: list[Demonstration] = []  # those that count
         self.withdrawn: set[str] = set()  # uuids
-        self.again = ''  # start state of the one that was withdrawn last, until one is kept
+        self._again: list[str] = []  # start states of what was withdrawn
         self.number = 1  # of the next one, counted on; it also names the draw of its start state
 
     @property
@@ -30,6 +30,11 @@ class OptionHistory:
         return self.demonstrations[-1] if self.demonstrations else None
 
     @property
+    def next_start(self) -> str:
+        """Where the next demonstration begins, as one that was withdrawn did; empty: anywhere."""
+        return self._again[-1] if self._again else ''
+
+    @property
     def n_not_here(self) -> int:
         """Answers that the option makes no sense in a state."""
         return len(self.demonstrations) - self.n_trajectories
@@ -39,10 +44,10 @@ class OptionHistory:
         self.number = max(self.number, demo.number + 1)
         if demo.withdrawn:
             self.withdrawn.add(demo.uuid)
-            self.again = demo.states[0]
+            self._again.append(demo.states[0])
             self.demonstrations = [d for d in self.demonstrations if d.uuid != demo.uuid]
         else:
-            self.again = ''
+            del self._again[-1:]
             self.demonstrations.append(demo)
 
 

@@ -251,9 +251,7 @@ class Lesson:
     def starts_know_more(self) -> None:
         """Go on where both learner and start states have counted the newest demonstration."""
         option, awaited = self._option, self._learning.awaited
-        if option is None:
-            return
-        if awaited is not None:
+        if option is not None and awaited is not None:
             if not self._learning.has_counted(awaited) or not self._draws.know(option, awaited):
                 return
             self._learning.awaited = None
@@ -302,6 +300,7 @@ class Lesson:
             question_feature=feature.name if feature is not None else '',
             questions_total=len(self._domain.features),
             chosen_features=option.questions.chosen,
+            earlier_features=option.questions.earlier if feature is not None else (),
             n_demonstrations=option.n_trajectories,
             n_not_here=option.n_not_here,
             last_uuid=option.newest.uuid if option.newest is not None else '',
@@ -356,7 +355,8 @@ class Lesson:
     def _start_state(self, asked_for: str, option: OptionHistory) -> str:
         if asked_for:
             return self._draws.check(asked_for)
-        return self._again or option.again or self._draws.draw(self._notebook.participant, option)
+        again = self._again or option.next_start
+        return again or self._draws.draw(self._notebook.participant, option)
 
     def _watch(self, moment: Moment) -> bool:
         if self._attempt is None:

@@ -137,7 +137,11 @@ class Notebook:
         withdrawn = replace(newest, withdrawn=True)
         if (failed := self.keep(withdrawn)) is not None:
             return failed
-        text = f'demonstration {newest.number} of {newest.option_name} is taken back'
+        steps = len(newest.actions)
+        what = (
+            f'the demonstration of {steps} step{"s"[: steps > 1]}' if steps else 'the "not here"'
+        )
+        text = f'{what} is taken back; its start comes again'
         return Answer(Status.OK, text, demonstration=withdrawn)
 
     def keep(self, entry: Entry) -> Answer | None:

@@ -1,7 +1,7 @@
 """The feature questions of one option, and the answers so far."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from humanopts_env.domains.base import Feature
 
@@ -18,6 +18,7 @@ class Questions:
     option_name: str
     features: Sequence[Feature]
     answers: Mapping[str, bool] = field(default_factory=dict)
+    earlier: tuple[str, ...] = ()  # chosen before they were asked again
 
     @property
     def open(self) -> Feature | None:
@@ -34,8 +35,9 @@ class Questions:
         answers = {**self.answers, feature: yes}
         if all(answers.get(f.name) is False for f in self.features):
             answers = {}
-        return Questions(self.option_name, self.features, answers)
+        return replace(self, answers=answers)
 
     def again(self) -> 'Questions':
-        """Return the questions with no answer."""
-        return Questions(self.option_name, self.features)
+        """Return the questions with no answer; what was chosen when all had one is kept beside."""
+        earlier = self.chosen if self.open is None else self.earlier
+        return Questions(self.option_name, self.features, earlier=earlier)

@@ -16,14 +16,15 @@ from humanopts_teach.evaluation.bag_evaluation import (
     OnProgress,
     OptionEvaluation,
 )
-from humanopts_teach.evaluation.options_block import OptionBlock
+from humanopts_teach.evaluation.options_block import finite
 
 HEAD = ('what', 'of', 'A', 'B')
 DEMONSTRATION = 'demonstration'
 SECONDS = 'seconds of '  # what most demonstrations differ in: the text adds them up
 MOST_SHOWN = 40  # characters of a value in the table; JSON has all of it
 TREES = ('policy', 'initiation', 'termination')
-_APART = {'name', 'features'}  # of an OptionBlock: compared by themselves
+# Of an OptionBlock: compared by themselves, or told as criteria.
+_APART = {'name', 'features', 'cv_error_initiation', 'cv_error_termination'}
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def _options(evaluation: BagEvaluation) -> dict[str, OptionEvaluation]:
 def _option(name: str, a: OptionEvaluation, b: OptionEvaluation) -> list[Difference]:
     """Compare what was chosen, how well it was learned, and the trees."""
     chosen = [{'features': list(side.block.features)} for side in (a, b)]
-    numbers = [_numbers(side.block) for side in (a, b)]
+    numbers = [_numbers(side) for side in (a, b)]
     trees = [{part: getattr(side.option, part).to_dict() for part in TREES} for side in (a, b)]
     return [
         *_differences('features chosen', name, *chosen),
@@ -120,9 +121,13 @@ def _option(name: str, a: OptionEvaluation, b: OptionEvaluation) -> list[Differe
     ]
 
 
-def _numbers(block: OptionBlock) -> dict[str, Any]:
-    values = {field.name: getattr(block, field.name) for field in fields(block)}
-    return {key: value for key, value in values.items() if key not in _APART}
+def _numbers(side: OptionEvaluation) -> dict[str, Any]:
+    values = {field.name: getattr(side.block, field.name) for field in fields(side.block)}
+    return {
+        **{key: value for key, value in values.items() if key not in _APART},
+        'n_not_here': side.option.n_not_here,
+        **{f'criterion {c.name}': finite(c.value) for c in side.judgement.criteria},
+    }
 
 
 def _demonstrations(
@@ -136,7 +141,8 @@ def _demonstrations(
             del side[uuid]
     found = _differences(DEMONSTRATION, '', *lone)
     for uuid in both:
-        found += _differences(DEMONSTRATION, uuid, *(_whole(side[uuid]) for side in (a, b)))
+        which = f'{uuid} (of {a[uuid].option_name} by {a[uuid].participant})'
+        found += _differences(DEMONSTRATION, which, *(_whole(side[uuid]) for side in (a, b)))
     return found
 
 

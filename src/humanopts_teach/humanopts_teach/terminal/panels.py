@@ -105,7 +105,7 @@ def _lesson(screen: LessonScreen, app: App) -> RenderableType:
     parts += _criteria(lesson, progress)
     if progress is not None:
         parts += _conflicts(progress, screen.questions_key(app))
-        parts += _ends(progress, screen.again_key(app))
+        parts += _ends(progress, *screen.ending_keys(app))
     return Group(*parts)
 
 
@@ -167,7 +167,7 @@ def _criteria(lesson: LessonView, progress: ProgressView | None) -> list[Rendera
         text = f'mean return from your starts: yours {yours:.2f}, learned {learned:.2f}'
         parts.append(Text(text, 'dim'))
     if set(progress.features) != set(lesson.chosen_features):
-        parts.append(Text('These are for the earlier answers.', 'yellow'))
+        parts.append(Text('These are for the earlier answers: show one more.', 'yellow'))
     return parts
 
 
@@ -217,11 +217,12 @@ def _conflicts(progress: ProgressView, key: str) -> list[RenderableType]:
     return lines
 
 
-def _ends(progress: ProgressView, key: str) -> list[RenderableType]:
+def _ends(progress: ProgressView, again: str, undo: str) -> list[RenderableType]:
     """Return what may be missing where some say that it can start here, and some not."""
     if progress.suggested_feature or not any(NO_START in text for text in progress.conflicts):
         return []  # where a feature is missing, that is why
-    return [Text(f'Where an end can be a start, press {key} before done.', 'yellow')]
+    slip = f'If the last one was a slip, press {undo}.'
+    return [Text(f'{slip} Where an end can be a start, press {again} before done.', 'yellow')]
 
 
 def _plain(name: str) -> str:

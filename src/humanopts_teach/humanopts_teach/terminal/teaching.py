@@ -62,8 +62,7 @@ class LessonScreen(PlainScreen):
     run: Callable[[str, App], None]
     again: bool = False  # the next done says that the option could start again there
     automatic: bool = False  # the next demonstration begins by itself
-    rest: bool = False  # all other questions are answered no
-    earlier: tuple[str, ...] | None = None  # chosen before the questions were asked again
+    rest: bool = False  # all other questions are answered no, or as before
 
     def press(self, key: str, app: App) -> None:
         """Carry out one key as the phase has it."""
@@ -75,8 +74,8 @@ class LessonScreen(PlainScreen):
         self.rest = False
         if lesson.phase is Phase.ASKING and key in tuple('yYnN'):
             app.ask(AnswerQuestion(lesson.question_id, key in 'yY'))
-        elif lesson.phase is Phase.ASKING and key == ENTER and self.earlier is not None:
-            app.ask(AnswerQuestion(lesson.question_id, lesson.question_feature in self.earlier))
+        elif lesson.phase is Phase.ASKING and key == ENTER and lesson.earlier_features:
+            app.ask(_as_before(lesson))
         elif key in tuple('oO') and _can_skip(lesson):
             self.rest = True
         elif lesson.phase is Phase.READY and key == SPACE:
@@ -90,7 +89,7 @@ class LessonScreen(PlainScreen):
         """Begin the next demonstration, or answer the next of the other questions."""
         lesson = app.world.lesson
         if self.rest and lesson is not None and _can_skip(lesson):
-            app.ask(AnswerQuestion(lesson.question_id, yes=False))
+            app.ask(_as_before(lesson))
         if self.automatic and lesson is not None and lesson.phase is Phase.READY:
             app.ask(Begin())
 
@@ -121,20 +120,15 @@ class LessonScreen(PlainScreen):
         known = Command.QUESTIONS in table.commands.values()
         return table.key(Command.QUESTIONS) if known else ''
 
-    def again_key(self, app: App) -> str:
-        """Return the label of the key that says, with done, that it can start again there."""
-        return _showing(app).key(Command.START_AGAIN)
+    def ending_keys(self, app: App) -> tuple[str, str]:
+        """Return the labels of the keys about ends: it can start again there; take it back."""
+        table = _showing(app)
+        return table.key(Command.START_AGAIN), table.key(Command.TAKE_BACK)
 
     def keys(self, app: App) -> Keys:
         """Return the keys of the phase and what they do."""
         phase, table = _phase(app), self.table(app)
-        first: Keys = [('y', 'yes'), ('n', 'no')] if phase is Phase.ASKING else []
-        lesson = app.world.lesson
-        if lesson is not None and lesson.phase is Phase.ASKING and self.earlier is not None:
-            before = 'yes' if lesson.question_feature in self.earlier else 'no'
-            first.append((label(ENTER), f'as before: {before}'))
-        if lesson is not None and _can_skip(lesson):
-            first.append(('o', 'no to all others'))
+        first = _question_keys(app.world.lesson) if phase is Phase.ASKING else []
         if phase is Phase.DEMONSTRATING:
             first = [(label(action.key), action.name) for action in app.domain.actions]
         again = f'can restart at its end: {"YES" if self.again else "no"}'
@@ -184,10 +178,11 @@ class LessonScreen(PlainScreen):
                 app.ask(End(Verdict.DISCARD, game.at))
             app.ask(Withdraw(lesson.last_uuid))
 
-        before = 'before this one ' if lesson.phase is Phase.DEMONSTRATING else ''
+        under_way = lesson.phase is Phase.DEMONSTRATING
+        last = 'the one before this' if under_way else 'the last demonstration'
+        discarded = ' This one is discarded.' if under_way else ''
         question = (
-            f'Take back the last demonstration {before}that was kept? It counts no more, and you '
-            'show it anew from the same start.'
+            f'Take back {last}? It counts no more, and you show it anew from its start.{discarded}'
         )
         app.show(ConfirmScreen(question, withdraw, self._back))
 
@@ -210,13 +205,28 @@ class LessonScreen(PlainScreen):
             discard(app)
 
     def _ask_again(self, lesson: LessonView, app: App) -> None:
-        self.earlier = lesson.chosen_features
         app.show(self)
         app.ask(DefineOption(lesson.option_name, ask_again=True))
 
 
 def _can_skip(lesson: LessonView) -> bool:
-    return lesson.phase is Phase.ASKING and bool(lesson.chosen_features)
+    known = lesson.chosen_features or lesson.earlier_features
+    return lesson.phase is Phase.ASKING and bool(known)
+
+
+def _as_before(lesson: LessonView) -> AnswerQuestion:
+    """Answer the open question as it was answered before; no, where it was not."""
+    return AnswerQuestion(lesson.question_id, lesson.question_feature in lesson.earlier_features)
+
+
+def _question_keys(lesson: LessonView | None) -> list[tuple[str, str]]:
+    keys = [('y', 'yes'), ('n', 'no')]
+    if lesson is not None and lesson.earlier_features:
+        before = 'yes' if lesson.question_feature in lesson.earlier_features else 'no'
+        keys += [(label(ENTER), f'as before: {before}'), ('o', 'all others as before')]
+    elif lesson is not None and _can_skip(lesson):
+        keys.append(('o', 'no to all others'))
+    return keys
 
 
 def _phase(app: App) -> Phase:
@@ -228,7 +238,12 @@ def _showing(app: App) -> KeyTable:
 
 
 def _help(app: App) -> Sequence[tuple[str, str]]:
+    leave = (label('ctrl-c'), 'leave at once')
+    if _phase(app) is Phase.ASKING:
+        table = key_table((), _ELSE)
+        commands = [(label(key), _LONG.get(c, _SHORT[c])) for key, c in table.commands.items()]
+        return [*_question_keys(app.world.lesson), *commands, leave]
     table = _showing(app)
     actions = [(label(action.key), action.description) for action in app.domain.actions]
     commands = [(label(key), _LONG[c]) for key, c in table.commands.items() if c in _LONG]
-    return [*actions, *commands, (label('ctrl-c'), 'leave at once')]
+    return [*actions, *commands, leave]
