@@ -12,6 +12,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_interfaces.msg import (
     Criterion,
     LearningStatus,
+    LessonState,
     OptionResult,
     OptionStatus,
     PlanResult,
@@ -75,6 +76,7 @@ def test_the_summary_counts_what_was_taught_and_done(
         ('/demonstrations', demonstration_to_message(wrong)),
         ('/demonstrations', demonstration_to_message(replace(wrong, withdrawn=True))),
         ('/learning_status', status),
+        *(('/lesson_state', LessonState(participant=who, session='s2')) for who in ('', 'p1')),
         *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
         *(('/option_results', OptionResult(status=code)) for code in (1, 1, 5, 12)),
         ('/plan_results', PlanResult(status=1)),
@@ -89,7 +91,7 @@ def test_the_summary_counts_what_was_taught_and_done(
     assert pickup.steps == sum(len(demo.actions) for demo in demos)
     assert pickup.criteria_met
     assert info.participants == ('p1',)
-    assert info.sessions == ('s1',)
+    assert info.sessions == ('s1', 's2')
     assert info.option_runs == {'reached': 2, 'interrupted': 1, 'stopped_by_plan': 1}
     assert info.plans == {'converged': 1}
     assert info.policy_runs == {'done': 1, 'canceled': 1}

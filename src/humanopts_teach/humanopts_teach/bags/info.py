@@ -30,6 +30,7 @@ from humanopts_teach.bags.summary import (
     TopicRow,
 )
 
+_LESSON_STATE = 'humanopts_interfaces/msg/LessonState'
 _STATUS = 'humanopts_interfaces/msg/LearningStatus'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 PLAN_RESULT = 'humanopts_interfaces/msg/PlanResult'
@@ -80,6 +81,7 @@ class _Survey:
         self._games = Games(bag)
         self._episodes = self._episodes_ended = 0
         self._domains: dict[str, None] = {}
+        self._sittings: dict[tuple[str, str], None] = {}
         self._results: dict[str, Counter[str]] = {
             kind: Counter() for kind in (_OPTION_RESULT, PLAN_RESULT, _POLICY_RESULT)
         }
@@ -87,6 +89,7 @@ class _Survey:
         self._handlers: dict[str, Callable[[Recorded, Any], None]] = {
             DEMONSTRATION: self._demonstration,
             DOMAIN_INFO: self._domain,
+            _LESSON_STATE: self._lesson,
             _STATUS: self._status,
             **dict.fromkeys(self._results, self._result),
         }
@@ -128,6 +131,7 @@ class _Survey:
                 AttachedRow(name, at.size, at.media_type) for name, at in bag.attachments.items()
             ),
             domains=tuple(self._domains),
+            sittings=tuple(self._sittings),
             topics=tuple(self._topic_rows()),
             options=tuple(self.option_rows()),
             criteria=tuple(
@@ -185,6 +189,10 @@ class _Survey:
 
     def _domain(self, recorded: Recorded, message: Any) -> None:
         self._domains[f'{message.domain} {message.parameters}'] = None
+
+    def _lesson(self, recorded: Recorded, message: Any) -> None:
+        if message.participant:
+            self._sittings[message.participant, message.session] = None
 
     def _episode(self, group: Group | None) -> None:
         """Count an episode that is over."""

@@ -96,6 +96,7 @@ class BagInfo:
     facts: Mapping[str, str]  # what the recorder was told
     attached: tuple[AttachedRow, ...]
     domains: tuple[str, ...]  # name and parameters
+    sittings: tuple[tuple[str, str], ...]  # participant and session of each that was open
     topics: tuple[TopicRow, ...]
     options: tuple[OptionRow, ...]
     criteria: tuple[CriterionRow, ...]  # over time, as they were seen live
@@ -120,13 +121,15 @@ class BagInfo:
 
     @property
     def participants(self) -> tuple[str, ...]:
-        """Codes of the people who taught, sorted."""
-        return tuple(sorted({option.participant for option in self.options}))
+        """Codes of the people who taught or sat down to, sorted."""
+        taught = {option.participant for option in self.options}
+        return tuple(sorted(taught | {participant for participant, _ in self.sittings}))
 
     @property
     def sessions(self) -> tuple[str, ...]:
         """Codes of their sittings, sorted."""
-        return tuple(sorted({code for option in self.options for code in option.sessions}))
+        taught = {code for option in self.options for code in option.sessions}
+        return tuple(sorted(taught | {session for _, session in self.sittings}))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the facts as JSON data."""
