@@ -124,6 +124,7 @@ def test_a_full_disk_pauses_the_lesson_until_the_next_recorder_has_all_that_was_
         episode = sitting.begin()
         sitting.drive(episode, 'west')
         if shown:  # the disk fills up in the middle of the second one
+            sitting.graph.until(lambda: uuids(folder / 'first') == shown, 'the first in the bag')
             number = sitting.recorder.process.pid
             resource.prlimit(number, resource.RLIMIT_FSIZE, (1000, 1000))
             cause = sitting.paused()
