@@ -31,7 +31,7 @@ START = 'taxi 4,4 passenger R destination G'
 ABOARD = 'taxi 4,4 passenger aboard destination G'
 CIRCLE, WANDER = 'go round', 'wander'
 PACE = 0.02  # s between steps, so that there is time to cancel
-PATIENCE = 3.0  # s that option_server waits for game, which may have been stopped
+PATIENCE = 1.0  # s that option_server waits for game
 
 
 def circle() -> LearnedOption:
@@ -287,15 +287,21 @@ def test_a_reset_interrupts_a_run(runs: Runs) -> None:
     assert runs.run(FETCH).status == OptionResult.STATUS_REACHED
 
 
-def test_a_game_that_says_nothing_ends_the_run_and_the_next_one_works(runs: Runs) -> None:
+def test_a_game_that_says_nothing_ends_the_run_and_later_ones_work(runs: Runs) -> None:
     game = runs.graph.started[0]
     goal = runs.begin(CIRCLE)
     game.pause()
-    _, result = goal.result()
+    try:
+        _, result = goal.result()
+    finally:
+        game.go_on()
     assert result.status == OptionResult.STATUS_NO_PROGRESS
     assert f'deadline: {PATIENCE:g} s' in result.detail
-    game.go_on()
-    assert runs.run(FETCH).status == OptionResult.STATUS_REACHED
+
+    def works() -> bool:  # the middleware takes a while to reach a process that was stopped
+        return bool(runs.run(FETCH).status == OptionResult.STATUS_REACHED)
+
+    runs.graph.until(works, 'a run that works')
 
 
 @pytest.mark.parametrize('name', [FETCH, WANDER])
