@@ -1,5 +1,7 @@
-"""Demonstrations by a scripted teacher, for tests of evaluation and reports."""
+"""Demonstrations by a scripted teacher, and a lesson that a test leads by hand."""
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 import uuid
 
@@ -7,7 +9,9 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain, parameters_json, reference_options
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_teach.demos.store import DemonstrationStore
 import pytest
+from teach_support.lesson import Table
 
 TAUGHT = ('go to passenger and pickup', 'go to destination and dropoff')
 EATING = (
@@ -88,3 +92,16 @@ def yard() -> Domain[Any]:
 def yard_lesson(yard: Domain[Any]) -> list[Demonstration]:
     """A short lesson of four options."""
     return [demo for option in EATING for demo in demonstrate(yard, option, 12)]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[DemonstrationStore]:
+    """An empty folder of demonstrations."""
+    with DemonstrationStore(tmp_path) as opened:
+        yield opened
+
+
+@pytest.fixture
+def table(store: DemonstrationStore) -> Table:
+    """A lesson with the person, the game and the learner in the hands of the test."""
+    return Table(store)

@@ -1,6 +1,5 @@
 """A demonstration from its start state to its verdict, and what spoils it."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,17 +9,6 @@ from humanopts_teach.demos.store import DemonstrationStore
 from humanopts_teach.dialogue.answers import Phase, Status, Verdict
 import pytest
 from teach_support.lesson import CHOSEN, fill_disk, OPTION, preparing, START, Table, TAXI
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[DemonstrationStore]:
-    with DemonstrationStore(tmp_path) as opened:
-        yield opened
-
-
-@pytest.fixture
-def table(store: DemonstrationStore) -> Table:
-    return Table(store)
 
 
 def test_a_demonstration_holds_what_was_shown(table: Table) -> None:

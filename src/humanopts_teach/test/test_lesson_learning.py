@@ -1,8 +1,6 @@
 """The learner's word, criteria, budget, restarts, and what is taken back."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 from humanopts_teach.demos.entries import Entry
 from humanopts_teach.demos.store import DemonstrationStore
@@ -19,17 +17,6 @@ from teach_support.lesson import (
     START,
     Table,
 )
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[DemonstrationStore]:
-    with DemonstrationStore(tmp_path) as opened:
-        yield opened
-
-
-@pytest.fixture
-def table(store: DemonstrationStore) -> Table:
-    return Table(store)
 
 
 def test_the_lesson_waits_until_the_newest_demonstration_is_counted_in(table: Table) -> None:

@@ -1,9 +1,7 @@
 """The lesson's requests: every one in every phase, while paused, and its codes and questions."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
-from humanopts_teach.demos.store import DemonstrationStore
 from humanopts_teach.dialogue.answers import Answer, Phase, Status, Verdict
 import pytest
 from teach_support.lesson import (
@@ -46,12 +44,6 @@ REQUESTS: dict[str, Callable[[Table], Answer]] = {
 }
 FULL = 'recording stopped: the disk is full'
 NEW_THINGS = ['open_session', 'define_option', 'answer_question', 'prepare', 'withdraw']
-
-
-@pytest.fixture
-def table(tmp_path: Path) -> Iterator[Table]:
-    with DemonstrationStore(tmp_path) as store:
-        yield Table(store)
 
 
 @pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
