@@ -11,8 +11,8 @@ INTERFACES := $(shell find src/humanopts_interfaces -type f)
 PACKAGES := $(shell find src -type f -not -path 'src/humanopts_interfaces/*' \
   -not -path '*/test/*' -not -name '*.pyc')
 PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*' \
-  -not -path '*/nodes/*' -not -name convert.py)
-CHECKED := src tests tools examples
+  -not -path '*/ros/*' -not -path '*/humanopts_ros/*') $(wildcard experiments/*.py)
+CHECKED := src experiments benchmarks tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
 # Two processes, each with a file of tests at a time: while one waits for its graph, one computes.
 SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest \
@@ -52,9 +52,9 @@ build/.interfaces: $(VENV)/.locked $(INTERFACES)
 
 build/.packages: build/.interfaces $(PACKAGES)
 	@echo 'Building the Python packages ...'
-	@rm -rf install/humanopts_{env,learner,teach} build/humanopts_{env,learner,teach}
+	@rm -rf install/humanopts_{ros,env,learner,teach} build/humanopts_{ros,env,learner,teach}
 	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(BUILD) \
-	  --packages-select humanopts_env humanopts_learner humanopts_teach \
+	  --packages-select humanopts_ros humanopts_env humanopts_learner humanopts_teach \
 	  2> >(grep -v 'local_setup' >&2) > build/packages.log || { cat build/packages.log; exit 1; }
 	@touch $@
 

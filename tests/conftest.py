@@ -5,7 +5,7 @@ import os
 
 from graph_support.command import DemoRun, shared_demo
 from graph_support.live import free_domain_id, Graph
-from humanopts_env.environment import prepare_discovery
+from humanopts_ros.environment import prepare_discovery
 import pytest
 
 prepare_discovery()

@@ -6,14 +6,14 @@ from graph_support.acting import Acting, LIMIT, START, start_acting
 from graph_support.live import Graph
 from graph_support.scripted import TAXI
 from graph_support.tour import Step, steps, TOUR, touring, USE
-from humanopts_env.nodes.qos import LATCHED_LARGE
 from humanopts_interfaces.msg import OptionResult, OptionValues, PolicyResult
 from humanopts_interfaces.srv import RunOption, SetExecution
-from humanopts_learner.convert import option_values_to_message
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.continuation import option_values
 from humanopts_learner.planning.evaluate import episode_starts
 from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.ros.convert import option_values_to_message
+from humanopts_ros.qos import LATCHED_LARGE
 import pytest
 
 EPISODES, SEED = 5, 12

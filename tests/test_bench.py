@@ -7,10 +7,11 @@ from typing import Any
 
 from graph_support.command import Command
 from humanopts_teach import cli
-from humanopts_teach.benchmarks.readers import READERS, RECORDER
-from humanopts_teach.benchmarks.results import QUICK_LATENCIES, QUICK_LOADS, SECTIONS
 from humanopts_teach.cli import main
 import pytest
+
+from benchmarks.readers import READERS, RECORDER
+from benchmarks.results import QUICK_LATENCIES, QUICK_LOADS, SECTIONS
 
 
 def run(*arguments: Any) -> int:

@@ -7,7 +7,6 @@ from action_msgs.msg import GoalStatus
 from graph_support.live import Goal, Graph
 from graph_support.planning import Planning, start_planning
 from graph_support.scripted import taught, TAXI
-from humanopts_env.nodes.qos import CURRENT
 from humanopts_interfaces.action import ExtractOptions
 from humanopts_interfaces.msg import (
     ExtractionGoal,
@@ -20,8 +19,9 @@ from humanopts_interfaces.srv import ListOptions
 from humanopts_learner.automatic.as_learned import learned_options
 from humanopts_learner.automatic.extract import AutomaticOptions, find_options
 from humanopts_learner.automatic.how import Extraction
-from humanopts_learner.convert import options_from_message
 from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.ros.convert import options_from_message
+from humanopts_ros.qos import CURRENT
 import pytest
 
 SEED = 3

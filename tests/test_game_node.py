@@ -11,9 +11,9 @@ from typing import Any
 from graph_support.live import GAME, Graph, NodeProcess
 from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.scripted import TAXI
-from humanopts_env.nodes.qos import LATCHED
 from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState, NodeStatus
 from humanopts_interfaces.srv import ResetGame, SetControl
+from humanopts_ros.qos import LATCHED
 import pytest
 import rclpy
 from rclpy.context import Context
@@ -295,7 +295,7 @@ PATIENT = """<profiles xmlns="http://www.eprosima.com">
 READER = """
 import os, signal, sys
 os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = sys.argv[2]
-from humanopts_env.nodes.qos import STREAM
+from humanopts_ros.qos import STREAM
 from humanopts_interfaces import msg
 import rclpy
 from rclpy.signals import SignalHandlerOptions

@@ -11,7 +11,7 @@ import signal
 from typing import Any
 
 from graph_support.live import Graph, TEACHER
-from humanopts_env.nodes import qos
+from humanopts_env.ros import qos
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus
 import pytest
 from rclpy.action import (

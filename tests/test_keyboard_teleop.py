@@ -20,9 +20,9 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.taxi import TaxiState
 from humanopts_env.domains.taxi_tables import landmark_cells
-from humanopts_env.nodes.qos import STREAM
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import ActionRefusal, ExecutionState, GameState, OptionResult
+from humanopts_ros.qos import STREAM
 from humanopts_teach.bags.reader import open_bag
 import pyte
 import pytest
@@ -37,7 +37,7 @@ SIDE = 24  # column where the panel beside the board begins
 PICKUP = 'go to passenger and pickup'
 KEYS = {'down': '\x1b[B', 'up': '\x1b[A', 'right': '\x1b[C', 'left': '\x1b[D'}
 ENTER, ESCAPE, CTRL_C = '\r', '\x1b', '\x03'
-TELEOP = 'humanopts_teach.nodes.keyboard_teleop'
+TELEOP = 'humanopts_teach.ros.keyboard_teleop'
 TAXI = make_domain('taxi')
 
 
@@ -155,12 +155,10 @@ class Graph:
     def start(self, step_period: float = 0.0) -> None:
         """Start every node but the terminal."""
         data = f'directory:={self.folder}'
-        self.run('humanopts_env.nodes.game_node', f'step_period:={step_period}')
-        self.run('humanopts_learner.nodes.learner_node', f'{data}/options')
-        self.run(
-            'humanopts_teach.nodes.lesson_node', f'{data}/demonstrations', 'strategy:=failures'
-        )
-        self.run('humanopts_learner.nodes.option_server')
+        self.run('humanopts_env.ros.game_node', f'step_period:={step_period}')
+        self.run('humanopts_learner.ros.learner_node', f'{data}/options')
+        self.run('humanopts_teach.ros.lesson_node', f'{data}/demonstrations', 'strategy:=failures')
+        self.run('humanopts_learner.ros.option_server')
         deadline = time.monotonic() + 30.0
         while not all(s.get_publisher_count() for s in self.subscriptions[:-1]):
             assert time.monotonic() < deadline, 'the witness found no game or option server'
@@ -370,7 +368,7 @@ def test_a_key_takes_the_wheel_from_the_machine(graph: Graph) -> None:
 
 def test_a_key_changes_how_the_machine_plays_within_the_episode(graph: Graph) -> None:
     graph.start(step_period=0.3)
-    graph.run('humanopts_learner.nodes.planner_node')
+    graph.run('humanopts_learner.ros.planner_node')
     terminal = graph.sit_down()
     terminal.press('3')
     terminal.see('Plan with what?')
@@ -396,7 +394,7 @@ def test_a_key_changes_how_the_machine_plays_within_the_episode(graph: Graph) ->
 def test_a_lesson_that_dies_is_named_and_the_terminal_still_quits(graph: Graph) -> None:
     graph.start()
     terminal = graph.sit_down()
-    graph.kill('humanopts_teach.nodes.lesson_node')
+    graph.kill('humanopts_teach.ros.lesson_node')
     terminal.see('lesson: not there. Everything taught is saved; Ctrl-C quits.')
     terminal.press(CTRL_C)
     assert terminal.ended() == 0

@@ -14,7 +14,7 @@ from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.launching.launcher import Launcher, LaunchError
 from humanopts_teach.launching.lock import only_launch
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
-from humanopts_teach.nodes.conductor import Conductor
+from humanopts_teach.ros.graph_client import GraphClient
 import pytest
 
 Launch = Callable[..., Launcher]
@@ -132,7 +132,7 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
     first = record('first')
     parameters = {'expect_recorder': True}
-    conductor = Conductor('/', parameters, tmp_path / 'first', watch=lambda: None)
+    conductor = GraphClient('/', parameters, tmp_path / 'first', watch=lambda: None)
     try:
         conductor.wait_ready(['/recorder'])
         assert conductor.unrecorded() == ''

@@ -10,15 +10,15 @@ from typing import Any
 from graph_support.live import GAME, Graph, LEARNER, NodeProcess
 from graph_support.scripted import DELIVER, expert, FETCH, TAXI, walk
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.nodes.qos import LATCHED, STREAM
 from humanopts_interfaces.msg import Demonstration as DemonstrationMessage
 from humanopts_interfaces.msg import DemonstrationReceipt, LearnedOptions, LearningStatus
-from humanopts_learner.convert import demonstration_to_message
-from humanopts_learner.course import DATA_SET
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.option_trainer import DATA_SET
 from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import load_options, option_from_json
 from humanopts_learner.options.learn import learn_option
+from humanopts_learner.ros.convert import demonstration_to_message
+from humanopts_ros.qos import LATCHED, STREAM
 import pytest
 
 SEED = 4

@@ -9,7 +9,6 @@ import sys
 import time
 from typing import Any
 
-from humanopts_env.nodes.qos import LATCHED, LATCHED_ALL, STREAM
 from humanopts_interfaces.msg import (
     ActionCommand,
     ControlState,
@@ -30,6 +29,7 @@ from humanopts_interfaces.srv import (
     ResetGame,
     WithdrawDemonstration,
 )
+from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
 from humanopts_teach.demos.store import DemonstrationStore
 import pytest
 import rclpy
@@ -41,10 +41,10 @@ from rclpy.signals import SignalHandlerOptions
 PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
 START = 'taxi 0,1 passenger R destination G'
 CHOSEN = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col', 'passenger_in_taxi')
-GAME, LEARNER = 'humanopts_env.nodes.game_node', 'humanopts_learner.nodes.learner_node'
-OPTION_SERVER = 'humanopts_learner.nodes.option_server'
-LESSON = 'humanopts_teach.nodes.lesson_node'
-TEACHER = 'humanopts_teach.nodes.simulated_teacher'
+GAME, LEARNER = 'humanopts_env.ros.game_node', 'humanopts_learner.ros.learner_node'
+OPTION_SERVER = 'humanopts_learner.ros.option_server'
+LESSON = 'humanopts_teach.ros.lesson_node'
+TEACHER = 'humanopts_teach.ros.simulated_teacher'
 
 
 class Graph:

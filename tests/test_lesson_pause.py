@@ -8,7 +8,6 @@ from typing import Any
 
 from graph_support.live import GAME, Graph, LESSON, NodeProcess, RECORDER
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.nodes.qos import CURRENT, STREAM
 from humanopts_interfaces.msg import ActionCommand, LessonState, NodeStatus
 from humanopts_interfaces.srv import (
     AnswerQuestion,
@@ -18,6 +17,7 @@ from humanopts_interfaces.srv import (
     OpenSession,
     WithdrawDemonstration,
 )
+from humanopts_ros.qos import CURRENT, STREAM
 from humanopts_teach.bags.demonstrations import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 import pytest

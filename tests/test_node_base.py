@@ -16,9 +16,9 @@ from graph_support.live import (
     RECORDER,
     TEACHER,
 )
-from humanopts_env.nodes.node_base import NodeBase
-from humanopts_env.nodes.qos import LATCHED
 from humanopts_interfaces.msg import GameState, NodeStatus
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.qos import LATCHED
 from humanopts_teach.bags.reader import open_bag
 import pytest
 import rclpy

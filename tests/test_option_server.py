@@ -10,14 +10,13 @@ from graph_support.live import GAME, Goal, Graph, NodeProcess, OPTION_SERVER
 from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.scripted import DELIVER, expert, FETCH, taught, TAXI, walk
 from humanopts_env.domains.registry import make_domain, reference_options
-from humanopts_env.nodes.qos import LATCHED
 from humanopts_env.seeding import generator
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import (
     ActionRefusal,
     LearnedOptions,
+    OptionFile,
     OptionGoal,
-    OptionModel,
     OptionResult,
 )
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
@@ -25,6 +24,7 @@ from humanopts_learner.execution import OptionRun
 from humanopts_learner.options.files import option_to_json, save_option
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, Mode
+from humanopts_ros.qos import LATCHED
 import pytest
 
 START = 'taxi 4,4 passenger R destination G'
@@ -390,8 +390,8 @@ def test_who_waits_for_a_state_is_answered_when_the_option_server_ends(alone: Gr
 
 
 def test_options_that_the_learner_published_before_are_served(alone: Graph) -> None:
-    good = OptionModel(name=FETCH, participant='p1', model=option_to_json(OPTIONS[FETCH]))
-    bad = OptionModel(name='spoilt', participant='p1', model='{}')
+    good = OptionFile(name=FETCH, participant='p1', model=option_to_json(OPTIONS[FETCH]))
+    bad = OptionFile(name='spoilt', participant='p1', model='{}')
     publisher = alone.node.create_publisher(LearnedOptions, 'learned_options', LATCHED)
     publisher.publish(LearnedOptions(options=[bad, good]))
     server = alone.start(OPTION_SERVER)

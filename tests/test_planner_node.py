@@ -9,13 +9,13 @@ from graph_support.live import GAME, Goal, Graph, PLANNER
 from graph_support.planning import Planning, start_planning
 from graph_support.player import PERSON
 from graph_support.scripted import FETCH, taught, TAXI
-from humanopts_env.convert import domain_to_info
-from humanopts_env.nodes.qos import LATCHED
+from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import DomainInfo, PlanResult, PolicyResult
 from humanopts_learner.planning.any_domain import judge_plan
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.plan import make_plan
+from humanopts_ros.qos import LATCHED
 import pytest
 
 OPTIONS = taught()

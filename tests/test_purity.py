@@ -11,11 +11,12 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / 'src'
 PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach')
-LOWER = {'humanopts_env': (), 'humanopts_learner': PACKAGES[:1], 'humanopts_teach': PACKAGES[:2]}
+ORDER = ('humanopts_ros', *PACKAGES, 'experiments', 'benchmarks')  # each imports earlier ones only
 MODULES = sorted(
     path for package in PACKAGES for path in (SOURCE / package / package).rglob('*.py')
 )
-PURE = [p for p in MODULES if 'nodes' not in p.parts and p.name != 'convert.py']
+OUTSIDE = sorted(path for name in ORDER[-2:] for path in (SOURCE.parent / name).rglob('*.py'))
+PURE = [path for path in MODULES if 'ros' not in path.parts]
 ROS = ('rclpy', 'humanopts_interfaces', 'rcl_interfaces', 'builtin_interfaces', 'action_msgs')
 
 
@@ -46,14 +47,16 @@ def test_pure_code_imports_neither_ros_nor_messages() -> None:
 
 def test_each_package_has_one_conversion_module() -> None:
     converting = [name_of(p) for p in MODULES if p.name == 'convert.py']
-    assert converting == [f'{name}/{name}/convert.py' for name in PACKAGES]
+    assert converting == [f'{name}/{name}/ros/convert.py' for name in PACKAGES]
 
 
 def test_dependencies_run_one_way() -> None:
-    for path in MODULES:
-        package = path.relative_to(SOURCE).parts[0]
-        others = {name.partition('.')[0] for name in imports(path)} & set(PACKAGES)
-        assert others <= {package, *LOWER[package]}, path
+    for path in (*MODULES, *OUTSIDE):
+        inside = path.relative_to(SOURCE if path in MODULES else SOURCE.parent)
+        package = inside.parts[0]
+        others = {name.partition('.')[0] for name in imports(path)} & set(ORDER)
+        lower = set(ORDER[: ORDER.index(package)]) - set(ORDER[-2:])
+        assert others <= {package, *lower}, path
 
 
 # What a machine without ROS has: nothing to import, and no libraries to load.

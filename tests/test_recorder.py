@@ -12,10 +12,10 @@ import time
 from typing import Any
 
 from graph_support.live import free_domain_id
-from humanopts_env.nodes.qos import LATCHED, LATCHED_ALL, STREAM
 from humanopts_interfaces.action import Plan
 from humanopts_interfaces.msg import GameState, NodeStatus, RecorderStatus
 from humanopts_interfaces.srv import SetControl
+from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.provenance import software
@@ -38,7 +38,7 @@ BEST_EFFORT = QoSProfile(
 # Publishes game states, the first when the recorder has matched: as fast as it can, or at a rate.
 BURST = """
 import sys, time
-from humanopts_env.nodes.node_base import NodeBase, run_node
+from humanopts_ros.node_base import NodeBase, run_node
 from humanopts_interfaces.msg import GameState
 from rclpy.duration import Duration
 class Burst(NodeBase):
@@ -105,7 +105,7 @@ class Graph:
         """Start a recorder."""
         return self.run(
             '-m',
-            'humanopts_teach.nodes.recorder',
+            'humanopts_teach.ros.recorder',
             '--ros-args',
             '-p',
             f'path:={self.path}',

@@ -14,10 +14,11 @@ from humanopts_teach.bags.demonstrations import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.dialogue.lesson import LessonRules
-from humanopts_teach.experiments.lessons import teach
-from humanopts_teach.experiments.study import read_bag_lessons, Study
-from humanopts_teach.experiments.taught import options_of, teachers
 from humanopts_teach.teacher.simulated import TeacherSettings
+
+from experiments.lessons import teach
+from experiments.study import read_bag_lessons, Study
+from experiments.taught import options_of, teachers
 
 
 def without_time(demonstrations: list[Demonstration]) -> list[dict[str, Any]]:

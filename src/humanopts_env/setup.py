@@ -6,13 +6,13 @@ setup(
     name=NAME,
     version='0.1.0',
     packages=find_packages(exclude=['test']),
-    package_data={NAME: ['py.typed', 'quick_discovery.xml', 'mazes/*.lay']},
+    package_data={NAME: ['py.typed', 'mazes/*.lay']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
     ],
     entry_points={
-        'console_scripts': ['game = humanopts_env.nodes.game_node:main'],
+        'console_scripts': ['game = humanopts_env.ros.game_node:main'],
         'humanopts.domains': [
             'pacman = humanopts_env.domains.pacman.domain:PacMan',
             'rooms = humanopts_env.domains.rooms:Rooms',

@@ -13,9 +13,9 @@ setup(
     ],
     entry_points={
         'console_scripts': [
-            'learner = humanopts_learner.nodes.learner_node:main',
-            'option_server = humanopts_learner.nodes.option_server:main',
-            'planner = humanopts_learner.nodes.planner_node:main',
+            'learner = humanopts_learner.ros.learner_node:main',
+            'option_server = humanopts_learner.ros.option_server:main',
+            'planner = humanopts_learner.ros.planner_node:main',
         ],
     },
 )

@@ -8,7 +8,7 @@ setup(
     name=NAME,
     version='0.1.0',
     packages=find_packages(exclude=['test']),
-    package_data={NAME: ['py.typed', 'report/*.html', 'report/*.css', 'experiments/*.html']},
+    package_data={NAME: ['py.typed', 'report/*.html', 'report/*.css']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -22,10 +22,10 @@ setup(
     entry_points={
         'console_scripts': [
             'humanopts = humanopts_teach.cli:main',
-            'keyboard_teleop = humanopts_teach.nodes.keyboard_teleop:main',
-            'lesson = humanopts_teach.nodes.lesson_node:main',
-            'recorder = humanopts_teach.nodes.recorder:main',
-            'simulated_teacher = humanopts_teach.nodes.simulated_teacher:main',
+            'keyboard_teleop = humanopts_teach.ros.keyboard_teleop:main',
+            'lesson = humanopts_teach.ros.lesson_node:main',
+            'recorder = humanopts_teach.ros.recorder:main',
+            'simulated_teacher = humanopts_teach.ros.simulated_teacher:main',
         ],
     },
 )

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from humanopts_env.nodes.qos import LATCHED
 from humanopts_interfaces.msg import ActionCommand, ExecutionState, OptionResult, PolicyResult
 from humanopts_interfaces.srv import ListOptions, RunOption, SetExecution
+from humanopts_ros.qos import LATCHED
 
 from graph_support.live import Goal, Graph
 from graph_support.planning import Planning, start_planning

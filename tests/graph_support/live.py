@@ -14,8 +14,8 @@ import tempfile
 import time
 from typing import Any
 
-from humanopts_env.nodes.qos import LATCHED_ALL, STREAM
 from humanopts_interfaces.msg import NodeStatus
+from humanopts_ros.qos import LATCHED_ALL, STREAM
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.context import Context
@@ -24,14 +24,14 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 import yaml
 
-GAME = 'humanopts_env.nodes.game_node'
-LEARNER = 'humanopts_learner.nodes.learner_node'
-OPTION_SERVER = 'humanopts_learner.nodes.option_server'
-PLANNER = 'humanopts_learner.nodes.planner_node'
-LESSON = 'humanopts_teach.nodes.lesson_node'
-TEACHER = 'humanopts_teach.nodes.simulated_teacher'
-RECORDER = 'humanopts_teach.nodes.recorder'
-KEYBOARD = 'humanopts_teach.nodes.keyboard_teleop'
+GAME = 'humanopts_env.ros.game_node'
+LEARNER = 'humanopts_learner.ros.learner_node'
+OPTION_SERVER = 'humanopts_learner.ros.option_server'
+PLANNER = 'humanopts_learner.ros.planner_node'
+LESSON = 'humanopts_teach.ros.lesson_node'
+TEACHER = 'humanopts_teach.ros.simulated_teacher'
+RECORDER = 'humanopts_teach.ros.recorder'
+KEYBOARD = 'humanopts_teach.ros.keyboard_teleop'
 
 _IDS = range(10, 100)
 _TURN = itertools.count(os.getpid())

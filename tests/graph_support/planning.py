@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
-from humanopts_env.nodes.qos import LATCHED
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import (
     LearnedOptions,
-    OptionModel,
+    OptionFile,
     PlanGoal,
     PlanResult,
     PolicyGoal,
@@ -15,6 +14,7 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.option import LearnedOption
+from humanopts_ros.qos import LATCHED
 
 from graph_support.live import GAME, Goal, Graph, OPTION_SERVER, PLANNER
 from graph_support.player import Player
@@ -43,10 +43,10 @@ class Planning:
         """Publish what was learned, and some that cannot be read; return the sequence."""
         self._sequence += 1
         models = [
-            OptionModel(name=o.name, participant=o.participant, model=option_to_json(o))
+            OptionFile(name=o.name, participant=o.participant, model=option_to_json(o))
             for o in options
         ]
-        models += [OptionModel(name=name, model='not JSON') for name in spoilt]
+        models += [OptionFile(name=name, model='not JSON') for name in spoilt]
         self._options.publish(LearnedOptions(sequence=self._sequence, options=models))
         return self._sequence
 

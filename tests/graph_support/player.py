@@ -3,9 +3,9 @@
 import itertools
 from typing import Any
 
-from humanopts_env.nodes.qos import LATCHED, STREAM
 from humanopts_interfaces.msg import ActionCommand, ActionRefusal, ControlState, GameState
 from humanopts_interfaces.srv import ResetGame, SetControl
+from humanopts_ros.qos import LATCHED, STREAM
 
 from graph_support.live import Graph
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from humanopts_teach.nodes.intake import load_type
+from humanopts_teach.ros.raw_subscriber import load_type
 
 CALLS = ('SendGoal', 'GetResult')
 PARTS = {

@@ -9,9 +9,9 @@ import sys
 import time
 from typing import Any, NamedTuple
 
-from humanopts_env.nodes.node_base import NodeBase, run_node
-from humanopts_env.nodes.qos import STREAM
 from humanopts_interfaces.msg import ActionCommand, GameState
+from humanopts_ros.node_base import NodeBase, run_node
+from humanopts_ros.qos import STREAM
 from rclpy.serialization import serialize_message
 
 RATE = 500  # messages a second, over all topics

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.game import Command, Game, Moment, Source
+from humanopts_env.game import Command, Game, Source, Transition
 from humanopts_interfaces.msg import GameState
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
@@ -71,7 +71,7 @@ def numbered(sequence: int, publisher: str = '/game#1') -> GameState:
     return GameState(publisher_id=publisher, sequence=sequence, state='s')
 
 
-def play(domain: Domain[Any], actions: list[str]) -> list[Moment]:
+def play(domain: Domain[Any], actions: list[str]) -> list[Transition]:
     """Play one episode."""
     game = Game(domain)
     first = game.reset('', 3, Source.MACHINE).moment

@@ -6,7 +6,7 @@ import os
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.game import Moment, Source
+from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.demos.store import DemonstrationStore
 from humanopts_teach.dialogue.answers import Answer, Phase, Progress, Verdict
@@ -58,7 +58,7 @@ class Table:
         self.starts = Starts()
         self.time = 100.0
         self.episode = 0
-        self.here: Moment | None = None
+        self.here: Transition | None = None
         self.lesson = Lesson(
             TAXI,
             store,
@@ -105,7 +105,7 @@ class Table:
     def arrives(self, state: str) -> bool:
         """Let the game's first state of an episode arrive."""
         features = tuple(TAXI.feature_values(TAXI.decode(state)).tolist())
-        self.here = Moment(self.episode, 0, state, features)
+        self.here = Transition(self.episode, 0, state, features)
         return self.lesson.saw(self.here)
 
     def drive(self, *actions: str, source: Source = Source.PERSON) -> 'Table':
@@ -114,7 +114,7 @@ class Table:
             assert self.here is not None
             action = [a.name for a in TAXI.actions].index(name)
             out = TAXI.step(TAXI.decode(self.here.state), action, np.random.default_rng(0))
-            self.here = Moment(
+            self.here = Transition(
                 self.here.episode,
                 self.here.step + 1,
                 TAXI.encode(out.state),

@@ -69,7 +69,7 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class Transition:
     """One ``GameState``: where the game is, and the transition that led there."""
 
     episode: int = 0
@@ -90,16 +90,16 @@ class Moment:
         return self.episode > 0 and not self.terminated and not self.truncated
 
 
-def moment_from_message(message: Any) -> Moment:
+def moment_from_message(message: Any) -> Transition:
     """
     Decode a ``GameState``, from rclpy or from a bag reader.
 
     :raises ValueError: its source is unknown.
     """
-    values = {field.name: getattr(message, field.name) for field in fields(Moment)}
+    values = {field.name: getattr(message, field.name) for field in fields(Transition)}
     values['features'] = tuple(map(int, message.features))
     values['action_source'] = Source(message.action_source)
-    return Moment(**values)
+    return Transition(**values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ class Control:
 class Accepted:
     """A command that was carried out."""
 
-    moment: Moment
+    moment: Transition
     control: Control | None  # where the command claimed control; None: nothing changed
 
 
@@ -136,7 +136,7 @@ class ResetReply:
 
     status: ResetStatus
     detail: str = ''
-    moment: Moment | None = None  # the first of the new episode; None where refused
+    moment: Transition | None = None  # the first of the new episode; None where refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,7 @@ class Game:
     def __init__(self, domain: Domain[Any]) -> None:
         """Set up the game; no episode is begun."""
         self.domain = domain
-        self.moment = Moment()
+        self.moment = Transition()
         self.control = Control(Holder.NOBODY, '', 'the game started')
         self.paused = ''
         self._state: Any = None
@@ -185,7 +185,7 @@ class Game:
         except StateError as error:
             return ResetReply(ResetStatus.BAD_STATE, str(error))
         self._rng, self._state = rng, state
-        self.moment = Moment(self.moment.episode + 1, 0, *self._observed())
+        self.moment = Transition(self.moment.episode + 1, 0, *self._observed())
         return ResetReply(ResetStatus.OK, '', self.moment)
 
     def command(self, command: Command) -> Accepted | Refused:
@@ -255,12 +255,12 @@ class Game:
             return Reason.NO_SUCH_ACTION, str(error)
         return None
 
-    def _step(self, command: Command) -> Moment:
+    def _step(self, command: Command) -> Transition:
         action = action_index(self.domain, command.action)
         outcome = self.domain.step(self._state, action, self._rng)
         self._state = outcome.state
         step = self.moment.step + 1
-        self.moment = Moment(
+        self.moment = Transition(
             self.moment.episode,
             step,
             *self._observed(),

@@ -9,11 +9,11 @@ from humanopts_env.game import (
     ControlStatus,
     Game,
     Holder,
-    Moment,
     Reason,
     Refused,
     ResetStatus,
     Source,
+    Transition,
 )
 import pytest
 
@@ -100,7 +100,7 @@ def test_a_refused_command_is_answered_and_changes_nothing(case: str) -> None:
 def test_before_the_first_reset_nothing_is_there() -> None:
     """Episode 0 says that no episode was begun."""
     game = Game(Taxi())
-    assert game.moment == Moment(episode=0, state='', features=())
+    assert game.moment == Transition(episode=0, state='', features=())
     assert not game.moment.open
     assert (game.control.holder, game.control.holder_id) == (Holder.NOBODY, '')
 
@@ -193,7 +193,7 @@ def test_each_reset_begins_the_next_episode() -> None:
     game = ended()
     reply = game.reset(START, 0, Source.PERSON)
     assert (reply.status, reply.moment) == (ResetStatus.OK, game.moment)
-    assert game.moment == Moment(2, 0, START, (2, 3, 0, 0, 4, 3, 0, 0, 0, 0))
+    assert game.moment == Transition(2, 0, START, (2, 3, 0, 0, 4, 3, 0, 0, 0, 0))
     assert isinstance(game.command(replace(MACHINE, episode=2)), Accepted)
 
 

@@ -44,7 +44,7 @@ def test_sources_of_requests_are_those_of_the_game(message: Any) -> None:
 @pytest.mark.parametrize(
     ('value', 'message', 'envelope'),
     [
-        (game.Moment, GameState, ENVELOPE),
+        (game.Transition, GameState, ENVELOPE),
         (game.Control, ControlState, ENVELOPE),
         (game.Command, ActionCommand, {'header', 'option_name'}),  # which is for the bag
     ],

@@ -1,6 +1,6 @@
 """Which topics are recorded."""
 
-from humanopts_env.recording import Selection
+from humanopts_ros.recording import Selection
 import pytest
 
 

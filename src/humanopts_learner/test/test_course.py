@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
-from humanopts_learner.course import Course, CourseError, DATA_SET
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError, Kind
+from humanopts_learner.option_trainer import CourseError, DATA_SET, OptionTrainer
 from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import load_options, option_from_json
 from humanopts_learner.options.learn import learn_option
@@ -16,13 +16,13 @@ import pytest
 TAXI = Taxi()
 SEED = 2
 DELIVER = 'go to destination and dropoff'
-Open = Callable[[], Course]
+Open = Callable[[], OptionTrainer]
 
 
 @pytest.fixture
 def reopen(tmp_path: Path) -> Open:
     """Open the course in the test's folder; every call is a new process's view of it."""
-    return lambda: Course(tmp_path / 'options', TAXI, Thresholds(), SEED)
+    return lambda: OptionTrainer(tmp_path / 'options', TAXI, Thresholds(), SEED)
 
 
 @pytest.fixture(scope='module')
@@ -128,7 +128,7 @@ def test_a_line_that_cannot_be_used_is_named_and_the_others_are_kept(
 def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     (tmp_path / 'file').touch()
     with pytest.raises(CourseError, match=r'cannot use the folder .*file: '):
-        Course(tmp_path / 'file', TAXI, Thresholds(), SEED)
+        OptionTrainer(tmp_path / 'file', TAXI, Thresholds(), SEED)
 
 
 def test_a_data_set_that_cannot_be_written_keeps_the_demonstration_out(

@@ -2,9 +2,9 @@
 
 from humanopts_env.domains.base import Transitions
 from humanopts_learner.planning.chance import RowComposer
-from humanopts_learner.planning.composition import Composer
 from humanopts_learner.planning.errors import GammaError, ModelError
 from humanopts_learner.planning.model import concatenate, primitive_model, RowModel, SmdpModel
+from humanopts_learner.planning.option_models import Composer
 from humanopts_learner.planning.value_iteration import solve_smdp
 from hypothesis import given, settings
 from hypothesis import strategies as st

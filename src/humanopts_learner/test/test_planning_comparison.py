@@ -15,11 +15,11 @@ from humanopts_learner.options.ready import ready_options
 from humanopts_learner.planning.errors import ForeignOptionError, PlanCanceled, PlanError
 from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
 from humanopts_learner.planning.sampled.comparison import (
+    Baseline,
     carried_over,
     CHANCE,
     compare,
     ComparisonRow,
-    Contender,
     has_rule,
     PLAN,
     RULE,
@@ -71,19 +71,19 @@ def options(domain: PacMan) -> list[Scripted]:
 
 
 @pytest.fixture(scope='module')
-def contenders(options: list[Scripted]) -> list[Contender]:
+def contenders(options: list[Scripted]) -> list[Baseline]:
     """One of each kind, and primitive actions."""
     return [
-        Contender('planned', PLAN, HUMAN, options, STEPS),
-        Contender('moves', CHANCE, PRIMITIVE),
-        Contender('any option', CHANCE, HUMAN, options),
-        Contender('rule', RULE),
-        Contender('rule, each step', RULE, to_end=False),
+        Baseline('planned', PLAN, HUMAN, options, STEPS),
+        Baseline('moves', CHANCE, PRIMITIVE),
+        Baseline('any option', CHANCE, HUMAN, options),
+        Baseline('rule', RULE),
+        Baseline('rule, each step', RULE, to_end=False),
     ]
 
 
 @pytest.fixture(scope='module')
-def rows(domain: PacMan, contenders: list[Contender]) -> list[ComparisonRow]:
+def rows(domain: PacMan, contenders: list[Baseline]) -> list[ComparisonRow]:
     """The comparison."""
     return compare(domain, contenders, SEED, GAMES)
 
@@ -147,14 +147,14 @@ def test_options_play_better_than_random_moves(rows: list[ComparisonRow]) -> Non
 
 
 def test_the_same_seed_gives_the_same_rows(
-    domain: PacMan, contenders: list[Contender], rows: list[ComparisonRow]
+    domain: PacMan, contenders: list[Baseline], rows: list[ComparisonRow]
 ) -> None:
     again = compare(domain, contenders, SEED, GAMES, clock=lambda: 0.0)
     assert again == [replace(row, seconds=None if row.seconds is None else 0.0) for row in rows]
 
 
 def test_progress_rises_over_all_and_can_cancel(
-    domain: PacMan, contenders: list[Contender]
+    domain: PacMan, contenders: list[Baseline]
 ) -> None:
     told: list[tuple[str, float]] = []
     compare(domain, contenders[:2], 1, 2, progress=lambda name, share: told.append((name, share)))
@@ -174,7 +174,7 @@ def test_only_a_domain_with_a_rule_plays_by_it(domain: PacMan) -> None:
     assert has_rule(domain)
     assert not has_rule(Rooms())
     with pytest.raises(PlanError, match='rooms has no rule'):
-        compare(Rooms(), [Contender('rule', RULE)], 1)
+        compare(Rooms(), [Baseline('rule', RULE)], 1)
 
 
 def test_options_go_along_to_other_parameters_but_not_to_other_features() -> None:

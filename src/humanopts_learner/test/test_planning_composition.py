@@ -1,8 +1,8 @@
 """Exact option models against runs taken step by step."""
 
 from humanopts_env.domains.base import Transitions
-from humanopts_learner.planning.composition import Composer
 from humanopts_learner.planning.errors import GammaError, ModelError, NotDeterministicError
+from humanopts_learner.planning.option_models import Composer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np

@@ -188,12 +188,12 @@ def test_going_on_is_worth_a_run_from_there_or_with_fewer_steps_left_the_best(pl
         for _ in range(option.max_steps):
             worth = one_step_more(plan, option.tables, worth)
             best = np.maximum(best, worth)
-        found = table.going_on[:, column]
+        found = table.continuation_values[:, column]
         whole, any_left = (np.isclose(found, expected, atol=1e-7) for expected in (worth, best))
         assert (whole | any_left)[live].all()
-    both = np.isfinite(table.choosing)
-    assert (table.going_on[both] >= table.choosing[both] - 1e-9).all()
-    assert np.isneginf(table.going_on[~live]).all()
+    both = np.isfinite(table.option_values)
+    assert (table.continuation_values[both] >= table.option_values[both] - 1e-9).all()
+    assert np.isneginf(table.continuation_values[~live]).all()
 
 
 def one_step_more(
@@ -249,7 +249,7 @@ def test_an_option_that_walks_in_a_circle_is_stopped() -> None:
     obstinate = play(replace(plan, solution=wrong), starts)
     assert not obstinate.successes.any()
     stop = carried_out(plan, Execution.INTERRUPTED).options[2].tables.termination
-    away = plan.solution.values > option_values(plan).going_on[:, 2] + 1e-6
+    away = plan.solution.values > option_values(plan).continuation_values[:, 2] + 1e-6
     assert (stop == away)[everywhere].all()
     at_the_wall = taxi.transitions().successor[:, 1, 0] == np.arange(taxi.n_states)
     assert stop[everywhere & at_the_wall].all()
@@ -257,10 +257,10 @@ def test_an_option_that_walks_in_a_circle_is_stopped() -> None:
 
 def test_modules_of_the_greatest_mass_outvote_a_single_strong_one() -> None:
     """By hand: strengths 5, 4, 3 and 0 by action 0, 1, 1 and 2."""
-    going_on = np.array([[15.0, 14.0, 13.0, 10.0], [15.0, -np.inf, 13.0, 10.0]])
+    continuation_values = np.array([[15.0, 14.0, 13.0, 10.0], [15.0, -np.inf, 13.0, 10.0]])
     action = np.array([[0, 1, 1, 2], [0, 1, 1, 2]])
-    assert strongest(going_on).tolist() == [0, 0]
-    assert greatest_mass(going_on, action, 3).tolist() == [1, 0]
+    assert strongest(continuation_values).tolist() == [0, 0]
+    assert greatest_mass(continuation_values, action, 3).tolist() == [1, 0]
 
 
 def test_values_survive_being_laid_out_flat() -> None:
@@ -270,14 +270,14 @@ def test_values_survive_being_laid_out_flat() -> None:
     assert all(np.asarray(part).ndim <= 1 for part in flat.values())
     for name, part in vars(table).items():
         assert np.array_equal(getattr(again, name), part), name
-    with pytest.raises(ModelError, match='going_on has'):
-        OptionValues.from_flat({**flat, 'going_on': flat['going_on'][1:]})
+    with pytest.raises(ModelError, match='continuation_values has'):
+        OptionValues.from_flat({**flat, 'continuation_values': flat['continuation_values'][1:]})
     with pytest.raises(ModelError, match='ascend'):
-        OptionValues.from_flat({**flat, 'situations': flat['situations'][::-1]})
+        OptionValues.from_flat({**flat, 'states': flat['states'][::-1]})
     with pytest.raises(ModelError, match='no number'):
-        OptionValues.from_flat({**flat, 'choosing': flat['choosing'] * np.nan})
-    with pytest.raises(ModelError, match='slack'):
-        OptionValues.from_flat({**flat, 'slack': -1.0})
+        OptionValues.from_flat({**flat, 'option_values': flat['option_values'] * np.nan})
+    with pytest.raises(ModelError, match='interruption_margin'):
+        OptionValues.from_flat({**flat, 'interruption_margin': -1.0})
 
 
 def test_a_policy_that_never_ends_has_no_undiscounted_value() -> None:

@@ -17,6 +17,7 @@ from humanopts_teach.launching.launcher import LaunchError
 REPRODUCED = ('fig2', 'fig3', 'fig4', 'table2', 'all')
 SECTIONS = ('planning', 'learning', 'games', 'graph', 'recording')
 EXPORTED = ('csv', 'parquet', 'minari', 'files')
+OUTSIDE = {'bench': 'benchmarks.command', 'reproduce': 'experiments.command'}  # of the repository
 STRATEGIES = ('random', 'coverage', 'failures')
 
 
@@ -93,7 +94,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit status: 0, 1 for a failure, 2 for bad input."""
     arguments = build_parser().parse_args(argv)
     try:
-        module = importlib.import_module(f'humanopts_teach.commands.{arguments.command}')
+        name = OUTSIDE.get(arguments.command, f'humanopts_teach.commands.{arguments.command}')
+        module = importlib.import_module(name)
         status: int = module.run(arguments)
         sys.stdout.flush()
     except CommandError as error:

@@ -5,12 +5,12 @@ from pathlib import Path
 import re
 from typing import Any
 
-from humanopts_env.convert import domain_to_info, moment_to_message
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
+from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_interfaces.msg import ActionCommand, GameState, OptionResult
-from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import check_demonstration, Demonstration, DemonstrationError
+from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
 from humanopts_teach.bags.episodes import Played, read_episodes
 from humanopts_teach.bags.errors import BagError
@@ -96,8 +96,8 @@ def test_episodes_come_back_in_order_and_once(tmp_path: Path, taxi: Domain[Any])
     moments = play(taxi, ['north', 'east', 'south'])
     entries = []
     for moment in moments:
-        entries.append(('/game_state', moment_to_message(moment)))
-        entries.append(('/current_state', moment_to_message(moment)))
+        entries.append(('/game_state', transition_to_message(moment)))
+        entries.append(('/current_state', transition_to_message(moment)))
     (episode,) = read_episodes(write_messages(tmp_path / 'bag', entries))
     assert list(episode.moments) == moments
     assert (episode.number, episode.complete) == (1, False)
@@ -105,8 +105,8 @@ def test_episodes_come_back_in_order_and_once(tmp_path: Path, taxi: Domain[Any])
 
 
 def test_a_restarted_game_makes_new_episodes(tmp_path: Path, taxi: Domain[Any]) -> None:
-    moments = [moment_to_message(m) for m in play(taxi, ['north'])]
-    again = [moment_to_message(m) for m in play(taxi, ['east'])]
+    moments = [transition_to_message(m) for m in play(taxi, ['north'])]
+    again = [transition_to_message(m) for m in play(taxi, ['east'])]
     for number, message in enumerate(again, start=1):
         message.publisher_id, message.sequence = '/game#2', number
     bag = write_messages(tmp_path / 'bag', [('/game_state', m) for m in [*moments, *again]])
@@ -152,7 +152,7 @@ def test_the_film_is_of_the_last_game_even_where_two_count_alike(
     refused = OptionResult(option_name='unknown', status=OptionResult.STATUS_UNKNOWN_OPTION)
     entries: list[tuple[str, Any]] = [('/left/option_results', refused)]
     for where, actions in (('left', ['north', 'east']), ('right', ['south', 'south', 'west'])):
-        states = [moment_to_message(moment) for moment in play(taxi, actions)]
+        states = [transition_to_message(moment) for moment in play(taxi, actions)]
         states[-1].terminated = True
         entries += [(f'/{where}/game_state', state) for state in states]
         run = OptionResult(option_name=where, episode=1, step_count=len(actions), terminated=True)
@@ -164,7 +164,7 @@ def test_the_film_is_of_the_last_game_even_where_two_count_alike(
 
 
 def test_the_film_of_modules_tells_which_of_them_acted(tmp_path: Path, taxi: Domain[Any]) -> None:
-    states = [moment_to_message(moment) for moment in play(taxi, ['south', 'west', 'west'])]
+    states = [transition_to_message(moment) for moment in play(taxi, ['south', 'west', 'west'])]
     states[-1].terminated = True
     entries: list[tuple[str, Any]] = [('/game_state', state) for state in states]
     for state, name in zip(states[1:], ('down', 'left', 'action:west')):
@@ -187,7 +187,7 @@ def test_messages_whose_definition_is_another_are_left_out_and_said(
     whole = write_messages(
         tmp_path / 'whole',
         [
-            *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
+            *(('/game_state', transition_to_message(m)) for m in play(taxi, ['north'])),
             ('/domain_info', domain_to_info(taxi)),
             ('/demonstrations', demonstration_to_message(taxi_lesson[0])),
             ('/action', ActionCommand()),
@@ -216,7 +216,7 @@ def games(taxi: Domain[Any]) -> list[tuple[str, GameState]]:
         ('/b#1', 1, 2),
     ):
         for moment in play(taxi, ['north', 'east', 'south'][: length - 1]):
-            state = moment_to_message(moment)
+            state = transition_to_message(moment)
             state.episode, state.publisher_id = number, publisher
             state.sequence = len(entries) + 1
             entries.append(('/game_state', state))

@@ -6,12 +6,12 @@ import shutil
 import struct
 from typing import Any
 
-from humanopts_env.convert import domain_to_info
 from humanopts_env.domains.base import Domain
+from humanopts_env.ros.convert import domain_to_info
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import GameState
-from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
 from humanopts_teach.bags.episodes import read_episodes

@@ -7,8 +7,8 @@ from pathlib import Path
 import re
 from typing import Any
 
-from humanopts_env.convert import domain_to_info, moment_to_message
 from humanopts_env.domains.base import Domain
+from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_interfaces.msg import (
     Criterion,
     LearningStatus,
@@ -18,8 +18,8 @@ from humanopts_interfaces.msg import (
     PlanResult,
     PolicyResult,
 )
-from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags.info import count_loss, summarise
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.bags.writer import BagWriter
@@ -77,7 +77,7 @@ def test_the_summary_counts_what_was_taught_and_done(
         ('/demonstrations', demonstration_to_message(replace(wrong, withdrawn=True))),
         ('/learning_status', status),
         *(('/lesson_state', LessonState(participant=who, session='s2')) for who in ('', 'p1')),
-        *(('/game_state', moment_to_message(m)) for m in play(taxi, ['north'])),
+        *(('/game_state', transition_to_message(m)) for m in play(taxi, ['north'])),
         *(('/option_results', OptionResult(status=code)) for code in (1, 1, 5, 12)),
         ('/plan_results', PlanResult(status=1)),
         ('/policy_results', PolicyResult(status=1, interruptions=3, execution_changes=1)),

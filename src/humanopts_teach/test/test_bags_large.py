@@ -12,12 +12,12 @@ import sys
 import tracemalloc
 from typing import Any
 
-from humanopts_env.convert import domain_to_info, moment_to_message
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Command, Game, Source
+from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_interfaces.msg import ActionCommand, GameState, OptionValues
-from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags import order
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.episodes import Played, read_episodes
@@ -56,7 +56,7 @@ class Lesson:
         self._domain, self._period = domain, period
         self._numbers: dict[str, int] = {}
         self._time = 10**18
-        self._values = OptionValues(publisher_id='/n#1', choosing=[0.0] * VALUES)
+        self._values = OptionValues(publisher_id='/n#1', option_values=[0.0] * VALUES)
 
     def write(self, demonstrations: list[Demonstration], size: int, episodes: int) -> None:
         """Write about ``size`` bytes, and close the bag."""
@@ -77,7 +77,7 @@ class Lesson:
         game = Game(self._domain)
         game.reset('', number, Source.MACHINE)
         for step in range(STEPS + 1):
-            state = moment_to_message(game.moment)
+            state = transition_to_message(game.moment)
             state.episode, state.action_publisher_id = number, '/n#1'
             state.action_sequence = (number - 1) * STEPS + step
             self._send('/game_state', state)

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 import uuid
 
-from humanopts_env.convert import domain_to_info
 from humanopts_env.domains.base import Domain
+from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import GameState, OptionResult
-from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.files import option_to_json
+from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags.provenance import UNKNOWN
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main

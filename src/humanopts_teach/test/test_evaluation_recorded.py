@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from humanopts_env.convert import domain_to_info
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import reference_options
-from humanopts_learner.convert import demonstration_to_message, status_to_message
+from humanopts_env.ros.convert import domain_to_info
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import Thresholds
+from humanopts_learner.ros.convert import demonstration_to_message, status_to_message
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.evaluation.bag_evaluation import evaluate, evaluate_bag, EvaluationError

@@ -6,15 +6,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-from humanopts_env.convert import domain_to_info, moment_to_message
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Command, Game, Source
+from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import ActionCommand, PlanResult
 from humanopts_interfaces.srv import ResetGame
-from humanopts_learner.convert import demonstration_to_message
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main
@@ -46,7 +46,7 @@ def entries(
         moment = game.reset(start, number + 40, Source.MACHINE).moment
         assert moment is not None
         yield from events(number, start, moment.state)
-        yield '/game_state', f'{MESSAGES}GameState', moment_to_message(moment)
+        yield '/game_state', f'{MESSAGES}GameState', transition_to_message(moment)
         while game.moment.open and game.moment.step < STEPS:
             sent += 1
             action = domain.actions[rng.integers(len(domain.actions))].name
@@ -63,7 +63,7 @@ def entries(
                     option_name=f'module {sent % 2}',
                 ),
             )
-            yield '/game_state', f'{MESSAGES}GameState', moment_to_message(game.moment)
+            yield '/game_state', f'{MESSAGES}GameState', transition_to_message(game.moment)
     yield (
         '/plan_results',
         f'{MESSAGES}PlanResult',

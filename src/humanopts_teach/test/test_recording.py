@@ -5,7 +5,7 @@ from pathlib import Path
 import platform
 from typing import Any
 
-from humanopts_env.recording import Selection
+from humanopts_ros.recording import Selection
 from humanopts_teach.bags.pace import Pace
 from humanopts_teach.bags.provenance import attachments, lock_hash, software, UNKNOWN
 from humanopts_teach.cli import build_parser

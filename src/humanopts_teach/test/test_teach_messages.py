@@ -4,10 +4,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from humanopts_env.convert import domain_to_info, moment_to_message
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.game import Moment, moment_from_message, Source
-from humanopts_env.nodes.node_base import PublishError
+from humanopts_env.game import moment_from_message, Source, Transition
+from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_interfaces.msg import LessonState, NodeStatus, OptionStatus
 from humanopts_interfaces.srv import (
     AnswerQuestion,
@@ -17,14 +16,7 @@ from humanopts_interfaces.srv import (
     OpenSession,
 )
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_teach.convert import (
-    answered,
-    progress_from_message,
-    verdict_from_number,
-    verdict_to_number,
-    view_from_message,
-    view_to_message,
-)
+from humanopts_ros.node_base import PublishError
 from humanopts_teach.dialogue.answers import (
     Answer,
     LessonView,
@@ -33,7 +25,15 @@ from humanopts_teach.dialogue.answers import (
     Status,
     Verdict,
 )
-from humanopts_teach.nodes.lesson_node import LessonNode
+from humanopts_teach.ros.convert import (
+    answered,
+    progress_from_message,
+    verdict_from_number,
+    verdict_to_number,
+    view_from_message,
+    view_to_message,
+)
+from humanopts_teach.ros.lesson_node import LessonNode
 import pytest
 import rclpy
 
@@ -72,8 +72,10 @@ def test_an_unknown_phase_is_refused() -> None:
 
 
 def test_a_moment_of_the_game_survives_the_way_through_a_message() -> None:
-    moment = Moment(2, 5, 'here', (1, 0, 3), 'east', Source.PERSON, '/p#1', 9, -1.0, True, False)
-    assert moment_from_message(moment_to_message(moment)) == moment
+    moment = Transition(
+        2, 5, 'here', (1, 0, 3), 'east', Source.PERSON, '/p#1', 9, -1.0, True, False
+    )
+    assert moment_from_message(transition_to_message(moment)) == moment
 
 
 def test_verdicts_have_numbers_of_their_own_and_no_others() -> None:

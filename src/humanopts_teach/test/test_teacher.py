@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.registry import make_domain, reference_options
-from humanopts_env.game import Moment
+from humanopts_env.game import Transition
 from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
 from humanopts_teach.teacher.acts import Begin, Define, Drive, End, Finish, Open, Reply, Wait
 from humanopts_teach.teacher.simulated import (
@@ -33,10 +33,12 @@ def teacher(
     return SimulatedTeacher(TAXI, references, settings)
 
 
-def at(state: str, step: int = 0, *, terminated: bool = False, truncated: bool = False) -> Moment:
+def at(
+    state: str, step: int = 0, *, terminated: bool = False, truncated: bool = False
+) -> Transition:
     """Return a state of episode 1."""
     features = tuple(TAXI.feature_values(TAXI.decode(state)).tolist())
-    return Moment(1, step, state, features, terminated=terminated, truncated=truncated)
+    return Transition(1, step, state, features, terminated=terminated, truncated=truncated)
 
 
 def showing(state: str, option: str = PICKUP, given: int = 0) -> LessonView:

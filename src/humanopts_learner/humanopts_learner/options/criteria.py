@@ -16,7 +16,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.conflicts import find_conflicts
-from humanopts_learner.options.folds import fold_of, FOLDS, without_each
+from humanopts_learner.options.folds import fit_leave_fold_out, fold_of, FOLDS
 from humanopts_learner.options.learn import assemble, Dataset, Examples, fit_trees, make_dataset
 from humanopts_learner.options.option import LearnedOption, MEMBER, option_tables
 from humanopts_learner.options.rollout import (
@@ -162,7 +162,7 @@ def _criteria(
     values: tuple[float | None, ...] = (None, None, None)
     if len(data.trajectories) >= FEWEST:
         folds = fold_of(data, seed)
-        options = without_each(data, folds, domain, seed)
+        options = fit_leave_fold_out(data, folds, domain, seed)
         initiation = [option.can_start for option in options]
         termination = [option.ends for option in options]
         values = (

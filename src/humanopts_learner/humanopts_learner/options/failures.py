@@ -7,7 +7,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.tabular import distance_to, reachable
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_learner.options.folds import fold_of, without_each
+from humanopts_learner.options.folds import fit_leave_fold_out, fold_of
 from humanopts_learner.options.learn import make_dataset
 from humanopts_learner.options.option import LearnedOption, option_tables
 from humanopts_learner.options.rollout import follow, is_certain, rollouts
@@ -168,7 +168,7 @@ def unsettled(
     if len(data.trajectories) < 2:
         return inside
     found = np.zeros(len(rows), dtype=np.bool_)
-    for other in without_each(data, fold_of(data, seed), domain, seed):
+    for other in fit_leave_fold_out(data, fold_of(data, seed), domain, seed):
         found |= other.can_start(rows) != inside
         found |= inside & (other.greedy_action(rows) != action)
     return found

@@ -30,7 +30,7 @@ def fold_of(data: Dataset, seed: int) -> NDArray[np.int64]:
     return folds
 
 
-def without_each(
+def fit_leave_fold_out(
     data: Dataset, folds: NDArray[np.int64], domain: Domain[Any], seed: int
 ) -> list[LearnedOption]:
     """Return what is learned without fold 0, 1, ...; there must be two trajectories or more."""

@@ -9,7 +9,6 @@ from humanopts_env.domains.base import EnumerableDomain
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import OptionTables
 from humanopts_learner.planning.chance import RowComposer
-from humanopts_learner.planning.composition import Composer
 from humanopts_learner.planning.errors import (
     DuplicateOptionError,
     NoOptionsError,
@@ -22,6 +21,7 @@ from humanopts_learner.planning.model import (
     RowModel,
     SmdpModel,
 )
+from humanopts_learner.planning.option_models import Composer
 import numpy as np
 from scipy.sparse import csr_array, vstack
 

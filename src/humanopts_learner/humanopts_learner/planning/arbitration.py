@@ -51,7 +51,7 @@ class Execution(StrEnum):
 @dataclass(frozen=True)
 class OptionValues:
     """
-    What arbitration needs of a plan: K situations, O columns.
+    What arbitration needs of a plan: K states, O columns.
 
     A situation is a state of an enumerable domain, by its index, or a planning state of a sampled
     plan, by its code. Values are discounted returns; -inf: cannot be, or nothing is known.
@@ -61,34 +61,37 @@ class OptionValues:
 
     action_set: str
     names: tuple[str, ...]  # (O,) of the columns: options, then action:NAME
-    situations: NDArray[np.int64]  # (K,) ascending
-    choosing: Floats  # (K, O) of choosing the column now, where it can start
-    going_on: Floats  # (K, O) of going on with it, where it can start or not
-    slack: float  # differences up to this say nothing
-    sampled: bool  # situations are planning states
+    states: NDArray[np.int64]  # (K,) ascending
+    option_values: Floats  # (K, O) of choosing the column now, where it can start
+    continuation_values: Floats  # (K, O) of going on with it, where it can start or not
+    interruption_margin: float  # differences up to this say nothing
+    sampled: bool  # states are planning states
 
     def __post_init__(self) -> None:
         """Check the arrays."""
-        shape = len(self.situations), len(self.names)
-        if self.choosing.shape != shape or self.going_on.shape != shape:
+        shape = len(self.states), len(self.names)
+        if self.option_values.shape != shape or self.continuation_values.shape != shape:
             raise ModelError(
-                f'values are {self.choosing.shape} and {self.going_on.shape}, not {shape}'
+                f'values are {self.option_values.shape} and {self.continuation_values.shape}, '
+                f'not {shape}'
             )
-        if (np.diff(self.situations) <= 0).any():
-            raise ModelError('the situations do not ascend')
-        for values in (self.choosing, self.going_on):
+        if (np.diff(self.states) <= 0).any():
+            raise ModelError('the states do not ascend')
+        for values in (self.option_values, self.continuation_values):
             if np.isnan(values).any() or (values == np.inf).any():
                 raise ModelError('a value is no number, or infinite')
-        if not 0.0 <= self.slack < np.inf:
-            raise ModelError(f'slack is {self.slack}, and must be 0 or greater')
+        if not 0.0 <= self.interruption_margin < np.inf:
+            raise ModelError(
+                f'interruption_margin is {self.interruption_margin}, and must be 0 or greater'
+            )
 
     def flat(self) -> dict[str, Any]:
         """Return its parts with all arrays flat, row by row, as a message carries them."""
         return {
             **vars(self),
             'names': list(self.names),
-            'choosing': self.choosing.ravel(),
-            'going_on': self.going_on.ravel(),
+            'option_values': self.option_values.ravel(),
+            'continuation_values': self.continuation_values.ravel(),
         }
 
     @classmethod
@@ -98,8 +101,8 @@ class OptionValues:
 
         :raises ModelError: the parts contradict each other.
         """
-        situations = np.asarray(parts['situations'], dtype=np.int64)
-        shape = len(situations), len(parts['names'])
+        states = np.asarray(parts['states'], dtype=np.int64)
+        shape = len(states), len(parts['names'])
 
         def table(name: str) -> Floats:
             values = np.asarray(parts[name], dtype=np.float64)
@@ -110,46 +113,54 @@ class OptionValues:
         return cls(
             action_set=parts['action_set'],
             names=tuple(parts['names']),
-            situations=situations,
-            choosing=table('choosing'),
-            going_on=table('going_on'),
-            slack=float(parts['slack']),
+            states=states,
+            option_values=table('option_values'),
+            continuation_values=table('continuation_values'),
+            interruption_margin=float(parts['interruption_margin']),
             sampled=bool(parts['sampled']),
         )
 
 
-def stops(going_on: Floats, choosing: Floats, column: Ints, slack: float) -> Flags:
+def stops(
+    continuation_values: Floats, option_values: Floats, column: Ints, interruption_margin: float
+) -> Flags:
     """
     Tell where a running option is to be stopped, (N,).
 
-    :param going_on: (N, O); nothing is stopped of which it is -inf.
-    :param choosing: (N,) value of what would be chosen.
+    :param continuation_values: (N, O); nothing is stopped of which it is -inf.
+    :param option_values: (N,) value of what would be chosen.
     :param column: (N,) what runs; -1: nothing.
     """
-    value = going_on[np.arange(len(column)), column]
-    stop: Flags = (column >= 0) & np.isfinite(value) & (value < choosing - slack)
+    value = continuation_values[np.arange(len(column)), column]
+    stop: Flags = (
+        (column >= 0) & np.isfinite(value) & (value < option_values - interruption_margin)
+    )
     return stop
 
 
-def strongest(going_on: Floats) -> Ints:
-    """Return (N,): the column of the strongest module, the lowest of equals; going_on (N, O)."""
-    column: Ints = going_on.argmax(axis=1)
+def strongest(continuation_values: Floats) -> Ints:
+    """
+    Return (N,): the column of the strongest module, the lowest of equals.
+
+    :param continuation_values: (N, O).
+    """
+    column: Ints = continuation_values.argmax(axis=1)
     return column
 
 
-def greatest_mass(choosing: Floats, action: Ints, n_actions: int) -> Ints:
+def greatest_mass(option_values: Floats, action: Ints, n_actions: int) -> Ints:
     """
     Return (N,): the strongest column among those that want the action of the greatest mass.
 
     Equal masses are decided by the strongest module, then by the lowest column.
 
-    :param choosing: (N, O); modules of which it is -inf want nothing.
+    :param option_values: (N, O); modules of which it is -inf want nothing.
     :param action: (N, O) what each module wants.
     """
-    speaks = np.isfinite(choosing)
-    weakest = np.where(speaks, choosing, np.inf).min(axis=1, keepdims=True)
-    strength = np.subtract(choosing, weakest, out=np.zeros(choosing.shape), where=speaks)
+    speaks = np.isfinite(option_values)
+    weakest = np.where(speaks, option_values, np.inf).min(axis=1, keepdims=True)
+    strength = np.subtract(option_values, weakest, out=np.zeros(option_values.shape), where=speaks)
     wants = action[:, :, None] == np.arange(n_actions)  # (N, O, A)
     mass = (strength[:, :, None] * wants).sum(axis=1)
     wins = np.take_along_axis(mass, action, axis=1) >= mass.max(axis=1, keepdims=True)
-    return strongest(np.where(wins, choosing, -np.inf))
+    return strongest(np.where(wins, option_values, -np.inf))

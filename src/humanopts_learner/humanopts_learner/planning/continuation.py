@@ -22,8 +22,8 @@ from humanopts_learner.planning.arbitration import (
     strongest,
 )
 from humanopts_learner.planning.chance import RowComposer, visited
-from humanopts_learner.planning.composition import Composer
 from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.option_models import Composer
 from humanopts_learner.planning.plan import Plan
 import numpy as np
 from numpy.typing import NDArray
@@ -45,18 +45,18 @@ def option_values(plan: Plan) -> OptionValues:
     domain, values = plan.domain, plan.solution.values
     model = build_model(domain, plan.action_set, plan.options, plan.gamma)
     ahead = (model.rows @ values).reshape(model.reward.T.shape)
-    choosing = np.where(model.available.T, model.reward.T + ahead, -np.inf)
-    going_on = choosing.copy()
+    option_values = np.where(model.available.T, model.reward.T + ahead, -np.inf)
+    continuation_values = option_values.copy()
     for column, option in enumerate(plan.options):
-        going_on[column] = _going_on(plan, option)
-    going_on[:, domain.over()] = -np.inf
+        continuation_values[column] = _continuation_values(plan, option)
+    continuation_values[:, domain.over()] = -np.inf
     return OptionValues(
         action_set=plan.action_set,
         names=model.names,
-        situations=np.arange(len(values)),
-        choosing=choosing.T,
-        going_on=going_on.T,
-        slack=_slack(plan),
+        states=np.arange(len(values)),
+        option_values=option_values.T,
+        continuation_values=continuation_values.T,
+        interruption_margin=_slack(plan),
         sampled=False,
     )
 
@@ -84,10 +84,15 @@ def carried_out(plan: Plan, execution: Execution) -> Plan:
 
 def stop_table(table: OptionValues) -> Flags:
     """Return (S, O): where each column is stopped if it runs."""
-    anew, found = table.choosing.max(axis=1), np.empty(table.going_on.shape, dtype=np.bool_)
+    anew, found = (
+        table.option_values.max(axis=1),
+        np.empty(table.continuation_values.shape, dtype=np.bool_),
+    )
     for column in range(len(table.names)):
         running = np.full(len(anew), column)
-        found[:, column] = stops(table.going_on, anew, running, table.slack)
+        found[:, column] = stops(
+            table.continuation_values, anew, running, table.interruption_margin
+        )
     return found
 
 
@@ -101,9 +106,9 @@ def winners(
     :param over: (S,) states where the task is over.
     """
     if execution is Execution.MODULAR_STRONGEST:
-        column = strongest(table.going_on)
+        column = strongest(table.continuation_values)
     else:
-        column = greatest_mass(table.choosing, action, int(action.max()) + 1)
+        column = greatest_mass(table.option_values, action, int(action.max()) + 1)
     return np.where(over, -1, column).astype(np.int32)
 
 
@@ -160,7 +165,7 @@ def _slack(plan: Plan) -> float:
     return rounding + 8.0 * solution.residual / left
 
 
-def _going_on(plan: Plan, option: TabledOption) -> Floats:
+def _continuation_values(plan: Plan, option: TabledOption) -> Floats:
     """Return what running an option from each state is worth, (S,), started there or not."""
     domain, values, tables = plan.domain, plan.solution.values, option.tables
     rules, over = domain.transitions(), domain.over()

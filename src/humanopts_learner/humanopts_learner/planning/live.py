@@ -96,7 +96,7 @@ class _ExactArbiter:
         domain: Domain[Any],
         options: Sequence[LearnedOption | BatchOption],
     ) -> None:
-        if not is_enumerable(domain) or domain.n_states != len(values.situations):
+        if not is_enumerable(domain) or domain.n_states != len(values.states):
             raise ModelError(f'the values are not for every state of {domain.name}')
         self._domain, self._names = domain, values.names
         self._stop = stop_table(values)
@@ -132,9 +132,11 @@ class _SampledArbiter:
         columns = Columns(games, values.action_set, batch_options(domain, options))
         if columns.names[: columns.first_fallback] != values.names:
             raise ModelError(f'the values are not for the actions of {domain.name}')
-        greedy = GreedyPolicy(columns, StateIndex(values.situations), values.choosing)
+        greedy = GreedyPolicy(columns, StateIndex(values.states), values.option_values)
         self._columns = columns
-        self._policy = executed(greedy, values.going_on, execution, values.slack)
+        self._policy = executed(
+            greedy, values.continuation_values, execution, values.interruption_margin
+        )
         self._watch = watcher_for(games, values.action_set)
 
     def before_step(self, state: Any, running: str) -> Ruling:

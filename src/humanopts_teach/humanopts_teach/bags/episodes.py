@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import overload
 
-from humanopts_env.game import Moment, moment_from_message
+from humanopts_env.game import moment_from_message, Transition
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.order import ALWAYS
 from humanopts_teach.bags.reader import Bag, Recorded
@@ -22,7 +22,7 @@ class Episode:
     topic: str
     publisher_id: str  # of the game that played it
     number: int
-    moments: tuple[Moment, ...]
+    moments: tuple[Transition, ...]
     times: tuple[int, int]  # log times of the first and the last message, ns
 
     @property
@@ -181,7 +181,7 @@ def _groups(bag: Bag, between: tuple[int, int]) -> Iterator[Group]:
     yield from games.rest()
 
 
-def _moments(bag: Bag, group: Group) -> Iterator[Moment]:
+def _moments(bag: Bag, group: Group) -> Iterator[Transition]:
     """Yield what of an episode can be decoded, in order."""
     for step in sorted(group.states):
         state = bag.decode(group.topic, group.states[step])

@@ -17,7 +17,7 @@ from humanopts_teach.bags.blocks import (
     split,
 )
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.scan import OnByte, scan
+from humanopts_teach.bags.scan import ProgressCallback, scan
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -42,7 +42,7 @@ class _NoIndexError(Exception):
     """The file is whole and has no index of its chunks, as some programs write it."""
 
 
-def read_index(path: Path, on_byte: OnByte = lambda _: None) -> FileIndex:
+def read_index(path: Path, on_byte: ProgressCallback = lambda _: None) -> FileIndex:
     """
     Find the messages of a file; one that was cut short is scanned up to where it ends.
 
@@ -63,7 +63,7 @@ def read_index(path: Path, on_byte: OnByte = lambda _: None) -> FileIndex:
         raise BagError(f'cannot read {path}: {error.strerror}') from error
 
 
-def _index(path: Path, stream: BinaryIO, on_byte: OnByte) -> FileIndex:
+def _index(path: Path, stream: BinaryIO, on_byte: ProgressCallback) -> FileIndex:
     """Use the file's index, or do without it."""
     try:
         return _from_summary(path, stream)
@@ -76,7 +76,7 @@ def _index(path: Path, stream: BinaryIO, on_byte: OnByte) -> FileIndex:
         return index
 
 
-def data_fits(path: Path, on_byte: OnByte = lambda _: None) -> bool:
+def data_fits(path: Path, on_byte: ProgressCallback = lambda _: None) -> bool:
     """Compare all bytes of a whole file with their checksum; True: they fit, or it has none."""
     with path.open('rb') as stream:
         try:

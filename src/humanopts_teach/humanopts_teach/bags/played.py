@@ -5,7 +5,7 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any
 
-from humanopts_env.game import Moment, Source
+from humanopts_env.game import Source, Transition
 from humanopts_teach.bags.episodes import Episode
 from humanopts_teach.bags.order import ALWAYS
 from humanopts_teach.bags.reader import Bag
@@ -91,12 +91,12 @@ def actors_in(bag: Bag, episode: Episode) -> Actors:
     return read_actors(bag, (max(first - AROUND, 0), last + AROUND))
 
 
-def actor_of(moment: Moment, actors: Actors) -> str:
+def actor_of(moment: Transition, actors: Actors) -> str:
     """Return the option or action:NAME whose action led to a moment; empty: a person's."""
     return actors.name(moment.action_publisher_id, moment.action_sequence)
 
 
-def source_of(moment: Moment) -> str:
+def source_of(moment: Transition) -> str:
     """Return who chose the action that led to a moment, in a word; empty: nobody."""
     return '' if moment.action_source is Source.NONE else moment.action_source.name.lower()
 

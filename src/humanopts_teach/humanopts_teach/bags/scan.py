@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, McapRecord, Schema
 from mcap.stream_reader import MAGIC_SIZE
 
-OnByte = Callable[[int], object]  # how far the file is read
+ProgressCallback = Callable[[int], object]  # how far the file is read
 _HEADS = 1 << 16  # bytes that hold the names of an attached file
 _LOOSE_BYTES = 1 << 20  # records outside chunks are read in runs of about this size
 _LOOSE = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX}
@@ -33,7 +33,7 @@ _DATA_AT = _ZSTD_AT + len(_ZSTD) + 8
 _MESSAGE = struct.Struct('<HIQ')  # how a message begins: channel, sequence, log time
 
 
-def scan(path: Path, stream: BinaryIO, on_byte: OnByte) -> FileIndex:
+def scan(path: Path, stream: BinaryIO, on_byte: ProgressCallback) -> FileIndex:
     """Index a file that has no index of its own; what is damaged is noted and left out."""
     index = FileIndex(path)
     run = Run(index, stream)

@@ -3,9 +3,9 @@
 from collections.abc import Hashable
 from typing import Any
 
-from humanopts_env.convert import domain_from_info
 from humanopts_env.domains.base import Domain
-from humanopts_teach.nodes.conductor import Conductor
+from humanopts_env.ros.convert import domain_from_info
+from humanopts_teach.ros.graph_client import GraphClient
 from humanopts_teach.terminal.board import board_text
 from rich.console import Console, Group
 from rich.live import Live
@@ -45,7 +45,7 @@ class DemoProgress:
         else:
             self._say(f'{text} ...')
 
-    def __call__(self, conductor: Conductor) -> None:
+    def __call__(self, conductor: GraphClient) -> None:
         """Draw the graph's current values."""
         node = conductor.node
         if self._domain is None and node.domain.message is not None:
@@ -67,7 +67,7 @@ class DemoProgress:
         else:
             self._say(f'{share:4.0%} {text}', key=text)
 
-    def _picture(self, conductor: Conductor) -> Group:
+    def _picture(self, conductor: GraphClient) -> Group:
         node = conductor.node
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
         if self._domain is not None and node.state.message is not None:
@@ -79,7 +79,7 @@ class DemoProgress:
             parts.append(Text(_episodes(node.feedback)))
         return Group(*parts)
 
-    def _lines(self, conductor: Conductor) -> None:
+    def _lines(self, conductor: GraphClient) -> None:
         node = conductor.node
         if self._domain is not None and node.state.message is not None:
             state = self._domain.decode(node.state.message.state)

@@ -2,7 +2,7 @@
 
 import argparse
 
-from humanopts_env.recording import MOST_BYTES
+from humanopts_ros.recording import MOST_BYTES
 
 _UNITS = {'': 1, 'k': 10**3, 'M': 10**6, 'G': 10**9}
 

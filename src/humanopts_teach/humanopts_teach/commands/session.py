@@ -13,7 +13,7 @@ from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.launching.launcher import Launcher, LaunchError
 from humanopts_teach.launching.lock import only_launch
 from humanopts_teach.launching.processes import common_parameters, processes, Setup
-from humanopts_teach.nodes.conductor import Conductor
+from humanopts_teach.ros.graph_client import GraphClient
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -23,7 +23,7 @@ class Session:
     """The processes of a launch and the node that conducts them."""
 
     launcher: Launcher
-    conductor: Conductor
+    conductor: GraphClient
 
     def check_recording(self) -> None:
         """
@@ -75,7 +75,7 @@ def _check_folder(setup: Setup, new: bool) -> None:
 
 @contextmanager
 def session(
-    setup: Setup, namespace: str, progress: Callable[[Conductor], None] = lambda _: None
+    setup: Setup, namespace: str, progress: Callable[[GraphClient], None] = lambda _: None
 ) -> Iterator[Session]:
     """
     Launch a graph, wait until it is ready, and stop it whatever happens, the recorder last.
@@ -103,13 +103,13 @@ def session(
 
 
 def _conduct(
-    setup: Setup, namespace: str, launcher: Launcher, progress: Callable[[Conductor], None]
-) -> Conductor:
+    setup: Setup, namespace: str, launcher: Launcher, progress: Callable[[GraphClient], None]
+) -> GraphClient:
     def watch() -> None:
         launcher.check()
         progress(conductor)
 
-    conductor = Conductor(namespace, common_parameters(setup), setup.bag, watch=watch)
+    conductor = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
     return conductor
 
 

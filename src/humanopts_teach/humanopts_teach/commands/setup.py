@@ -11,8 +11,8 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Parameter
-from humanopts_env.recording import Selection
 from humanopts_learner.options.criteria import Thresholds, usual_thresholds
+from humanopts_ros.recording import Selection
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.launching.processes import Recording, Setup
 

@@ -1,13 +1,13 @@
 """The episode that is being played, collected step by step from the stream of game states."""
 
-from humanopts_env.game import Moment
+from humanopts_env.game import Transition
 
 
 class Trace:
     """The newest episode, from its first moment on without gaps."""
 
     def __init__(self) -> None:
-        self.moments: list[Moment] = []
+        self.moments: list[Transition] = []
         self.broken = ''  # what is missing, in words; empty: nothing
 
     @property
@@ -20,7 +20,7 @@ class Trace:
         """Step of the newest state, -1 before the first."""
         return self.moments[-1].step if self.moments else -1
 
-    def add(self, moment: Moment) -> None:
+    def add(self, moment: Transition) -> None:
         """Take the next moment; step 0 or another episode begins anew."""
         if moment.step == 0 or moment.episode != self.episode:
             self.moments, self.broken = [], ''

@@ -6,7 +6,7 @@ import uuid
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import parameters_json
-from humanopts_env.game import Moment, Source
+from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_teach.demos.trace import Trace
 from humanopts_teach.dialogue.answers import Answer, Status, Verdict
@@ -23,7 +23,7 @@ class Attempt:
     began: float  # clock at the start, s
     seen: bool = False  # a state of the episode has arrived
 
-    def spoilt(self, moment: Moment, trace: Trace) -> str:
+    def spoilt(self, moment: Transition, trace: Trace) -> str:
         """
         Say why the demonstration cannot go on after one more state; empty: it can.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
-from humanopts_env.game import Moment
+from humanopts_env.game import Transition
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
@@ -23,8 +23,8 @@ from humanopts_teach.dialogue.collecting import Attempt, build, Label, objection
 from humanopts_teach.dialogue.hints import hint
 from humanopts_teach.dialogue.history import OptionHistory
 from humanopts_teach.dialogue.learning import Learning
-from humanopts_teach.dialogue.notebook import Notebook
 from humanopts_teach.dialogue.questions import question_text
+from humanopts_teach.dialogue.session_log import SessionLog
 from humanopts_teach.dialogue.start_states import StartDraws, StartStates
 
 _UNRECORDED = 'on disk, but not in this recording: the next one has it'
@@ -62,7 +62,7 @@ class Lesson:
         self._draws = StartDraws(domain, starts, rules.seed)
         self._rules = rules
         self._clock = clock
-        self._notebook = Notebook(domain, store, today)
+        self._notebook = SessionLog(domain, store, today)
         self._option: OptionHistory | None = None
         self._trace = Trace()
         self._attempt: Attempt | None = None
@@ -228,7 +228,7 @@ class Lesson:
 
     # What the game and the learner tell.
 
-    def saw(self, moment: Moment) -> bool:
+    def saw(self, moment: Transition) -> bool:
         """
         Take in one state of the game's stream.
 
@@ -358,7 +358,7 @@ class Lesson:
         again = self._again or option.next_start
         return again or self._draws.draw(self._notebook.participant, option)
 
-    def _watch(self, moment: Moment) -> bool:
+    def _watch(self, moment: Transition) -> bool:
         if self._attempt is None:
             return False
         cause = self._attempt.spoilt(moment, self._trace)

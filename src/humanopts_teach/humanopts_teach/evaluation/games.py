@@ -22,11 +22,11 @@ from humanopts_learner.planning.any_domain import GAME_STEPS
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.plan import HUMAN, HUMAN_AND_PRIMITIVE, PRIMITIVE
 from humanopts_learner.planning.sampled.comparison import (
+    Baseline,
     carried_over,
     CHANCE,
     compare,
     ComparisonRow,
-    Contender,
     has_rule,
     PLAN,
     RULE,
@@ -169,46 +169,46 @@ def _usual_pacman(domain: Domain[Any]) -> bool:
     return isinstance(domain, PacMan) and domain.parameters == PacMan().parameters
 
 
-def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Contender]:
+def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Baseline]:
     sets = {
         name: [carried_over(option, domain) for option in chosen]
         for name, chosen in option_sets(options).items()
     }
     found = [
-        Contender(f'human, {name}', PLAN, HUMAN, chosen, steps) for name, chosen in sets.items()
+        Baseline(f'human, {name}', PLAN, HUMAN, chosen, steps) for name, chosen in sets.items()
     ]
     if isinstance(domain, PacMan):
         found += _interrupted(domain, *list(sets.items())[-1], steps)
     found += [
         _moves('primitive', domain, steps),
         _moves(f'primitive, {GENEROUS}-fold steps', domain, GENEROUS * steps),
-        Contender('random moves', CHANCE, PRIMITIVE),
+        Baseline('random moves', CHANCE, PRIMITIVE),
     ]
     found += [
-        Contender(f'random choice, {name}', CHANCE, HUMAN, chosen) for name, chosen in sets.items()
+        Baseline(f'random choice, {name}', CHANCE, HUMAN, chosen) for name, chosen in sets.items()
     ]
     if has_rule(domain):
         found += [
-            Contender('hand-written rule, options to their end', RULE),
-            Contender('hand-written rule, at every step', RULE, to_end=False),
+            Baseline('hand-written rule, options to their end', RULE),
+            Baseline('hand-written rule, at every step', RULE, to_end=False),
         ]
     return found
 
 
-def _moves(name: str, domain: Domain[Any], steps: int) -> Contender:
+def _moves(name: str, domain: Domain[Any], steps: int) -> Baseline:
     """Return a plan with primitive actions, with settings that were found by hand."""
-    usual = Contender(name, PLAN, PRIMITIVE, (), steps)
+    usual = Baseline(name, PLAN, PRIMITIVE, (), steps)
     if not isinstance(domain, PacMan):
         return usual
     return replace(usual, gamma=TUNED_MOVES.gamma, how=TUNED_MOVES.sampling)
 
 
-def _interrupted(domain: PacMan, name: str, options: Options, steps: int) -> list[Contender]:
+def _interrupted(domain: PacMan, name: str, options: Options, steps: int) -> list[Baseline]:
     """Return the plans that stop options, with settings that were found by hand."""
     alone, mixed = TUNED[str(domain.parameters['ghosts'])], TUNED_BOTH
     more = f'human+primitive, {name}, interrupted, {GENEROUS}-fold steps'
     return [
-        Contender(
+        Baseline(
             label, PLAN, action_set, options, budget, t.gamma, t.sampling, Execution.INTERRUPTED
         )
         for label, action_set, budget, t in (
@@ -231,7 +231,7 @@ def _curves(
     moved = [carried_over(option, domain) for option in options]
     curves: list[Curve] = []
     measured = (
-        Contender(f'human, {_named(options)}', PLAN, HUMAN, moved),
+        Baseline(f'human, {_named(options)}', PLAN, HUMAN, moved),
         _moves(PRIMITIVE, domain, 0),
     )
     for one in measured:

@@ -12,7 +12,7 @@ import termios
 import time
 from typing import Any
 
-from humanopts_env.environment import LAUNCHER_PID
+from humanopts_ros.environment import LAUNCHER_PID
 from humanopts_teach.launching.processes import ProcessSpec
 
 TAIL_LINES = 12

@@ -124,7 +124,7 @@ def _spec(
 ) -> ProcessSpec:
     common = _patterns(setup.recording) if name == 'recorder' else common_parameters(setup)
     parameters = {**own, **common}
-    return ProcessSpec(name, package, f'{package}.nodes.{module}', parameters, late, terminal)
+    return ProcessSpec(name, package, f'{package}.ros.{module}', parameters, late, terminal)
 
 
 def _recorder(setup: Setup) -> ProcessSpec:

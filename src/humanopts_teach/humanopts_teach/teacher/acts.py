@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from humanopts_env.game import Moment
+from humanopts_env.game import Transition
 from humanopts_teach.dialogue.answers import LessonView, Verdict
 
 
@@ -68,7 +68,7 @@ class Finish:
 Act = Open | Define | Reply | Begin | Drive | End | Wait | Finish
 
 
-def is_seen(act: Act, lesson: LessonView, game: Moment | None, episode: int = 0) -> bool:
+def is_seen(act: Act, lesson: LessonView, game: Transition | None, episode: int = 0) -> bool:
     """
     Tell whether lesson and game show what came of an act.
 

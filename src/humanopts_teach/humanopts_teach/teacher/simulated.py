@@ -25,7 +25,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.reference import ReferenceOption
-from humanopts_env.game import Moment
+from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
 from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
 from humanopts_teach.teacher.acts import Act, Begin, Define, Drive, End, Finish, Open, Reply, Wait
@@ -77,7 +77,7 @@ class SimulatedTeacher:
         self._erred = False  # in the last step
         self._order = self._preference()
 
-    def next_act(self, lesson: LessonView, game: Moment | None) -> Act:
+    def next_act(self, lesson: LessonView, game: Transition | None) -> Act:
         """
         Return what to do next; to be called once for each thing that is done.
 
@@ -89,7 +89,7 @@ class SimulatedTeacher:
             return Wait(f'the lesson to go on; it is paused: {lesson.paused}')
         return act
 
-    def _wanted(self, lesson: LessonView, game: Moment | None) -> Act:
+    def _wanted(self, lesson: LessonView, game: Transition | None) -> Act:
         settings = self._settings
         if (lesson.participant, lesson.session) != (settings.participant, settings.session):
             return Open(settings.participant, settings.session)
@@ -115,7 +115,7 @@ class SimulatedTeacher:
         rng = self._generator('extra_feature', option_name, feature)
         return bool(rng.random() < self._settings.extra_feature_rate)
 
-    def _demonstrate(self, lesson: LessonView, game: Moment | None) -> Act:
+    def _demonstrate(self, lesson: LessonView, game: Transition | None) -> Act:
         if game is None or game.episode != lesson.episode:
             return Wait('the first state of the demonstration')
         number = lesson.n_demonstrations + lesson.n_not_here + 1

@@ -37,7 +37,7 @@ Tell = Callable[[str, float], object]  # what is under way, and the share of the
 
 
 @dataclass(frozen=True)
-class Contender:
+class Baseline:
     """One way to play."""
 
     name: str
@@ -71,7 +71,7 @@ class ComparisonRow:
 
 def compare(
     domain: Domain[Any],
-    contenders: Sequence[Contender],
+    contenders: Sequence[Baseline],
     seed: int,
     games: int = 1000,
     progress: Tell | None = None,
@@ -139,7 +139,7 @@ class _Match:
     games: int
     clock: Clock
 
-    def row(self, contender: Contender, tell: Callable[[float], object]) -> ComparisonRow:
+    def row(self, contender: Baseline, tell: Callable[[float], object]) -> ComparisonRow:
         """
         Have one contender play.
 
@@ -151,7 +151,7 @@ class _Match:
             return self._by_chance(contender)
         return self._by_rule(contender)
 
-    def _planned(self, contender: Contender, tell: Callable[[float], object]) -> ComparisonRow:
+    def _planned(self, contender: Baseline, tell: Callable[[float], object]) -> ComparisonRow:
         def progress(stage: str, fraction: float, sweeps: int, residual: float) -> None:
             if stage == 'models':
                 tell(0.8 * fraction)
@@ -171,7 +171,7 @@ class _Match:
         row = _counted(contender, plan.play(self.seed, self.games))
         return replace(row, game_steps=plan.game_steps, seconds=plan.seconds)
 
-    def _by_chance(self, contender: Contender) -> ComparisonRow:
+    def _by_chance(self, contender: Baseline) -> ComparisonRow:
         batch = batch_domain(self.domain)
         options = [
             LearnedBatchOption(o) if isinstance(o, LearnedOption) else o for o in contender.options
@@ -181,7 +181,7 @@ class _Match:
         returns = play_games(watch, columns, policy, gamma, self.seed, self.games)
         return _counted(contender, returns)
 
-    def _by_rule(self, contender: Contender) -> ComparisonRow:
+    def _by_rule(self, contender: Baseline) -> ComparisonRow:
         domain = self.domain
         if not isinstance(domain, PacMan):
             raise PlanError(f'{domain.name} has no rule that was written by hand')
@@ -198,14 +198,14 @@ class _Match:
         return _row(contender, scores.score, outcomes)
 
 
-def _counted(contender: Contender, returns: GameReturns) -> ComparisonRow:
+def _counted(contender: Baseline, returns: GameReturns) -> ComparisonRow:
     decisions, fallbacks = float(returns.decisions.mean()), float(returns.fallbacks.mean())
     row = _row(contender, returns.total, returns.outcomes)
     return replace(row, decisions=decisions, fallbacks=fallbacks)
 
 
 def _row(
-    contender: Contender, total: NDArray[Any], outcomes: Mapping[str, NDArray[Any]]
+    contender: Baseline, total: NDArray[Any], outcomes: Mapping[str, NDArray[Any]]
 ) -> ComparisonRow:
     return ComparisonRow(
         name=contender.name,

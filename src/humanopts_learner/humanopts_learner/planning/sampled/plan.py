@@ -88,7 +88,7 @@ class SampledPlan:
     columns: Columns
     solution: Solution
     policy: GreedyPolicy
-    going_on: NDArray[np.float64]  # (S, O) of going on where the column cannot start; or -inf
+    continuation_values: NDArray[np.float64]  # (S, O) where the column cannot start; or -inf
     execution: Execution  # that it was sampled by
     margin: float  # reward units; nothing is stopped for less
     watch: Watcher
@@ -127,7 +127,7 @@ class SampledPlan:
     def carried_out(self, execution: Execution | None = None) -> Policy:
         """Return the policy, carried out in a way; None: as it was sampled."""
         execution = self.execution if execution is None else execution
-        return executed(self.policy, self.going_on, execution, self.margin)
+        return executed(self.policy, self.continuation_values, execution, self.margin)
 
     def play(self, seed: int, episodes: int, execution: Execution | None = None) -> GameReturns:
         """
@@ -144,10 +144,10 @@ class SampledPlan:
         return OptionValues(
             action_set=self.action_set,
             names=self.names[: self.first_fallback],
-            situations=codes[order],
-            choosing=self.policy.values[order],
-            going_on=self.going_on[order],
-            slack=self.margin,
+            states=codes[order],
+            option_values=self.policy.values[order],
+            continuation_values=self.continuation_values[order],
+            interruption_margin=self.margin,
             sampled=True,
         )
 
@@ -230,7 +230,7 @@ class _Planning:
         self._pools = how.pooling > 0.0 and self._watch.context != ()
         self._part = budget_steps // how.rounds
         self._policy: GreedyPolicy | None = None
-        self._going_on: NDArray[np.float64] = np.empty((0, 0))
+        self._continuation_values: NDArray[np.float64] = np.empty((0, 0))
         self._solution: Solution | None = None
         self._steps, self._model_seconds, self._sweep_seconds = 0, 0.0, 0.0
 
@@ -266,27 +266,27 @@ class _Planning:
 
     def _pooled(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values of the columns that can be chosen, pooled if that is asked for."""
-        choosing = values[:, : self._columns.first_fallback]
+        option_values = values[:, : self._columns.first_fallback]
         if not self._pools:
-            return choosing
+            return option_values
         codes = self._watch.without_context(self._counts.index.codes)
         group = np.unique(codes, return_inverse=True)[1]
         samples = self._counts.samples[:, : self._columns.first_fallback]
-        return pooled(choosing, samples, group, self._how.pooling)
+        return pooled(option_values, samples, group, self._how.pooling)
 
     def _take(self, values: NDArray[np.float64]) -> None:
         """Make the policy of the values (S, modelled)."""
-        choosing, others = self._pooled(values), values[:, self._columns.first_fallback :]
+        option_values, others = self._pooled(values), values[:, self._columns.first_fallback :]
         if n_options := len(self._columns.options):
-            choosing[:, n_options:] -= self._how.reluctance
-        self._policy = GreedyPolicy(self._columns, self._counts.index.snapshot(), choosing)
-        self._going_on = np.full(choosing.shape, -np.inf)
-        self._going_on[:, : others.shape[1]] = others
+            option_values[:, n_options:] -= self._how.reluctance
+        self._policy = GreedyPolicy(self._columns, self._counts.index.snapshot(), option_values)
+        self._continuation_values = np.full(option_values.shape, -np.inf)
+        self._continuation_values[:, : others.shape[1]] = others
 
     def _arbitrated(self) -> ArbitratedPolicy | None:
         if self._policy is None or self._execution is Execution.RUN_TO_END:
             return None
-        return ArbitratedPolicy(self._policy, self._going_on, self._execution, 0.0)
+        return ArbitratedPolicy(self._policy, self._continuation_values, self._execution, 0.0)
 
     def plan(self) -> SampledPlan:
         """Return the plan of the last round."""
@@ -299,7 +299,7 @@ class _Planning:
             columns=self._columns,
             solution=self._solution,
             policy=self._policy,
-            going_on=self._going_on,
+            continuation_values=self._continuation_values,
             execution=self._execution,
             margin=self._how.margin,
             watch=self._watch,

@@ -100,16 +100,16 @@ class ArbitratedPolicy:
     """
     A greedy policy whose options are interrupted, or run as modules.
 
-    :ivar going_on: (S, O) value of going on with each column where it cannot start; where it can,
-        that is the value of choosing it. -inf where not available.
+    :ivar continuation_values: (S, O) value of going on with each column where it cannot start;
+        where it can, that is the value of choosing it. -inf where not available.
     :ivar execution: not RUN_TO_END.
-    :ivar slack: nothing is stopped for a gain up to this, reward units.
+    :ivar interruption_margin: nothing is stopped for a gain up to this, reward units.
     """
 
     greedy: GreedyPolicy
-    going_on: NDArray[np.float64]
+    continuation_values: NDArray[np.float64]
     execution: Execution
-    slack: float
+    interruption_margin: float
 
     def __call__(self, view: View, rng: np.random.Generator) -> Choice:
         """Return what to run next in each game."""
@@ -135,14 +135,14 @@ class ArbitratedPolicy:
         column = np.where(column < values.shape[1], column, -1)
         anew = choice.column < values.shape[1]
         best = values[np.arange(len(column)), np.where(anew, choice.column, 0)]
-        return stops(values, np.where(anew, best, -np.inf), column, self.slack)
+        return stops(values, np.where(anew, best, -np.inf), column, self.interruption_margin)
 
     def _values(self, view: View, can: Flags) -> NDArray[np.float64]:
         """Return what each column wants to act by, (N, O); -inf: it does not, or unknown."""
         number, seen = self.greedy.index.find(view.codes)
         found = np.where(can, self.greedy.values[number], -np.inf)
         if self.execution is not Execution.MODULAR_MASS:
-            found = np.where(can, found, self.going_on[number])
+            found = np.where(can, found, self.continuation_values[number])
         return np.where(seen[:, None], found, -np.inf)
 
     def _actions(self, view: View) -> Ints:
@@ -153,12 +153,15 @@ class ArbitratedPolicy:
 
 
 def executed(
-    greedy: GreedyPolicy, going_on: NDArray[np.float64], execution: Execution, slack: float
+    greedy: GreedyPolicy,
+    continuation_values: NDArray[np.float64],
+    execution: Execution,
+    interruption_margin: float,
 ) -> GreedyPolicy | ArbitratedPolicy:
     """Return a policy that is carried out in a way; parameters as in ``ArbitratedPolicy``."""
     if execution is Execution.RUN_TO_END:
         return greedy
-    return ArbitratedPolicy(greedy, going_on, execution, slack)
+    return ArbitratedPolicy(greedy, continuation_values, execution, interruption_margin)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,76 @@
+"""
+The yardstick of the graph: a node that answers at once, by rclpy alone.
+
+It takes the messages that game and option_server take, on topics of its own below ``bare``, and
+answers with messages of the same size. It has no rules, numbers nothing, and records nothing.
+"""
+
+import sys
+
+from humanopts_interfaces.action import ExecuteOption
+from humanopts_interfaces.msg import ActionCommand, GameState, OptionResult
+from humanopts_interfaces.srv import RunOption
+from humanopts_ros.node_base import NodeBase, run_node
+from humanopts_ros.qos import CURRENT, STREAM
+from rclpy.action import ActionServer
+from rclpy.action.server import ServerGoalHandle
+
+_RESULT_TIMEOUT = 10  # s, as option_server has it
+
+
+class BenchPeer(NodeBase):
+    """Echoes commands as states, and ends every run before it began."""
+
+    def __init__(self) -> None:
+        super().__init__('bench_peer')
+        self._state: GameState | None = None
+        self._sample = self.create_subscription(GameState, 'current_state', self._keep, CURRENT)
+        self._result = OptionResult(
+            run_id='0' * 36,
+            option_name='go to passenger and pickup',
+            status=OptionResult.STATUS_REACHED,
+            detail='its termination condition holds',
+        )
+        self._states = self.create_publisher(GameState, 'bare/game_state', STREAM)
+        self.create_subscription(ActionCommand, 'bare/action', self._on_command, STREAM)
+        self.create_service(RunOption, 'bare/run_option', self._on_run)
+        self._server = ActionServer(
+            self,
+            ExecuteOption,
+            'bare/execute_option',
+            self._execute,
+            result_timeout=_RESULT_TIMEOUT,
+        )
+
+    def waits_for(self) -> str | None:
+        """Wait for a state of the game, to answer with one of its size."""
+        return None if self._state is not None else 'current_state'
+
+    def on_ready(self) -> None:
+        """Listen to the game no longer."""
+        self.destroy_subscription(self._sample)
+
+    def close(self) -> None:
+        """End the action, which the node does not do by itself."""
+        self._server.destroy()
+
+    def _keep(self, message: GameState) -> None:
+        self._state = message
+
+    def _on_command(self, command: ActionCommand) -> None:
+        self._state.episode, self._state.step = command.episode, command.step + 1
+        self._states.publish(self._state)
+
+    def _on_run(
+        self, request: RunOption.Request, response: RunOption.Response
+    ) -> RunOption.Response:
+        response.result = self._result
+        return response
+
+    def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
+        handle.succeed()
+        return ExecuteOption.Result(result=self._result)
+
+
+if __name__ == '__main__':
+    sys.exit(run_node(BenchPeer))

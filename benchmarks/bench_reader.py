@@ -1,0 +1,65 @@
+"""The yardsticks of the recorder: take raw messages, and write nothing."""
+
+from collections.abc import Callable
+from pathlib import Path
+import sys
+import time
+from typing import Any
+
+from humanopts_ros.node_base import NodeBase, run_node
+from humanopts_ros.qos import STREAM
+from humanopts_teach.ros.raw_subscriber import RawSubscriber
+from rclpy.executors import Executor
+
+from benchmarks.bench_sender import KINDS
+from benchmarks.records import RecordWriter
+
+_LOOK_PERIOD = 0.05  # s between looks at the graph
+_TAKE_PERIOD = 0.004  # s between takes, as the recorder has it while messages come
+_QUIET = 0.1  # s without a message that end it
+
+
+class BenchReader(NodeBase):
+    """Counts messages: taken as the recorder takes them, or one by one by the executor."""
+
+    def __init__(self) -> None:
+        super().__init__('bench_reader')
+        self._path = Path(self.setting('results', '', 'file to write'))
+        self._taken, self._waited = 0, 0
+        if self.setting('polled', True, 'take all that is there every few milliseconds'):
+            prefix = self.get_namespace().rstrip('/')
+            self._topics = {f'{prefix}/{topic}' for topic in KINDS}
+            self._intake = RawSubscriber(self, self.selection)
+            self.create_timer(_LOOK_PERIOD, self._intake.discover)
+            self.create_timer(_TAKE_PERIOD, self._take)
+        else:
+            for topic, kind in KINDS.items():
+                self.create_subscription(kind, topic, self._count, STREAM, raw=True)
+
+    def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
+        """Take messages until the end, and then those that are still on their way."""
+        super().serve(executor, stop)
+        taken = -1
+        while taken != self._taken:
+            taken, end = self._taken, time.monotonic() + _QUIET
+            while time.monotonic() < end:
+                executor.spin_once(_TAKE_PERIOD)
+
+    def close(self) -> None:
+        """Tell how many there were."""
+        with RecordWriter(self._path) as records:
+            records.write(taken=self._taken, waited=self._waited / 1e9)
+
+    def _take(self) -> None:
+        times = [t.received for t in self._intake.take() if t.topic in self._topics]
+        if times:
+            self._taken += len(times)
+            self._waited = max(self._waited, time.time_ns() - times[0])
+
+    def _count(self, data: bytes, information: Any) -> None:
+        self._taken += 1
+        self._waited = max(self._waited, time.time_ns() - information['received_timestamp'])
+
+
+if __name__ == '__main__':
+    sys.exit(run_node(BenchReader))

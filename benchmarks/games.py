@@ -1,0 +1,104 @@
+"""How many game steps a second the batched forms take, beside the single form."""
+
+from collections.abc import Callable
+from functools import partial
+import time
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.seeding import generator
+from humanopts_learner.planning.sampled.games import batch_domain
+import numpy as np
+
+from benchmarks.measured import compare, Comparison, in_turns, OnMeasured
+
+BATCH = 4096  # games
+RULES_TARGET, FEATURES_TARGET = 1e6, 2e5  # steps of Pac-Man a second, on one core
+SEED = 1
+
+
+def game_rows(
+    batch_steps: int = 40,
+    single_steps: int = 2000,
+    repeats: int = 7,
+    progress: OnMeasured | None = None,
+) -> list[Comparison]:
+    """
+    Step games at random, many at once and one by one; games that are over begin again.
+
+    :param batch_steps: steps of all games that one sample takes.
+    :param single_steps: steps of one game that one sample of the yardstick takes.
+    :param repeats: samples behind each median.
+    """
+    forms: list[tuple[str, Domain[Any], Callable[..., float], bool, float | None]] = [
+        ('Pac-Man: rules', PacMan(), _many_pacman, False, RULES_TARGET),
+        ('Pac-Man: rules and every feature', PacMan(), _many_pacman, True, FEATURES_TARGET),
+        ('Taxi: rules', Taxi(), _many_taxi, False, None),
+        ('Taxi: rules and every feature', Taxi(), _many_taxi, True, None),
+    ]
+    rows = []
+    for number, (what, domain, many, features, target) in enumerate(forms):
+        if progress is not None:
+            progress(number / len(forms), what)
+        ours, one = in_turns(
+            [
+                partial(many, domain, batch_steps, features=features),
+                partial(_one, domain, single_steps, features=features),
+            ],
+            repeats,
+        )
+        facts = {'games': BATCH, 'steps': BATCH * batch_steps, 'yardstick_steps': single_steps}
+        rows.append(
+            compare(what, ours, 'the same, one game at a time', one, target=target, facts=facts)
+        )
+    return rows
+
+
+def _many_pacman(domain: PacMan, steps: int, *, features: bool) -> float:
+    """Return the seconds of one step of one game among many."""
+    games, rng = batch_domain(domain), generator(SEED, 'benchmark', 'games')
+    moves = rng.integers(len(domain.actions), size=(steps, BATCH))
+    batch = games.batch_reset(BATCH, rng)
+    began = time.perf_counter()
+    for move in moves:
+        games.batch_step(batch, move, rng)
+        if features:
+            games.batch_features(batch)
+        batch.restart(np.flatnonzero(batch.over))
+    return (time.perf_counter() - began) / (steps * BATCH)
+
+
+def _many_taxi(domain: Taxi, steps: int, *, features: bool) -> float:
+    """Return the seconds of one step of one game among many, by the tables of the rules."""
+    rng, rules = generator(SEED, 'benchmark', 'games'), domain.transitions()
+    successor, reward, ends = (
+        part[:, :, 0] for part in (rules.successor, rules.reward, rules.terminated)
+    )
+    table = domain.feature_table()
+    actions = rng.integers(len(domain.actions), size=(steps, BATCH))
+    state, total = rng.choice(domain.start_states(), BATCH), np.zeros(BATCH)
+    began = time.perf_counter()
+    for action in actions:
+        total += reward[state, action]
+        over = np.flatnonzero(ends[state, action])
+        state = successor[state, action]
+        if features:
+            table[state]
+        state[over] = rng.choice(domain.start_states(), len(over))
+    return (time.perf_counter() - began) / (steps * BATCH)
+
+
+def _one(domain: Domain[Any], steps: int, *, features: bool) -> float:
+    """Return the seconds of one step of the only game."""
+    rng = generator(SEED, 'benchmark', 'game')
+    actions = rng.integers(len(domain.actions), size=steps).tolist()
+    state = domain.reset(rng)
+    began = time.perf_counter()
+    for action in actions:
+        outcome = domain.step(state, action, rng)
+        if features:
+            domain.feature_values(outcome.state)
+        state = domain.reset(rng) if outcome.terminated else outcome.state
+    return (time.perf_counter() - began) / steps

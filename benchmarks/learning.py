@@ -1,0 +1,112 @@
+"""What it costs to learn an option again after a demonstration, as the learner does."""
+
+from collections.abc import Sequence
+from functools import partial
+import time
+from typing import Any
+import uuid
+
+from humanopts_env.domains.reference import TabularReferenceOption
+from humanopts_env.domains.registry import parameters_json
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_learner.options.learn import learn_option, make_dataset
+from humanopts_learner.trees.encoding import encode_rows
+import numpy as np
+
+from benchmarks.measured import compare, Comparison, in_turns, OnMeasured
+from benchmarks.taxi_case import OPTIONS
+
+COUNTS = (10, 20, 40)
+YARDSTICK = 'one scikit-learn tree of the rows of the policy'
+SEED = 1
+
+
+def learning_rows(
+    counts: Sequence[int] = COUNTS, repeats: int = 20, progress: OnMeasured | None = None
+) -> list[Comparison]:
+    """
+    Learn an option of Taxi after some demonstrations, and judge it by the three criteria.
+
+    :param counts: demonstrations, as many as each row is of.
+    :param repeats: samples behind each median.
+    """
+    domain, rows = Taxi(), []
+    shown = demonstrations(domain, reference_options(domain)[OPTIONS[0]], max(counts))
+    for number, count in enumerate(counts):
+        if progress is not None:
+            progress(number / len(counts), f'learning after {count} demonstrations')
+        rows += _rows(shown[:count], domain, repeats)
+    return rows
+
+
+def demonstrations(
+    domain: Taxi, reference: TabularReferenceOption, count: int
+) -> list[Demonstration]:
+    """Show a reference option from start states that are drawn, without errors."""
+    rng = generator(SEED, 'benchmark', 'starts', reference.name)
+    starts = rng.choice(np.flatnonzero(reference.initiation), count)
+    return [_show(domain, reference, int(start), n) for n, start in enumerate(starts, start=1)]
+
+
+def _show(
+    domain: Taxi, reference: TabularReferenceOption, start: int, number: int
+) -> Demonstration:
+    rng = generator(SEED, 'benchmark', 'demonstration', number)
+    states, over = [domain.state_at(start)], False
+    actions: list[str] = []
+    rewards: list[float] = []
+    while not actions or not (over or reference.ends(states[-1])):
+        action = reference.optimal_actions(states[-1])[0]
+        outcome = domain.step(states[-1], action, rng)
+        states.append(outcome.state)
+        actions.append(domain.actions[action].name)
+        rewards.append(outcome.reward)
+        over = outcome.terminated
+    return Demonstration(
+        kind=Kind.TRAJECTORY,
+        uuid=str(uuid.UUID(bytes=rng.bytes(16), version=4)),
+        domain=domain.name,
+        domain_parameters=parameters_json(domain),
+        participant='benchmark',
+        session='benchmark',
+        option_name=reference.name,
+        number=number,
+        chosen_features=reference.features,
+        feature_names=tuple(feature.name for feature in domain.features),
+        features=tuple(tuple(domain.feature_values(state).tolist()) for state in states),
+        states=tuple(domain.encode(state) for state in states),
+        actions=tuple(actions),
+        rewards=tuple(rewards),
+        terminated=over,
+    )
+
+
+def _rows(shown: Sequence[Demonstration], domain: Taxi, repeats: int) -> list[Comparison]:
+    from sklearn.tree import DecisionTreeClassifier
+
+    data = make_dataset(shown, domain)
+    X, y = encode_rows(data.columns, data.policy.rows), data.policy.labels
+    option = learn_option(shown, domain, SEED)
+    works = {
+        'three trees fitted': partial(learn_option, shown, domain, SEED),
+        'the criteria judged': partial(judge, shown, domain, Thresholds(), SEED, option),
+        YARDSTICK: lambda: DecisionTreeClassifier(random_state=SEED).fit(X, y),
+    }
+    *ours, yardstick = in_turns([partial(_seconds, work) for work in works.values()], repeats)
+    facts = {'demonstrations': len(shown), 'rows': len(X)}
+    return [
+        compare(
+            f'after {len(shown)} demonstrations: {what}', own, YARDSTICK, yardstick, facts=facts
+        )
+        for what, own in zip(works, ours)
+    ]
+
+
+def _seconds(work: Any) -> float:
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began

@@ -1,0 +1,173 @@
+"""
+A lesson in one process: the dialogue, the game, the learner and a simulated teacher, without ROS.
+
+It is made of the parts that the nodes are made of and asks them in the same order, so the same
+settings and seed give the same demonstrations as a lesson over the graph.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+import tempfile
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.registry import reference_options
+from humanopts_env.game import Accepted, Command, Game, Source, Transition
+from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.options.files import option_to_json
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption
+from humanopts_teach.demos.store import DemonstrationStore
+from humanopts_teach.dialogue.answers import Answer, Progress
+from humanopts_teach.dialogue.learned_starts import LearnedStarts
+from humanopts_teach.dialogue.lesson import Lesson, LessonRules
+from humanopts_teach.teacher.acts import Act, Begin, Define, Drive, End, Finish, Open, Reply
+from humanopts_teach.teacher.simulated import SimulatedTeacher, TeacherError, TeacherSettings
+
+# What a person is taken to need for one act, s: a simulated one needs no time of its own.
+SECONDS = {Define: 5.0, Reply: 3.0, Begin: 2.0, Drive: 0.5, End: 1.0}
+
+# Tells whether an option is taught well enough; called after each of its demonstrations, with all
+# of them, from the first trajectory on.
+Enough = Callable[[Sequence[Demonstration], LearnedOption], bool]
+
+
+class LessonError(RuntimeError):
+    """The lesson cannot go on; the text says why."""
+
+
+@dataclass(frozen=True)
+class Taught:
+    """What a lesson came to."""
+
+    demonstrations: tuple[Demonstration, ...]  # of all options, in order
+    options: tuple[LearnedOption, ...]  # the last of each option
+    seconds: float  # that a person would have needed, by ``SECONDS``
+    cut_short: str  # why the teacher gave up, in words; empty: it taught everything
+
+
+def teach(
+    domain: Domain[Any],
+    teacher: TeacherSettings,
+    rules: LessonRules,
+    enough: Enough,
+    *,
+    until_no_failures: bool = False,
+) -> Taught:
+    """
+    Have a simulated teacher teach options, one after another.
+
+    :param rules: of the lesson; its seed is the learner's too.
+    :param until_no_failures: as the parameter of the node ``lesson``.
+    :raises TeacherError: there is no such option to teach, or a setting is wrong.
+    :raises LessonError: an act of the teacher was refused.
+    """
+    with (
+        tempfile.TemporaryDirectory(prefix='humanopts-') as folder,
+        DemonstrationStore(Path(folder)) as store,
+    ):
+        lesson = _InProcess(domain, teacher, rules, enough, store, until_no_failures)
+        return lesson.run()
+
+
+class _InProcess:
+    def __init__(
+        self,
+        domain: Domain[Any],
+        teacher: TeacherSettings,
+        rules: LessonRules,
+        enough: Enough,
+        store: DemonstrationStore,
+        until_no_failures: bool,
+    ) -> None:
+        self._domain, self._seed, self._enough = domain, rules.seed, enough
+        self._seconds = 0.0
+        self._teacher = SimulatedTeacher(domain, reference_options(domain), teacher)
+        self._starts = LearnedStarts(domain, rules.strategy, until_no_failures=until_no_failures)
+        self._lesson = Lesson(
+            domain, store, self._starts, rules, clock=lambda: self._seconds, today=lambda: ''
+        )
+        self._game = Game(domain)
+        self._moment: Transition | None = None
+        self._options: dict[str, LearnedOption] = {}
+        self._progress: dict[str, Progress] = {}  # by option
+
+    def run(self) -> Taught:
+        """Do what the teacher does next, until it is done or gives up."""
+        cut_short = ''
+        try:
+            while not isinstance(
+                act := self._teacher.next_act(self._lesson.view, self._moment), Finish
+            ):
+                self._do(act)
+        except TeacherError as error:
+            cut_short = str(error)
+        demonstrations = tuple(self._lesson.demonstrations())
+        return Taught(demonstrations, tuple(self._options.values()), self._seconds, cut_short)
+
+    def _do(self, act: Act) -> None:
+        self._seconds += SECONDS.get(type(act), 0.0)
+        lesson = self._lesson
+        match act:
+            case Open():
+                _check(lesson.open_session(act.participant, act.session))
+            case Define():
+                _check(lesson.define_option(act.option_name))
+            case Reply():
+                lesson.answer_question(act.question_id, act.yes)
+            case Begin():
+                self._begin()
+            case Drive():
+                self._drive(act)
+            case End():
+                self._end(act)
+            case _:
+                raise LessonError(f'the teacher waits for {act}, and nothing is under way')
+
+    def _begin(self) -> None:
+        prepared = _check(self._lesson.prepare())
+        moment = self._game.reset(prepared.state, prepared.seed, Source.PERSON).moment
+        if moment is None:
+            raise LessonError(f'the game does not begin in {prepared.state}')
+        self._lesson.began(moment.episode, moment.state)
+        self._see(moment)
+
+    def _drive(self, act: Drive) -> None:
+        command = Command('teacher', 0, Source.PERSON, act.episode, act.step, act.action)
+        reply = self._game.command(command)
+        if not isinstance(reply, Accepted):
+            raise LessonError(f'the game refused {act.action}: {reply.detail}')
+        self._see(reply.moment)
+
+    def _see(self, moment: Transition) -> None:
+        self._moment = moment
+        self._lesson.saw(moment)
+
+    def _end(self, act: End) -> None:
+        answer = _check(
+            self._lesson.end_demonstration(
+                act.verdict, act.episode, act.step, act.can_start_at_end
+            )
+        )
+        if answer.demonstration is not None:
+            self._learn(answer.demonstration)
+
+    def _learn(self, newest: Demonstration) -> None:
+        """Do the part of the learner, and tell the lesson."""
+        name, enough = newest.option_name, False
+        shown = [d for d in self._lesson.demonstrations() if d.option_name == name]
+        features = newest.chosen_features
+        if any(demo.kind is Kind.TRAJECTORY for demo in shown):
+            option = self._options[name] = learn_option(shown, self._domain, self._seed)
+            features = option.features
+            self._starts.learned(newest.participant, name, option_to_json(option, []))
+            enough = self._enough(shown, option)
+        self._progress[name] = Progress(newest.participant, name, features, newest.uuid, enough)
+        self._lesson.learner_said(list(self._progress.values()))
+
+
+def _check(answer: Answer) -> Answer:
+    if not answer.ok:
+        raise LessonError(answer.detail)
+    return answer

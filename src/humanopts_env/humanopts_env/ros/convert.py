@@ -1,0 +1,99 @@
+"""Messages to domain values and back: the only module of this package that knows both."""
+
+from collections.abc import Hashable
+from dataclasses import asdict, fields
+from typing import Any
+
+from humanopts_env.domains.base import Domain, DomainError, FeatureKind
+from humanopts_env.domains.registry import domain_from_json, parameters_json
+from humanopts_env.game import Command, Control, Refused, Transition
+from humanopts_interfaces.msg import (
+    ActionCommand,
+    ActionInfo,
+    ActionRefusal,
+    ControlState,
+    DomainInfo,
+    FeatureInfo,
+    GameState,
+)
+
+_KINDS = {
+    FeatureKind.ORDINAL: FeatureInfo.KIND_ORDINAL,
+    FeatureKind.NOMINAL: FeatureInfo.KIND_NOMINAL,
+}
+
+
+def domain_to_info(domain: Domain[Any]) -> DomainInfo:
+    """Describe a domain; header, publisher_id and sequence are left to the publisher."""
+    return DomainInfo(
+        domain=domain.name,
+        parameters=parameters_json(domain),
+        gamma=domain.gamma,
+        max_steps=domain.max_steps,
+        features=[
+            FeatureInfo(
+                name=feature.name,
+                question=feature.question,
+                kind=_KINDS[feature.kind],
+                value_names=list(feature.values),
+            )
+            for feature in domain.features
+        ],
+        actions=[
+            ActionInfo(name=action.name, key=action.key, description=action.description)
+            for action in domain.actions
+        ],
+    )
+
+
+def domain_from_info(info: DomainInfo) -> Domain[Hashable]:
+    """
+    Build the domain that game announced.
+
+    :raises DomainError: it is not registered here, or its features or actions are other ones.
+    """
+    domain = domain_from_json(info.domain, info.parameters)
+    here = domain_to_info(domain)
+    if here.features != info.features or here.actions != info.actions:
+        raise DomainError(
+            f'game plays another version of {info.domain}: its features or actions differ from '
+            'those installed here'
+        )
+    return domain
+
+
+def transition_to_message(moment: Transition) -> GameState:
+    """Encode where the game is; header, publisher_id and sequence are left to the publisher."""
+    values = asdict(moment)
+    values['features'] = list(moment.features)
+    values['action_source'] = int(moment.action_source)
+    return GameState(**values)
+
+
+def command_from_message(message: ActionCommand) -> Command:
+    """Decode a command."""
+    names = (field.name for field in fields(Command))
+    return Command(**{name: getattr(message, name) for name in names})
+
+
+def refusal_to_message(refused: Refused) -> ActionRefusal:
+    """Encode a refusal."""
+    command = refused.command
+    return ActionRefusal(
+        reason=int(refused.reason),
+        detail=refused.detail,
+        command_publisher_id=command.publisher_id,
+        command_sequence=command.sequence,
+        command_episode=command.episode,
+        command_step=command.step,
+        command_action=command.action,
+        episode=refused.episode,
+        step=refused.step,
+    )
+
+
+def control_to_message(control: Control) -> ControlState:
+    """Encode who drives."""
+    return ControlState(
+        holder=int(control.holder), holder_id=control.holder_id, reason=control.reason
+    )

@@ -1,0 +1,183 @@
+"""The node ``game``: owns the game, and takes one command a step."""
+
+from collections import deque
+import json
+import sys
+from typing import Any
+
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.registry import domain_from_json
+from humanopts_env.game import Accepted, Control, Game, Holder, Source, Transition
+from humanopts_env.pacing import Pacing, Result
+from humanopts_env.ros.convert import (
+    command_from_message,
+    control_to_message,
+    domain_to_info,
+    refusal_to_message,
+    transition_to_message,
+)
+from humanopts_interfaces.msg import (
+    ActionCommand,
+    ActionRefusal,
+    ControlState,
+    DomainInfo,
+    GameState,
+    NodeStatus,
+)
+from humanopts_interfaces.srv import ResetGame, SetControl
+from humanopts_ros.node_base import (
+    NodeBase,
+    PublishError,
+    run_node,
+    StampedPublisher,
+    StartError,
+)
+from humanopts_ros.qos import LATCHED, STREAM
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange
+
+_RETRY_PERIOD = 0.5  # s between attempts to send what could not be sent
+_HOLDER_PERIOD = 1.0  # s between looks whether the person's terminal is still there
+_HOLDER_LOOKS = 2  # that must miss it in a row, since a new node is heard before it is listed
+
+
+class GameNode(NodeBase):
+    """Publishes what the game comes to, and refuses in words what it does not take."""
+
+    def __init__(self) -> None:
+        super().__init__('game')
+        self._game = Game(self._read_domain())
+        natural = IntegerRange(from_value=0, to_value=2**62, step=1)
+        self._seed = self.setting('seed', 0, 'of the first episode', integer_range=[natural])
+        self._period = self.setting(
+            'step_period',
+            0.0,
+            'least time between steps of the machine, s, for people who watch',
+            floating_point_range=[FloatingPointRange(from_value=0.0, to_value=60.0)],
+        )
+        self._info = self.stamped_publisher(DomainInfo, 'domain_info', LATCHED)
+        self._stream = self.stamped_publisher(GameState, 'game_state')
+        self._current = self.stamped_publisher(GameState, 'current_state', LATCHED)
+        self._control = self.stamped_publisher(ControlState, 'control', LATCHED)
+        self._refusals = self.stamped_publisher(ActionRefusal, 'action_refused')
+        self.create_subscription(ActionCommand, 'action', self._on_action, STREAM)
+        self.recorded_service(ResetGame, 'reset_game', self._on_reset)
+        self.recorded_service(SetControl, 'set_control', self._on_set_control)
+        topics = (self._stream, self._current, self._control, self._refusals)
+        self._unsent: dict[StampedPublisher[Any], deque[Any]] = {t: deque() for t in topics}
+        self._pacing = Pacing(self._game)
+        self._pace = self.create_timer(self._period or 1.0, self._on_pace, autostart=False)
+        self._retry = self.create_timer(_RETRY_PERIOD, self._on_retry, autostart=False)
+        self._holder_missed = 0
+        self.create_timer(_HOLDER_PERIOD, self._check_holder)
+
+    def on_ready(self) -> None:
+        """Announce the rules, and begin a first episode."""
+        self._info.publish(domain_to_info(self._game.domain))
+        self._send_control(self._game.control)
+        self._game.reset('', self._seed, Source.MACHINE)
+        self._send_moment(self._game.moment)
+
+    def _read_domain(self) -> Domain:
+        name = self.setting('domain', 'taxi', 'registered name of the domain')
+        parameters = self.setting('domain_parameters', '{}', 'JSON object of its parameters')
+        try:
+            return domain_from_json(name, parameters)
+        except (DomainError, json.JSONDecodeError) as error:
+            raise StartError(str(error)) from error
+
+    def _on_action(self, message: ActionCommand) -> None:
+        command = command_from_message(message)
+        if not self._period:
+            self._send_result(self._game.command(command))
+            return
+        for result in self._pacing.offer(command):
+            self._send_result(result)
+        if self._pacing.waiting is command:
+            self._pace.reset()
+
+    def _on_pace(self) -> None:
+        self._pace.cancel()
+        for result in self._pacing.due():
+            self._send_result(result)
+
+    def _send_result(self, result: Result) -> None:
+        if not isinstance(result, Accepted):
+            self._send(self._refusals, refusal_to_message(result))
+            return
+        if result.control is not None:
+            self._send_control(result.control)
+        self._send_moment(result.moment)
+
+    def _on_reset(
+        self, request: ResetGame.Request, response: ResetGame.Response
+    ) -> ResetGame.Response:
+        reply = self._game.reset(request.start_state, request.seed, request.source)
+        response.status, response.detail = int(reply.status), reply.detail
+        if reply.moment is not None:
+            response.episode, response.state = reply.moment.episode, reply.moment.state
+            self._send_moment(reply.moment)
+        return response
+
+    def _on_set_control(
+        self, request: SetControl.Request, response: SetControl.Response
+    ) -> SetControl.Response:
+        reply = self._game.set_control(request.hold, request.holder_id)
+        response.status, response.detail = int(reply.status), reply.detail
+        if reply.control is not None:
+            self._send_control(reply.control)
+        return response
+
+    def _check_holder(self) -> None:
+        """Free control that a terminal holds which is no longer there."""
+        control = self._game.control
+        name = control.holder_id.split('#')[0]
+        there = {
+            f'{space.rstrip("/")}/{node}' for node, space in self.get_node_names_and_namespaces()
+        }
+        missing = control.holder is Holder.PERSON and name.startswith('/') and name not in there
+        self._holder_missed = self._holder_missed + 1 if missing else 0
+        if self._holder_missed == _HOLDER_LOOKS:
+            self._send_control(self._game.release(f'the terminal {name} is gone'))
+
+    def _send_control(self, control: Control) -> None:
+        self._send(self._control, control_to_message(control))
+
+    def _send_moment(self, moment: Transition) -> None:
+        for publisher in (self._stream, self._current):
+            self._send(publisher, transition_to_message(moment))
+
+    def _send(self, publisher: StampedPublisher[Any], message: Any) -> None:
+        """Publish a message; where something waits on its topic already, it waits behind it."""
+        self._unsent[publisher].append(message)
+        if len(self._unsent[publisher]) == 1:
+            self._push(publisher)
+
+    def _push(self, publisher: StampedPublisher[Any]) -> None:
+        """Publish what waits on a topic, in order; where that fails, pause until it can be."""
+        waiting = self._unsent[publisher]
+        try:
+            while waiting:
+                publisher.publish(waiting[0])
+                waiting.popleft()
+        except PublishError as error:
+            self._retry.reset()
+            if not self._game.paused:
+                self._game.paused = str(error)
+                self.set_status(NodeStatus.STATE_PAUSED, str(error))
+
+    def _on_retry(self) -> None:
+        self._retry.cancel()
+        for publisher in self._unsent:
+            self._push(publisher)
+        if not any(self._unsent.values()):
+            self._game.paused = ''
+            self.set_status(NodeStatus.STATE_READY)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(GameNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

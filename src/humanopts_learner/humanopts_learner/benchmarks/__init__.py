@@ -1,1 +1,0 @@
-"""Benchmarks of planning and learning, each beside a yardstick measured in the same run."""

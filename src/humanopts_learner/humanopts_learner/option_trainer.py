@@ -1,0 +1,121 @@
+"""The learner's side of a lesson: the data set, and what is learned from it so far."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_learner.demonstrations import (
+    check_demonstration,
+    Demonstration,
+    DemonstrationError,
+    group_by_option,
+)
+from humanopts_learner.journal import Journal
+from humanopts_learner.options.criteria import judge, Judgement, Thresholds
+from humanopts_learner.options.files import option_to_json, remove_option, save_option
+from humanopts_learner.options.learn import learn_option, NotLearnableError
+from humanopts_learner.options.option import LearnedOption
+
+DATA_SET = 'demonstrations.jsonl'
+
+
+class CourseError(RuntimeError):
+    """The data set cannot be read or written; the text says why."""
+
+
+@dataclass(frozen=True)
+class OptionProgress:
+    """What is known of one option of one participant."""
+
+    demonstrations: list[Demonstration]
+    option: LearnedOption | None  # None while there is no trajectory
+    judgement: Judgement | None
+    file: str  # the option as data, without its demonstrations; empty without an option
+
+
+class OptionTrainer:
+    """All demonstrations of a domain, kept on disk, and the options learned from them."""
+
+    def __init__(
+        self, directory: Path, domain: Domain[Any], thresholds: Thresholds, seed: int
+    ) -> None:
+        """
+        Open the folder and learn again from what it holds.
+
+        :raises CourseError: the folder cannot be used.
+        """
+        self._directory, self._domain = directory, domain
+        self._thresholds, self._seed = thresholds, seed
+        self.problems: list[str] = []  # what in the folder could not be used, in words
+        self._demos: list[Demonstration] = []
+        self._progress: dict[tuple[str, str], OptionProgress] = {}
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            self._journal = Journal(directory / DATA_SET)
+        except OSError as error:
+            raise CourseError(f'cannot use the folder {directory}: {error.strerror}') from error
+        self._load()
+
+    def take(self, demo: Demonstration) -> bool:
+        """
+        Keep a demonstration and learn from it, or from what is left when it is withdrawn.
+
+        :return: False when it is known already, or was withdrawn, and nothing changed.
+        :raises DemonstrationError: it cannot be used; it is not kept.
+        :raises CourseError: it could not be written; it is not kept.
+        """
+        if any(k.uuid == demo.uuid and k.withdrawn >= demo.withdrawn for k in self._demos):
+            return False
+        check_demonstration(demo, self._domain)
+        try:
+            self._journal.append(demo.to_json())
+        except OSError as error:
+            raise CourseError(f'cannot write {self._journal.path}: {error.strerror}') from error
+        self._demos.append(demo)
+        self._learn(demo.participant, demo.option_name)
+        return True
+
+    def progress(self) -> list[OptionProgress]:
+        """Return what is known of every option, in order of first demonstration."""
+        return list(self._progress.values())
+
+    def _load(self) -> None:
+        if self._journal.damage:
+            self.problems.append(self._journal.damage)
+        for number, line in enumerate(self._journal.lines, start=1):
+            try:
+                demo = Demonstration.from_json(line)
+                check_demonstration(demo, self._domain)
+                self._demos.append(demo)
+            except DemonstrationError as error:
+                self.problems.append(f'line {number} of {self._journal.path} is left out: {error}')
+        for whose in dict.fromkeys((demo.participant, demo.option_name) for demo in self._demos):
+            self._learn(*whose)
+
+    def _learn(self, participant: str, option_name: str) -> None:
+        key = participant, option_name
+        demos = group_by_option(self._demos).get(key, [])
+        try:
+            option = learn_option(demos, self._domain, self._seed)
+        except NotLearnableError:
+            self._unlearn(participant, option_name, demos)
+            return
+        judgement = judge(demos, self._domain, self._thresholds, self._seed, option)
+        try:
+            save_option(self._directory, option, demos)
+        except OSError as error:
+            self.problems.append(f'cannot write the file of {option_name!r}: {error}')
+        file = option_to_json(option, [])
+        self._progress[key] = OptionProgress(demos, option, judgement, file)
+
+    def _unlearn(self, participant: str, option_name: str, demos: list[Demonstration]) -> None:
+        """Forget the option that was learned from what is withdrawn, if there was one."""
+        try:
+            remove_option(self._directory, participant, option_name)
+        except OSError as error:
+            self.problems.append(f'cannot remove the file of {option_name!r}: {error}')
+        if demos:
+            self._progress[participant, option_name] = OptionProgress(demos, None, None, '')
+        else:
+            self._progress.pop((participant, option_name), None)

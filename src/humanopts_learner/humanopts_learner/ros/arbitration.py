@@ -1,0 +1,113 @@
+"""What option_server knows of plans: option values and executions, as planner publishes them."""
+
+from operator import is_
+import time
+
+from humanopts_env.domains.base import Domain
+from humanopts_interfaces.msg import ExecutionState, OptionValues
+from humanopts_learner.library import OptionLibrary, RunnableOption
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.live import Arbiter, make_arbiter
+from humanopts_learner.ros.convert import option_values_from_message
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.qos import CURRENT
+from rclpy.task import Future
+
+
+class Arbitration:
+    """Keeps the newest option values, makes arbiters of them, and follows executions."""
+
+    def __init__(self, node: NodeBase, patience: float) -> None:
+        """
+        Subscribe.
+
+        :param patience: s to wait for the values of a plan.
+        """
+        self._patience = patience
+        self._message: OptionValues | None = None
+        self._state: ExecutionState | None = None
+        self._arbiters: dict[Execution, Arbiter] = {}  # by the newest values, for these options
+        self._made_for: tuple[OptionLibrary | None, list[LearnedOption]] = (None, [])
+        self._waiting: list[tuple[str, Future, float]] = []  # plan_id, deadline
+        node.create_subscription(OptionValues, 'option_values', self._on_values, CURRENT)
+        node.create_subscription(ExecutionState, 'execution', self._on_execution, CURRENT)
+
+    def has(self, plan_id: str) -> bool:
+        """Tell whether the values of a plan are here."""
+        return self._message is not None and self._message.plan_id == plan_id
+
+    async def arrival(self, plan_id: str) -> bool:
+        """Wait for the values of a plan; False: they do not come."""
+        if self.has(plan_id):
+            return True
+        arrival: Future = Future()
+        self._waiting.append((plan_id, arrival, time.monotonic() + self._patience))
+        return bool(await arrival)
+
+    def check_deadlines(self, now: float) -> None:
+        """Give up on values that do not come; at infinity, on all."""
+        for _, arrival, deadline in self._waiting:
+            if now > deadline:
+                arrival.set_result(False)
+        self._waiting = [entry for entry in self._waiting if not entry[1].done()]
+
+    def newest_plan(self) -> str:
+        """Return the plan whose values are here, in words."""
+        return f'there are those of {self._message.plan_id}' if self._message else 'none came yet'
+
+    def arbiter(self, execution: Execution, domain: Domain, library: OptionLibrary) -> Arbiter:
+        """
+        Return the arbiter of the plan whose values are here.
+
+        :raises UnknownOptionError: an option of the plan is not in the library.
+        :raises ValueError: the values do not fit the options or the domain.
+        """
+        assert self._message is not None
+        found = self.options(library).values()
+        options = [option for option in found if isinstance(option, LearnedOption)]
+        known, before = self._made_for
+        if known is not library or not all(map(is_, options, before)):
+            self._made_for, self._arbiters = (library, options), {}
+        if execution not in self._arbiters:
+            values = option_values_from_message(self._message)
+            self._arbiters[execution] = make_arbiter(values, execution, domain, options)
+        return self._arbiters[execution]
+
+    def options(self, library: OptionLibrary) -> dict[str, RunnableOption]:
+        """
+        Return by name all that can act by the plan whose values are here, primitives too.
+
+        :raises UnknownOptionError: an option of the plan is not in the library.
+        """
+        assert self._message is not None
+        who, names = self._message.participant, [*self._message.names, *library.primitive_names]
+        return {name: library.resolve(name, who) for name in names}
+
+    def wanted(self, execution: Execution, sequence: int, plan_id: str) -> Execution:
+        """
+        Return the execution that a run shall have now.
+
+        :param execution: that it was asked for with.
+        :param sequence: of the ExecutionState that this is from; 0: it never changes.
+        """
+        state = self._state
+        newer = state is not None and 0 < sequence < state.sequence
+        if state is None or not newer or state.plan_id != plan_id:
+            return execution
+        return Execution(state.execution)
+
+    def canceled(self, sequence: int) -> bool:
+        """Tell whether the policy run of a run is to end; ``sequence`` as in ``wanted``."""
+        state = self._state
+        return state is not None and 0 < sequence < state.sequence and state.canceled
+
+    def _on_values(self, message: OptionValues) -> None:
+        self._message, self._arbiters = message, {}
+        for plan_id, arrival, _ in self._waiting:
+            if plan_id == message.plan_id:
+                arrival.set_result(True)
+        self._waiting = [entry for entry in self._waiting if not entry[1].done()]
+
+    def _on_execution(self, message: ExecutionState) -> None:
+        self._state = message

@@ -1,0 +1,218 @@
+"""Messages to learning and planning values and back: the one module here that knows both."""
+
+from array import array
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+import math
+from typing import Any
+
+from humanopts_interfaces import msg
+from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
+from humanopts_learner.execution import End
+from humanopts_learner.options.criteria import Judgement
+from humanopts_learner.options.files import option_from_json
+from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.planning.any_domain import AnyPlan, Performance, PlanRequest
+from humanopts_learner.planning.arbitration import OptionValues
+import numpy as np
+
+
+def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
+    """Encode a demonstration; header, publisher_id and sequence are left to the publisher."""
+    return msg.Demonstration(
+        kind=KIND_NUMBERS[demo.kind],
+        uuid=demo.uuid,
+        domain=demo.domain,
+        domain_parameters=demo.domain_parameters,
+        participant=demo.participant,
+        session=demo.session,
+        option_name=demo.option_name,
+        number=demo.number,
+        chosen_features=list(demo.chosen_features),
+        feature_names=list(demo.feature_names),
+        features=[value for row in demo.features for value in row],
+        states=list(demo.states),
+        actions=list(demo.actions),
+        rewards=list(demo.rewards),
+        terminated=demo.terminated,
+        can_start_at_end=demo.can_start_at_end,
+        seconds=demo.seconds,
+        withdrawn=demo.withdrawn,
+    )
+
+
+def status_to_message(option: LearnedOption, judgement: Judgement) -> msg.OptionStatus:
+    """Say how far an option is learned."""
+    return msg.OptionStatus(
+        option_name=option.name,
+        participant=option.participant,
+        features=list(option.features),
+        n_demonstrations=option.n_demonstrations,
+        n_not_here=option.n_not_here,
+        last_uuid=option.uuids[-1],
+        criteria=[
+            msg.Criterion(
+                name=criterion.name,
+                value=math.nan if criterion.value is None else criterion.value,
+                threshold=criterion.threshold,
+                measurable=criterion.measurable,
+                met=criterion.met,
+            )
+            for criterion in judgement.criteria
+        ],
+        criteria_met=judgement.criteria_met,
+        mean_return_demonstrations=judgement.mean_return_demonstrations,
+        mean_return_policy=judgement.mean_return_policy,
+        more_needed=judgement.more_needed,
+        conflicts=list(judgement.conflicts),
+        suggested_feature=judgement.suggested_feature or '',
+    )
+
+
+def not_learnable_status(demos: list[Demonstration]) -> msg.OptionStatus:
+    """Say that there are only "not here" answers so far."""
+    newest = demos[-1]
+    return msg.OptionStatus(
+        option_name=newest.option_name,
+        participant=newest.participant,
+        features=list(newest.chosen_features),
+        n_not_here=len(demos),
+        last_uuid=newest.uuid,
+        mean_return_demonstrations=math.nan,
+        mean_return_policy=math.nan,
+        more_needed=-1,
+    )
+
+
+def options_from_message(message: msg.LearnedOptions) -> tuple[list[LearnedOption], list[str]]:
+    """Return the options that can be read, and what is wrong with the others."""
+    options, problems = [], []
+    for entry in message.options:
+        try:
+            options.append(option_from_json(entry.model)[0])
+        except OptionError as error:
+            problems.append(f'{entry.name!r} in learned_options: {error}')
+    return options, problems
+
+
+def plan_request_from_goal(goal: Any) -> PlanRequest:
+    """Decode what a plan shall be from a goal of the action plan."""
+    return PlanRequest(
+        action_set=goal.action_set,
+        gamma=goal.gamma,
+        tol=goal.tolerance,
+        max_sweeps=goal.max_sweeps,
+        game_steps=goal.game_steps,
+        seed=goal.seed,
+    )
+
+
+def plan_goal_to_message(
+    goal: Any, plan_id: str, request: PlanRequest, options: Sequence[LearnedOption]
+) -> msg.PlanGoal:
+    """
+    Say what is being planned.
+
+    :param goal: of the action plan.
+    :param request: in force.
+    :param options: to plan with.
+    """
+    return msg.PlanGoal(
+        plan_id=plan_id,
+        action_set=request.action_set,
+        participant=goal.participant,
+        options=[option.name for option in options],
+        gamma=request.gamma,
+        tolerance=request.tol,
+        max_sweeps=request.max_sweeps,
+        game_steps=request.game_steps,
+        evaluation_episodes=goal.evaluation_episodes,
+        seed=request.seed,
+    )
+
+
+def refused_plan(action_set: str) -> msg.PlanResult:
+    """Return a result without a plan; status and detail are left to the caller."""
+    return msg.PlanResult(action_set=action_set, **_performance_fields(None))
+
+
+def plan_to_message(
+    plan: AnyPlan, plan_id: str, performance: Performance | None
+) -> msg.PlanResult:
+    """Say what planning came to, and how the plan did in the episodes it was judged by."""
+    solution, result = plan.solution, msg.PlanResult
+    return msg.PlanResult(
+        status=result.STATUS_CONVERGED if solution.converged else result.STATUS_NOT_CONVERGED,
+        detail='' if solution.converged else f'not converged after {solution.sweeps} sweeps',
+        plan_id=plan_id,
+        action_set=plan.action_set,
+        option_names=list(plan.names),
+        gamma=plan.gamma,
+        n_states=len(solution.values),
+        game_steps=plan.game_steps,
+        table_seconds=plan.table_seconds,
+        model_seconds=plan.model_seconds,
+        sweep_seconds=plan.sweep_seconds,
+        sweeps=solution.sweeps,
+        residual=solution.residual,
+        converged=solution.converged,
+        **_performance_fields(performance),
+    )
+
+
+def _performance_fields(found: Performance | None) -> dict[str, Any]:
+    """Return the fields of ``PlanResult`` that say how a plan did."""
+    if found is None:
+        names = ('mean_return', 'mean_return_low', 'mean_return_high', 'mean_discounted_return')
+        return dict.fromkeys(names, math.nan)
+    outcomes = found.outcomes.values()
+    return {
+        'evaluation_episodes': found.episodes,
+        'mean_return': found.total.mean,
+        'mean_return_low': found.total.low,
+        'mean_return_high': found.total.high,
+        'mean_discounted_return': found.discounted.mean,
+        'fallbacks': found.fallbacks,
+        'outcome_names': list(found.outcomes),
+        'outcome_means': [interval.mean for interval in outcomes],
+        'outcome_low': [interval.low for interval in outcomes],
+        'outcome_high': [interval.high for interval in outcomes],
+    }
+
+
+def option_values_to_message(
+    values: OptionValues, plan_id: str, participant: str
+) -> msg.OptionValues:
+    """Encode what arbitration needs; arrays keep their bytes, since there may be millions."""
+    parts = values.flat()
+    for name, code in (('states', 'q'), ('option_values', 'd'), ('continuation_values', 'd')):
+        parts[name] = array(code, np.ascontiguousarray(parts[name]).tobytes())
+    return msg.OptionValues(plan_id=plan_id, participant=participant, **parts)
+
+
+def option_values_from_message(message: msg.OptionValues) -> OptionValues:
+    """
+    Decode what arbitration needs.
+
+    :raises ModelError: the parts contradict each other.
+    """
+    names = [part.name for part in fields(OptionValues)]
+    return OptionValues.from_flat({name: getattr(message, name) for name in names})
+
+
+def end_to_message(end: End, run_id: str, execution: str = '') -> msg.OptionResult:
+    """
+    Say how a run ended.
+
+    :param run_id: empty for a refusal.
+    :param execution: in force at the end; empty for a refusal.
+    """
+    values = {**asdict(end), 'status': int(end.status)}
+    acted = values.pop('acted')
+    return msg.OptionResult(
+        run_id=run_id,
+        execution=execution,
+        acted_names=list(acted),
+        acted_steps=list(acted.values()),
+        **values,
+    )

@@ -1,0 +1,136 @@
+"""The node ``learner``: fits and judges an option after every demonstration."""
+
+from pathlib import Path
+import sys
+
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.ros.convert import domain_from_info
+from humanopts_interfaces.msg import (
+    Demonstration as DemonstrationMessage,
+)
+from humanopts_interfaces.msg import (
+    DemonstrationReceipt,
+    DomainInfo,
+    LearnedOptions,
+    LearningStatus,
+    OptionFile,
+    OptionStatus,
+)
+from humanopts_learner.demonstrations import demonstration_from_message, DemonstrationError
+from humanopts_learner.option_trainer import CourseError, OptionProgress, OptionTrainer
+from humanopts_learner.options.criteria import Thresholds
+from humanopts_learner.ros.convert import (
+    not_learnable_status,
+    status_to_message,
+)
+from humanopts_ros.node_base import NodeBase, run_node, StartError
+from humanopts_ros.qos import CURRENT, LATCHED, STREAM
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange
+
+
+class LearnerNode(NodeBase):
+    """Takes demonstrations, keeps them, and publishes what was learned from them."""
+
+    def __init__(self) -> None:
+        super().__init__('learner')
+        self._directory = Path(
+            self.setting('directory', 'options', 'folder of option files and of the data set')
+        )
+        natural = IntegerRange(from_value=0, to_value=2**62, step=1)
+        self._seed = self.setting('seed', 0, 'of every random draw', integer_range=[natural])
+        self._thresholds = self._read_thresholds()
+        self._domain: Domain | None = None
+        self._course: OptionTrainer | None = None
+        self._receipts = self.stamped_publisher(DemonstrationReceipt, 'demonstration_receipts')
+        self._status_out = self.stamped_publisher(LearningStatus, 'learning_status', LATCHED)
+        self._options_out = self.stamped_publisher(LearnedOptions, 'learned_options', LATCHED)
+        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
+        self.create_subscription(
+            DemonstrationMessage, 'demonstrations', self._on_demonstration, STREAM
+        )
+
+    def waits_for(self) -> str | None:
+        """Wait for the rules of the game."""
+        return None if self._course else 'domain_info'
+
+    def on_ready(self) -> None:
+        """Publish what was learned in earlier sittings."""
+        self._publish()
+
+    def _read_thresholds(self) -> Thresholds:
+        default, share = Thresholds(), FloatingPointRange(from_value=0.0, to_value=1.0)
+        any_delta = FloatingPointRange(from_value=0.0, to_value=1e9)
+
+        def read(name: str, text: str, limits: FloatingPointRange) -> float:
+            value = getattr(default, name)
+            return float(self.setting(name, value, text, floating_point_range=[limits]))
+
+        return Thresholds(
+            return_delta=read('return_delta', 'largest shortfall, reward units', any_delta),
+            initiation_error=read('initiation_error', 'largest balanced error of I', share),
+            termination_error=read('termination_error', 'largest balanced error of beta', share),
+        )
+
+    def _on_domain(self, info: DomainInfo) -> None:
+        if self._course is not None:
+            return
+        try:
+            self._domain = domain_from_info(info)
+            self._course = OptionTrainer(
+                self._directory, self._domain, self._thresholds, self._seed
+            )
+        except (CourseError, DomainError) as error:
+            raise StartError(str(error)) from error
+        self._report()
+
+    def _on_demonstration(self, message: DemonstrationMessage) -> None:
+        receipt = DemonstrationReceipt(uuid=message.uuid, option_name=message.option_name)
+        if self._course is None:
+            receipt.status = DemonstrationReceipt.STATUS_REFUSED
+            receipt.detail = 'the learner does not know the game yet'
+        else:
+            try:
+                kept = self._course.take(demonstration_from_message(message))
+                accepted, known = receipt.STATUS_ACCEPTED, receipt.STATUS_DUPLICATE
+                receipt.status = accepted if kept else known
+                receipt.detail = '' if kept else 'it is known already'
+            except (DemonstrationError, CourseError) as error:
+                receipt.status = DemonstrationReceipt.STATUS_REFUSED
+                receipt.detail = str(error)
+        if receipt.status == DemonstrationReceipt.STATUS_ACCEPTED:
+            self._report()
+            self._publish()
+        self._receipts.publish(receipt)
+
+    def _report(self) -> None:
+        """Log what is wrong with the folder since the last time."""
+        while self._course.problems:
+            self.get_logger().warning(self._course.problems.pop(0))
+
+    def _publish(self) -> None:
+        progress = self._course.progress()
+        self._options_out.publish(
+            LearnedOptions(
+                options=[
+                    OptionFile(name=p.option.name, participant=p.option.participant, model=p.file)
+                    for p in progress
+                    if p.option is not None
+                ]
+            )
+        )
+        self._status_out.publish(LearningStatus(options=[_status(p) for p in progress]))
+
+
+def _status(progress: OptionProgress) -> OptionStatus:
+    if progress.option is None or progress.judgement is None:
+        return not_learnable_status(progress.demonstrations)
+    return status_to_message(progress.option, progress.judgement)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(LearnerNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

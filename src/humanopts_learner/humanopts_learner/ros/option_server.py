@@ -1,0 +1,238 @@
+"""The node ``option_server``: runs learned options, and answers what they would do."""
+
+from pathlib import Path
+import sys
+from typing import Any
+
+from humanopts_env.domains.base import DomainError
+from humanopts_env.ros.convert import domain_from_info
+from humanopts_interfaces.action import ExecuteOption
+from humanopts_interfaces.msg import DomainInfo, LearnedOptions, OptionResult
+from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
+from humanopts_learner.execution import Run
+from humanopts_learner.library import UnknownOptionError
+from humanopts_learner.options.files import load_options
+from humanopts_learner.options.option import LearnedOption, Mode, OptionError
+from humanopts_learner.ros.convert import options_from_message
+from humanopts_learner.ros.runner import Runner, RunRequest
+from humanopts_ros.node_base import NodeBase, run_node, StartError
+from humanopts_ros.qos import CURRENT
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+
+_DONE = (
+    OptionResult.STATUS_REACHED,
+    OptionResult.STATUS_EPISODE_OVER,
+    OptionResult.STATUS_STOPPED_BY_PLAN,
+)
+_FAREWELL = 0.5  # s to answer who asked for the run under way, when the node ends
+
+
+class OptionServerNode(NodeBase):
+    """
+    Serves the options that ``learner`` publishes, and before that those found as files.
+
+    Beside them it serves the automatic ones of ``planner``.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('option_server')
+        self._directory = self.setting(
+            'options_directory', '', 'folder of option files to serve from the start; empty: none'
+        )
+        natural = IntegerRange(from_value=0, to_value=2**62, step=1)
+        patience = FloatingPointRange(from_value=0.1, to_value=3600.0)
+        mode = self.setting('mode', Mode.GREEDY.value, 'greedy or sampled')
+        if mode not in {known.value for known in Mode}:
+            raise StartError(f'mode is {mode!r}, and must be greedy or sampled')
+        seed = self.setting('seed', 0, 'of what the sampled mode draws', integer_range=[natural])
+        deadline = self.setting(
+            'no_progress_seconds',
+            5.0,
+            'a run ends when game is silent for so long, s',
+            floating_point_range=[patience],
+        )
+        self._domain: Any = None
+        self._learned: list[LearnedOption] | None = None  # None: nobody has said yet
+        self._automatic: list[LearnedOption] = []
+        self._results = self.stamped_publisher(OptionResult, 'option_results')
+        self._runner = Runner(self, Mode(mode), seed, deadline)
+        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
+        self.create_subscription(LearnedOptions, 'learned_options', self._on_learned, CURRENT)
+        self.create_subscription(LearnedOptions, 'automatic_options', self._on_automatic, CURRENT)
+        group = ReentrantCallbackGroup()
+        self.recorded_service(RunOption, 'run_option', self._on_run, group)
+        self.recorded_service(ListOptions, 'list_options', self._on_list, group)
+        self.recorded_service(QueryOption, 'query_option', self._on_query, group)
+        self.recorded_action(ExecuteOption, 'execute_option', self._execute, group)
+
+    def waits_for(self) -> str | None:
+        """Wait for the rules of the game."""
+        return None if self._runner.library is not None else 'domain_info'
+
+    def close(self) -> None:
+        """End the run under way, and answer who asked for it."""
+        self._runner.stop()
+        self.finish(lambda: self._runner.busy, _FAREWELL)
+
+    def _on_domain(self, info: DomainInfo) -> None:
+        try:
+            self._domain = domain_from_info(info)
+        except DomainError as error:
+            raise StartError(str(error)) from error
+        self._runner.set_domain(self._domain)
+        if self._learned is None:
+            self._learned = self._read_files()
+        self._serve()
+
+    def _read_files(self) -> list[LearnedOption]:
+        if not self._directory or not Path(self._directory).is_dir():
+            return []
+        options, problems = load_options(Path(self._directory))
+        for problem in problems:
+            self.get_logger().warning(str(problem))
+        return options
+
+    def _on_learned(self, message: LearnedOptions) -> None:
+        self._learned = self._read(message)
+        self._serve()
+
+    def _on_automatic(self, message: LearnedOptions) -> None:
+        self._automatic = self._read(message)
+        self._serve()
+
+    def _read(self, message: LearnedOptions) -> list[LearnedOption]:
+        options, problems = options_from_message(message)
+        for problem in problems:
+            self.get_logger().error(problem)
+        return options
+
+    def _serve(self) -> None:
+        """Serve the options that fit the game, once it is known, and report the others."""
+        library, fitting = self._runner.library, []
+        if library is None:
+            return
+        for option in [*(self._learned or []), *self._automatic]:
+            try:
+                library.check(option)
+                fitting.append(option)
+            except OptionError as error:
+                self.get_logger().warning(f'not served: {error}')
+        library.replace(fitting)
+
+    async def _on_run(
+        self, request: RunOption.Request, response: RunOption.Response
+    ) -> RunOption.Response:
+        response.result = await self._run(_request(request, 'run_option'))
+        return response
+
+    async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
+        def on_step(run: Run, action: str, state: str) -> None:
+            row = self._domain.feature_values(self._domain.decode(state))[None]
+            handle.publish_feedback(
+                ExecuteOption.Feedback(
+                    step_count=run.step_count,
+                    action=action,
+                    total_reward=run.total_reward,
+                    state=state,
+                    termination=float(run.acting.termination_probability(row)[0]),
+                    option_name=run.acting.name,
+                )
+            )
+
+        request = _request(
+            handle.request,
+            'execute_option',
+            canceled=lambda: handle.is_cancel_requested,
+            on_step=on_step,
+        )
+        result = await self._run(request)
+        if result.status in _DONE:
+            handle.succeed()
+        elif result.status == OptionResult.STATUS_CANCELED:
+            handle.canceled()
+        else:
+            handle.abort()
+        return ExecuteOption.Result(result=result)
+
+    async def _run(self, request: RunRequest) -> OptionResult:
+        await self.provided()
+        result = await self._runner.run(request)
+        self._results.publish(result)
+        return result
+
+    async def _on_list(
+        self, request: ListOptions.Request, response: ListOptions.Response
+    ) -> ListOptions.Response:
+        await self.provided()
+        library = self._runner.library
+        if library is None:
+            response.status = response.STATUS_NO_GAME
+            response.detail = 'game has not announced itself'
+            return response
+        options = library.options(request.participant)
+        response.status = response.STATUS_OK
+        if request.participant and not options:
+            people = sorted({option.participant for option in library.options()})
+            response.status = response.STATUS_UNKNOWN_PARTICIPANT
+            response.detail = (
+                f'{request.participant!r} taught no option; those who did: '
+                f'{", ".join(people) or "nobody"}'
+            )
+        response.option_names = [option.name for option in options]
+        response.participants = [option.participant for option in options]
+        response.n_demonstrations = [option.n_demonstrations for option in options]
+        response.primitive_actions = library.primitive_names
+        return response
+
+    async def _on_query(
+        self, request: QueryOption.Request, response: QueryOption.Response
+    ) -> QueryOption.Response:
+        await self.provided()
+        current = self._runner.state
+        text = request.state or (current.state if current is not None else '')
+        try:
+            if self._runner.library is None or not text:
+                raise DomainError('no state is given and no episode was begun')
+            option = self._runner.library.resolve(request.option_name, request.participant)
+            row = self._domain.feature_values(self._domain.decode(text))[None]
+        except UnknownOptionError as error:
+            response.status, response.detail = response.STATUS_UNKNOWN_OPTION, str(error)
+            return response
+        except DomainError as error:
+            response.status, response.detail = response.STATUS_BAD_STATE, str(error)
+            return response
+        chances = option.action_probabilities(row)[0]
+        names = [action.name for action in self._domain.actions]
+        response.status = response.STATUS_OK
+        response.can_start = bool(option.can_start(row)[0])
+        response.initiation = float(option.initiation_probability(row)[0])
+        response.termination = float(option.termination_probability(row)[0])
+        response.actions, response.action_probabilities = names, chances.tolist()
+        response.greedy_action = names[int(chances.argmax())]
+        return response
+
+
+def _request(request: Any, via: str, **callbacks: Any) -> RunRequest:
+    return RunRequest(
+        option_name=request.option_name,
+        participant=request.participant,
+        max_steps=request.max_steps,
+        episode=request.episode,
+        step=request.step,
+        execution=request.execution,
+        plan_id=request.plan_id,
+        execution_sequence=getattr(request, 'execution_sequence', 0),
+        via=via,
+        **callbacks,
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(OptionServerNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,335 @@
+"""The one runner: drives one run at a time over the graph, in lock-step with game."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+import math
+import time
+from typing import Any
+import uuid
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.seeding import generator
+from humanopts_interfaces.msg import ActionCommand, ActionRefusal, GameState, OptionGoal
+from humanopts_learner.execution import (
+    End,
+    execution_named,
+    MODULAR,
+    ModularRun,
+    OptionRun,
+    refusal,
+    Run,
+    RunError,
+    Status,
+)
+from humanopts_learner.library import OptionLibrary, UnknownOptionError
+from humanopts_learner.options.option import Mode
+from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.live import Arbiter
+from humanopts_learner.ros.arbitration import Arbitration
+from humanopts_learner.ros.convert import end_to_message
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.qos import CURRENT, STREAM
+from rclpy.task import Future
+
+_CHECK_PERIOD = 0.1  # s between looks at deadlines
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What a service or action asks to be run."""
+
+    option_name: str  # empty: modules
+    participant: str
+    max_steps: int  # 0: the option's own limit
+    episode: int  # 0: whatever is current
+    step: int
+    execution: str
+    plan_id: str  # empty: no plan arbitrates
+    execution_sequence: int  # 0: the execution never changes
+    via: str
+    canceled: Callable[[], bool] = lambda: False
+    on_step: Callable[[Run, str, str], None] = field(default=lambda run, action, state: None)
+
+
+@dataclass
+class _Active:
+    """The run under way."""
+
+    run: Run
+    run_id: str
+    request: RunRequest
+    execution: Execution
+    arbiter: Arbiter | None  # that may stop the run
+    episode: int
+    step: int  # of the state that the command under way answers
+    done: Future = field(default_factory=Future)
+    deadline: float = 0.0
+    command: int = 0  # sequence of the command that is not answered yet
+
+
+class Runner:
+    """
+    Runs options, or modules, in the current episode; a second request is answered BUSY.
+
+    Whether the run goes on is decided here, after each state and before each command, so that no
+    command is on its way when it ends, be it canceled or not. So is what a plan arbitrates: the
+    same states, values and execution give the same run. A person who takes over, or a reset,
+    ends it as interrupted; silence of game ends it after a deadline.
+    """
+
+    def __init__(self, node: NodeBase, mode: Mode, seed: int, no_progress_seconds: float) -> None:
+        self._node, self._mode, self._seed = node, mode, seed
+        self._patience = no_progress_seconds
+        self._plans = Arbitration(node, no_progress_seconds)
+        self._domain: Domain | None = None
+        self.library: OptionLibrary | None = None
+        self.state: GameState | None = None  # newest
+        self._taken_by = ''  # what the runner is at work on; empty: it is free
+        self._active: _Active | None = None  # from its first command on
+        self._arrivals: list[tuple[int, int, Future, float]] = []
+        self._actions = node.stamped_publisher(ActionCommand, 'action')
+        self._goals = node.stamped_publisher(OptionGoal, 'option_goals')
+        node.create_subscription(GameState, 'current_state', self._on_state, CURRENT)
+        node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
+        node.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
+        node.create_timer(_CHECK_PERIOD, self._check_deadlines)
+
+    def set_domain(self, domain: Domain) -> None:
+        """Take the rules of the game; options of an earlier game are dropped."""
+        self._domain, self.library = domain, OptionLibrary(domain)
+
+    async def run(self, request: RunRequest) -> Any:
+        """Run to the end, or refuse; return an ``OptionResult``."""
+        if self._domain is None or self.library is None:
+            return self._refused(request, Status.NO_EPISODE, 'game has not announced itself')
+        if self._taken_by:
+            return self._refused(request, Status.BUSY, self._taken_by)
+        try:
+            execution = self._check(request)
+            self._taken_by = request.option_name or execution.value
+            return await self._drive(request, execution)
+        except UnknownOptionError as error:
+            return self._refused(request, Status.UNKNOWN_OPTION, str(error))
+        except RunError as error:
+            return self._refused(request, Status.BAD_REQUEST, str(error))
+        except PlanError as error:
+            return self._refused(request, Status.NO_VALUES, str(error))
+        finally:
+            self._taken_by = ''
+
+    @property
+    def busy(self) -> bool:
+        """Whether a run is under way, or waits for its first state."""
+        return bool(self._taken_by)
+
+    def stop(self) -> None:
+        """End the run under way, or the wait for its first state, because the node ends."""
+        for _, _, arrival, _ in self._arrivals:
+            arrival.set_result(None)
+        self._arrivals = []
+        self._plans.check_deadlines(math.inf)
+        if self._active is not None:
+            self._finish(self._active.run.end(Status.FAILED, 'option_server stops'))
+
+    def _check(self, request: RunRequest) -> Execution:
+        """
+        Check what can be checked before the state is here.
+
+        :raises RunError: the request makes no sense.
+        :raises UnknownOptionError: there is no such option.
+        """
+        execution = execution_named(request.execution)
+        if execution is not Execution.RUN_TO_END and not request.plan_id:
+            raise RunError(f'{execution} needs the values of a plan: give its plan_id')
+        if execution not in MODULAR:
+            self.library.resolve(request.option_name, request.participant)
+        elif request.option_name or request.participant:
+            raise RunError(f'{execution} runs all options of the plan: leave option_name empty')
+        return execution
+
+    async def _drive(self, request: RunRequest, execution: Execution) -> Any:
+        """Wait for the values to decide by and the state to start from, and run from there."""
+        by_values = execution is not Execution.RUN_TO_END
+        if by_values and not await self._plans.arrival(request.plan_id):
+            raise PlanError(
+                f'those of plan {request.plan_id} did not come; {self._plans.newest_plan()}'
+            )
+        state = await self._arrival(request.episode, request.step)
+        if state is None:
+            return self._refused(request, Status.NO_EPISODE, self._missing(request))
+        if state.terminated or state.truncated:
+            return self._refused(request, Status.NO_EPISODE, 'the episode has ended')
+        moment = state.episode, state.step
+        run, arbiter = self._prepare(request, execution, moment)
+        end = run.begin(self._domain.decode(state.state), *moment)
+        if end is not None:
+            return end_to_message(end, '')
+        run_id = str(uuid.uuid4())
+        self._active = active = _Active(run, run_id, request, execution, arbiter, *moment)
+        self._announce(active)
+        self._send(active)
+        end = await active.done
+        return end_to_message(end, run_id, active.execution)
+
+    def _prepare(
+        self, request: RunRequest, execution: Execution, moment: tuple[int, int]
+    ) -> tuple[Run, Arbiter | None]:
+        """Return the run, and what may stop it; errors are those of ``run``."""
+        domain, library = self._domain, self.library
+        rng = generator(self._seed, 'run', request.option_name or execution, *moment)
+        rest = domain, domain.gamma, request.max_steps, self._mode, rng
+        arbiter = None
+        if execution is not Execution.RUN_TO_END:
+            arbiter = self._plans.arbiter(execution, domain, library)
+        if arbiter is not None and execution in MODULAR:
+            return ModularRun(arbiter, self._plans.options(library), *rest), None
+        option = library.resolve(request.option_name, request.participant)
+        return OptionRun(option, *rest), arbiter
+
+    def _missing(self, request: RunRequest) -> str:
+        if self.state is None or not request.episode:
+            return 'no state came from game'
+        return (
+            f'episode {request.episode} step {request.step} did not come; the game is at episode '
+            f'{self.state.episode} step {self.state.step}'
+        )
+
+    def _announce(self, active: _Active) -> None:
+        self._goals.publish(
+            OptionGoal(
+                run_id=active.run_id,
+                via=active.request.via,
+                option_name=active.run.name,
+                participant=active.request.participant,
+                max_steps=active.run.max_steps,
+                execution=active.execution,
+                plan_id=active.request.plan_id,
+            )
+        )
+
+    async def _arrival(self, episode: int, step: int) -> GameState | None:
+        """Return the state of that moment once it is here; None when it does not come."""
+        state = self.state
+        if state is not None and state.episode and not episode:
+            return state
+        if state is not None and (state.episode, state.step) == (episode, step) != (0, 0):
+            return state
+        past = state is not None and state.episode == episode and step < state.step
+        if episode == 0 or past:
+            return None
+        arrival: Future = Future()
+        self._arrivals.append((episode, step, arrival, time.monotonic() + self._patience))
+        found: GameState | None = await arrival
+        return found
+
+    def _send(self, active: _Active) -> None:
+        assert self._domain is not None
+        action = self._domain.actions[active.run.next_action()].name
+        command = ActionCommand(
+            source=ActionCommand.SOURCE_MACHINE,
+            episode=active.episode,
+            step=active.step,
+            action=action,
+            option_name=active.run.acting.name,
+        )
+        active.deadline = time.monotonic() + self._patience
+        self._actions.publish(command)
+        active.command = self._actions.sequence
+
+    def _on_state(self, message: GameState) -> None:
+        """Take the next state; ``current_state`` repeats those that ``game_state`` brought."""
+        known, moment = self.state, (message.episode, message.step)
+        same_game = known is not None and known.publisher_id == message.publisher_id
+        if same_game and moment <= (known.episode, known.step):
+            return
+        self.state = message
+        self._answer_arrivals(message)
+        active = self._active
+        if active is None:
+            return
+        if message.episode != active.episode:
+            self._finish(active.run.end(Status.INTERRUPTED, 'the game was reset'))
+        elif message.step > active.step:
+            self._on_step(active, message)
+
+    def _on_step(self, active: _Active, message: GameState) -> None:
+        mine = message.action_publisher_id == self._node.publisher_id
+        if not mine or message.action_sequence != active.command:
+            who = message.action_publisher_id
+            self._finish(
+                active.run.end(Status.INTERRUPTED, f'{who} took {message.previous_action}')
+            )
+            return
+        assert self._domain is not None
+        active.step = message.step
+        state = self._domain.decode(message.state)
+        end = active.run.observe(state, message.reward, message.terminated, message.truncated)
+        active.request.on_step(active.run, message.previous_action, message.state)
+        end = end or self._ruled(active)
+        if end is not None:
+            self._finish(end)
+        else:
+            self._send(active)
+
+    def _ruled(self, active: _Active) -> End | None:
+        """Return how the run ends before its next command; None: it goes on."""
+        run, request, plans = active.run, active.request, self._plans
+        if request.canceled() or plans.canceled(request.execution_sequence):
+            return run.end(Status.CANCELED)
+        before = active.execution
+        wanted = plans.wanted(before, request.execution_sequence, request.plan_id)
+        if wanted is not before:
+            if wanted in MODULAR or before in MODULAR:
+                return run.end(Status.EXECUTION_CHANGED, f'from {before} to {wanted}')
+            try:
+                self._change(active, wanted)
+            except ValueError as error:  # the options were taught anew meanwhile
+                return run.end(Status.FAILED, str(error))
+        return run.stopped(active.arbiter) if active.arbiter is not None else None
+
+    def _change(self, active: _Active, wanted: Execution) -> None:
+        """Carry an option out in another way, unless the values for it are still on their way."""
+        if wanted is Execution.RUN_TO_END:
+            active.execution, active.arbiter = wanted, None
+        elif self._plans.has(active.request.plan_id):
+            active.arbiter = self._plans.arbiter(wanted, self._domain, self.library)
+            active.execution = wanted
+
+    def _on_refusal(self, message: ActionRefusal) -> None:
+        active = self._active
+        mine = message.command_publisher_id == self._node.publisher_id
+        if active is None or not mine or message.command_sequence != active.command:
+            return
+        interrupted = (ActionRefusal.REASON_HELD_BY_PERSON, ActionRefusal.REASON_STALE)
+        status = Status.INTERRUPTED if message.reason in interrupted else Status.FAILED
+        self._finish(active.run.end(status, message.detail))
+
+    def _finish(self, end: End) -> None:
+        active, self._active = self._active, None
+        if active is not None:
+            active.done.set_result(end)
+
+    def _answer_arrivals(self, message: GameState) -> None:
+        waiting = []
+        for episode, step, arrival, deadline in self._arrivals:
+            if (episode, step) == (message.episode, message.step):
+                arrival.set_result(message)
+            elif (episode, step) < (message.episode, message.step):
+                arrival.set_result(None)
+            else:
+                waiting.append((episode, step, arrival, deadline))
+        self._arrivals = waiting
+
+    def _check_deadlines(self) -> None:
+        now, active = time.monotonic(), self._active
+        for _, _, arrival, deadline in self._arrivals:
+            if now > deadline:
+                arrival.set_result(None)
+        self._arrivals = [entry for entry in self._arrivals if not entry[2].done()]
+        self._plans.check_deadlines(now)
+        if active is not None and now > active.deadline:
+            self._finish(active.run.end(Status.NO_PROGRESS, f'{self._patience:g} s'))
+
+    def _refused(self, request: RunRequest, status: Status, detail: str) -> Any:
+        return end_to_message(refusal(status, request.option_name, detail), '')

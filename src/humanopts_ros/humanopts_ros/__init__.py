@@ -1,0 +1,1 @@
+"""What every humanopts node shares; it knows no game and no option."""

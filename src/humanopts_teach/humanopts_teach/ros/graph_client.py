@@ -1,0 +1,300 @@
+"""The command line's own node: sees that the graph is ready, and asks it for work."""
+
+from collections.abc import Callable, Mapping, Sequence
+import json
+from pathlib import Path
+import time
+from typing import Any, Generic, TypeVar
+
+from humanopts_interfaces.action import Plan, RunPolicy
+from humanopts_interfaces.msg import (
+    DomainInfo,
+    GameState,
+    LearnedOptions,
+    LearningStatus,
+    LessonState,
+    NodeStatus,
+    OptionStatus,
+    PlanResult,
+    PolicyResult,
+    RecorderStatus,
+)
+from humanopts_ros.environment import prepare_discovery
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.qos import CURRENT, LATCHED_ALL
+from humanopts_teach.launching.launcher import LaunchError, RECORDER
+from humanopts_teach.launching.processes import Value
+from humanopts_teach.teacher.simulated import FINISHED
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+M = TypeVar('M')
+_PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
+_ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
+
+
+class Latest(Generic[M]):
+    """The newest message of a latched topic."""
+
+    def __init__(self, node: NodeBase, kind: type[M], topic: str) -> None:
+        self.message: M | None = None
+        node.create_subscription(kind, topic, self._keep, CURRENT)
+
+    def _keep(self, message: M) -> None:
+        self.message = message
+
+
+class ConductorNode(NodeBase):
+    """Knows every node's status and the current values of the graph."""
+
+    def __init__(self) -> None:
+        super().__init__('conductor')
+        self.statuses: dict[str, NodeStatus] = {}  # by full name, of the first process
+        self.duplicates: set[str] = set()  # node names that two processes use
+        self.create_subscription(NodeStatus, 'node_status', self._keep_status, LATCHED_ALL)
+        self.state = Latest(self, GameState, 'current_state')
+        self.domain = Latest(self, DomainInfo, 'domain_info')
+        self.lesson = Latest(self, LessonState, 'lesson_state')
+        self.learning = Latest(self, LearningStatus, 'learning_status')
+        self.options = Latest(self, LearnedOptions, 'learned_options')
+        self.recorder = Latest(self, RecorderStatus, 'recorder_status')
+        self.plan_client = ActionClient(self, Plan, 'plan')
+        self.policy_client = ActionClient(self, RunPolicy, 'run_policy')
+        self.feedback: Any = None  # of the action under way
+
+    def on_feedback(self, message: Any) -> None:
+        """Keep how far an action is."""
+        self.feedback = message.feedback
+
+    def _keep_status(self, status: NodeStatus) -> None:
+        known = self.statuses.get(status.node, status)
+        if status.publisher_id == known.publisher_id or known.state == NodeStatus.STATE_STOPPING:
+            self.statuses[status.node] = status
+        else:
+            self.duplicates.add(status.node)
+
+
+class GraphClient:
+    """
+    Drives a launched graph from the command line's thread.
+
+    Every wait looks after the processes and has a deadline; ``watch`` is called about twenty
+    times a second meanwhile: it checks the processes, and shows progress.
+    """
+
+    def __init__(
+        self,
+        namespace: str,
+        parameters: Mapping[str, Value],
+        bag: Path,
+        *,
+        watch: Callable[[], None],
+    ) -> None:
+        arguments = ['--ros-args', '-r', f'__ns:={namespace}', '--disable-stdout-logs']
+        for name, value in parameters.items():
+            arguments += ['-p', f'{name}:={json.dumps(value)}']
+        prepare_discovery()
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = ConductorNode()
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._record, self._bag = bool(parameters['expect_recorder']), bag
+        self._watch = watch
+        self._fine = time.monotonic()  # when no node was paused last
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.node.set_status(NodeStatus.STATE_STOPPING)
+        self.node.drain()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def wait(self, done: Callable[[], bool], seconds: float, what: str) -> None:
+        """
+        Serve the graph until ``done``.
+
+        :param what: what is waited for, to complete "gave up waiting for ...".
+        :raises LaunchError: a process died, a node cannot go on, or the time is over.
+        """
+        deadline = time.monotonic() + seconds
+        looked = 0.0
+        while not done():
+            now = time.monotonic()
+            if now - looked > 0.05:
+                looked = now
+                self._watch()
+                self._check_statuses()
+            if now > deadline:
+                raise LaunchError(f'gave up waiting for {what} after {seconds:.0f} s')
+            self._executor.spin_once(0.05)
+
+    def wait_ready(self, names: list[str], seconds: float = 60.0) -> None:
+        """
+        Wait until nodes are ready and, if one runs, the recorder has every topic.
+
+        :raises LaunchError: as ``wait``; the text says which nodes are missing.
+        """
+        try:
+            self.wait(lambda: not self._missing(names), seconds, 'the nodes')
+        except LaunchError as error:
+            if not (missing := self._missing(names)):
+                raise
+            raise LaunchError(f'{error}; not ready: {", ".join(missing)}') from error
+
+    def plan(
+        self,
+        action_set: str,
+        episodes: int,
+        seed: int,
+        names: Sequence[str] = (),
+        game_steps: int = 0,
+    ) -> PlanResult:
+        """
+        Have the planner plan with the newest options, and judge the plan.
+
+        :param episodes: to judge it by; 0: it is not judged.
+        :param seed: of what is drawn, for the plan and to judge it.
+        :param names: of the options to plan with; empty: all.
+        :param game_steps: to sample models from, where they are not exact; 0: the planner's own.
+        :raises LaunchError: it refused, failed or did not answer.
+        """
+        options = self.node.options.message
+        goal = Plan.Goal(
+            action_set=action_set,
+            options=list(names),
+            game_steps=game_steps,
+            evaluation_episodes=episodes,
+            seed=seed,
+            options_sequence=options.sequence if options else 0,
+        )
+        result: PlanResult = self._act(self.node.plan_client, goal, f'the {action_set} plan')
+        if result.status not in (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED):
+            raise LaunchError(f'planning with {action_set} failed: {result.detail}')
+        return result
+
+    def play(self, action_set: str, episodes: int, seed: int) -> PolicyResult:
+        """
+        Have the planner play episodes through the option server.
+
+        :raises LaunchError: it refused, failed or did not answer.
+        """
+        goal = RunPolicy.Goal(action_set=action_set, episodes=episodes, seed=seed)
+        result: PolicyResult = self._act(self.node.policy_client, goal, 'the episodes')
+        if result.status != PolicyResult.STATUS_DONE:
+            raise LaunchError(f'playing by the {action_set} plan failed: {result.detail}')
+        return result
+
+    def learned(self) -> list[tuple[str, OptionStatus]]:
+        """Return the option file's JSON and the status of every learned option."""
+        options, learning = self.node.options.message, self.node.learning.message
+        if options is None or learning is None:
+            return []
+        status = {(entry.participant, entry.option_name): entry for entry in learning.options}
+        return [
+            (entry.model, status[entry.participant, entry.name])
+            for entry in options.options
+            if (entry.participant, entry.name) in status
+        ]
+
+    def stay(self, check: Callable[[], None], tell: Callable[[str], None]) -> None:
+        """
+        Serve the graph until somebody interrupts.
+
+        :param check: called all the while, to look after the processes.
+        :param tell: called with a line when a node pauses, and when it goes on.
+        :raises LaunchError: another launch has come to the same place; or from ``check``.
+        """
+        told: dict[str, str] = {}
+        while True:
+            self._executor.spin_once(0.05)
+            check()
+            self._check_duplicates(self._name(RECORDER))  # a new one takes over from ours
+            paused = self._paused()
+            for name in sorted(told.keys() - paused.keys()):
+                if self.node.statuses[name].state == NodeStatus.STATE_READY:
+                    tell(f'{name} goes on')
+            for name, text in paused.items():
+                if told.get(name) != text:
+                    tell(f'{name} is paused: {text}')
+            told = paused
+
+    def catch_up(self) -> None:
+        """Take in what has come while nobody served the graph."""
+        for _ in range(_ROUNDS):
+            self._executor.spin_once(0.0)
+
+    def unrecorded(self) -> str:
+        """Say why the bag is short, or nothing is recorded, as far as is known; empty: neither."""
+        lesson = self.node.lesson.message
+        return self._stopped() or (lesson.paused if lesson is not None else '')
+
+    def teacher_finished(self) -> bool:
+        """Tell whether the simulated teacher has taught everything."""
+        status = self._status('simulated_teacher')
+        return status is not None and status.text == FINISHED
+
+    def _act(self, client: ActionClient, goal: Any, what: str, seconds: float = 600.0) -> Any:
+        """Send a goal, wait, and return the ``result`` field of the action's result."""
+        self.wait(client.server_is_ready, 10.0, 'the planner')
+        sent = client.send_goal_async(goal, feedback_callback=self.node.on_feedback)
+        self.wait(sent.done, 10.0, f'the planner to accept {what}')
+        handle = sent.result()
+        if not handle.accepted:
+            raise LaunchError(f'the planner refused {what}')
+        reply = handle.get_result_async()
+        self.wait(reply.done, seconds, what)
+        return reply.result().result.result
+
+    def _status(self, name: str) -> NodeStatus | None:
+        return self.node.statuses.get(self._name(name))
+
+    def _name(self, name: str) -> str:
+        return f'{self.node.get_namespace().rstrip("/")}/{name}'
+
+    def _stopped(self) -> str:
+        """Say why the launch's recorder has stopped, and what is left; empty: it has not."""
+        status = self._status(RECORDER)
+        if status is None or status.state != NodeStatus.STATE_PAUSED:
+            return ''
+        return f'{status.text}. The bag can be read: humanopts bag info {self._bag}'
+
+    def _missing(self, names: list[str]) -> list[str]:
+        ready = {
+            name
+            for name, status in self.node.statuses.items()
+            if status.state == NodeStatus.STATE_READY
+        }
+        missing = [name for name in names if name not in ready]
+        recorder = self.node.recorder.message
+        if self._record and not missing and not (recorder and recorder.complete):
+            missing.append('the recorder has not got every topic')
+        return missing
+
+    def _paused(self) -> dict[str, str]:
+        """Return the nodes that are paused, and why."""
+        return {
+            name: status.text
+            for name, status in self.node.statuses.items()
+            if status.state == NodeStatus.STATE_PAUSED
+        }
+
+    def _check_statuses(self) -> None:
+        self._check_duplicates()
+        if stopped := self._stopped():
+            raise LaunchError(stopped)
+        paused, now = self._paused(), time.monotonic()
+        if not paused:
+            self._fine = now
+        elif now - self._fine > _PATIENCE:
+            name, text = next(iter(paused.items()))
+            raise LaunchError(f'{name} cannot go on: {text}')
+
+    def _check_duplicates(self, besides: str = '') -> None:
+        if found := sorted(self.node.duplicates - {besides}):
+            raise LaunchError(
+                f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop the '
+                'other launch, or choose another --namespace or ROS_DOMAIN_ID'
+            )

@@ -1,0 +1,192 @@
+"""The node ``keyboard_teleop``: a person teaches, drives and watches from a terminal."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from functools import partial
+import sys
+import time
+
+from humanopts_env.domains.base import DomainError
+from humanopts_env.ros.convert import domain_from_info
+from humanopts_interfaces.msg import (
+    ActionRefusal,
+    ControlState,
+    DomainInfo,
+    ExecutionState,
+    GameState,
+    LearningStatus,
+    LessonState,
+    OptionGoal,
+    OptionStatus,
+)
+from humanopts_ros.node_base import NodeBase, run_node, StartError
+from humanopts_ros.qos import CURRENT, DISPLAY
+from humanopts_teach.ros.convert import view_from_message
+from humanopts_teach.ros.terminal_calls import Calls
+from humanopts_teach.terminal.app import App
+from humanopts_teach.terminal.device import Device, why_not
+from humanopts_teach.terminal.drawing import frame
+from humanopts_teach.terminal.menu import opening
+from humanopts_teach.terminal.requests import Drive, Reply
+from humanopts_teach.terminal.world import CriterionView, GameView, ProgressView
+from rcl_interfaces.msg import IntegerRange
+from rclpy.executors import Executor
+
+_FAREWELL = 'Everything taught is saved; the same command takes it up again.'
+_POLL_SECONDS = 0.015  # between looks at the keyboard
+_FRAME_SECONDS = 0.03  # least time between frames
+_SETTLING_SECONDS = 0.1  # a frame waits so long for the answer to what was just asked
+_PRESENCE_SECONDS = 0.5  # between looks who is on the graph
+_START_SECONDS = 5.0  # before a node that has not come is called missing
+_PARTING_SECONDS = 1.0  # for the last requests
+_NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # and what shows that they are there
+_SAME_IN_PROGRESS = {f.name for f in fields(ProgressView)} - {'features', 'criteria', 'conflicts'}
+
+
+class KeyboardTeleopNode(NodeBase):
+    """Owns the terminal; everything that is decided is decided in ``terminal.app``."""
+
+    def __init__(self) -> None:
+        super().__init__('keyboard_teleop')
+        participant = self.setting('participant', 'p1', 'code that is proposed to the person')
+        natural = IntegerRange(from_value=0, to_value=2**62, step=1)
+        what = 'of the start states of free play and of plans'
+        seed = self.setting('seed', 0, what, integer_range=[natural])
+        self.app = App(opening(participant), seed=seed)
+        self.app.world.me = self.publisher_id
+        self._calls = Calls(self, self.app)
+        self._came: set[str] = set()  # nodes that were there once
+        self._started = self._looked = time.monotonic()
+        self._drawn = self._asked = 0.0
+        self._news = True  # something came in since the last frame
+        self._seen: object = None  # what the last frame showed
+        for kind, topic, callback in (
+            (DomainInfo, 'domain_info', self._on_domain),
+            (GameState, 'current_state', self._on_game),
+            (LessonState, 'lesson_state', self._on_lesson),
+            (LearningStatus, 'learning_status', self._on_learning),
+            (ControlState, 'control', self._on_control),
+            (ExecutionState, 'execution', self._on_execution),
+        ):
+            self.create_subscription(kind, topic, callback, CURRENT)
+        self.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, DISPLAY)
+        self.create_subscription(OptionGoal, 'option_goals', self._on_option_goal, DISPLAY)
+
+    def waits_for(self) -> str | None:
+        """Wait for the rules of the game."""
+        return None if self.app.world.domain is not None else 'domain_info'
+
+    def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
+        """Serve the person until they quit, the terminal is gone, or the process is to end."""
+        with Device(_FAREWELL) as device:
+            while not (stop() or self.app.ended or device.closed):
+                self._turn(executor, device)
+        self._part(executor)
+
+    def _turn(self, executor: Executor, device: Device) -> None:
+        executor.spin_once(_POLL_SECONDS)
+        keys = device.read()
+        self.app.type(keys)
+        now = time.monotonic()
+        request = self.app.advance(now) if self.ready else None
+        if request is not None:
+            self._asked = now
+        self._calls.send(request)
+        self._look_around(now)
+        self._news |= bool(keys) or device.resized()
+        self._news |= self._seen != self.app.shown
+        unsettled = self.app.waits_for is not None and now - self._asked < _SETTLING_SECONDS
+        if self._news and not unsettled and now - self._drawn > _FRAME_SECONDS:
+            device.draw(partial(frame, self.app))
+            self._drawn, self._seen, self._news = time.monotonic(), self.app.shown, False
+
+    def _look_around(self, now: float) -> None:
+        """Notice nodes that are gone."""
+        if now - self._looked < _PRESENCE_SECONDS:
+            return
+        self._looked = now
+        there = {node for node, topic in _NEEDED.items() if self.count_publishers(topic)}
+        self._came |= there
+        late = now - self._started > _START_SECONDS
+        self.app.world.missing = tuple(
+            node for node in _NEEDED if node not in there and (late or node in self._came)
+        )
+        self._calls.check_server()
+
+    def _part(self, executor: Executor) -> None:
+        """Make the last requests, as far as somebody is there to answer them."""
+        until = time.monotonic() + _PARTING_SECONDS
+        pending = [future for r in self.app.parting() if (future := self._calls.part(r))]
+        while any(not future.done() for future in pending) and time.monotonic() < until:
+            executor.spin_once(_POLL_SECONDS)
+
+    def _on_domain(self, message: DomainInfo) -> None:
+        try:
+            self.app.world.domain = domain_from_info(message)
+        except DomainError as error:
+            raise StartError(str(error)) from error
+        self._news = True
+
+    def _on_game(self, message: GameState) -> None:
+        self.app.world.game = GameView(
+            episode=message.episode,
+            step=message.step,
+            state=message.state,
+            action=message.previous_action,
+            reward=message.reward,
+            terminated=message.terminated,
+            truncated=message.truncated,
+        )
+        self.app.moved(time.monotonic())
+        self._news = True
+
+    def _on_lesson(self, message: LessonState) -> None:
+        self.app.world.lesson = view_from_message(message)
+        self._news = True
+
+    def _on_learning(self, message: LearningStatus) -> None:
+        self.app.world.progress = [_progress_view(status) for status in message.options]
+        self._news = True
+
+    def _on_control(self, message: ControlState) -> None:
+        self.app.world.holder = message.holder_id
+        self._news = True
+
+    def _on_execution(self, message: ExecutionState) -> None:
+        self.app.world.execution = message.execution
+        self._news = True
+
+    def _on_option_goal(self, message: OptionGoal) -> None:
+        self.app.world.running = message.option_name
+        self._news = True
+
+    def _on_refusal(self, message: ActionRefusal) -> None:
+        request, last = self.app.waits_for, (self.publisher_id, self._calls.drive_sequence)
+        refused = (message.command_publisher_id, message.command_sequence)
+        if isinstance(request, Drive) and refused == last:
+            reply = Reply(request, ok=False, text=f'{request.action}: {message.detail}')
+            self.app.replied(reply, time.monotonic())
+
+
+def _progress_view(status: OptionStatus) -> ProgressView:
+    return ProgressView(
+        features=tuple(status.features),
+        conflicts=tuple(status.conflicts),
+        criteria=tuple(
+            CriterionView(c.name, c.value, c.threshold, c.measurable, c.met)
+            for c in status.criteria
+        ),
+        **{name: getattr(status, name) for name in _SAME_IN_PROGRESS},
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    if fault := why_not():
+        print(f'humanopts: {fault}', file=sys.stderr)
+        return 2
+    return run_node(KeyboardTeleopNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,229 @@
+"""Takes every message of the graph, as bytes, without an executor."""
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from importlib import import_module
+import time
+from typing import Any, NamedTuple
+
+from humanopts_ros.recording import Selection
+from rclpy.callback_groups import CallbackGroup
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+_AT_ONCE = 2000  # messages taken from one topic before the next has its turn
+
+
+class Taken(NamedTuple):
+    """One message as it arrived."""
+
+    received: int  # ns since the epoch, by the middleware
+    sent: int  # ns since the epoch, by the middleware of the sender
+    topic: str
+    data: bytes  # CDR
+
+
+@dataclass
+class TopicSubscription:
+    """The subscription to one topic."""
+
+    topic: str
+    type: str
+    kind: Any  # message class
+    offers: list[dict[str, Any]]  # QoS of the publishers, as rosbag2's metadata has it
+    type_hash: str
+    subscription: Subscription
+    reliable: bool
+    latched: bool
+    publishers: int  # on the graph, when the QoS was last compared
+
+
+@dataclass
+class Found:
+    """What a look at the graph came to."""
+
+    added: list[TopicSubscription] = field(default_factory=list)
+    complete: bool = True  # each topic to record that is published is subscribed and matched
+
+
+class Polled(CallbackGroup):
+    """Keeps its entities from every executor: they are asked for messages in one go instead."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Refuse."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Refuse."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Do nothing: nothing begins."""
+
+
+class RawSubscriber:
+    """
+    The subscriptions of a recorder.
+
+    Executors take one message at a time and look at every entity for each; taking all that
+    is queued every few milliseconds costs a twentieth of that.
+    """
+
+    def __init__(self, node: Node, selection: Selection) -> None:
+        self._node = node
+        self._selection = selection
+        self._group = Polled()
+        self._taps: dict[str, TopicSubscription] = {}
+        self._left: list[Taken] = []  # from subscriptions that were replaced
+        self.unknown: dict[str, str] = {}  # type by topic, of topics that cannot be recorded
+
+    def discover(self) -> Found:
+        """Subscribe to what is new on the graph, as its publishers offer it."""
+        found = Found()
+        for topic, types in self._node.get_topic_names_and_types():
+            if not self._selection.wants(topic):
+                continue
+            publishers = self._node.count_publishers(topic)
+            if not publishers or topic in self.unknown:
+                continue
+            tap = self._taps.get(topic)
+            if tap is None or tap.publishers != publishers:
+                tap = self._follow(topic, types[0], tap, found)
+            if tap is None or tap.subscription.get_publisher_count() < publishers:
+                found.complete = False
+        return found
+
+    def take(self) -> list[Taken]:
+        """Return all that has arrived, in order of arrival."""
+        batch, self._left = self._left, []
+        for tap in self._taps.values():
+            batch += _take(tap, tap.subscription)
+        batch.sort(key=_arrival)
+        return batch
+
+    def _follow(
+        self, topic: str, kind: str, tap: TopicSubscription | None, found: Found
+    ) -> TopicSubscription | None:
+        """Subscribe to a topic, or again where a new publisher offers less than is asked for."""
+        offers = self._node.get_publishers_info_by_topic(topic)
+        if not offers:
+            return tap
+        reliable, latched = _common(offers)
+        if tap is None:
+            return self._subscribe(topic, kind, offers, found)
+        tap.publishers = len(offers)
+        if (tap.reliable and not reliable) or (tap.latched and not latched):
+            tap.reliable, tap.latched = tap.reliable and reliable, tap.latched and latched
+            old = tap.subscription
+            tap.subscription = self._subscription(topic, tap.kind, tap.reliable, tap.latched)
+            self._left += _take(tap, old)
+            self._node.destroy_subscription(old)
+        return tap
+
+    def _subscribe(
+        self, topic: str, kind: str, offers: Collection[TopicEndpointInfo], found: Found
+    ) -> TopicSubscription | None:
+        try:
+            loaded = load_type(kind)
+        except (ImportError, AttributeError, ValueError):
+            self.unknown[topic] = kind
+            return None
+        reliable, latched = _common(offers)
+        tap = TopicSubscription(
+            topic,
+            kind,
+            loaded,
+            [qos_to_plain(offer.qos_profile) for offer in offers],
+            next((str(o.topic_type_hash) for o in offers), '').replace('INVALID', ''),
+            self._subscription(topic, loaded, reliable, latched),
+            reliable,
+            latched,
+            len(offers),
+        )
+        self._taps[topic] = tap
+        found.added.append(tap)
+        return tap
+
+    def _subscription(self, topic: str, kind: Any, reliable: bool, latched: bool) -> Subscription:
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        profile = QoSProfile(
+            history=HistoryPolicy.KEEP_ALL,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=durability,
+        )
+        return self._node.create_subscription(
+            kind, topic, _never_called, profile, callback_group=self._group, raw=True
+        )
+
+
+def _take(tap: TopicSubscription, subscription: Subscription) -> list[Taken]:
+    """Return what is queued in a subscription."""
+    found = []
+    handle = subscription.handle
+    with handle:
+        for _ in range(_AT_ONCE):
+            taken = handle.take_message(tap.kind, True)
+            if taken is None:
+                break
+            data, info = taken
+            received = info['received_timestamp'] or time.time_ns()
+            sent = info['source_timestamp'] or received
+            found.append(Taken(received, sent, tap.topic, data))
+    return found
+
+
+def load_type(name: str) -> Any:
+    """
+    Return the class of a message type, also of the parts of services and actions.
+
+    :raises ImportError: its package is not installed here.
+    :raises AttributeError: the package has no such type.
+    :raises ValueError: it is not a type name.
+    """
+    package, kind, own = name.split('/')
+    module = import_module(f'{package}.{kind}')
+    base, _, part = own.partition('_')
+    if part == 'FeedbackMessage':
+        return getattr(module, base).Impl.FeedbackMessage
+    if part in ('Goal', 'Result', 'Feedback'):
+        return getattr(getattr(module, base), part)
+    return getattr(module, own)
+
+
+def qos_to_plain(profile: QoSProfile) -> dict[str, Any]:
+    """Return a QoS profile as rosbag2's metadata has it."""
+    return {
+        'history': profile.history.name.lower(),
+        'depth': profile.depth,
+        'reliability': profile.reliability.name.lower(),
+        'durability': profile.durability.name.lower(),
+        'deadline': _plain_duration(profile.deadline),
+        'lifespan': _plain_duration(profile.lifespan),
+        'liveliness': profile.liveliness.name.lower(),
+        'liveliness_lease_duration': _plain_duration(profile.liveliness_lease_duration),
+        'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
+    }
+
+
+def _plain_duration(duration: Duration) -> dict[str, int]:
+    seconds, nanoseconds = divmod(duration.nanoseconds, 10**9)
+    return {'sec': seconds, 'nsec': nanoseconds}
+
+
+def _common(offers: Collection[TopicEndpointInfo]) -> tuple[bool, bool]:
+    """Tell whether all publishers are reliable, and whether all are latched."""
+    profiles = [offer.qos_profile for offer in offers]
+    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
+    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+    return reliable, latched
+
+
+def _arrival(taken: Taken) -> int:
+    return taken.received
+
+
+def _never_called(message: bytes) -> None:
+    """Stand where rclpy wants a callback."""
