@@ -17,7 +17,9 @@ from humanopts_teach import cli
 from humanopts_teach.bags.episodes import read_episodes
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import build_parser, main
+from humanopts_teach.commands.session import check_setup
 from humanopts_teach.commands.setup import default_folder, setup_from
+from humanopts_teach.launching.processes import Setup
 from mcap.writer import Writer
 import pexpect
 import pytest
@@ -165,6 +167,14 @@ def test_output_folder_without_room_is_refused(
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     check_refused(capsys, status, f'cannot write in {tmp_path}: File too large')
     assert list(tmp_path.iterdir()) == []
+
+
+def test_trying_the_output_folder_leaves_the_users_files_alone(tmp_path: Path) -> None:
+    (tmp_path / '.probe').write_text('precious')
+    check_setup(Setup('taxi', tmp_path))
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [
+        ('.probe', 'precious')
+    ]
 
 
 def test_demo_refuses_a_folder_that_holds_something(

@@ -149,6 +149,43 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
         conductor.close()
 
 
+def test_a_node_that_dies_while_it_is_stopped_is_named_with_the_signal(
+    live: Graph, tmp_path: Path
+) -> None:
+    (tmp_path / 'dies.py').write_text(
+        'import os, signal, sys, time\n'
+        'signal.signal(signal.SIGTERM, lambda *_: os.abort())\n'
+        "print('ready', flush=True)\n"
+        'time.sleep(60)\n'
+    )
+    launcher = Launcher([spec('game', 'dies')], tmp_path / 'log')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv('PYTHONPATH', str(tmp_path))
+        launcher.start()
+    live.until(lambda: (tmp_path / 'log/game.log').read_text() == 'ready\n', 'the node')
+    (problem,) = launcher.stop()
+    assert problem.startswith('the node game ended (by signal SIGABRT); its last lines:')
+
+
+def test_a_wait_goes_on_as_long_as_there_is_progress(
+    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=lambda: None)
+    began = time.monotonic()
+
+    def tenths() -> int:
+        return min(10, round(10 * (time.monotonic() - began)))
+
+    try:
+        conductor.wait(lambda: tenths() == 10, 0.5, 'the last', tenths)
+        assert time.monotonic() - began > 0.9
+        with pytest.raises(LaunchError, match=r'gave up waiting for more after 0 s'):
+            conductor.wait(lambda: False, 0.2, 'more', tenths)
+    finally:
+        conductor.close()
+
+
 def test_a_log_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / 'log').write_text('')
     with pytest.raises(LaunchError, match=r'cannot write logs in .*/log'):

@@ -54,7 +54,7 @@ TAUGHT = {
     'pacman': (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST),
 }
 EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
-_TEACHING_SECONDS = 600.0
+_TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,8 @@ def run(arguments: argparse.Namespace) -> int:
             write_report(setup.directory / 'report.html', data)
         except SummaryError as error:
             raise CommandError(str(error)) from error
-    return _conclude(setup, summary, _problems(setup, summary, parts.topics))
+    status = _conclude(setup, summary, _problems(setup, summary, parts.topics))
+    return 1 if running.unclean else status
 
 
 def _amounts(setup: Setup, arguments: argparse.Namespace) -> Amounts:
@@ -153,7 +154,12 @@ def _teach_plan_play(
 ) -> Live:
     conductor = running.conductor
     progress.stage('teaching')
-    conductor.wait(conductor.teacher_finished, _TEACHING_SECONDS, 'the simulated teacher')
+    conductor.wait(
+        conductor.teacher_finished,
+        _TEACHING_SECONDS + setup.step_period,
+        'the simulated teacher',
+        conductor.taught_so_far,
+    )
     options = _blocks(setup, conductor.learned())
     progress.stage('planning')
     plans = [conductor.plan(name, amounts.judged, setup.seed) for name in (HUMAN, PRIMITIVE)]

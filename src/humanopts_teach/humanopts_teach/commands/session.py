@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import signal
 import sys
+import tempfile
 from types import FrameType
 
 from humanopts_env.domains.base import DomainError
@@ -24,6 +25,7 @@ class Session:
 
     launcher: Launcher
     conductor: GraphClient
+    unclean: list[str] = field(default_factory=list)  # what did not end as asked; known at the end
 
     def check_recording(self) -> None:
         """
@@ -63,11 +65,11 @@ def _check_folder(setup: Setup, new: bool) -> None:
         raise CommandError(f'{setup.bag} exists already; choose another folder')
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
-    probe = folder / '.probe'
     try:
-        probe.write_bytes(bytes(4096))
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(bytes(4096))
+            probe.flush()
     finally:
-        probe.unlink(missing_ok=True)
         with suppress(OSError):  # somebody else put something there
             for path in made:  # a launch that is refused leaves nothing
                 path.rmdir()
@@ -87,18 +89,20 @@ def session(
     launcher = Launcher(processes(setup), setup.directory / 'log', namespace)
     with only_launch(namespace), interruptible():
         conductor = _conduct(setup, namespace, launcher, progress)
+        running = Session(launcher, conductor)
         try:
             for late in (False, True):
                 launcher.start(late=late)
                 conductor.wait_ready(launcher.node_names)
-            yield Session(launcher, conductor)
+            yield running
         finally:
             for number in _SIGNALS:
                 signal.signal(number, signal.SIG_IGN)
             try:
                 conductor.close()
             finally:
-                for problem in launcher.stop():
+                running.unclean.extend(launcher.stop())
+                for problem in running.unclean:
                     print(f'humanopts: {problem}', file=sys.stderr)
 
 

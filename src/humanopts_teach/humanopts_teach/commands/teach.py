@@ -31,4 +31,4 @@ def run(arguments: argparse.Namespace) -> int:
         print(f'the bag is {setup.bag}')
         running.conductor.catch_up()
         running.check_recording()
-    return status
+    return status or (1 if running.unclean else 0)

@@ -22,6 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
         record=arguments.record,
     )
     check_setup(setup)
+    running = None
     try:
         with session(setup, arguments.namespace) as running:
             print('ready: ' + ', '.join(running.launcher.node_names))
@@ -34,4 +35,4 @@ def run(arguments: argparse.Namespace) -> int:
                 raise
     except KeyboardInterrupt:
         print('stopped')
-    return 0
+    return 1 if running is not None and running.unclean else 0

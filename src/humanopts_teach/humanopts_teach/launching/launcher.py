@@ -18,6 +18,7 @@ from humanopts_teach.launching.processes import ProcessSpec
 TAIL_LINES = 12
 RECORDER = 'recorder'
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
+_ENDS_AS_ASKED = (0, -signal.SIGTERM)  # the second: before the node had a handler for it
 
 
 class LaunchError(RuntimeError):
@@ -159,7 +160,8 @@ class Launcher:
                 entry.process.kill()
                 entry.process.wait()
                 problems.append(f'{entry.spec.name} did not stop when asked and was killed')
-            if entry.process.returncode > 0:
+                continue
+            if entry.process.returncode not in _ENDS_AS_ASKED:
                 problems.append(_end_of(entry))
         return problems
 

@@ -112,21 +112,31 @@ class GraphClient:
         self.node.destroy_node()
         rclpy.try_shutdown()
 
-    def wait(self, done: Callable[[], bool], seconds: float, what: str) -> None:
+    def wait(
+        self,
+        done: Callable[[], bool],
+        seconds: float,
+        what: str,
+        progress: Callable[[], object] = lambda: None,
+    ) -> None:
         """
         Serve the graph until ``done``.
 
+        :param seconds: longest wait for ``done``, or for the next change of ``progress``.
         :param what: what is waited for, to complete "gave up waiting for ...".
+        :param progress: anything that changes as long as the work goes on.
         :raises LaunchError: a process died, a node cannot go on, or the time is over.
         """
         deadline = time.monotonic() + seconds
-        looked = 0.0
+        looked, last = 0.0, progress()
         while not done():
             now = time.monotonic()
             if now - looked > 0.05:
                 looked = now
                 self._watch()
                 self._check_statuses()
+            if (newest := progress()) != last:
+                last, deadline = newest, now + seconds
             if now > deadline:
                 raise LaunchError(f'gave up waiting for {what} after {seconds:.0f} s')
             self._executor.spin_once(0.05)
@@ -235,6 +245,11 @@ class GraphClient:
         """Tell whether the simulated teacher has taught everything."""
         status = self._status('simulated_teacher')
         return status is not None and status.text == FINISHED
+
+    def taught_so_far(self) -> tuple[int, int]:
+        """Return what changes while somebody teaches: the newest step and learning status."""
+        state, learning = self.node.state.message, self.node.learning.message
+        return state.sequence if state else 0, learning.sequence if learning else 0
 
     def _act(self, client: ActionClient, goal: Any, what: str, seconds: float = 600.0) -> Any:
         """Send a goal, wait, and return the ``result`` field of the action's result."""
