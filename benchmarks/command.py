@@ -9,7 +9,6 @@ from pathlib import Path
 import sys
 
 from humanopts_teach.commands.errors import CommandError
-from humanopts_teach.commands.session import interruptible
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
@@ -26,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure the chosen sections, and show and write what was found."""
     _check(arguments)
     sections: dict[str, Rows] = {}
-    with interruptible(), _progress() as tell:
+    with _progress() as tell:
         for name in arguments.only:
             on_measured = partial(tell, name)
             sections[name] = run_section(name, quick=arguments.quick, progress=on_measured)

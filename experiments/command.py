@@ -6,7 +6,6 @@ from importlib.metadata import version
 import os
 from pathlib import Path
 import platform
-import signal
 import sys
 import time
 
@@ -39,7 +38,6 @@ def run(arguments: argparse.Namespace) -> int:
     chosen, study = [EXPERIMENTS[name] for name in wanted], _study(arguments)
     cells = [cell for experiment in chosen for cell in experiment.cells(study)]
     began = time.monotonic()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
         with CellProgress() as progress:

@@ -15,6 +15,7 @@ from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.dialogue.lesson import LessonRules
 from humanopts_teach.teacher.simulated import TeacherSettings
+import pytest
 
 from experiments.lessons import teach
 from experiments.study import read_bag_lessons, Study
@@ -76,12 +77,24 @@ def test_options_from_a_bag_are_those_that_were_taught(demo: DemoRun) -> None:
     assert 0 < taught.minutes < 5
 
 
-def test_ctrl_c_says_how_to_go_on_and_leaves_no_process(tmp_path: Path, domain_id: int) -> None:
+@pytest.mark.parametrize('ignored', [False, True], ids=['foreground', 'background of a script'])
+def test_ctrl_c_says_how_to_go_on_and_leaves_no_process(
+    tmp_path: Path, domain_id: int, ignored: bool
+) -> None:
     arguments = ['reproduce', 'fig2', '--out', tmp_path / 'out', '--participants', 1, '--jobs', 2]
-    command = Command(arguments, tmp_path, domain_id)
-    command.until(lambda: len(command.running()) >= 2, 'two processes compute')
-    command.send(signal.SIGINT)
-    assert command.ended(30) == 130
-    assert 'goes on from here' in command.errors
-    assert 'Traceback' not in command.errors
-    command.gone(20)  # a helper of joblib ends after the others
+    before = signal.getsignal(signal.SIGINT)
+    if ignored:  # as a shell starts "command &" in a script
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        command = Command(arguments, tmp_path, domain_id)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    try:
+        command.until(lambda: len(command.running()) >= 2, 'two processes compute')
+        command.send(signal.SIGINT)
+        assert command.ended(30) == 130
+        assert 'goes on from here' in command.errors
+        assert 'Traceback' not in command.errors
+        command.gone(20)  # a helper of joblib ends after the others
+    finally:
+        command.close()

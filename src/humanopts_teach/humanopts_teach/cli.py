@@ -11,6 +11,7 @@ from typing import NoReturn
 from humanopts_teach.bags.provenance import software
 from humanopts_teach.commands.errors import CommandError
 from humanopts_teach.commands.recording import add_recording_options
+from humanopts_teach.commands.signals import interruptible
 from humanopts_teach.demos.store import CODE, CODE_RULE
 from humanopts_teach.launching.launcher import LaunchError
 
@@ -95,9 +96,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = build_parser().parse_args(argv)
     try:
         name = OUTSIDE.get(arguments.command, f'humanopts_teach.commands.{arguments.command}')
-        module = importlib.import_module(name)
-        status: int = module.run(arguments)
-        sys.stdout.flush()
+        with interruptible():
+            module = importlib.import_module(name)
+            status: int = module.run(arguments)
+            sys.stdout.flush()
     except CommandError as error:
         return _complain(arguments.command, str(error), 2)
     except LaunchError as error:

@@ -6,17 +6,15 @@ from dataclasses import dataclass, field
 import signal
 import sys
 import tempfile
-from types import FrameType
 
 from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.registry import make_domain
 from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.commands.signals import ENDING, interruptible
 from humanopts_teach.launching.launcher import Launcher, LaunchError
 from humanopts_teach.launching.lock import only_launch
 from humanopts_teach.launching.processes import common_parameters, processes, Setup
 from humanopts_teach.ros.graph_client import GraphClient
-
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ def session(
                 conductor.wait_ready(launcher.node_names)
             yield running
         finally:
-            for number in _SIGNALS:
+            for number in ENDING:
                 signal.signal(number, signal.SIG_IGN)
             try:
                 conductor.close()
@@ -115,18 +113,3 @@ def _conduct(
 
     conductor = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
     return conductor
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """Turn SIGTERM and SIGHUP into what Ctrl-C is."""
-
-    def interrupt(signum: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in _SIGNALS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

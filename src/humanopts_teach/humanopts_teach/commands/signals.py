@@ -1,0 +1,29 @@
+"""How a command ends by a signal; without ROS, so that every command can share it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import signal
+from types import FrameType
+
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """
+    Raise KeyboardInterrupt for SIGINT, SIGTERM and SIGHUP.
+
+    A shell without job control starts background commands with SIGINT ignored; they hear it here
+    all the same. SIGHUP stays ignored where it was, since ``nohup`` asks for that.
+    """
+
+    def interrupt(signum: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    kept = signal.SIGHUP if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else None
+    before = {number: signal.signal(number, interrupt) for number in ENDING if number is not kept}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
