@@ -1,7 +1,10 @@
 """What every node shares: one plain line for bad parameters, a life that is told, a clean end."""
 
+import os
 from pathlib import Path
 import signal
+import subprocess
+import sys
 from typing import Any
 
 from graph_support.live import (
@@ -134,6 +137,35 @@ def test_nothing_happens_before_the_recorder_is_there_and_then_all_of_it_is_in_t
         'ControlState': [1],
         'GameState': [1, 1],  # on game_state and on current_state
     }
+
+
+FAULTY = """
+import sys
+from humanopts_ros.node_base import NodeBase, run_node
+
+class Faulty(NodeBase):
+    def on_ready(self):
+        raise ZeroDivisionError('nobody expected this')
+
+    def close(self):
+        print('closed')
+
+sys.exit(run_node(lambda: Faulty('faulty')))
+"""
+
+
+def test_an_unexpected_error_closes_the_node_and_shows_the_traceback(domain_id: int) -> None:
+    ended = subprocess.run(
+        [sys.executable, '-c', FAULTY],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert (ended.returncode, ended.stdout) == (1, 'closed\n')
+    assert 'Traceback' in ended.stderr
+    assert ended.stderr.splitlines()[-1] == 'ZeroDivisionError: nobody expected this'
 
 
 def test_a_server_that_is_found_after_the_call_still_answers(shared: Graph) -> None:

@@ -187,6 +187,18 @@ def test_a_run_is_canceled_and_its_result_is_where_the_game_is(runs: Runs) -> No
     assert runs.player.states[-2].state == result.final_state
 
 
+def test_a_cancel_before_the_first_state_keeps_every_action_from_the_game(runs: Runs) -> None:
+    coming = runs.player.fresh(START).episode + 1
+    goal = runs.graph.act(ExecuteOption, 'execute_option', option_name=CIRCLE, episode=coming)
+    goal.cancel()
+    runs.player.reset(START)
+    status, result = goal.result()
+    assert status == GoalStatus.STATUS_CANCELED
+    assert (result.status, result.step_count) == (OptionResult.STATUS_CANCELED, 0)
+    assert runs.run(FETCH).first_step == 0  # so it came later than an action would have
+    assert [s.step for s in runs.player.states if s.episode == coming] == [0]
+
+
 def test_a_second_request_is_answered_busy_at_once(runs: Runs) -> None:
     goal = runs.begin(CIRCLE)
     known = runs.player.state.step

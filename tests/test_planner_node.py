@@ -152,7 +152,9 @@ def test_options_of_two_people_are_not_mixed(planning: Planning) -> None:
     assert either.status == PlanResult.STATUS_BAD_REQUEST
     assert 'name one of p1, p2' in either.detail
     assert planning.plan('human', participant='p2').status == PlanResult.STATUS_CONVERGED
-    assert planning.plan('human', participant='p3').status == PlanResult.STATUS_NO_OPTIONS
+    nothing = planning.plan('human', participant='p3')
+    assert nothing.status == PlanResult.STATUS_NO_OPTIONS
+    assert nothing.detail == "'p3' taught no option; those who did: p1, p2"
 
 
 def test_playing_by_a_plan_is_what_the_pure_code_says(planning: Planning) -> None:

@@ -20,6 +20,16 @@ class AmbiguousOptionError(UnknownOptionError):
     """Several participants taught an option of this name, and none of them was named."""
 
 
+def taught_nothing(participant: str, others: Iterable[str]) -> str:
+    """
+    Say that a participant taught no option, and who did.
+
+    :param others: the participants of all options that there are.
+    """
+    known = ', '.join(sorted(set(others))) or 'nobody'
+    return f'{participant!r} taught no option; those who did: {known}'
+
+
 class RunnableOption(Protocol):
     """What running and querying need of an option; rows (N, F) are of all features."""
 

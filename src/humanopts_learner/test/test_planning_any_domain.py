@@ -172,8 +172,10 @@ def test_options_are_chosen_by_person_and_name_in_the_order_they_have() -> None:
     assert select_options([a, b, c], 'human', 'ann', ['b']) == [b]
     assert select_options([a, b, c], 'human', 'bob') == [c]
     assert select_options([a, b, c], 'primitive', names=['fly']) == []
-    assert select_options([a, b, c], 'human', 'eve', ['a']) == []
+    assert select_options([], 'human', 'eve', ['a']) == []
     with pytest.raises(PlanError, match='name one of ann, bob'):
         select_options([a, b, c], 'human')
+    with pytest.raises(NoOptionsError, match="'eve' taught no option; those who did: ann, bob"):
+        select_options([a, b, c], 'human', 'eve', ['a'])
     with pytest.raises(PlanError, match="no option 'b', 'fly'; there is 'a'"):
         select_options([a, b, c], 'human', 'bob', ['b', 'a', 'fly'])

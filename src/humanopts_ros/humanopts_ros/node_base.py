@@ -327,6 +327,9 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     """
     Run a node until SIGINT, SIGTERM or SIGHUP.
 
+    The node is closed however it ends. An error that nobody expected goes on to the caller, so
+    that the traceback is shown and the exit status is 1.
+
     :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
         cannot go on.
     """
@@ -342,8 +345,10 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     try:
         node = factory()
         executor.add_node(node)
-        node.serve(executor, stop)
-        node.close()
+        try:
+            node.serve(executor, stop)
+        finally:  # whatever ended it, so that its files are complete
+            node.close()
         node.set_status(NodeStatus.STATE_STOPPING)
         node.drain()
     except StartError as error:

@@ -13,6 +13,7 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_learner.library import taught_nothing
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import (
     MACHINE,
@@ -21,7 +22,7 @@ from humanopts_learner.planning.action_sets import (
     Progress,
     say_nothing,
 )
-from humanopts_learner.planning.errors import check_limits, PlanError
+from humanopts_learner.planning.errors import check_limits, NoOptionsError, PlanError
 from humanopts_learner.planning.evaluate import episode_starts, play, Returns
 from humanopts_learner.planning.plan import check_request, Clock, make_plan, Plan
 from humanopts_learner.planning.sampled.games import batch_domain, View
@@ -89,6 +90,7 @@ def select_options(
     :param participant: whose; empty: the only one there is.
     :param names: those to plan with; empty: all.
     :raises PlanError: there are several participants and none is named, or a name is unknown.
+    :raises NoOptionsError: the participant has none, and others have.
     """
     if action_set == PRIMITIVE:
         return []
@@ -98,6 +100,8 @@ def select_options(
     if not participant and len(people) > 1:
         raise PlanError(f'options are of several participants: name one of {", ".join(people)}')
     theirs = [option for option in kind if participant in ('', option.participant)]
+    if people and not theirs:
+        raise NoOptionsError(taught_nothing(participant, people))
     known = [option.name for option in theirs]
     unknown = [repr(name) for name in names if name not in known]
     if known and unknown:

@@ -1,7 +1,6 @@
 """What option_server knows of plans: option values and executions, as planner publishes them."""
 
 from operator import is_
-import time
 
 from humanopts_env.domains.base import Domain
 from humanopts_interfaces.msg import ExecutionState, OptionValues
@@ -12,45 +11,23 @@ from humanopts_learner.planning.live import Arbiter, make_arbiter
 from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT
-from rclpy.task import Future
 
 
 class Arbitration:
     """Keeps the newest option values, makes arbiters of them, and follows executions."""
 
-    def __init__(self, node: NodeBase, patience: float) -> None:
-        """
-        Subscribe.
-
-        :param patience: s to wait for the values of a plan.
-        """
-        self._patience = patience
+    def __init__(self, node: NodeBase) -> None:
+        self._node = node
         self._message: OptionValues | None = None
         self._state: ExecutionState | None = None
         self._arbiters: dict[Execution, Arbiter] = {}  # by the newest values, for these options
         self._made_for: tuple[OptionLibrary | None, list[LearnedOption]] = (None, [])
-        self._waiting: list[tuple[str, Future, float]] = []  # plan_id, deadline
         node.create_subscription(OptionValues, 'option_values', self._on_values, CURRENT)
         node.create_subscription(ExecutionState, 'execution', self._on_execution, CURRENT)
 
     def has(self, plan_id: str) -> bool:
         """Tell whether the values of a plan are here."""
         return self._message is not None and self._message.plan_id == plan_id
-
-    async def arrival(self, plan_id: str) -> bool:
-        """Wait for the values of a plan; False: they do not come."""
-        if self.has(plan_id):
-            return True
-        arrival: Future = Future()
-        self._waiting.append((plan_id, arrival, time.monotonic() + self._patience))
-        return bool(await arrival)
-
-    def check_deadlines(self, now: float) -> None:
-        """Give up on values that do not come; at infinity, on all."""
-        for _, arrival, deadline in self._waiting:
-            if now > deadline:
-                arrival.set_result(False)
-        self._waiting = [entry for entry in self._waiting if not entry[1].done()]
 
     def newest_plan(self) -> str:
         """Return the plan whose values are here, in words."""
@@ -104,10 +81,7 @@ class Arbitration:
 
     def _on_values(self, message: OptionValues) -> None:
         self._message, self._arbiters = message, {}
-        for plan_id, arrival, _ in self._waiting:
-            if plan_id == message.plan_id:
-                arrival.set_result(True)
-        self._waiting = [entry for entry in self._waiting if not entry[1].done()]
+        self._node.waiting.look()
 
     def _on_execution(self, message: ExecutionState) -> None:
         self._state = message

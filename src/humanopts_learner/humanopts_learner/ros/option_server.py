@@ -10,7 +10,7 @@ from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import DomainInfo, LearnedOptions, OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
 from humanopts_learner.execution import Run
-from humanopts_learner.library import UnknownOptionError
+from humanopts_learner.library import taught_nothing, UnknownOptionError
 from humanopts_learner.options.files import load_options
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 from humanopts_learner.ros.convert import options_from_message
@@ -174,12 +174,9 @@ class OptionServerNode(NodeBase):
         options = library.options(request.participant)
         response.status = response.STATUS_OK
         if request.participant and not options:
-            people = sorted({option.participant for option in library.options()})
             response.status = response.STATUS_UNKNOWN_PARTICIPANT
-            response.detail = (
-                f'{request.participant!r} taught no option; those who did: '
-                f'{", ".join(people) or "nobody"}'
-            )
+            people = [option.participant for option in library.options()]
+            response.detail = taught_nothing(request.participant, people)
         response.option_names = [option.name for option in options]
         response.participants = [option.participant for option in options]
         response.n_demonstrations = [option.n_demonstrations for option in options]

@@ -132,7 +132,7 @@ class Episode:
             ran = await self._player.run(self._run, name, left, reset.episode, step)
             if ran is None:
                 return self._fail('option_server did not answer run_option')
-            decisions = ran.step_count if modular else 1
+            decisions = ran.step_count if modular else min(ran.step_count, 1)
             decided += decisions
             self._count(ran, decisions, step)
             step += ran.step_count

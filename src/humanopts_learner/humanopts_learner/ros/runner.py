@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-import math
 import time
 from typing import Any
 import uuid
@@ -33,6 +32,10 @@ from humanopts_ros.qos import CURRENT, STREAM
 from rclpy.task import Future
 
 _CHECK_PERIOD = 0.1  # s between looks at deadlines
+
+
+class RunCanceled(Exception):  # noqa: N818 - no error: the client wants no more
+    """A run was canceled before its first action."""
 
 
 @dataclass(frozen=True)
@@ -81,19 +84,19 @@ class Runner:
     def __init__(self, node: NodeBase, mode: Mode, seed: int, no_progress_seconds: float) -> None:
         self._node, self._mode, self._seed = node, mode, seed
         self._patience = no_progress_seconds
-        self._plans = Arbitration(node, no_progress_seconds)
+        self._plans = Arbitration(node)
         self._domain: Domain | None = None
         self.library: OptionLibrary | None = None
         self.state: GameState | None = None  # newest
         self._taken_by = ''  # what the runner is at work on; empty: it is free
         self._active: _Active | None = None  # from its first command on
-        self._arrivals: list[tuple[int, int, Future, float]] = []
+        self._stopping = False
         self._actions = node.stamped_publisher(ActionCommand, 'action')
         self._goals = node.stamped_publisher(OptionGoal, 'option_goals')
         node.create_subscription(GameState, 'current_state', self._on_state, CURRENT)
         node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
         node.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
-        node.create_timer(_CHECK_PERIOD, self._check_deadlines)
+        node.create_timer(_CHECK_PERIOD, self._check_deadline)
 
     def set_domain(self, domain: Domain) -> None:
         """Take the rules of the game; options of an earlier game are dropped."""
@@ -109,6 +112,8 @@ class Runner:
             execution = self._check(request)
             self._taken_by = request.option_name or execution.value
             return await self._drive(request, execution)
+        except RunCanceled:
+            return self._refused(request, Status.CANCELED)
         except UnknownOptionError as error:
             return self._refused(request, Status.UNKNOWN_OPTION, str(error))
         except RunError as error:
@@ -125,10 +130,7 @@ class Runner:
 
     def stop(self) -> None:
         """End the run under way, or the wait for its first state, because the node ends."""
-        for _, _, arrival, _ in self._arrivals:
-            arrival.set_result(None)
-        self._arrivals = []
-        self._plans.check_deadlines(math.inf)
+        self._stopping = True
         if self._active is not None:
             self._finish(self._active.run.end(Status.FAILED, 'option_server stops'))
 
@@ -150,12 +152,13 @@ class Runner:
 
     async def _drive(self, request: RunRequest, execution: Execution) -> Any:
         """Wait for the values to decide by and the state to start from, and run from there."""
-        by_values = execution is not Execution.RUN_TO_END
-        if by_values and not await self._plans.arrival(request.plan_id):
-            raise PlanError(
-                f'those of plan {request.plan_id} did not come; {self._plans.newest_plan()}'
-            )
-        state = await self._arrival(request.episode, request.step)
+        if execution is not Execution.RUN_TO_END:
+            await self._wait(request, lambda: self._plans.has(request.plan_id))
+            if not self._plans.has(request.plan_id):
+                raise PlanError(
+                    f'those of plan {request.plan_id} did not come; {self._plans.newest_plan()}'
+                )
+        state = await self._first_state(request)
         if state is None:
             return self._refused(request, Status.NO_EPISODE, self._missing(request))
         if state.terminated or state.truncated:
@@ -208,20 +211,40 @@ class Runner:
             )
         )
 
-    async def _arrival(self, episode: int, step: int) -> GameState | None:
-        """Return the state of that moment once it is here; None when it does not come."""
-        state = self.state
-        if state is not None and state.episode and not episode:
-            return state
-        if state is not None and (state.episode, state.step) == (episode, step) != (0, 0):
-            return state
-        past = state is not None and state.episode == episode and step < state.step
-        if episode == 0 or past:
-            return None
-        arrival: Future = Future()
-        self._arrivals.append((episode, step, arrival, time.monotonic() + self._patience))
-        found: GameState | None = await arrival
-        return found
+    async def _wait(self, request: RunRequest, condition: Callable[[], bool]) -> None:
+        """
+        Wait for what a run needs to begin, though not for ever.
+
+        :raises RunCanceled: the client wants no more.
+        """
+        await self._node.waiting.until(
+            lambda: condition() or self._stopping or self._canceled(request), self._patience
+        )
+        if self._canceled(request):
+            raise RunCanceled
+
+    async def _first_state(self, request: RunRequest) -> GameState | None:
+        """
+        Return the state that a run is to start from; None: it does not come.
+
+        :raises RunCanceled: the client wants no more.
+        """
+        before, wanted = self.state, (request.episode, request.step)
+
+        def is_here() -> bool:
+            state = self.state
+            return state is not None and wanted == (state.episode, state.step)
+
+        def is_past() -> bool:  # a game that was started again counts from 1
+            state = self.state
+            if state is None or (state is before and state.episode != request.episode):
+                return False
+            return wanted < (state.episode, state.step)
+
+        if not request.episode:
+            return self.state if self.state is not None and self.state.episode else None
+        await self._wait(request, lambda: is_here() or is_past())
+        return self.state if is_here() and not self._stopping else None
 
     def _send(self, active: _Active) -> None:
         assert self._domain is not None
@@ -244,7 +267,7 @@ class Runner:
         if same_game and moment <= (known.episode, known.step):
             return
         self.state = message
-        self._answer_arrivals(message)
+        self._node.waiting.look()
         active = self._active
         if active is None:
             return
@@ -275,7 +298,7 @@ class Runner:
     def _ruled(self, active: _Active) -> End | None:
         """Return how the run ends before its next command; None: it goes on."""
         run, request, plans = active.run, active.request, self._plans
-        if request.canceled() or plans.canceled(request.execution_sequence):
+        if self._canceled(request):
             return run.end(Status.CANCELED)
         before = active.execution
         wanted = plans.wanted(before, request.execution_sequence, request.plan_id)
@@ -310,26 +333,13 @@ class Runner:
         if active is not None:
             active.done.set_result(end)
 
-    def _answer_arrivals(self, message: GameState) -> None:
-        waiting = []
-        for episode, step, arrival, deadline in self._arrivals:
-            if (episode, step) == (message.episode, message.step):
-                arrival.set_result(message)
-            elif (episode, step) < (message.episode, message.step):
-                arrival.set_result(None)
-            else:
-                waiting.append((episode, step, arrival, deadline))
-        self._arrivals = waiting
+    def _canceled(self, request: RunRequest) -> bool:
+        return request.canceled() or self._plans.canceled(request.execution_sequence)
 
-    def _check_deadlines(self) -> None:
-        now, active = time.monotonic(), self._active
-        for _, _, arrival, deadline in self._arrivals:
-            if now > deadline:
-                arrival.set_result(None)
-        self._arrivals = [entry for entry in self._arrivals if not entry[2].done()]
-        self._plans.check_deadlines(now)
-        if active is not None and now > active.deadline:
+    def _check_deadline(self) -> None:
+        active = self._active
+        if active is not None and time.monotonic() > active.deadline:
             self._finish(active.run.end(Status.NO_PROGRESS, f'{self._patience:g} s'))
 
-    def _refused(self, request: RunRequest, status: Status, detail: str) -> Any:
+    def _refused(self, request: RunRequest, status: Status, detail: str = '') -> Any:
         return end_to_message(refusal(status, request.option_name, detail), '')
