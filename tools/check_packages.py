@@ -16,6 +16,7 @@ KEYS = {
     'mcap': 'python3-mcap-pip',
     'mcap_ros2': 'python3-mcap-ros2-support-pip',
     'numpy': 'python3-numpy',
+    'pandas': 'python3-pandas',
     'prompt_toolkit': 'python3-prompt-toolkit',
     'rich': 'python3-rich',
     'scipy': 'python3-scipy',

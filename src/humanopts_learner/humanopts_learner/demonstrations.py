@@ -1,7 +1,7 @@
 """Demonstrations: what a person showed, checked against the rules of the game."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from enum import Enum
 from functools import cached_property
 import json
@@ -9,7 +9,14 @@ import math
 from typing import Any
 import uuid as uuid_module
 
-from humanopts_env.domains.base import action_index, Domain, DomainError, feature_columns
+from humanopts_env.domains.base import (
+    action_index,
+    Domain,
+    DomainError,
+    feature_columns,
+    is_enumerable,
+)
+from humanopts_env.domains.registry import parameters_json
 import numpy as np
 from numpy.typing import NDArray
 
@@ -120,6 +127,76 @@ class Demonstration:
             )
         except (TypeError, ValueError, OverflowError) as error:
             raise DemonstrationError(f'a field of the demonstration is wrong: {error}') from error
+
+
+def make_demonstration(
+    domain: Domain[Any],
+    option_name: str,
+    states: Sequence[Any],
+    actions: Sequence[str] = (),
+    rewards: Sequence[float] | None = None,
+    *,
+    features: Sequence[str] | None = None,
+    can_start_at_end: bool = False,
+    participant: str = 'anonymous',
+    session: str = 'own data',
+    number: int = 1,
+) -> Demonstration:
+    """
+    Build a demonstration from what happened in a domain, and check it.
+
+    The same arguments give the same demonstration, its uuid included.
+
+    :param states: T + 1 states of the domain; one, without actions: a "not here" answer.
+    :param actions: T names.
+    :param rewards: T; None: by the rules, where all states can be listed.
+    :param features: names of those that the option depends on; None: all.
+    :param can_start_at_end: the option could start again in the last state.
+    :raises DemonstrationError: it breaks the rules of the domain, or a reward is not known.
+    """
+    if not states:
+        raise DemonstrationError('a demonstration has at least one state')
+    names = tuple(feature.name for feature in domain.features)
+    demo = Demonstration(
+        kind=Kind.TRAJECTORY if actions else Kind.NOT_HERE,
+        uuid='',
+        domain=domain.name,
+        domain_parameters=parameters_json(domain),
+        participant=participant,
+        session=session,
+        option_name=option_name,
+        number=number,
+        chosen_features=names if features is None else tuple(features),
+        feature_names=names,
+        features=tuple(tuple(domain.feature_values(state).tolist()) for state in states),
+        states=tuple(map(domain.encode, states)),
+        actions=tuple(actions),
+        rewards=tuple(_rewards(domain, states, actions) if rewards is None else rewards),
+        terminated=bool(actions) and domain.is_over(states[-1]),
+        can_start_at_end=can_start_at_end,
+    )
+    named = replace(demo, uuid=str(uuid_module.uuid5(uuid_module.NAMESPACE_OID, demo.to_json())))
+    check_demonstration(named, domain)
+    return named
+
+
+def _rewards(domain: Domain[Any], states: Sequence[Any], actions: Sequence[str]) -> list[float]:
+    """Return the reward of each step by the rules; it is 0 where the step is against them."""
+    if actions and not is_enumerable(domain):
+        raise DemonstrationError(f'the states of {domain.name} cannot all be listed: give rewards')
+    found = []
+    for before, name, after in zip(states, actions, states[1:]):
+        assert is_enumerable(domain)
+        table, at = domain.transitions(), (domain.index(before), action_index(domain, name))
+        led = (table.successor[at] == domain.index(after)) & (table.probability[at] > 0)
+        rewards = set(table.reward[at][led].tolist()) or {0.0}
+        if len(rewards) > 1:
+            raise DemonstrationError(
+                f'{name} from {domain.encode(before)} to {domain.encode(after)} has several '
+                'rewards: give rewards'
+            )
+        found.append(rewards.pop())
+    return found
 
 
 def demonstration_from_message(message: Any) -> Demonstration:

@@ -16,6 +16,7 @@ from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.library import taught_nothing
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import (
+    HUMAN_AND_PRIMITIVE,
     MACHINE,
     OF_MACHINES,
     PRIMITIVE,
@@ -152,6 +153,30 @@ def plan_in(
     return make_sampled_plan(
         domain, asked.action_set, options, asked.game_steps, asked.seed, **limits, **told
     )
+
+
+def plan(
+    domain: Domain[Any],
+    options: Sequence[LearnedOption] = (),
+    action_set: str = '',
+    gamma: float = 0.0,
+    game_steps: int = 0,
+    seed: int = 0,
+) -> AnyPlan:
+    """
+    Plan with options and primitive actions; ``plan_in`` with the settings that people change.
+
+    :param action_set: one of ``ACTION_SETS``; empty: ``human+primitive``, or ``primitive``
+        without options.
+    :param gamma: discount per primitive step; 0: the domain's own.
+    :param game_steps: to be sampled, where states cannot all be listed; 0: 800,000.
+    :param seed: of the samples.
+    :return: the plan; its ``choose(state)`` says which option to run.
+    :raises PlanError: the request makes no sense; its subclasses say which part.
+    """
+    usual = HUMAN_AND_PRIMITIVE if options else PRIMITIVE
+    request = PlanRequest(action_set or usual, gamma=gamma, game_steps=game_steps, seed=seed)
+    return plan_in(domain, options, request)
 
 
 def judge_plan(
