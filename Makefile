@@ -23,12 +23,13 @@ export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
 export CMAKE_PREFIX_PATH := $(CURDIR)/$(VENV)
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow lint format lock clean
+.PHONY: help setup demo test test-slow lint docs format lock clean
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
 	@echo 'make test    run the tests, two at a time (ARGS=); make test-slow runs the long ones'
 	@echo 'make lint    ruff, mypy --strict on pure code, package.xml checks'
+	@echo 'make docs    build the documentation as a site, build/site/index.html'
 	@echo 'make setup   only the set-up that the others do when it is needed'
 	@echo 'make format  reformat the Python code'
 	@echo 'make lock    resolve requirements.in into requirements.lock again'
@@ -72,6 +73,10 @@ lint: setup
 	@$(VENV)/bin/ruff format --check --quiet $(CHECKED)
 	@$(VENV)/bin/mypy $(PURE)
 	@$(VENV)/bin/python tools/check_packages.py
+
+docs: $(VENV)/.locked
+	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet
+	@echo 'The documentation is build/site/index.html'
 
 format: setup
 	@$(VENV)/bin/ruff check --fix --quiet $(CHECKED)
