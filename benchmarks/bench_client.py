@@ -15,7 +15,8 @@ from typing import Any
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import ActionCommand, GameState, NodeStatus, OptionResult
 from humanopts_interfaces.srv import ResetGame, RunOption
-from humanopts_ros.node_base import NodeBase, run_node, StartError
+from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.process import run_node
 from humanopts_ros.qos import LATCHED_ALL, STREAM
 from rclpy.action import ActionClient
 from rclpy.executors import Executor, SingleThreadedExecutor

@@ -10,7 +10,8 @@ import sys
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import ActionCommand, GameState, OptionResult
 from humanopts_interfaces.srv import RunOption
-from humanopts_ros.node_base import NodeBase, run_node
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, STREAM
 from rclpy.action import ActionServer
 from rclpy.action.server import ServerGoalHandle

@@ -6,7 +6,8 @@ import sys
 import time
 from typing import Any
 
-from humanopts_ros.node_base import NodeBase, run_node
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.process import run_node
 from humanopts_ros.qos import STREAM
 from humanopts_teach.ros.raw_subscriber import RawSubscriber
 from rclpy.executors import Executor

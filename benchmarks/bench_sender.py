@@ -6,7 +6,9 @@ import time
 from typing import Any
 
 from humanopts_interfaces.msg import ActionCommand, GameState
-from humanopts_ros.node_base import NodeBase, PublishError, run_node
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.process import run_node
+from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import STREAM
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation

@@ -141,7 +141,8 @@ def test_nothing_happens_before_the_recorder_is_there_and_then_all_of_it_is_in_t
 
 FAULTY = """
 import sys
-from humanopts_ros.node_base import NodeBase, run_node
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.process import run_node
 
 class Faulty(NodeBase):
     def on_ready(self):

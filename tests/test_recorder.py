@@ -38,7 +38,8 @@ BEST_EFFORT = QoSProfile(
 # Publishes game states, the first when the recorder has matched: as fast as it can, or at a rate.
 BURST = """
 import sys, time
-from humanopts_ros.node_base import NodeBase, run_node
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.process import run_node
 from humanopts_interfaces.msg import GameState
 from rclpy.duration import Duration
 class Burst(NodeBase):

@@ -10,7 +10,8 @@ import time
 from typing import Any, NamedTuple
 
 from humanopts_interfaces.msg import ActionCommand, GameState
-from humanopts_ros.node_base import NodeBase, run_node
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.process import run_node
 from humanopts_ros.qos import STREAM
 from rclpy.serialization import serialize_message
 

@@ -1,36 +1,27 @@
-"""What every humanopts node shares: stamped publishers, readiness, a clean start and end."""
+"""What every humanopts node shares: parameters, recorded endpoints, readiness, a clean end."""
 
 from collections.abc import Callable
-import os
-import signal
-import sys
 import time
-from types import FrameType
-from typing import Any, Generic, TypeVar
+from typing import Any
 import uuid
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.environment import LAUNCHER_PID, prepare_discovery
+from humanopts_ros.publisher import M, PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, STREAM
 from humanopts_ros.recording import Selection
 from humanopts_ros.waiting import Waiting
 from rcl_interfaces.msg import ParameterDescriptor
-import rclpy
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.action.server import ServerGoalHandle
+from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
-from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
-from rclpy.signals import SignalHandlerOptions
 
-M = TypeVar('M')
 RECORDER = 'recorder'
 _RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
 _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
@@ -42,68 +33,6 @@ _CHECK_PERIOD = 0.02  # s between looks at what the start or the end of a node w
 
 class StartError(RuntimeError):
     """A node cannot start with these parameters; the text says which and why."""
-
-
-class PublishError(RuntimeError):
-    """A message could not be sent; the text names the topic and the cause."""
-
-
-class StampedPublisher(Generic[M]):
-    """Publishes on one topic, filling in header, publisher_id and sequence."""
-
-    def __init__(self, node: 'NodeBase', kind: type[M], topic: str, qos: QoSProfile) -> None:
-        self._node = node
-        self._publisher: Publisher = node.create_publisher(kind, topic, qos)
-        self.sequence = 0  # of the last message that was sent
-
-    @property
-    def topic(self) -> str:
-        """Full name of the topic."""
-        return str(self._publisher.topic_name)
-
-    def stamp(self, message: M) -> M:
-        """Fill in the fields that ``publish`` would, without sending."""
-        filled: Any = message
-        filled.header.stamp = self._node.get_clock().now().to_msg()
-        filled.publisher_id = self._node.publisher_id
-        filled.sequence = self.sequence + 1
-        return message
-
-    def publish(self, message: M) -> None:
-        """
-        Send the message.
-
-        :raises PublishError: the middleware refused it, as it does when a reader that keeps
-            everything has stopped reading.
-        """
-        try:
-            self._publisher.publish(self.stamp(message))
-        except Exception as error:
-            raise PublishError(self._why(error)) from error
-        self.sequence += 1
-
-    def recorded(self, recorders: int = 1) -> bool:
-        """Tell whether the subscriptions of so many recorders are matched."""
-        readers = self._node.get_subscriptions_info_by_topic(self.topic)
-        matched = self._publisher.get_subscription_count() >= len(readers)
-        return matched and self._node.is_recorded(self.topic, recorders)
-
-    def heard_by(self, node_name: str) -> bool:
-        """Tell whether a node's subscription is matched, so that a message would arrive."""
-        readers = self._node.get_subscriptions_info_by_topic(self.topic)
-        matched = self._publisher.get_subscription_count() >= len(readers)
-        return matched and any(reader.node_name == node_name for reader in readers)
-
-    def drain(self, seconds: float) -> None:
-        """Wait for the readers to take what was sent."""
-        self._publisher.wait_for_all_acked(Duration(seconds=seconds))
-
-    def _why(self, error: Exception) -> str:
-        """Name the readers, since one of them that has stopped is the usual cause."""
-        readers = self._node.get_subscriptions_info_by_topic(self.topic)
-        names = ', '.join(sorted({reader.node_name for reader in readers})) or 'none'
-        cause = _plain(error)
-        return f'cannot publish on {self.topic}: {cause}; has a reader stopped? They are: {names}'
 
 
 class NodeBase(Node):
@@ -135,6 +64,11 @@ class NodeBase(Node):
         self.waiting = Waiting(self)  # of this node's coroutines
         self._start_timer = self.create_timer(_CHECK_PERIOD, self._check_start)
 
+    def get_logger(self) -> RcutilsLogger:
+        """Return the node's logger."""
+        logger: RcutilsLogger = super().get_logger()  # type: ignore[no-untyped-call]
+        return logger
+
     def setting(self, name: str, default: Any, description: str, **limits: Any) -> Any:
         """
         Declare a read-only parameter and return its value.
@@ -152,7 +86,7 @@ class NodeBase(Node):
         self, kind: type[M], topic: str, qos: QoSProfile = STREAM
     ) -> StampedPublisher[M]:
         """Create a publisher of a message with header, publisher_id and sequence."""
-        publisher = StampedPublisher(self, kind, topic, qos)
+        publisher = StampedPublisher(self, self.publisher_id, kind, topic, qos)
         self._stamped.append(publisher)
         return publisher
 
@@ -214,7 +148,11 @@ class NodeBase(Node):
         if not self.selection.wants(self.resolve_topic_name(topic)):
             return True
         readers = self.get_subscriptions_info_by_topic(topic)
-        return sum(reader.node_name == RECORDER for reader in readers) >= recorders
+        return len([1 for reader in readers if reader.node_name == RECORDER]) >= recorders
+
+    def records(self, publisher: StampedPublisher[Any], recorders: int = 1) -> bool:
+        """Tell whether the subscriptions of so many recorders are matched."""
+        return publisher.is_matched() and self.is_recorded(publisher.topic, recorders)
 
     async def answer(self, client: Client, request: Any, seconds: float) -> Any:
         """
@@ -271,11 +209,12 @@ class NodeBase(Node):
 
     def finish(self, busy: Callable[[], bool], seconds: float) -> None:
         """Carry out callbacks until nothing is under way and the answers to it are sent."""
-        deadline = time.monotonic() + seconds
+        deadline, executor = time.monotonic() + seconds, self.executor
+        assert executor is not None, 'the node serves, or did'
         while busy() and time.monotonic() < deadline:
-            self.executor.spin_once(_CHECK_PERIOD)
+            executor.spin_once(_CHECK_PERIOD)
         for _ in range(_LAST_ROUNDS):
-            self.executor.spin_once(0.0)
+            executor.spin_once(0.0)
 
     def drain(self) -> None:
         """Wait a moment for the readers to take what was sent."""
@@ -291,7 +230,7 @@ class NodeBase(Node):
         if self.waits_for() is not None:
             return
         if self._expect_recorder and not (
-            all(publisher.recorded() for publisher in self._stamped)
+            all(self.records(publisher) for publisher in self._stamped)
             and all(self.is_recorded(topic) for topic in self._hidden)
         ):
             return
@@ -299,69 +238,3 @@ class NodeBase(Node):
         self.ready = True
         self.on_ready()
         self.set_status(NodeStatus.STATE_READY)
-
-
-class _Stop:
-    """Set by SIGINT, SIGTERM or SIGHUP, or when the launcher that started the process is gone."""
-
-    def __init__(self) -> None:
-        self.requested = False
-        self._launcher = int(os.environ.get(LAUNCHER_PID, '0'))
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, self._request)
-
-    def _request(self, signum: int, frame: FrameType | None) -> None:
-        self.requested = True
-
-    def __call__(self) -> bool:
-        """Tell whether the process is to end."""
-        return self.requested or (self._launcher != 0 and os.getppid() != self._launcher)
-
-
-def _plain(error: Exception) -> str:
-    """Return the text of an error without the places in the source of rcl."""
-    return str(error).split(', at /')[0]
-
-
-def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> int:
-    """
-    Run a node until SIGINT, SIGTERM or SIGHUP.
-
-    The node is closed however it ends. An error that nobody expected goes on to the caller, so
-    that the traceback is shown and the exit status is 1.
-
-    :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
-        cannot go on.
-    """
-    stop = _Stop()
-    prepare_discovery()
-    try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # such as arguments that it cannot read
-        print(f'humanopts: ROS cannot start: {_plain(error)}', file=sys.stderr)
-        return 2
-    executor = SingleThreadedExecutor()
-    node: NodeBase | None = None
-    try:
-        node = factory()
-        executor.add_node(node)
-        try:
-            node.serve(executor, stop)
-        finally:  # whatever ended it, so that its files are complete
-            node.close()
-        node.set_status(NodeStatus.STATE_STOPPING)
-        node.drain()
-    except StartError as error:
-        print(f'humanopts: {error}', file=sys.stderr)
-        return 2
-    except PublishError as error:
-        print(f'humanopts: {error}', file=sys.stderr)
-        return 1
-    except ExternalShutdownException:
-        pass
-    finally:
-        executor.shutdown()
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return int(node is not None and node.failed)

@@ -16,7 +16,7 @@ from humanopts_interfaces.srv import (
     OpenSession,
 )
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_ros.node_base import PublishError
+from humanopts_ros.publisher import PublishError
 from humanopts_teach.dialogue.answers import (
     Answer,
     LessonView,

@@ -25,13 +25,9 @@ from humanopts_interfaces.msg import (
     NodeStatus,
 )
 from humanopts_interfaces.srv import ResetGame, SetControl
-from humanopts_ros.node_base import (
-    NodeBase,
-    PublishError,
-    run_node,
-    StampedPublisher,
-    StartError,
-)
+from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.process import run_node
+from humanopts_ros.publisher import PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, STREAM
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 

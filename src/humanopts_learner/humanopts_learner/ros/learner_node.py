@@ -23,7 +23,8 @@ from humanopts_learner.ros.convert import (
     not_learnable_status,
     status_to_message,
 )
-from humanopts_ros.node_base import NodeBase, run_node, StartError
+from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 

@@ -15,7 +15,8 @@ from humanopts_learner.options.files import load_options
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 from humanopts_learner.ros.convert import options_from_message
 from humanopts_learner.ros.runner import Runner, RunRequest
-from humanopts_ros.node_base import NodeBase, run_node, StartError
+from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.action.server import ServerGoalHandle

@@ -33,7 +33,8 @@ from humanopts_learner.ros.extraction import ExtractionServer
 from humanopts_learner.ros.goals import end_goal, Feedback
 from humanopts_learner.ros.player import Made, STOPS
 from humanopts_learner.ros.policy_server import PolicyServer
-from humanopts_ros.node_base import NodeBase, run_node, StartError
+from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup

@@ -19,7 +19,8 @@ from humanopts_interfaces.msg import (
     OptionGoal,
     OptionStatus,
 )
-from humanopts_ros.node_base import NodeBase, run_node, StartError
+from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, DISPLAY
 from humanopts_teach.ros.convert import view_from_message
 from humanopts_teach.ros.terminal_calls import Calls

@@ -36,7 +36,9 @@ from humanopts_interfaces.srv import (
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.option import OptionError
 from humanopts_learner.ros.convert import demonstration_to_message
-from humanopts_ros.node_base import NodeBase, PublishError, run_node, StartError
+from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.process import run_node
+from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Status, Verdict
 from humanopts_teach.dialogue.learned_starts import LearnedStarts
@@ -307,7 +309,9 @@ class LessonNode(NodeBase):
         there = self._recorder_status.get_publisher_count()
         fault = self._recorders.look(there > 0)
         if self._unrecorded and not fault:
-            if not self._demonstrations_out.recorded(there):  # one that stopped may be among them
+            if not self.records(
+                self._demonstrations_out, there
+            ):  # one that stopped may be among them
                 return
             self._unsent.extend(self._lesson.demonstrations())
         self._unrecorded = fault

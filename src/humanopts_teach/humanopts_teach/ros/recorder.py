@@ -7,7 +7,8 @@ import sys
 import time
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.node_base import NodeBase, run_node, StartError
+from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.process import run_node
 from humanopts_ros.recording import MOST_BYTES, Selection
 from humanopts_teach.bags.errors import BagWriteError, SchemaError
 from humanopts_teach.bags.loss import Ledger

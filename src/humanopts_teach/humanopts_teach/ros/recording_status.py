@@ -4,7 +4,8 @@ import os
 import time
 
 from humanopts_interfaces.msg import RecorderStatus, StreamLoss
-from humanopts_ros.node_base import NodeBase, PublishError
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
 from humanopts_teach.bags.loss import Ledger
 from humanopts_teach.bags.pace import LIMIT, Pace

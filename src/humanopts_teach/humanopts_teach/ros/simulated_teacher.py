@@ -24,7 +24,9 @@ from humanopts_interfaces.srv import (
     OpenSession,
     SetControl,
 )
-from humanopts_ros.node_base import NodeBase, PublishError, run_node, StartError
+from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.process import run_node
+from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, STREAM
 from humanopts_teach.dialogue.answers import LessonView
 from humanopts_teach.ros.convert import verdict_to_number, view_from_message

@@ -6,7 +6,8 @@ from typing import Any
 from humanopts_interfaces import action as actions
 from humanopts_interfaces import srv
 from humanopts_interfaces.msg import ActionCommand, OptionResult, PlanResult
-from humanopts_ros.node_base import NodeBase, PublishError
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.publisher import PublishError
 from humanopts_teach.ros.convert import verdict_to_number
 from humanopts_teach.terminal import requests as ask
 from humanopts_teach.terminal.app import App

@@ -1,0 +1,77 @@
+"""A node as a process: signals, the launcher's end, and the exit status."""
+
+from collections.abc import Callable
+import os
+import signal
+import sys
+from types import FrameType
+
+from humanopts_interfaces.msg import NodeStatus
+from humanopts_ros.environment import LAUNCHER_PID, prepare_discovery
+from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.publisher import PublishError, without_source
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
+
+
+class _Stop:
+    """Set by SIGINT, SIGTERM or SIGHUP, or when the launcher that started the process is gone."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._launcher = int(os.environ.get(LAUNCHER_PID, '0'))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, self._request)
+
+    def _request(self, signum: int, frame: FrameType | None) -> None:
+        self.requested = True
+
+    def __call__(self) -> bool:
+        """Tell whether the process is to end."""
+        return self.requested or (self._launcher != 0 and os.getppid() != self._launcher)
+
+
+def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> int:
+    """
+    Run a node until SIGINT, SIGTERM or SIGHUP.
+
+    The node is closed however it ends. An error that nobody expected goes on to the caller, so
+    that the traceback is shown and the exit status is 1.
+
+    :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
+        cannot go on.
+    """
+    stop = _Stop()
+    prepare_discovery()
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # such as arguments that it cannot read
+        print(f'humanopts: ROS cannot start: {without_source(error)}', file=sys.stderr)
+        return 2
+    executor = SingleThreadedExecutor()
+    node: NodeBase | None = None
+    try:
+        node = factory()
+        executor.add_node(node)
+        try:
+            node.serve(executor, stop)
+        finally:  # whatever ended it, so that its files are complete
+            node.close()
+        node.set_status(NodeStatus.STATE_STOPPING)
+        node.drain()
+    except StartError as error:
+        print(f'humanopts: {error}', file=sys.stderr)
+        return 2
+    except PublishError as error:
+        print(f'humanopts: {error}', file=sys.stderr)
+        return 1
+    except ExternalShutdownException:
+        pass
+    finally:
+        executor.shutdown()
+        if node is not None:
+            node.destroy_node()  # type: ignore[no-untyped-call]
+        try_shutdown()
+    return int(node is not None and node.failed)

@@ -1,0 +1,89 @@
+"""Publishers that number and stamp their messages."""
+
+from typing import Generic, Protocol, TypeVar
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Header
+
+
+class Stamped(Protocol):
+    """A message with the three fields that every message of humanopts begins with."""
+
+    header: Header
+    publisher_id: str
+    sequence: int
+
+
+M = TypeVar('M', bound=Stamped)
+
+
+class PublishError(RuntimeError):
+    """A message could not be sent; the text names the topic and the cause."""
+
+
+class StampedPublisher(Generic[M]):
+    """
+    Publishes on one topic, filling in header, publisher_id and sequence.
+
+    :ivar sequence: of the last message that was sent; 0: none was.
+    """
+
+    def __init__(
+        self, node: Node, publisher_id: str, kind: type[M], topic: str, qos: QoSProfile
+    ) -> None:
+        self._node, self._publisher_id = node, publisher_id
+        self._publisher: Publisher = node.create_publisher(kind, topic, qos)
+        self.sequence = 0
+
+    @property
+    def topic(self) -> str:
+        """Full name of the topic."""
+        return str(self._publisher.topic_name)
+
+    def stamp(self, message: M) -> M:
+        """Fill in the fields that ``publish`` would, without sending."""
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.publisher_id = self._publisher_id
+        message.sequence = self.sequence + 1
+        return message
+
+    def publish(self, message: M) -> None:
+        """
+        Send the message.
+
+        :raises PublishError: the middleware refused it, as it does when a reader that keeps
+            everything has stopped reading.
+        """
+        try:
+            self._publisher.publish(self.stamp(message))
+        except Exception as error:
+            cause, names = without_source(error), ', '.join(sorted(set(self.readers()))) or 'none'
+            raise PublishError(
+                f'cannot publish on {self.topic}: {cause}; has a reader stopped? They are: {names}'
+            ) from error
+        self.sequence += 1
+
+    def readers(self) -> list[str]:
+        """Return the name of the node of each subscription of the topic."""
+        found = self._node.get_subscriptions_info_by_topic(self.topic)
+        return [str(reader.node_name) for reader in found]
+
+    def is_matched(self) -> bool:
+        """Tell whether every subscription of the topic would get a message."""
+        return bool(self._publisher.get_subscription_count() >= len(self.readers()))
+
+    def heard_by(self, node_name: str) -> bool:
+        """Tell whether a node's subscription is matched, so that a message would arrive."""
+        return self.is_matched() and node_name in self.readers()
+
+    def drain(self, seconds: float) -> None:
+        """Wait for the readers to take what was sent."""
+        self._publisher.wait_for_all_acked(Duration(seconds=seconds))
+
+
+def without_source(error: Exception) -> str:
+    """Return the text of an error without the places in the source of rcl."""
+    return str(error).split(', at /')[0]
