@@ -57,6 +57,8 @@ build/.packages: build/.interfaces $(PACKAGES)
 	@PATH="$(CURDIR)/$(VENV)/bin:$$PATH" $(BUILD) \
 	  --packages-select humanopts_ros humanopts_env humanopts_learner humanopts_teach \
 	  2> >(grep -v 'local_setup' >&2) > build/packages.log || { cat build/packages.log; exit 1; }
+	@printf '%s\n' $(CURDIR)/install/humanopts_*/lib/python3.*/site-packages > build/humanopts.pth
+	@mv build/humanopts.pth $$(echo $(VENV)/lib/python3.*/site-packages)/  # for people's own scripts
 	@touch $@
 
 demo: setup

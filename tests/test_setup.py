@@ -149,3 +149,16 @@ def test_the_whole_check_is_lint_and_tests() -> None:
     assert os.access(check_all, os.X_OK)
     lines = [line for line in check_all.read_text().splitlines() if line.startswith('make')]
     assert [line.split(' ARGS=')[0] for line in lines] == ['make lint', 'make test']
+
+
+def test_the_python_of_the_set_up_finds_the_packages_with_nothing_sourced(tmp_path: Path) -> None:
+    names = 'humanopts_env, humanopts_learner, humanopts_teach'
+    done = subprocess.run(
+        [ROOT / '.venv/bin/python', '-c', f'import {names}; humanopts_env.make_domain("taxi")'],
+        cwd=tmp_path,
+        env={},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, '')

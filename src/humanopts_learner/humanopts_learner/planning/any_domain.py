@@ -160,6 +160,7 @@ def plan(
     options: Sequence[LearnedOption] = (),
     action_set: str = '',
     gamma: float = 0.0,
+    max_sweeps: int = 0,
     game_steps: int = 0,
     seed: int = 0,
 ) -> AnyPlan:
@@ -169,13 +170,16 @@ def plan(
     :param action_set: one of ``ACTION_SETS``; empty: ``human+primitive``, or ``primitive``
         without options.
     :param gamma: discount per primitive step; 0: the domain's own.
+    :param max_sweeps: of value iteration; 0: 10,000.
     :param game_steps: to be sampled, where states cannot all be listed; 0: 800,000.
     :param seed: of the samples.
     :return: the plan; its ``choose(state)`` says which option to run.
     :raises PlanError: the request makes no sense; its subclasses say which part.
     """
     usual = HUMAN_AND_PRIMITIVE if options else PRIMITIVE
-    request = PlanRequest(action_set or usual, gamma=gamma, game_steps=game_steps, seed=seed)
+    request = PlanRequest(
+        action_set or usual, gamma, max_sweeps=max_sweeps, game_steps=game_steps, seed=seed
+    )
     return plan_in(domain, options, request)
 
 
