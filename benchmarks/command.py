@@ -7,18 +7,61 @@ from functools import partial
 import json
 from pathlib import Path
 import sys
+from typing import Annotated
 
-from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.commands.ending import CommandError
+from humanopts_teach.commands.options import PLAIN
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+import typer
 
 from benchmarks.figure import SUFFIXES, write_figure
 from benchmarks.machine import machine_facts
-from benchmarks.results import Planned, results_to_dict, Rows, run_section
+from benchmarks.results import Planned, results_to_dict, Rows, run_section, SECTIONS
 from benchmarks.tables import section_table
 
 _LEAST_WIDTH = 120  # of tables; narrower ones would leave numbers out
 _FILE_WIDTH = 200
+app = typer.Typer(**PLAIN)
+
+
+def _sections(text: str) -> tuple[str, ...]:
+    names = text.split(',')
+    for name in names:
+        if name not in SECTIONS:
+            text = f'{name!r} is none of {", ".join(SECTIONS)}'
+            raise typer.BadParameter(text, param_hint="'--only'")
+    return tuple(name for name in SECTIONS if name in names)
+
+
+@app.command(help='how long things take, each beside a yardstick')
+def bench(
+    json: Annotated[
+        Path | None, typer.Option(metavar='FILE', help='write everything to this file')
+    ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(
+            metavar='FILE',
+            help='draw planning time against states to this file, .svg or .png',
+        ),
+    ] = None,
+    only: Annotated[
+        str,
+        typer.Option(
+            metavar='NAME,NAME',
+            show_default=False,
+            help=f'sections to measure, of {", ".join(SECTIONS)}; default: all',
+        ),
+    ] = ','.join(SECTIONS),
+    quick: Annotated[
+        bool,
+        typer.Option('--quick', help='small sizes, to see that it works; times mean little'),
+    ] = False,
+) -> int:
+    """Measure the chosen sections."""
+    chosen = _sections(only)
+    return run(argparse.Namespace(json=json, figure=figure, only=chosen, quick=quick))
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 import socket
 import tempfile
 
-from humanopts_teach.launching.launcher import LaunchError
+from humanopts_teach.launching import LaunchError
 
 # Domains whose UDP ports lie above those that Linux hands out to other programs.
 DOMAIN_IDS = range(215, 232)

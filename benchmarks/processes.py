@@ -7,7 +7,8 @@ from pathlib import Path
 import sys
 import time
 
-from humanopts_teach.launching.launcher import Launcher, LaunchError
+from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec, Value
 
 _LOOK_PERIOD = 0.05  # s

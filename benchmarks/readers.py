@@ -9,7 +9,7 @@ from typing import Any
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import count_loss
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.launching.launcher import LaunchError
+from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import ProcessSpec
 from humanopts_teach.launching.usage import look, Usage
 

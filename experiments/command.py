@@ -8,13 +8,16 @@ from pathlib import Path
 import platform
 import sys
 import time
+from typing import Annotated, Literal
 
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.commands.ending import CommandError
+from humanopts_teach.commands.options import PLAIN, SeveralValues, whole
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.report.words import counted, duration
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+import typer
 
 from experiments.cells import Cell, CellStore, LIBRARIES
 from experiments.figure2_section import EXPERIMENT as FIGURE_2
@@ -30,6 +33,51 @@ EXPERIMENTS: dict[str, Experiment] = {
     one.name: one for one in (FIGURE_2, FIGURE_3, FIGURE_4, TABLE_2)
 }
 _LINE_EVERY = 15.0  # s between lines, where there is no terminal
+app = typer.Typer(**PLAIN)
+
+
+@app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
+def reproduce(
+    what: Annotated[
+        Literal['fig2', 'fig3', 'fig4', 'table2', 'all'],
+        typer.Argument(metavar='WHAT', help='a figure or table: fig2, fig3, fig4, table2; or all'),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar='DIR',
+            help='folder for the report; what was computed into it before is not computed again',
+        ),
+    ],
+    participants: Annotated[
+        int, typer.Option(parser=whole(1), metavar='N', help='simulated, in each group')
+    ] = 6,
+    seeds: Annotated[
+        int, typer.Option(parser=whole(1), metavar='N', help='runs of what goes by chance')
+    ] = 10,
+    seed: Annotated[
+        int, typer.Option(parser=whole(0), metavar='N', help='of every random draw')
+    ] = 1,
+    jobs: Annotated[
+        int | None,
+        typer.Option(parser=whole(1), metavar='N', help='processes; default: one for each core'),
+    ] = None,
+    dask: Annotated[
+        str,
+        typer.Option(
+            metavar='ADDRESS',
+            help='of a Dask scheduler whose workers compute instead, such as tcp://127.0.0.1:8786',
+        ),
+    ] = '',
+    bags: Annotated[
+        list[Path],
+        typer.Option(
+            metavar='BAG...', help='recorded lessons of people, in place of simulated ones'
+        ),
+    ] = [],  # noqa: B006
+) -> int:
+    """Compute the paper's figures and tables again."""
+    return run(argparse.Namespace(**locals()))
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -8,17 +8,16 @@ import resource
 import signal
 import subprocess
 import sys
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 from graph_support.command import Command, DemoRun
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.start_states import STRATEGIES
-from humanopts_teach import cli
 from humanopts_teach.bags.episodes import read_episodes
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.cli import build_parser, main
-from humanopts_teach.commands.session import check_setup
-from humanopts_teach.commands.setup import default_folder, setup_from
+from humanopts_teach.cli import main
+from humanopts_teach.commands.options import LaunchOptions
+from humanopts_teach.commands.session import check_setup, default_folder, setup_from
 from humanopts_teach.launching.processes import Setup
 from mcap.writer import Writer
 import pexpect
@@ -45,10 +44,7 @@ HELP = {
 
 def run(*arguments: Any) -> int:
     """Run a command in this process and return its exit status."""
-    try:
-        return main([str(argument) for argument in arguments])
-    except SystemExit as end:  # argparse ends so
-        return int(end.code or 0)
+    return main([str(argument) for argument in arguments])
 
 
 def check_refused(capsys: pytest.CaptureFixture[str], status: int, *words: str) -> None:
@@ -78,13 +74,54 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_strategies_on_offer_are_those_of_the_learner() -> None:
-    assert tuple(STRATEGIES) == cli.STRATEGIES  # named twice, so that help needs no NumPy
+    """They are named twice, so that help needs no NumPy."""
+    hints = get_type_hints(LaunchOptions)
+    assert get_args(hints['strategy']) == tuple(STRATEGIES)
+
+
+def test_help_is_quick_and_fits_a_terminal() -> None:
+    """What takes long is imported by the commands that need it."""
+    slow = ('numpy', 'pandas', 'sklearn', 'matplotlib', 'rclpy', 'rich')
+    code = (
+        'import sys; from humanopts_teach.cli import main; main(sys.argv[1:]); '
+        f'print([name for name in {slow} if name in sys.modules], file=sys.stderr)'
+    )
+    for words in ([], ['demo'], ['bag', 'eval'], ['teach']):
+        done = subprocess.run(
+            [sys.executable, '-c', code, *words, '--help'], capture_output=True, text=True
+        )
+        assert done.stderr == '[]\n'
+        assert max(map(len, done.stdout.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ('typed', 'offered'),
+    [
+        ('humanopts de', ['demo']),
+        ('humanopts bag ', ['check', 'diff', 'eval', 'export', 'info', 'play']),
+        ('humanopts demo --strategy ', ['coverage', 'failures', 'random']),
+        ('humanopts up taxi --split', ['--split-bytes', '--split-seconds']),
+    ],
+)
+def test_a_shell_completes_what_is_typed(typed: str, offered: list[str]) -> None:
+    asked = {
+        '_HUMANOPTS_COMPLETE': 'complete_bash',
+        'COMP_WORDS': typed,
+        'COMP_CWORD': str(typed.count(' ')),
+    }
+    done = subprocess.run(
+        [sys.executable, '-m', 'humanopts_teach.cli'],
+        env={**os.environ, **asked},
+        capture_output=True,
+        text=True,
+    )
+    assert (sorted(done.stdout.split()), done.stderr) == (offered, '')
 
 
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        ((), ['COMMAND']),
+        ((), ['command']),
         (('fly',), ["'fly'", 'demo', 'teach']),
         (('demo', 'extra'), ['extra']),
         (('demo', '--fast'), ['--fast']),
@@ -113,7 +150,7 @@ def test_strategies_on_offer_are_those_of_the_learner() -> None:
         (('up', 'taxi', '--namespace', '/left hand'), ["'/left hand' is not a namespace"]),
         (('teach', 'taxi'), ['terminal']),
         (('teach', 'taxi', '--participant', 'J. Doe'), ["'J. Doe' is not a code"]),
-        (('bag',), ['COMMAND']),
+        (('bag',), ['command']),
         (('bag', 'burn', 'x'), ["'burn'", 'info', 'eval']),
         (('bag', 'info'), ['BAG']),
         (('bag', 'diff', 'x'), ['B']),
@@ -186,12 +223,13 @@ def test_demo_refuses_a_folder_that_holds_something(
 
 
 def test_thresholds_are_those_of_the_domain_but_for_those_given() -> None:
-    def chosen(*words: str) -> Thresholds:
-        return setup_from(build_parser().parse_args(['up', *words]), Path('runs')).thresholds
+    def chosen(domain: str, given: LaunchOptions) -> Thresholds:
+        return setup_from(domain, given, Path('runs')).thresholds
 
-    assert chosen('taxi') == Thresholds()
-    assert chosen('pacman') == Thresholds(return_delta=10.0)
-    assert chosen('pacman', '--termination-error', '0.1') == Thresholds(10.0, 0.05, 0.1)
+    assert chosen('taxi', LaunchOptions()) == Thresholds()
+    assert chosen('pacman', LaunchOptions()) == Thresholds(return_delta=10.0)
+    given = LaunchOptions(termination_error=0.1)
+    assert chosen('pacman', given) == Thresholds(10.0, 0.05, 0.1)
 
 
 @pytest.mark.parametrize(

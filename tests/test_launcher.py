@@ -11,7 +11,8 @@ from graph_support.command import Command
 from graph_support.live import GAME, Graph, RECORDER
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.launching.launcher import Launcher, LaunchError
+from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.lock import only_launch
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
 from humanopts_teach.ros.graph_client import GraphClient

@@ -1,346 +1,318 @@
-"""The humanopts command line."""
+"""
+The humanopts command line: a function for each command, whose signature is its options.
 
-import argparse
+The work is imported when a command runs, so that help and completion are quick.
+"""
+
 from collections.abc import Sequence
 import importlib
+from importlib.metadata import version
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import sys
-from typing import NoReturn
+from typing import Annotated, Any, Literal
 
-from humanopts_teach.bags.provenance import software
-from humanopts_teach.commands.errors import CommandError
-from humanopts_teach.commands.recording import add_recording_options
-from humanopts_teach.commands.signals import interruptible
-from humanopts_teach.demos.store import CODE, CODE_RULE
-from humanopts_teach.launching.launcher import LaunchError
+from humanopts_teach.bags.errors import BagError
+from humanopts_teach.commands.ending import CommandError, interruptible
+from humanopts_teach.commands.options import (
+    LaunchOptions,
+    number,
+    PLAIN,
+    share,
+    whole,
+    with_launch_options,
+)
+from humanopts_teach.launching import LaunchError
+import typer
+from typer.core import TyperCommand, TyperGroup
 
-REPRODUCED = ('fig2', 'fig3', 'fig4', 'table2', 'all')
-SECTIONS = ('planning', 'learning', 'games', 'graph', 'recording')
-EXPORTED = ('csv', 'parquet', 'minari', 'files')
-OUTSIDE = {'bench': 'benchmarks.command', 'reproduce': 'experiments.command'}  # of the repository
-STRATEGIES = ('random', 'coverage', 'failures')
+NAME = 'humanopts'
+COMPLETE = '_HUMANOPTS_COMPLETE'  # set by the shell, for a list of completions
+OUTSIDE = {  # commands of the repository: the module that has the Typer app, and a line of help
+    'bench': ('benchmarks.command', 'how long things take, each beside a yardstick'),
+    'reproduce': ('experiments.command', "the paper's figures and tables, computed again"),
+}
+
+speed = number('from 1/16 to 64', lambda value: 1 / 16 <= value <= 64)
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser that refuses bad input in one line."""
+class OutsideCommand(TyperCommand):
+    """A command of the repository; what it needs is imported when it runs, or shows its help."""
 
-    def error(self, message: str) -> NoReturn:
-        """End with status 2."""
-        self.exit(2, f'{self.prog}: {message}; see {self.prog} --help\n')
+    def make_context(
+        self, info_name: str | None, args: list[str], *others: Any, **more: Any
+    ) -> Any:
+        """Let the command itself read its words."""
+        module = importlib.import_module(OUTSIDE[str(self.name)][0])
+        command = typer.main.get_command(module.app)
+        return command.make_context(info_name, args, *others, **more)
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of the whole command line."""
-    parser = Parser(
-        prog='humanopts', description='Teach options to a game-playing agent, and plan with them.'
-    )
-    parser.add_argument('--version', action='version', version=software()['humanopts_version'])
-    commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
-    demo = commands.add_parser(
-        'demo', help='the whole graph with a simulated teacher: a bag, options and a report'
-    )
-    demo.add_argument('--domain', default='taxi', help='default: %(default)s')
-    demo.add_argument(
-        '--episodes',
-        type=_positive,
-        help='to play live; default: 100, or 5 where plans are made from samples',
-    )
-    demo.add_argument(
-        '--games',
-        type=_games,
-        default=1000,
-        help='that each way to play is judged by where plans are made from samples; 0: leave the '
-        'comparison out; default: %(default)s',
-    )
-    demo.add_argument(
-        '--error-rate',
-        type=_share,
-        default=0.02,
-        help="share of the simulated teacher's steps that are wrong; default: %(default)s",
-    )
-    up = commands.add_parser('up', help='launch the nodes and stay until Ctrl-C')
-    up.add_argument('domain', metavar='DOMAIN')
-    up.add_argument('--no-record', dest='record', action='store_false', help='do not write a bag')
-    teach = commands.add_parser('teach', help="launch, and teach from this terminal's keyboard")
-    teach.add_argument('domain', metavar='DOMAIN')
-    teach.add_argument(
-        '--participant',
-        type=_code,
-        default='p1',
-        help=f'code of the person: {CODE_RULE}; default: %(default)s',
-    )
-    for command in (demo, up, teach):
-        _add_launch_options(command)
-        add_recording_options(command)
-        command.add_argument(
-            '--step-period',
-            type=_seconds,
-            default=0.0,
-            help='seconds between steps of the machine, to watch it; default: %(default)s',
-        )
-    teach.set_defaults(step_period=0.15)
-    demo.set_defaults(step_period=0.02 if sys.stdout.isatty() else 0.0)
-    _add_bench_options(
-        commands.add_parser('bench', help='how long things take, each beside a yardstick')
-    )
-    _add_bag_commands(commands.add_parser('bag', help='look into a recorded bag, no ROS needed'))
-    _add_reproduce_options(
-        commands.add_parser('reproduce', help="the paper's figures and tables, computed again")
-    )
-    return parser
+class Commands(TyperGroup):
+    """The commands; unknown ones are refused with the names of those that there are."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        if self.name == NAME:
+            for name, (module, text) in OUTSIDE.items():
+                if find_spec(module.partition('.')[0]):
+                    self.add_command(OutsideCommand(name, help=text))
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the first word names."""
+        if not args[0].startswith('-') and args[0] not in self.commands:
+            ctx.fail(f'there is no command {args[0]!r}; there are {", ".join(self.commands)}')
+        return super().resolve_command(ctx, args)
+
+
+SETTINGS: dict[str, Any] = {**PLAIN, 'cls': Commands, 'subcommand_metavar': 'COMMAND ...'}
+app = typer.Typer(**{**SETTINGS, 'add_completion': True}, name=NAME)
+bag_app = typer.Typer(**SETTINGS)
+app.add_typer(bag_app, name='bag', help='look into a recorded bag, no ROS needed')
+
+DomainArgument = Annotated[str, typer.Argument(metavar='DOMAIN')]
+BagArgument = Annotated[Path, typer.Argument(metavar='BAG', help='a rosbag2 folder or .mcap file')]
+Json = Annotated[bool, typer.Option('--json', help='print JSON')]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(version('humanopts_teach'))
+        raise typer.Exit
+
+
+def _games(count: int) -> int:
+    if count == 1:
+        raise typer.BadParameter('one game has no interval; give 0, or 2 or more')
+    return count
+
+
+@app.callback()
+def humanopts(
+    version: Annotated[
+        bool, typer.Option('--version', callback=_version, is_eager=True, help='show it, and end')
+    ] = False,
+) -> None:
+    """Teach options to a game-playing agent, and plan with them."""
+
+
+@app.command(help='the whole graph with a simulated teacher: bag, options, report')
+@with_launch_options
+def demo(
+    launch: LaunchOptions,
+    domain: str = 'taxi',
+    episodes: Annotated[
+        int | None,
+        typer.Option(
+            parser=whole(1),
+            metavar='N',
+            help='to play live; default: 100, or 5 where plans are made from samples',
+        ),
+    ] = None,
+    games: Annotated[
+        int,
+        typer.Option(
+            parser=whole(0),
+            metavar='N',
+            callback=_games,
+            help='that each way to play is judged by where plans are made from samples; 0: leave '
+            'the comparison out',
+        ),
+    ] = 1000,
+    error_rate: Annotated[
+        float,
+        typer.Option(
+            parser=share,
+            metavar='SHARE',
+            help="share of the simulated teacher's steps that are wrong",
+        ),
+    ] = 0.02,
+) -> int:
+    """Teach, plan, play, evaluate the bag and report."""
+    from humanopts_teach.commands.demo import run_demo
+
+    return run_demo(domain, launch, episodes, games, error_rate)
+
+
+@app.command(help='launch the nodes and stay until Ctrl-C')
+@with_launch_options
+def up(
+    launch: LaunchOptions,
+    domain: DomainArgument,
+    record: Annotated[bool, typer.Option('--no-record', help='do not write a bag')] = True,
+) -> int:
+    """Launch the nodes and stay."""
+    from humanopts_teach.commands.launch import stay_up
+
+    return stay_up(domain, launch, record=record)
+
+
+@app.command(help="launch, and teach from this terminal's keyboard")
+@with_launch_options
+def teach(
+    launch: LaunchOptions,
+    domain: DomainArgument,
+    participant: Annotated[
+        str,
+        typer.Option(
+            metavar='CODE', help='of the person: letters, digits, - and _, at most 60 of them'
+        ),
+    ] = 'p1',
+) -> int:
+    """Launch the graph and give the terminal to the person."""
+    from humanopts_teach.commands.launch import teach_here
+
+    return teach_here(domain, launch, participant)
+
+
+@bag_app.callback()
+def bag() -> None:
+    """Look into a recorded bag."""
+
+
+@bag_app.command(help='what a bag holds, and what of it was lost')
+def info(bag: BagArgument, json: Json = False) -> int:
+    """Show what a bag holds."""
+    from humanopts_teach.commands.bag import show_info
+
+    return show_info(bag, as_json=json)
+
+
+@bag_app.command(help='what of a bag is damaged or missing; status 1: something is')
+def check(
+    bag: BagArgument,
+    repair: Annotated[
+        Path | None,
+        typer.Option(metavar='OUT', help='write all that can be saved to this new folder'),
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Check a bag, and repair it where that is asked."""
+    from humanopts_teach.commands.bag import check
+
+    return check(bag, repair, as_json=json)
+
+
+@bag_app.command('eval', help='learn every option again from the bag alone')
+def evaluate(
+    bags: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar='BAG', help='rosbag2 folders or .mcap files; each of several by itself'
+        ),
+    ],
+    html: Annotated[
+        Path | None, typer.Option(metavar='FILE', help='write a report to this file')
+    ] = None,
+    games: Annotated[
+        int,
+        typer.Option(
+            parser=whole(0),
+            metavar='N',
+            callback=_games,
+            show_default=False,
+            help='also compare plans with random play and a hand-written rule in so many games '
+            'each, where plans are made from samples; takes minutes; default: not',
+        ),
+    ] = 0,
+    json: Json = False,
+) -> int:
+    """Evaluate bags, and report on one."""
+    from humanopts_teach.commands.bag_evaluation import evaluate
+
+    return evaluate(bags, html, games, as_json=json)
+
+
+@bag_app.command(help='what differs between two lessons; status 1: it does')
+def diff(
+    a: Annotated[Path, typer.Argument(metavar='A', help='a rosbag2 folder or .mcap file')],
+    b: Annotated[Path, typer.Argument(metavar='B', help='another one')],
+    json: Json = False,
+) -> int:
+    """Compare two bags."""
+    from humanopts_teach.commands.bag_evaluation import show_differences
+
+    return show_differences(a, b, as_json=json)
+
+
+@bag_app.command(help='an episode again, as text, in this terminal')
+def play(
+    bag: BagArgument,
+    episode: Annotated[
+        int,
+        typer.Option(parser=whole(1), metavar='N', help='counted from the first in the bag'),
+    ] = 1,
+    speed: Annotated[
+        float,
+        typer.Option(
+            parser=speed, metavar='X', help='1 is two steps a second, 2 is twice as fast'
+        ),
+    ] = 1.0,
+) -> int:
+    """Play an episode."""
+    from humanopts_teach.commands.bag import play
+
+    return play(bag, episode, speed)
+
+
+@bag_app.command(help='tables or a dataset for other tools')
+def export(
+    bag: BagArgument,
+    to: Annotated[
+        Literal['csv', 'parquet', 'minari', 'files'],
+        typer.Option(
+            help='parquet needs pyarrow; minari needs minari[arrow]; files are those attached to '
+            'the bag, such as option files'
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar='DIR', help='folder for the files')],
+) -> int:
+    """Write a bag for other tools."""
+    from humanopts_teach.commands.bag_export import export
+
+    return export(bag, to, out)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit status: 0, 1 for a failure, 2 for bad input."""
-    arguments = build_parser().parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
+    command = typer.main.get_command(app)
+    if COMPLETE in os.environ:
+        command.main(words, prog_name=NAME)
+    context = None
     try:
-        name = OUTSIDE.get(arguments.command, f'humanopts_teach.commands.{arguments.command}')
-        with interruptible():
-            module = importlib.import_module(name)
-            status: int = module.run(arguments)
+        with interruptible(), command.make_context(NAME, words) as context:
+            status: int = command.invoke(context)
             sys.stdout.flush()
-    except CommandError as error:
-        return _complain(arguments.command, str(error), 2)
+    except typer.Exit as end:
+        return end.exit_code
+    except typer.TyperException as error:
+        place = getattr(error, 'ctx', None)  # of every usage error
+        path = place.command_path if place else NAME
+        text = ' '.join(error.format_message().split()).rstrip('.')
+        return _complain(path, f'{text[:1].lower()}{text[1:]}; see {path} --help', 2)
+    except (CommandError, BagError) as error:
+        return _complain(_named(context), str(error), 2)
     except LaunchError as error:
-        return _complain(arguments.command, str(error), 1)
+        return _complain(_named(context), str(error), 1)
     except KeyboardInterrupt:
-        return _complain(arguments.command, 'interrupted; everything is stopped', 130)
+        return _complain(_named(context), 'interrupted; everything is stopped', 130)
     except BrokenPipeError:  # nobody reads on, as in "humanopts bag info BAG | head"
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     return status
 
 
-def _complain(command: str, text: str, status: int) -> int:
-    print(f'humanopts {command}: {text}', file=sys.stderr)
+def _named(context: Any) -> str:
+    """Return what the command line is called in messages: humanopts and its first word."""
+    called = context.invoked_subcommand if context is not None else None
+    return f'{NAME} {called}' if called else NAME
+
+
+def _complain(path: str, text: str, status: int) -> int:
+    print(f'{path}: {text}', file=sys.stderr)
     return status
-
-
-def _add_launch_options(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        '--out',
-        type=Path,
-        help='folder for bags, options and logs; default: runs/DOMAIN, and a new one for demo',
-    )
-    command.add_argument('--seed', type=_natural, default=1, help='default: %(default)s')
-    command.add_argument(
-        '--strategy',
-        choices=STRATEGIES,
-        default='failures',
-        help='how start states are chosen; default: %(default)s',
-    )
-    command.add_argument(
-        '--budget',
-        type=_positive,
-        default=150,
-        help='most start states shown for an option; default: %(default)s',
-    )
-    for name, kind, what in (
-        ('return-delta', _number, 'reward units by which its held-out return may fall short'),
-        ('initiation-error', _share, 'share that its held-out I may get wrong'),
-        ('termination-error', _share, 'share that its held-out β may get wrong'),
-    ):
-        command.add_argument(
-            f'--{name}', type=kind, help=f'of an option: {what}; default: usual in the domain'
-        )
-    command.add_argument(
-        '--parameter',
-        action='append',
-        default=[],
-        metavar='NAME=VALUE',
-        help='a parameter of the domain, such as rows=7; may be repeated',
-    )
-    command.add_argument('--namespace', default='/', help='of the nodes; default: %(default)s')
-
-
-def _add_bag_commands(bag: argparse.ArgumentParser) -> None:
-    commands = bag.add_subparsers(dest='bag_command', required=True, metavar='COMMAND')
-    info = commands.add_parser('info', help='what a bag holds, and what of it was lost')
-    evaluate = commands.add_parser('eval', help='learn every option again from the bag alone')
-    evaluate.add_argument('--html', type=Path, help='write a report to this file')
-    evaluate.add_argument(
-        '--games',
-        type=_games,
-        default=0,
-        help='also compare plans with chance and a hand-written rule in so many games each, where '
-        'plans are made from samples; takes minutes; default: not',
-    )
-    check = commands.add_parser(
-        'check', help='what of a bag is damaged or missing; status 1: something is'
-    )
-    check.add_argument(
-        '--repair', type=Path, metavar='OUT', help='write all that can be saved to this new folder'
-    )
-    differ = commands.add_parser(
-        'diff', help='what differs between two lessons; status 1: it does'
-    )
-    play = commands.add_parser('play', help='an episode again, as text, in this terminal')
-    play.add_argument(
-        '--episode',
-        type=_positive,
-        default=1,
-        metavar='N',
-        help='counted from the first in the bag; default: %(default)s',
-    )
-    play.add_argument(
-        '--speed',
-        type=_speed,
-        default=1.0,
-        metavar='X',
-        help='2 is twice as fast; default: %(default)s, two steps a second',
-    )
-    export = commands.add_parser('export', help='tables or a dataset for other tools')
-    export.add_argument(
-        '--to',
-        choices=EXPORTED,
-        required=True,
-        help='csv; parquet, which needs pyarrow; minari, which needs minari[arrow]; files, which '
-        'are those attached to the bag, such as option files',
-    )
-    export.add_argument(
-        '--out', type=Path, required=True, metavar='DIR', help='folder for the files'
-    )
-    what = 'a rosbag2 folder or .mcap file'
-    for command in (info, check, play, export):
-        command.add_argument('bag', type=Path, metavar='BAG', help=what)
-    for name in ('a', 'b'):
-        differ.add_argument(name, type=Path, metavar=name.upper(), help=what)
-    evaluate.add_argument(
-        'bags', type=Path, nargs='+', metavar='BAG', help=f'{what}; each of several by itself'
-    )
-    for command in (info, check, evaluate, differ):
-        command.add_argument('--json', action='store_true', help='print JSON')
-
-
-def _add_reproduce_options(reproduce: argparse.ArgumentParser) -> None:
-    reproduce.add_argument('what', choices=REPRODUCED, help='a figure or table, or all of them')
-    reproduce.add_argument(
-        '--out',
-        type=Path,
-        required=True,
-        metavar='DIR',
-        help='folder for the report; what was computed into it before is not computed again',
-    )
-    reproduce.add_argument(
-        '--participants',
-        type=_positive,
-        default=6,
-        metavar='N',
-        help='simulated, in each group; default: %(default)s',
-    )
-    reproduce.add_argument(
-        '--seeds',
-        type=_positive,
-        default=10,
-        metavar='N',
-        help='runs of what goes by chance; default: %(default)s',
-    )
-    reproduce.add_argument('--seed', type=_natural, default=1, help='default: %(default)s')
-    reproduce.add_argument(
-        '--jobs', type=_positive, metavar='N', help='processes; default: one for each core'
-    )
-    reproduce.add_argument(
-        '--dask',
-        default='',
-        metavar='ADDRESS',
-        help='of a Dask scheduler whose workers compute instead, such as tcp://127.0.0.1:8786',
-    )
-    reproduce.add_argument(
-        '--bags',
-        type=Path,
-        nargs='+',
-        default=[],
-        metavar='BAG',
-        help='recorded lessons of people, in place of simulated ones',
-    )
-
-
-def _add_bench_options(bench: argparse.ArgumentParser) -> None:
-    bench.add_argument('--json', type=Path, metavar='FILE', help='write everything to this file')
-    bench.add_argument(
-        '--figure',
-        type=Path,
-        metavar='FILE',
-        help='draw planning time against states to this file, .svg or .png',
-    )
-    bench.add_argument(
-        '--only',
-        type=_sections,
-        default=SECTIONS,
-        metavar='NAME,NAME',
-        help=f'sections to measure, of {", ".join(SECTIONS)}; default: all',
-    )
-    bench.add_argument(
-        '--quick', action='store_true', help='small sizes, to see that it works; times mean little'
-    )
-
-
-def _sections(text: str) -> tuple[str, ...]:
-    names = text.split(',')
-    for name in names:
-        if name not in SECTIONS:
-            raise argparse.ArgumentTypeError(f'{name!r} is none of {", ".join(SECTIONS)}')
-    return tuple(name for name in SECTIONS if name in names)
-
-
-def _natural(text: str) -> int:
-    return _whole(text, 0)
-
-
-def _positive(text: str) -> int:
-    return _whole(text, 1)
-
-
-def _games(text: str) -> int:
-    count = _natural(text)
-    if count == 1:
-        raise argparse.ArgumentTypeError('one game has no interval; give 0, or 2 or more')
-    return count
-
-
-def _whole(text: str, least: int) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f'{text!r} is not a whole number') from None
-    if not least <= value < 2**31:
-        raise argparse.ArgumentTypeError(f'{text} is not from {least} to {2**31 - 1}')
-    return value
-
-
-def _share(text: str) -> float:
-    value = _number(text)
-    if not 0 <= value < 1:
-        raise argparse.ArgumentTypeError(f'{text} is not from 0 to below 1')
-    return value
-
-
-def _speed(text: str) -> float:
-    value = _number(text)
-    if not 1 / 16 <= value <= 64:
-        raise argparse.ArgumentTypeError(f'{text} is not from 1/16 to 64')
-    return value
-
-
-def _seconds(text: str) -> float:
-    value = _number(text)
-    if not 0 <= value <= 60:
-        raise argparse.ArgumentTypeError(f'{text} is not from 0 to 60')
-    return value
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f'{text!r} is not a number') from None
-
-
-def _code(text: str) -> str:
-    if not CODE.fullmatch(text):
-        raise argparse.ArgumentTypeError(f'{text!r} is not a code: {CODE_RULE}')
-    return text
 
 
 if __name__ == '__main__':

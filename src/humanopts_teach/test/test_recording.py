@@ -8,19 +8,19 @@ from typing import Any
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.pace import Pace
 from humanopts_teach.bags.provenance import attachments, lock_hash, software, UNKNOWN
-from humanopts_teach.cli import build_parser
-from humanopts_teach.commands.errors import CommandError
-from humanopts_teach.commands.session import check_setup
-from humanopts_teach.commands.setup import setup_from
+from humanopts_teach.commands.ending import CommandError
+from humanopts_teach.commands.options import LaunchOptions, size
+from humanopts_teach.commands.session import check_setup, setup_from
 from humanopts_teach.launching.processes import common_parameters, processes, Recording, Setup
 import numpy as np
 import pytest
+import typer
 
 
-def launch(*options: str, evaluated: bool = False, **own: Any) -> Setup:
-    """Return the setup of ``humanopts up`` with these options."""
-    arguments = build_parser().parse_args(['up', 'taxi', *options])
-    return setup_from(arguments, Path('x'), evaluated=evaluated, **own)
+def launch(evaluated: bool = False, record: bool = True, **options: Any) -> Setup:
+    """Return the setup of a launch with these options."""
+    launch_options = LaunchOptions(**options)
+    return setup_from('taxi', launch_options, Path('x'), evaluated=evaluated, record=record)
 
 
 def test_a_message_that_waits_too_long_puts_the_recorder_behind_for_a_second() -> None:
@@ -90,7 +90,7 @@ def test_a_folder_that_is_not_in_utf_8_is_refused_before_anything_starts(tmp_pat
 
 
 def test_every_node_of_a_launch_is_told_what_is_recorded() -> None:
-    setup = launch('--record-exclude', 'rosout', '--record-exclude', 'lesson/*')
+    setup = launch(record_exclude=['rosout', 'lesson/*'])
     expected = {'record_exclude': ['rosout', 'lesson/*']}
     for spec in processes(setup):
         assert expected.items() <= spec.parameters.items()
@@ -99,31 +99,30 @@ def test_every_node_of_a_launch_is_told_what_is_recorded() -> None:
 
 
 def test_the_recorder_of_a_launch_splits_and_keeps_the_option_files() -> None:
-    setup = launch('--split-bytes', '500M', '--split-seconds', '60')
+    setup = launch(split_bytes=size('500M'), split_seconds=60.0)
     recorder = processes(setup)[0].parameters
     assert (recorder['max_bytes'], recorder['max_seconds']) == (500_000_000, 60.0)
     assert recorder['attach'] == [str(setup.directory / 'options')]
 
 
-@pytest.mark.parametrize('size', ['0', '-1', '5 M', '5T', 'M', '1.5G', '5000000000G', '٣'])
-def test_what_is_no_size_is_refused(size: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        launch('--split-bytes', size)
-    assert 'is not a size such as 500M' in capsys.readouterr().err
+@pytest.mark.parametrize('text', ['0', '-1', '5 M', '5T', 'M', '1.5G', '5000000000G', '٣'])
+def test_what_is_no_size_is_refused(text: str) -> None:
+    with pytest.raises(typer.BadParameter, match='is not a size such as 500M'):
+        size(text)
 
 
 def test_a_bag_that_could_not_be_evaluated_is_said_or_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    launch('--record-include', 'game_state')
+    launch(record_include=['game_state'])
     assert Selection(include=['game_state']).unevaluable in capsys.readouterr().err
     with pytest.raises(CommandError, match='domain_info will not be recorded'):
-        launch('--record-exclude', 'domain_info', evaluated=True)
+        launch(record_exclude=['domain_info'], evaluated=True)
 
 
 def test_where_nothing_is_recorded_nothing_is_said_of_a_bag(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    setup = launch('--record-include', 'game_state', record=False)
+    setup = launch(record_include=['game_state'], record=False)
     assert setup.recording == Recording()
     assert capsys.readouterr().err == ''

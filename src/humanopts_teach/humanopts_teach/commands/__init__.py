@@ -1,1 +1,1 @@
-"""What the subcommands of the command line do."""
+"""What the commands do; their options are in ``humanopts_teach.cli``."""

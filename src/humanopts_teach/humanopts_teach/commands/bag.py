@@ -1,126 +1,130 @@
-"""``humanopts bag``: looks into a recorded bag, with no ROS."""
+"""``humanopts bag info``, ``check`` and ``play``: what a recorded bag holds."""
 
-import argparse
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 import json
-import os
 from pathlib import Path
 import sys
+import time
+from typing import Protocol
 
 from humanopts_env.domains.base import StateError
+from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.demonstrations import read_domain
-from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.episodes import Played
+from humanopts_teach.bags.errors import BagWriteError
 from humanopts_teach.bags.info import summarise
-from humanopts_teach.bags.reader import Bag, open_bag
-from humanopts_teach.commands import bag_check, bag_export, bag_play
-from humanopts_teach.commands.bar import progress_bar, Tell
-from humanopts_teach.commands.errors import CommandError
-from humanopts_teach.evaluation.bag_evaluation import (
-    BagEvaluation,
-    evaluate_bag,
-    EvaluationError,
-)
-from humanopts_teach.evaluation.bag_games import check_games, with_games
-from humanopts_teach.evaluation.difference import compare, difference_text, read_lesson
-from humanopts_teach.evaluation.summary import SummaryError
-from humanopts_teach.report.bag_parts import bag_parts
-from humanopts_teach.report.write import write_evaluation_report
+from humanopts_teach.bags.order import silent
+from humanopts_teach.bags.played import actors_in
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.repair import repair
+from humanopts_teach.commands.ending import CommandError
+from humanopts_teach.terminal.device import Device, why_not
+from humanopts_teach.terminal.replay import Replay
+from rich.console import Console
+from rich.progress import Progress
+
+_PERIOD = 0.1  # s between two drawings of the same work
+_LONGEST_WAIT = 0.2  # s, until a window of another size is seen
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Do what the bag subcommand says."""
-    commands = {
-        'info': _info,
-        'check': bag_check.run,
-        'eval': _eval,
-        'diff': _diff,
-        'play': bag_play.run,
-        'export': bag_export.run,
-    }
-    try:
-        return commands[arguments.bag_command](arguments)
-    except (BagError, EvaluationError) as error:
-        raise CommandError(str(error)) from error
+class ProgressCallback(Protocol):
+    """Shows how far work is."""
+
+    def __call__(self, done: int, total: int, text: str = 'reading') -> None:
+        """Show how much is done, of how much, and what is under way."""
+        ...
 
 
-def _info(arguments: argparse.Namespace) -> int:
-    with progress_bar() as tell:
-        info = summarise(open_bag(arguments.bag, tell))
-    print(json.dumps(info.to_dict(), indent=2) if arguments.json else info.to_text())
+@contextmanager
+def progress_bar() -> Iterator[ProgressCallback]:
+    """Show a bar on standard error where it is a terminal."""
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task('reading', total=None)
+        shown, due = '', 0.0
+
+        def show(done: int, total: int, text: str = 'reading') -> None:
+            nonlocal shown, due
+            if text != shown or time.monotonic() >= due:
+                shown, due = text, time.monotonic() + _PERIOD
+                progress.update(task, completed=done, total=total, description=text)
+
+        yield show
+
+
+def show_info(path: Path, *, as_json: bool) -> int:
+    """Print what a bag holds."""
+    with progress_bar() as show:
+        info = summarise(open_bag(path, show))
+    print(json.dumps(info.to_dict(), indent=2) if as_json else info.to_text())
     return 0
 
 
-def _eval(arguments: argparse.Namespace) -> int:
-    if arguments.html:
-        _check_report(arguments.html, len(arguments.bags))
-    with progress_bar() as tell:
-        bags = [open_bag(path, tell) for path in arguments.bags]
-        for bag in bags if arguments.games else ():
-            check_games(read_domain(bag))
-        found = [_evaluated(bag, arguments.games, tell) for bag in bags]
-    _print(arguments.json, bags, found)
-    for bag, evaluation in zip(bags, found):
-        whose = f'{bag.path}: ' if len(bags) > 1 else ''
-        for warning in evaluation.warnings:
-            print(f'humanopts bag eval: {whose}{warning}', file=sys.stderr)
-    if arguments.html:
-        with progress_bar() as tell:
-            bags[0].on_read = partial(tell, text='reading for the report')
-            parts = bag_parts(bags[0])
+def check(path: Path, out: Path | None, *, as_json: bool) -> int:
+    """
+    Print what is damaged or missing in a bag, and save the rest.
+
+    :param out: new folder for all that can be saved; None: it is not asked for.
+    :return: exit status, 1 for a damaged bag.
+    :raises BagError: there is no bag.
+    """
+    if out is not None and out.exists():
+        raise CommandError(f'{out} exists already; name a folder that does not')
+    with progress_bar() as show:
+        bag = open_bag(path, partial(show, text='checking'))
+        found = check_bag(bag)
+    if out is not None:
         try:
-            write_evaluation_report(arguments.html, found[0], parts.frames, parts.topics)
-        except (StateError, SummaryError) as error:
-            raise CommandError(f'no report: {error}') from error
-        print(f'report: {arguments.html}', file=sys.stderr)
+            with progress_bar() as show:
+                bag.on_read = partial(show, text='writing')
+                count = repair(bag, out)
+        except BagWriteError as error:
+            raise CommandError(str(error)) from error
+        print(f'{out}: {count} messages, all that could be saved', file=sys.stderr)
+    print(json.dumps(found.to_dict(), indent=2) if as_json else found.to_text())
+    return 0 if found.whole else 1
+
+
+def play(path: Path, episode: int, speed: float) -> int:
+    """
+    Play an episode in this terminal; as plain text where this is none.
+
+    :param episode: counted from 1.
+    :param speed: 1 is two steps a second.
+    :raises BagError: there is no bag, or it has no domain.
+    """
+    with progress_bar() as show:
+        bag = open_bag(path, show)
+        domain, episodes = read_domain(bag), Played(bag)
+        bag.on_read = silent  # what follows is read quickly, while the screen is drawn
+    if not 1 <= episode <= len(episodes):
+        there = f'1 to {len(episodes)}' if episodes else 'none'
+        raise CommandError(f'there is no episode {episode} in {bag.path}: {there}')
+    replay = Replay(domain, episodes, partial(actors_in, bag), episode - 1, speed)
+    try:
+        if why_not():
+            for text in replay.plain():
+                print(text)
+        else:
+            with Device() as device:
+                _play(replay, device)
+    except StateError as error:
+        raise CommandError(f'{bag.path}: {error}') from error
     return 0
 
 
-def _check_report(path: Path, bags: int) -> None:
-    """Refuse a report before the work for it."""
-    if bags > 1:
-        raise CommandError('--html reports on one bag: give one')
-    if path.is_dir():
-        raise CommandError(f'cannot write {path}: it is a folder')
-    if not path.parent.is_dir():
-        raise CommandError(f'cannot write {path}: there is no such folder')
-    if not os.access(path.parent, os.W_OK):
-        raise CommandError(f'cannot write {path}: the folder is not writable')
-
-
-def _evaluated(bag: Bag, games: int, tell: Tell) -> BagEvaluation:
-    evaluation = evaluate_bag(bag, tell)
-    if games:
-        evaluation = with_games(
-            evaluation, games, lambda text, share: tell(round(1000 * share), 1000, text)
-        )
-    return evaluation
-
-
-def _diff(arguments: argparse.Namespace) -> int:
-    with progress_bar() as tell:
-        bags = [open_bag(path, tell) for path in (arguments.a, arguments.b)]
-        lessons = [read_lesson(bag, tell) for bag in bags]
-    found = compare(*lessons)
-    for bag, lesson in zip(bags, lessons):
-        for warning in lesson.evaluation.warnings:
-            print(f'humanopts bag diff: {bag.path}: {warning}', file=sys.stderr)
-    listed = {'same': not found, 'differences': [asdict(difference) for difference in found]}
-    print(json.dumps(listed, indent=2) if arguments.json else difference_text(found))
-    return 1 if found else 0
-
-
-def _print(as_json: bool, bags: Sequence[Bag], found: Sequence[BagEvaluation]) -> None:
-    """Print one evaluation by itself, several as a list."""
-    if as_json:
-        listed = [
-            {'bag': str(bag.path), **evaluation.to_dict()} for bag, evaluation in zip(bags, found)
-        ]
-        print(json.dumps(listed if len(bags) > 1 else found[0].to_dict(), indent=2))
-        return
-    texts = [
-        f'bag {bag.path}\n{evaluation.to_text()}' if len(bags) > 1 else evaluation.to_text()
-        for bag, evaluation in zip(bags, found)
-    ]
-    print('\n\n'.join(texts))
+def _play(replay: Replay, device: Device) -> None:
+    """Draw until the person quits or the terminal is gone."""
+    shown = time.monotonic()
+    while not replay.over and not device.closed:
+        device.draw(replay.frame)
+        due = shown + replay.seconds - time.monotonic()
+        device.wait(min(max(due, 0.0), _LONGEST_WAIT) if replay.running else _LONGEST_WAIT)
+        for key in device.read():
+            replay.press(key)
+            shown = time.monotonic()
+        if replay.running and time.monotonic() >= shown + replay.seconds:
+            replay.advance()
+            shown = time.monotonic()

@@ -1,26 +1,29 @@
 """``humanopts bag export``: a bag for other tools."""
 
-import argparse
 from pathlib import Path
 import sys
 
 from humanopts_env.domains.base import StateError
 from humanopts_teach.bags.reader import Bag, open_bag
-from humanopts_teach.commands.bar import progress_bar
-from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.commands.bag import progress_bar
+from humanopts_teach.commands.ending import CommandError
 from humanopts_teach.export.attached import write_attached
 from humanopts_teach.export.files import ExportError, write_csv, write_parquet
 from humanopts_teach.export.minari_dataset import FOLDER, write_dataset
 from humanopts_teach.export.tables import bag_tables
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Write the files, and print what was written."""
-    out = arguments.out
+def export(path: Path, form: str, out: Path) -> int:
+    """
+    Write the files, and print what was written.
+
+    :param form: csv, parquet, minari or files.
+    :raises BagError: there is no bag.
+    """
     try:
-        with progress_bar() as tell:
-            bag = open_bag(arguments.bag, tell)
-            written = _write(bag, arguments.to, out)
+        with progress_bar() as show:
+            bag = open_bag(path, show)
+            written = _write(bag, form, out)
     except (ExportError, StateError) as error:
         raise CommandError(str(error)) from error
     except OSError as error:
@@ -32,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write(bag: Bag, form: str, out: Path) -> str:
-    """Write the files, and return what there is to say of them."""
+    """Write the files; return the lines that name them."""
     if form == 'minari':
         return _dataset(bag, out)
     if form == 'files':

@@ -1,6 +1,5 @@
 """``humanopts demo``: the whole graph with a simulated teacher, a bag and a report."""
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +20,17 @@ from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
 from humanopts_learner.planning.sampled.games import batch_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
-from humanopts_teach.commands.errors import CommandError
+from humanopts_teach.commands.ending import CommandError
+from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.progress import DemoProgress
-from humanopts_teach.commands.session import check_setup, Session, session
-from humanopts_teach.commands.setup import new_name, parameters_from, setup_from
+from humanopts_teach.commands.session import (
+    check_setup,
+    domain_parameters,
+    new_name,
+    Session,
+    session,
+    setup_from,
+)
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate_bag,
@@ -42,7 +48,7 @@ from humanopts_teach.evaluation.summary import (
     write_json,
 )
 from humanopts_teach.evaluation.text import games_text
-from humanopts_teach.launching.launcher import LaunchError
+from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import Setup
 from humanopts_teach.report.bag_parts import bag_parts
 from humanopts_teach.report.data import ReportData, TopicRow
@@ -54,6 +60,7 @@ TAUGHT = {
     'pacman': (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST),
 }
 EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
+_WATCHED = 0.02  # s between steps of the machine, in a terminal
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
 
 
@@ -75,19 +82,30 @@ class Live:
     execution: Execution
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Teach, plan, play, evaluate the bag and report; status 1 when something did not hold."""
+def run_demo(
+    domain: str, launch: LaunchOptions, episodes: int | None, games: int, error_rate: float
+) -> int:
+    """
+    Teach, plan, play, evaluate the bag and report.
+
+    :param episodes: to play live; None: as many as is usual in the domain.
+    :param games: that each way to play is compared in; 0: there is no comparison.
+    :param error_rate: share of the simulated teacher's steps that are wrong.
+    :return: exit status, 1 where something did not hold.
+    """
     setup = setup_from(
-        arguments,
+        domain,
+        launch,
         Path('runs') / new_name('demo'),
         evaluated=True,
-        taught=_taught_options(arguments),
-        teacher_error_rate=arguments.error_rate,
+        step_period=_WATCHED if sys.stdout.isatty() else 0.0,
+        taught=_taught_options(domain, launch),
+        teacher_error_rate=error_rate,
     )
-    amounts = _amounts(setup, arguments)
+    amounts = _amounts(setup, episodes, games)
     check_setup(setup, new=True)
     with DemoProgress() as progress:
-        with session(setup, arguments.namespace, progress) as running:
+        with session(setup, launch.namespace, progress) as running:
             live = _teach_plan_play(running, setup, amounts, progress)
         bag, evaluation = _evaluate(setup, amounts, progress)
         summary = _summarise(setup, live, evaluation, bag)
@@ -104,13 +122,11 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if running.unclean else status
 
 
-def _amounts(setup: Setup, arguments: argparse.Namespace) -> Amounts:
+def _amounts(setup: Setup, episodes: int | None, games: int) -> Amounts:
     domain = make_domain(setup.domain, setup.domain_parameters)
     if is_enumerable(domain):
-        episodes = arguments.episodes or EPISODES
-        return Amounts(episodes, episodes, 0)
-    judged = arguments.games or judged_by(domain)
-    return Amounts(arguments.episodes or LONG_EPISODES, judged, arguments.games)
+        return Amounts(episodes or EPISODES, episodes or EPISODES, 0)
+    return Amounts(episodes or LONG_EPISODES, games or judged_by(domain), games)
 
 
 def _evaluate(setup: Setup, amounts: Amounts, progress: DemoProgress) -> tuple[Bag, BagEvaluation]:
@@ -127,10 +143,10 @@ def _evaluate(setup: Setup, amounts: Amounts, progress: DemoProgress) -> tuple[B
         raise LaunchError(f'the recording cannot be evaluated: {error}') from error
 
 
-def _taught_options(arguments: argparse.Namespace) -> tuple[str, ...]:
+def _taught_options(domain_name: str, launch: LaunchOptions) -> tuple[str, ...]:
     """Return what the simulated teacher teaches: all that it knows, where nothing else is said."""
     try:
-        domain = make_domain(arguments.domain, parameters_from(arguments))
+        domain = make_domain(domain_name, domain_parameters(launch))
         known = tuple(reference_options(domain))
     except DomainError as error:
         raise CommandError(str(error)) from error
@@ -139,14 +155,14 @@ def _taught_options(arguments: argparse.Namespace) -> tuple[str, ...]:
             batch_domain(domain)
         except PlanError as error:
             raise CommandError(
-                f'the demo plans: {error}; teach it yourself: humanopts teach {arguments.domain}'
+                f'the demo plans: {error}; teach it yourself: humanopts teach {domain_name}'
             ) from error
     if not known:
         raise CommandError(
-            f'{arguments.domain} has no reference options, which the simulated teacher needs; '
-            f'teach it yourself: humanopts teach {arguments.domain}'
+            f'{domain_name} has no reference options, which the simulated teacher needs; '
+            f'teach it yourself: humanopts teach {domain_name}'
         )
-    return TAUGHT.get(arguments.domain, known)
+    return TAUGHT.get(domain_name, known)
 
 
 def _teach_plan_play(

@@ -1,20 +1,127 @@
-"""A launched graph for the length of one command."""
+"""A launch for the length of one command: what is asked for, checked, and the graph that runs."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+import json
+import os
+from pathlib import Path
+import re
 import signal
 import sys
 import tempfile
+import time
+from typing import Any
 
-from humanopts_env.domains.base import DomainError
+from humanopts_env.domains.base import DomainError, Parameter
 from humanopts_env.domains.registry import make_domain
-from humanopts_teach.commands.errors import CommandError
-from humanopts_teach.commands.signals import ENDING, interruptible
-from humanopts_teach.launching.launcher import Launcher, LaunchError
+from humanopts_learner.options.criteria import Thresholds, usual_thresholds
+from humanopts_ros.recording import Selection
+from humanopts_teach.commands.ending import CommandError, ENDING, interruptible
+from humanopts_teach.commands.options import LaunchOptions
+from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.lock import only_launch
-from humanopts_teach.launching.processes import common_parameters, processes, Setup
+from humanopts_teach.launching.processes import common_parameters, processes, Recording, Setup
 from humanopts_teach.ros.graph_client import GraphClient
+
+_NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
+_LAST_DOMAIN_ID = 232
+
+
+def setup_from(
+    domain: str,
+    launch: LaunchOptions,
+    default_out: Path,
+    *,
+    evaluated: bool = False,
+    step_period: float = 0.0,
+    **own: Any,
+) -> Setup:
+    """
+    Return the setup that the options of a launch ask for.
+
+    :param default_out: the folder where the user names none.
+    :param evaluated: the command needs a bag that can be evaluated.
+    :param step_period: seconds between steps of the machine where the user gives none.
+    :param own: fields that the command sets itself.
+    :raises CommandError: a domain parameter is not NAME=VALUE, the namespace or ROS_DOMAIN_ID is
+        none, or the bag would not hold what an evaluation needs.
+    """
+    _check_place(launch.namespace)
+    return Setup(
+        domain=domain,
+        directory=Path(os.path.abspath(launch.out or default_out)),
+        domain_parameters=domain_parameters(launch),
+        seed=launch.seed,
+        strategy=launch.strategy,
+        budget=launch.budget,
+        thresholds=_thresholds(domain, launch),
+        step_period=step_period if launch.step_period is None else launch.step_period,
+        recording=_recording(launch, evaluated) if own.get('record', True) else Recording(),
+        **own,
+    )
+
+
+def _recording(launch: LaunchOptions, evaluated: bool) -> Recording:
+    """Return what goes into the bag; warn, or refuse, where it could not be evaluated."""
+    include, exclude = tuple(launch.record_include), tuple(launch.record_exclude)
+    if lacking := Selection(launch.namespace, include, exclude).unevaluable:
+        if evaluated:
+            raise CommandError(lacking)
+        print(f'humanopts: {lacking}', file=sys.stderr)
+    return Recording(include, exclude, launch.split_bytes, launch.split_seconds)
+
+
+def _thresholds(domain: str, launch: LaunchOptions) -> Thresholds:
+    """Return the domain's usual thresholds, with those that the user gives in their place."""
+    given = {
+        threshold.name: value
+        for threshold in fields(Thresholds)
+        if (value := getattr(launch, threshold.name)) is not None
+    }
+    try:
+        return replace(usual_thresholds(domain), **given)
+    except ValueError as error:
+        raise CommandError(str(error)) from error
+
+
+def domain_parameters(launch: LaunchOptions) -> dict[str, Parameter]:
+    """
+    Return the domain's parameters.
+
+    :raises CommandError: one is not NAME=VALUE.
+    """
+    return dict(_parameter(text) for text in launch.parameter)
+
+
+def new_name(prefix: str) -> str:
+    """Return a name that sorts by time and was not used before this second."""
+    return time.strftime(f'{prefix}-%Y%m%d-%H%M%S')
+
+
+def default_folder(domain: str) -> Path:
+    """Return where the data of a domain goes: its name, with no character that paths dislike."""
+    return Path('runs') / re.sub(r'[^\w.-]+', '-', domain)
+
+
+def _check_place(namespace: str) -> None:
+    if not _NAMESPACE.fullmatch(namespace):
+        raise CommandError(f'{namespace!r} is not a namespace; one reads / or /room_1/left')
+    number = os.environ.get('ROS_DOMAIN_ID') or '0'
+    if not (number.isascii() and number.isdigit() and int(number) <= _LAST_DOMAIN_ID):
+        raise CommandError(f'ROS_DOMAIN_ID is {number!r}, and must be from 0 to {_LAST_DOMAIN_ID}')
+
+
+def _parameter(text: str) -> tuple[str, Parameter]:
+    name, equals, value = text.partition('=')
+    if not (name and equals):
+        raise CommandError(f'--parameter {text!r} is not NAME=VALUE')
+    try:
+        parsed = json.loads(value)
+    except json.JSONDecodeError:
+        return name, value
+    return name, parsed if isinstance(parsed, int | float | bool) else value
 
 
 @dataclass(frozen=True)
@@ -85,8 +192,13 @@ def session(
     :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP; a second one is ignored while stopping.
     """
     launcher = Launcher(processes(setup), setup.directory / 'log', namespace)
+
+    def watch() -> None:
+        launcher.check()
+        progress(conductor)
+
     with only_launch(namespace), interruptible():
-        conductor = _conduct(setup, namespace, launcher, progress)
+        conductor = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
         running = Session(launcher, conductor)
         try:
             for late in (False, True):
@@ -102,14 +214,3 @@ def session(
                 running.unclean.extend(launcher.stop())
                 for problem in running.unclean:
                     print(f'humanopts: {problem}', file=sys.stderr)
-
-
-def _conduct(
-    setup: Setup, namespace: str, launcher: Launcher, progress: Callable[[GraphClient], None]
-) -> GraphClient:
-    def watch() -> None:
-        launcher.check()
-        progress(conductor)
-
-    conductor = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
-    return conductor

@@ -21,6 +21,7 @@ from humanopts_learner.planning.any_domain import AnyPlan, judge_plan, plan_in, 
 from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
 from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
+from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.games import GAMES, GamesEvaluation
 from humanopts_teach.evaluation.learning_curve import CurvePoint, learn_again
@@ -40,7 +41,7 @@ FACTS = 'humanopts'  # the bag's metadata record of the lesson's settings
 OnProgress = Callable[[int, int, str], object]  # done, total, what is under way
 
 
-class EvaluationError(ValueError):
+class EvaluationError(BagError):
     """A bag cannot be evaluated; the text says why."""
 
 

@@ -13,16 +13,13 @@ import time
 from typing import Any
 
 from humanopts_ros.environment import LAUNCHER_PID
+from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import ProcessSpec
 
 TAIL_LINES = 12
 RECORDER = 'recorder'
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
 _ENDS_AS_ASKED = (0, -signal.SIGTERM)  # the second: before the node had a handler for it
-
-
-class LaunchError(RuntimeError):
-    """The graph cannot be started, or a node of it died; the text says which and why."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 import tempfile
 
-from humanopts_teach.launching.launcher import LaunchError
+from humanopts_teach.launching import LaunchError
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""How a command ends by a signal; without ROS, so that every command can share it."""
+"""How a command ends early: by bad input, and by a signal."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,6 +6,10 @@ import signal
 from types import FrameType
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class CommandError(Exception):
+    """Bad input: the command ends with status 2 and this one line."""
 
 
 @contextmanager

@@ -1,0 +1,210 @@
+"""The options that ``demo``, ``up`` and ``teach`` share, and how texts become their values."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, MISSING
+import inspect
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from humanopts_ros.recording import MOST_BYTES
+import typer
+from typer.core import TyperCommand
+
+PLAIN: dict[str, Any] = {  # settings of every Typer app: plain help that fits 80 columns
+    'rich_markup_mode': None,
+    'pretty_exceptions_enable': False,
+    'add_completion': False,
+    'context_settings': {'help_option_names': ['-h', '--help'], 'max_content_width': 80},
+}
+_UNITS = {'': 1, 'k': 10**3, 'M': 10**6, 'G': 10**9}
+
+
+def whole(least: int) -> Callable[[str], int]:
+    """Return a parser of whole numbers from ``least`` to 2**31 - 1."""
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise typer.BadParameter(f'{text!r} is not a whole number') from None
+        if not least <= value < 2**31:
+            raise typer.BadParameter(f'{text} is not from {least} to {2**31 - 1}')
+        return value
+
+    return parse
+
+
+def number(what: str, accepted: Callable[[float], bool]) -> Callable[[str], float]:
+    """
+    Return a parser of numbers.
+
+    :param what: the numbers that are accepted, to complete "... is not"; NaN never is.
+    """
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            raise typer.BadParameter(f'{text!r} is not a number') from None
+        if not accepted(value):
+            raise typer.BadParameter(f'{text} is not {what}')
+        return value
+
+    return parse
+
+
+def size(text: str) -> int:
+    """Return the bytes of a size such as 500M."""
+    digits = text.rstrip('kMG')
+    unit = _UNITS.get(text[len(digits) :])
+    value = int(digits) * unit if unit and digits.isascii() and digits.isdigit() else 0
+    if not 0 < value <= MOST_BYTES:
+        raise typer.BadParameter(f'{text!r} is not a size such as 500M')
+    return value
+
+
+any_number = number('a number', lambda value: True)
+share = number('from 0 to below 1', lambda value: 0 <= value < 1)
+seconds = number('from 0 to 60', lambda value: 0 <= value <= 60)
+split_seconds = number('a number of seconds up to 1000000', lambda value: 0 < value <= 10**6)
+
+
+@dataclass(frozen=True)
+class LaunchOptions:
+    """What the command line says about a launch; each field is an option."""
+
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar='DIR',
+            help='folder for bags, options and logs; default: runs/DOMAIN, and a new one for demo',
+        ),
+    ] = None
+    seed: Annotated[
+        int, typer.Option(parser=whole(0), metavar='N', help='of every random draw')
+    ] = 1
+    strategy: Annotated[
+        Literal['random', 'coverage', 'failures'],
+        typer.Option(help='how start states are chosen'),
+    ] = 'failures'
+    budget: Annotated[
+        int,
+        typer.Option(parser=whole(1), metavar='N', help='most start states shown for an option'),
+    ] = 150
+    return_delta: Annotated[
+        float | None,
+        typer.Option(
+            parser=any_number,
+            metavar='UNITS',
+            help='of an option: reward units by which its held-out return may fall short; '
+            'default: usual in the domain',
+        ),
+    ] = None
+    initiation_error: Annotated[
+        float | None,
+        typer.Option(
+            parser=share,
+            metavar='SHARE',
+            help='of an option: share that its held-out I may get wrong; '
+            'default: usual in the domain',
+        ),
+    ] = None
+    termination_error: Annotated[
+        float | None,
+        typer.Option(
+            parser=share,
+            metavar='SHARE',
+            help='of an option: share that its held-out β may get wrong; '
+            'default: usual in the domain',
+        ),
+    ] = None
+    parameter: Annotated[
+        list[str],
+        typer.Option(
+            metavar='NAME=VALUE',
+            help='a parameter of the domain, such as rows=7; may be repeated',
+        ),
+    ] = field(default_factory=list)
+    namespace: Annotated[str, typer.Option(metavar='NAME', help='of the nodes')] = '/'
+    record_include: Annotated[
+        list[str],
+        typer.Option(
+            metavar='PATTERN',
+            help='record only topics like this, such as lesson/*; may be repeated',
+        ),
+    ] = field(default_factory=list)
+    record_exclude: Annotated[
+        list[str],
+        typer.Option(metavar='PATTERN', help='do not record topics like this; may be repeated'),
+    ] = field(default_factory=list)
+    split_bytes: Annotated[
+        int,
+        typer.Option(
+            parser=size,
+            metavar='SIZE',
+            show_default=False,
+            help='go on in another file of the bag at this size, such as 500M; default: never',
+        ),
+    ] = 0
+    split_seconds: Annotated[
+        float,
+        typer.Option(
+            parser=split_seconds,
+            metavar='SECONDS',
+            show_default=False,
+            help='and after this time; default: never',
+        ),
+    ] = 0.0
+    step_period: Annotated[
+        float | None,
+        typer.Option(
+            parser=seconds,
+            metavar='SECONDS',
+            help='between steps of the machine, to watch it; default: 0.15 for teach, '
+            '0.02 for demo in a terminal, else 0',
+        ),
+    ] = None
+
+
+def with_launch_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Give a command every field of LaunchOptions as an option, for its argument ``launch``."""
+    shared = [
+        inspect.Parameter(
+            option.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=[] if option.default is MISSING else option.default,
+            annotation=option.type,
+        )
+        for option in fields(LaunchOptions)
+    ]
+
+    def run(**values: Any) -> int:
+        launch = LaunchOptions(**{option.name: values.pop(option.name) for option in shared})
+        return command(launch=launch, **values)
+
+    signature = inspect.signature(command)
+    own = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for parameter in signature.parameters.values()
+        if parameter.name != 'launch'
+    ]
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
+    run.__signature__ = signature.replace(parameters=[*own, *shared])  # type: ignore[attr-defined]
+    return run
+
+
+class SeveralValues(TyperCommand):
+    """A command whose list options take every word up to the next option, as ``--bags A B``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Write the option before each of its words."""
+        several = {name for option in self.params if option.multiple for name in option.opts}
+        words: list[str] = []
+        under_way = ''
+        for word in args:
+            if word.startswith('-'):
+                under_way = word if word in several else ''
+            elif under_way and words[-1] != under_way:
+                words.append(under_way)
+            words.append(word)
+        return super().parse_args(ctx, words)
