@@ -138,23 +138,21 @@ class LaunchOptions:
         typer.Option(metavar='PATTERN', help='do not record topics like this; may be repeated'),
     ] = field(default_factory=list)
     split_bytes: Annotated[
-        int,
+        int | None,
         typer.Option(
             parser=size,
             metavar='SIZE',
-            show_default=False,
             help='go on in another file of the bag at this size, such as 500M; default: never',
         ),
-    ] = 0
+    ] = None
     split_seconds: Annotated[
-        float,
+        float | None,
         typer.Option(
             parser=split_seconds,
             metavar='SECONDS',
-            show_default=False,
             help='and after this time; default: never',
         ),
-    ] = 0.0
+    ] = None
     step_period: Annotated[
         float | None,
         typer.Option(

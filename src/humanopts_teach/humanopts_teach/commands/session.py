@@ -70,7 +70,7 @@ def _recording(launch: LaunchOptions, evaluated: bool) -> Recording:
         if evaluated:
             raise CommandError(lacking)
         print(f'humanopts: {lacking}', file=sys.stderr)
-    return Recording(include, exclude, launch.split_bytes, launch.split_seconds)
+    return Recording(include, exclude, launch.split_bytes or 0, launch.split_seconds or 0.0)
 
 
 def _thresholds(domain: str, launch: LaunchOptions) -> Thresholds:
