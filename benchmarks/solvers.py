@@ -13,7 +13,7 @@ import time
 from humanopts_env.domains.base import Transitions
 from humanopts_learner.options.option import option_tables
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE, TabledOption
-from humanopts_learner.planning.model import SmdpModel
+from humanopts_learner.planning.multi_time_models import MultiTimeModel
 from humanopts_learner.planning.plan import plan_with_tables
 from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
@@ -91,7 +91,7 @@ def iterated(case: TaxiCase) -> Solved:
     reward, discount, successor = (np.stack(part) for part in zip(*columns))
     available = np.stack([o.tables.initiation & ~domain.over() for o in case.optimal])
     names = tuple(option.name for option in case.optimal)
-    model = SmdpModel(names, reward.T, available.T, successor.T, discount.T)
+    model = MultiTimeModel(names, reward.T, available.T, successor.T, discount.T)
     built = time.perf_counter()
     solution = solve_smdp(model, TOLERANCE, MAX_SWEEPS)
     swept = time.perf_counter() - built

@@ -7,10 +7,11 @@ from typing import Any
 
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_learner.options.option import LearnedOption, option_tables
+from humanopts_learner.planning.action_sets import TabledOption
 from humanopts_learner.planning.any_domain import MAX_SWEEPS
-from humanopts_learner.planning.continuation import carried_out, policy_values
 from humanopts_learner.planning.evaluate import play
-from humanopts_learner.planning.plan import Plan, plan_with_tables, TabledOption
+from humanopts_learner.planning.interruption import as_executed, policy_values
+from humanopts_learner.planning.plan import Plan, plan_with_tables
 import numpy as np
 
 from experiments.table2_kinds import Kind, OTHER_WAYS
@@ -77,7 +78,7 @@ def _made(
     limits: Any = {'max_sweeps': max_sweeps, 'clock': CLOCK, 'table_seconds': CLOCK() - began}
     plan = plan_with_tables(domain, kind.action_set, tabled, domain.gamma, **limits)
     began = CLOCK()
-    carrying = carried_out(plan, kind.execution)
+    carrying = as_executed(plan, kind.execution)
     return replace(plan, model_seconds=plan.model_seconds + CLOCK() - began), carrying
 
 

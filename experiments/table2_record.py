@@ -4,14 +4,13 @@ from typing import Any
 
 from humanopts_learner.planning.any_domain import AnyPlan
 from humanopts_learner.planning.evaluate import Returns
-from humanopts_learner.planning.sampled.judging import GameReturns
 from numpy.typing import NDArray
 
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')
 
 
 def record(
-    budget: int, plan: AnyPlan, returns: Returns | GameReturns, done: NDArray[Any]
+    budget: int, plan: AnyPlan, returns: Returns | Returns, done: NDArray[Any]
 ) -> dict[str, Any]:
     """
     Return seconds, sizes and means as JSON data.

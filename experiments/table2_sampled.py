@@ -10,9 +10,9 @@ from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import PRIMITIVE
 from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.sampled.columns import BatchOption
 from humanopts_learner.planning.sampled.curve import Budgets
-from humanopts_learner.planning.sampled.judging import GameReturns
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from humanopts_learner.planning.sampled.tuned import TUNED, TUNED_MOVES
 import numpy as np
@@ -134,7 +134,7 @@ class _Judged:
     number: int
     budget: int
     plan: SampledPlan
-    returns: GameReturns
+    returns: Returns
 
     @property
     def record(self) -> dict[str, Any]:
@@ -169,9 +169,7 @@ class _Work:
         returns = self._play(one.plan, one.number, way.execution)
         return float(returns.total.mean() - one.returns.total.mean())
 
-    def _play(
-        self, plan: SampledPlan, number: int, execution: Execution | None = None
-    ) -> GameReturns:
+    def _play(self, plan: SampledPlan, number: int, execution: Execution | None = None) -> Returns:
         return plan.play(self._seed('games', number), self.effort.games, execution)
 
     def _made(self, setting: Setting, budget: int, seed: int) -> SampledPlan:

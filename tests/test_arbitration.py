@@ -9,8 +9,8 @@ from graph_support.tour import Step, steps, TOUR, touring, USE
 from humanopts_interfaces.msg import OptionResult, OptionValues, PolicyResult
 from humanopts_interfaces.srv import RunOption, SetExecution
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.continuation import option_values
 from humanopts_learner.planning.evaluate import episode_starts
+from humanopts_learner.planning.interruption import option_values
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_ros.qos import LATCHED_LARGE

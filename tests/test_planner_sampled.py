@@ -159,7 +159,7 @@ def arbitrated(
     plan: SampledPlan, options: list[LearnedOption], execution: Execution
 ) -> tuple[float, int, int]:
     """Play one episode by the policy of many games; return score, decisions and stops."""
-    policy, library = plan.carried_out(execution), OptionLibrary(MAZE)
+    policy, library = plan.as_executed(execution), OptionLibrary(MAZE)
     library.replace(options)
     state = episode_start(MAZE, STOPS, 0)
     rng, column = generator(STOPS, 'episode', MAZE.name), -1

@@ -8,7 +8,7 @@ from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.ready import ready_options
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.continuation import action_table, carried_out
+from humanopts_learner.planning.interruption import action_table, as_executed
 from humanopts_learner.planning.plan import Plan
 
 from graph_support.scripted import DELIVER, TAXI, walk
@@ -49,7 +49,7 @@ class Step:
 
 def steps(plan: Plan, execution: Execution, start: int, limit: int) -> Iterator[Step]:
     """Play an episode by the tables of the vectorised play, which the runner never sees."""
-    acting, rules = carried_out(plan, execution), TAXI.transitions()
+    acting, rules = as_executed(plan, execution), TAXI.transitions()
     does, at, column, stopped = action_table(plan), start, -1, False
     for _ in range(limit):
         began = column < 0

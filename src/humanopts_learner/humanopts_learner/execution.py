@@ -14,8 +14,8 @@ from typing import Any
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.library import RunnableOption
 from humanopts_learner.options.option import Mode
+from humanopts_learner.planning.arbiter import Arbiter
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.live import Arbiter, Verdict
 import numpy as np
 from numpy.typing import NDArray
 
@@ -204,8 +204,8 @@ class Run(ABC):
         :return: how the run ended; None while it goes on.
         """
         self._check_going()
-        ruling = arbiter.before_step(self._state, self.name)
-        return self.end(Status.STOPPED_BY_PLAN) if ruling.verdict is Verdict.STOP else None
+        acting = arbiter.before_step(self._state, self.name)
+        return self.end(Status.STOPPED_BY_PLAN) if acting is None else None
 
     def end(self, status: Status, detail: str = '') -> End:
         """
@@ -333,7 +333,9 @@ class ModularRun(Run):
         return True
 
     def _actor(self) -> RunnableOption:
-        return self._options[self._arbiter.before_step(self._state, '').name]
+        acting = self._arbiter.before_step(self._state, '')
+        assert acting is not None  # modules are never stopped
+        return self._options[acting]
 
     def _ends(self) -> bool:
         return False

@@ -25,7 +25,6 @@ from humanopts_learner.library import (
 )
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.live import Ruling, Verdict
 from humanopts_learner.trees.encoding import encode_rows, encoding
 from humanopts_learner.trees.fitting import fit_tree
 import numpy as np
@@ -206,9 +205,9 @@ def test_a_run_ended_from_outside_keeps_what_it_did(status: Status) -> None:
 class ByRow:
     """A plan that has the taxi go up on even rows and to the right on odd ones."""
 
-    def before_step(self, state: TaxiState, running: str) -> Ruling:
+    def before_step(self, state: TaxiState, running: str) -> str | None:
         """Return the module that wins."""
-        return Ruling(Verdict.ACT, ('up', 'right')[state.row % 2])
+        return ('up', 'right')[state.row % 2]
 
 
 MODULES = {'up': option(NORTH, False, 'up'), 'right': option(EAST, False, 'right')}
@@ -241,9 +240,9 @@ class StopsAt:
         """Stop there."""
         self._row = row
 
-    def before_step(self, state: TaxiState, running: str) -> Ruling:
+    def before_step(self, state: TaxiState, running: str) -> str | None:
         """Return the ruling."""
-        return Ruling(Verdict.STOP if state.row == self._row else Verdict.GO_ON, running)
+        return None if state.row == self._row else running
 
 
 def test_a_plan_stops_a_run_before_its_next_action() -> None:

@@ -25,9 +25,14 @@ from humanopts_learner.planning.errors import (
     PlanCanceled,
     PlanError,
 )
-from humanopts_learner.planning.evaluate import episode_start, episode_starts, play
+from humanopts_learner.planning.evaluate import (
+    episode_start,
+    episode_starts,
+    Interval,
+    NORMAL_95,
+    play,
+)
 from humanopts_learner.planning.plan import make_plan
-from humanopts_learner.planning.sampled.judging import Interval, NORMAL_95
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 import numpy as np
 import pytest

@@ -12,8 +12,8 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options as rooms_references
 from humanopts_env.seeding import generator
 from humanopts_learner.options.ready import ready_options
+from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.errors import ForeignOptionError, PlanCanceled, PlanError
-from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
 from humanopts_learner.planning.sampled.comparison import (
     Baseline,
     carried_over,

@@ -19,9 +19,9 @@ from humanopts_learner.planning.arbitration import (
     OptionValues,
     strongest,
 )
-from humanopts_learner.planning.continuation import carried_out, option_values, policy_values
 from humanopts_learner.planning.errors import ModelError, PlanError
 from humanopts_learner.planning.evaluate import play
+from humanopts_learner.planning.interruption import as_executed, option_values, policy_values
 from humanopts_learner.planning.plan import Plan, plan_with_tables
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -61,7 +61,7 @@ def assert_never_worse(plan: Plan) -> None:
     assert to_end == pytest.approx(plan.solution.values, abs=1e-5)
     scale = 1.0 + np.abs(to_end).max()
     for execution in NEVER_WORSE:
-        gain = policy_values(carried_out(plan, execution)) - to_end
+        gain = policy_values(as_executed(plan, execution)) - to_end
         assert gain.min() >= -ROUNDING * scale, execution
 
 
@@ -217,7 +217,7 @@ def test_interruption_gains_where_an_option_passes_by_the_goal() -> None:
     plan, starts = rooms_plan('human', 'G2'), Rooms('G2').start_states()
     to_end = policy_values(plan)[starts]
     for execution in (*NEVER_WORSE, Execution.MODULAR_MASS):
-        gain = policy_values(carried_out(plan, execution))[starts] - to_end
+        gain = policy_values(as_executed(plan, execution))[starts] - to_end
         assert gain.min() > 0.003, execution
         assert gain.mean() > 0.2 * to_end.mean(), execution
 
@@ -227,10 +227,10 @@ def test_play_earns_what_the_linear_solve_says(execution: Execution) -> None:
     """Without chance exactly; with chance within five standard errors."""
     taxi = Taxi()
     plan = plan_with_tables(taxi, 'human', tabled(taxi, 4), taxi.gamma)
-    acting, starts = carried_out(plan, execution), taxi.start_states()
+    acting, starts = as_executed(plan, execution), taxi.start_states()
     returns, values = play(acting, starts, max_steps=2000), policy_values(acting)
     assert returns.discounted == pytest.approx(values[starts], abs=1e-6)
-    acting = carried_out(rooms_plan('human+primitive', 'G2'), execution)
+    acting = as_executed(rooms_plan('human+primitive', 'G2'), execution)
     starts = np.tile(Rooms('G2').start_states(), 30)
     found = play(acting, starts, max_steps=400, seed=3).discounted
     error = found.std() / np.sqrt(len(found))
@@ -248,7 +248,7 @@ def test_an_option_that_walks_in_a_circle_is_stopped() -> None:
     starts = taxi.start_states()
     obstinate = play(replace(plan, solution=wrong), starts)
     assert not obstinate.successes.any()
-    stop = carried_out(plan, Execution.INTERRUPTED).options[2].tables.termination
+    stop = as_executed(plan, Execution.INTERRUPTED).options[2].tables.termination
     away = plan.solution.values > option_values(plan).continuation_values[:, 2] + 1e-6
     assert (stop == away)[everywhere].all()
     at_the_wall = taxi.transitions().successor[:, 1, 0] == np.arange(taxi.n_states)

@@ -12,11 +12,11 @@ from humanopts_learner.execution import OptionRun
 from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.option import LearnedOption, Mode
 from humanopts_learner.options.ready import ready_options
+from humanopts_learner.planning.arbiter import Arbiter, make_arbiter
 from humanopts_learner.planning.arbitration import Execution, OptionValues
-from humanopts_learner.planning.continuation import carried_out, option_values
 from humanopts_learner.planning.errors import ModelError
 from humanopts_learner.planning.evaluate import play
-from humanopts_learner.planning.live import Arbiter, make_arbiter, Verdict
+from humanopts_learner.planning.interruption import as_executed, option_values
 from humanopts_learner.planning.plan import make_plan, Plan
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 import numpy as np
@@ -93,10 +93,10 @@ class LiveGame:
                 self._run()
 
     def _module(self) -> None:
-        ruling = self._arbiter.before_step(self.state, '')
-        assert ruling.verdict is Verdict.ACT
-        option, row = self._library.resolve(ruling.name), self._domain.feature_values(self.state)
-        self._step(ruling.name, option.choose_action(row, Mode.GREEDY, self._rng))
+        acting = self._arbiter.before_step(self.state, '')
+        assert acting is not None
+        option, row = self._library.resolve(acting), self._domain.feature_values(self.state)
+        self._step(acting, option.choose_action(row, Mode.GREEDY, self._rng))
         self.decisions += 1
 
     def _run(self) -> None:
@@ -107,7 +107,7 @@ class LiveGame:
         self.decisions += 1
         while len(self.actors) < LIMIT:
             ended = self._step(name, run.next_action(), run)
-            if ended or self._arbiter.before_step(self.state, name).verdict is Verdict.STOP:
+            if ended or self._arbiter.before_step(self.state, name) is None:
                 return
 
     def _step(self, name: str, action: int, run: OptionRun | None = None) -> bool:
@@ -137,7 +137,7 @@ def sampled_plan(execution: Execution = Execution.RUN_TO_END) -> SampledPlan:
 @pytest.mark.parametrize('execution', Execution)
 def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Execution) -> None:
     plan, starts = exact_plan(), TAXI.start_states()[::13]
-    returns = play(carried_out(plan, execution), starts, max_steps=LIMIT)
+    returns = play(as_executed(plan, execution), starts, max_steps=LIMIT)
     for episode, start in enumerate(starts.tolist()):
         game = LiveGame(plan, execution, TAXI.state_at(start))
         assert sum(game.rewards) == returns.total[episode]
@@ -173,18 +173,17 @@ def test_the_executions_differ_where_values_are_aliased() -> None:
 def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(execution: Execution) -> None:
     """In every state, by the tables that exact evaluation uses."""
     plan = make_plan(ROOMS, 'human', options_of(ROOMS))
-    acting, arbiter = carried_out(plan, execution), arbiter_of(plan, execution)
+    acting, arbiter = as_executed(plan, execution), arbiter_of(plan, execution)
     for index in np.flatnonzero(~ROOMS.over()).tolist():
         state = ROOMS.state_at(index)
         if execution in MODULAR:
             winner = plan.names[acting.solution.best[index]]
-            assert arbiter.before_step(state, '').name == winner
+            assert arbiter.before_step(state, '') == winner
             continue
         for before, after in zip(plan.options, acting.options):
             if not before.tables.termination[index]:
-                ruling = arbiter.before_step(state, before.name)
-                stopped = bool(after.tables.termination[index])
-                assert (ruling.verdict is Verdict.STOP) == stopped
+                stopped = arbiter.before_step(state, before.name) is None
+                assert stopped == bool(after.tables.termination[index])
 
 
 def test_values_that_fit_neither_options_nor_domain_are_refused() -> None:

@@ -8,12 +8,12 @@ from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, option_tables
 from humanopts_learner.options.ready import ready_options
-from humanopts_learner.planning.action_sets import build_model
-from humanopts_learner.planning.chance import RowComposer
+from humanopts_learner.planning.action_sets import build_model, TabledOption
 from humanopts_learner.planning.evaluate import episode_starts, play
-from humanopts_learner.planning.model import RowModel
-from humanopts_learner.planning.plan import make_plan, Plan, TabledOption
-from humanopts_learner.planning.sweeps import sweep_table, value_history
+from humanopts_learner.planning.multi_time_models import SparseMultiTimeModel
+from humanopts_learner.planning.option_models import StochasticModeller
+from humanopts_learner.planning.plan import make_plan, Plan
+from humanopts_learner.planning.value_iteration import sweep_table, value_history
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -35,13 +35,13 @@ def plan(action_set: str, goal: str = 'G1') -> Plan:
 
 
 @cache
-def model(action_set: str) -> RowModel:
+def model(action_set: str) -> SparseMultiTimeModel:
     """Return the model of an action set."""
     tabled = [
         TabledOption(o.name, o.max_steps, option_tables(o, ROOMS)) for o in hallway_options(ROOMS)
     ]
     found = build_model(ROOMS, action_set, tabled, ROOMS.gamma)
-    assert isinstance(found, RowModel)
+    assert isinstance(found, SparseMultiTimeModel)
     return found
 
 
@@ -60,7 +60,7 @@ def test_option_models_agree_with_simulated_runs(max_steps: int) -> None:
     for name, option in reference_options(ROOMS).items():
         action = option.optimal.argmax(axis=1)
         start = int(option.distance.argmax())
-        found = RowComposer(rules, over, ROOMS.gamma).outcome(
+        found = StochasticModeller(rules, over, ROOMS.gamma).model(
             action, option.termination, max_steps, option.initiation
         )
         row = int(np.flatnonzero(found.states == start)[0])

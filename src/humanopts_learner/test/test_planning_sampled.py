@@ -11,6 +11,7 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.ready import ready_options
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
+from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.sampled.columns import Columns
 from humanopts_learner.planning.sampled.counts import Counts, Samples, StateIndex
@@ -21,7 +22,7 @@ from humanopts_learner.planning.sampled.curve import (
     seconds_to_reach,
 )
 from humanopts_learner.planning.sampled.games import batch_domain, Watcher, watcher_for
-from humanopts_learner.planning.sampled.judging import Interval, play_games
+from humanopts_learner.planning.sampled.judging import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_learner.planning.sampled.pooling import pooled

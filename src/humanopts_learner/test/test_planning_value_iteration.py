@@ -6,23 +6,32 @@ import itertools
 import tracemalloc
 
 from humanopts_learner.planning.errors import ModelError, PlanCanceled
-from humanopts_learner.planning.model import concatenate, RowModel, SmdpModel
+from humanopts_learner.planning.multi_time_models import (
+    concatenate,
+    MultiTimeModel,
+    primitive_model,
+    SparseMultiTimeModel,
+)
 from humanopts_learner.planning.value_iteration import solve_smdp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 from numpy.typing import NDArray
 import pytest
+from random_rules import random_rules
 from scipy.sparse import csr_array, eye_array
 from scipy.sparse.linalg import spsolve
 
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
-def random_model(seed: int, n_states: int, n_options: int, closed: float = 0.3) -> SmdpModel:
+
+def random_model(seed: int, n_states: int, n_options: int, closed: float = 0.3) -> MultiTimeModel:
     """Return a random SMDP; each pair is out of use with probability ``closed``."""
     rng = np.random.default_rng(seed)
     shape = (n_states, n_options)
     steps = rng.integers(1, 6, shape)
-    return SmdpModel(
+    return MultiTimeModel(
         names=tuple(f'o{o}' for o in range(n_options)),
         reward=rng.normal(size=shape),
         available=rng.random(shape) >= closed,
@@ -31,7 +40,7 @@ def random_model(seed: int, n_states: int, n_options: int, closed: float = 0.3) 
     )
 
 
-def policy_values(model: SmdpModel, policy: NDArray[np.integer]) -> NDArray[np.float64]:
+def policy_values(model: MultiTimeModel, policy: NDArray[np.integer]) -> NDArray[np.float64]:
     """Solve the linear equations of one policy; -1 and its state's value is 0."""
     states = np.arange(model.n_states)
     going = policy >= 0
@@ -45,6 +54,11 @@ def policy_values(model: SmdpModel, policy: NDArray[np.integer]) -> NDArray[np.f
     reward = np.where(going, model.reward[states, policy], 0.0)
     values: NDArray[np.float64] = spsolve((eye_array(model.n_states) - follow).tocsc(), reward)
     return values
+
+
+def sparse(model: MultiTimeModel) -> SparseMultiTimeModel:
+    """Return the same model with a sparse row for each state and option."""
+    return SparseMultiTimeModel(model.names, model.reward, model.available, model.rows)
 
 
 @settings(deadline=None, max_examples=60)
@@ -70,7 +84,7 @@ def test_values_solve_the_linear_equations_of_the_greedy_policy(
     assert ((solution.best < 0) == ~model.available.any(axis=1)).all()
 
 
-def policy_iteration(model: SmdpModel) -> NDArray[np.float64]:
+def policy_iteration(model: MultiTimeModel) -> NDArray[np.float64]:
     """Improve a policy by its exact values until nothing better is found (Howard 1960)."""
     usable = model.available.any(axis=1)
     policy = np.where(usable, model.available.argmax(axis=1), -1)
@@ -90,15 +104,14 @@ def test_policy_iteration_comes_to_the_same_values(
     seed: int, n_states: int, n_options: int
 ) -> None:
     model = random_model(seed, n_states, n_options)
-    rows = RowModel(model.names, model.reward, model.available, model.rows)
     truth = policy_iteration(model)
-    for form in (model, rows):
+    for form in (model, sparse(model)):
         assert solve_smdp(form, 1e-12).values == pytest.approx(truth, abs=1e-9)
 
 
-def delivery_chain(steps: int, gamma: float) -> SmdpModel:
+def delivery_chain(steps: int, gamma: float) -> MultiTimeModel:
     """Return two states and one option that takes ``steps`` steps and earns 1 with the last."""
-    return SmdpModel(
+    return MultiTimeModel(
         ('deliver',),
         np.array([[gamma ** (steps - 1)], [0.0]]),
         np.array([[True], [False]]),
@@ -119,7 +132,7 @@ def test_the_walk_down_a_corridor_has_its_known_optimum() -> None:
     here = np.arange(length)
     move = np.stack([np.maximum(here - 1, 0), np.minimum(here + 1, length - 1)], axis=1)
     goal = (here[:, None] == length - 2) & np.array([False, True])
-    model = SmdpModel(
+    model = MultiTimeModel(
         ('left', 'right'),
         np.where(goal, 1.0, 0.0),
         np.broadcast_to(here[:, None] < length - 1, (length, 2)),
@@ -132,7 +145,7 @@ def test_the_walk_down_a_corridor_has_its_known_optimum() -> None:
     assert solution.sweeps == length  # one for each step back from the goal, one to see the end
 
 
-def test_of_equal_choices_the_lowest_column_is_best() -> None:
+def test_of_equal_choices_the_lowest_index_is_best() -> None:
     model = random_model(1, 10, 2, closed=0.0)
     twice = concatenate([model, replace(model, names=('again0', 'again1'))])
     assert (solve_smdp(twice).best < 2).all()
@@ -198,7 +211,7 @@ def test_sweeps_allocate_nothing() -> None:
     ],
 )
 def test_a_model_that_contradicts_itself_is_refused(
-    change: Callable[[SmdpModel], dict[str, object]], text: str
+    change: Callable[[MultiTimeModel], dict[str, object]], text: str
 ) -> None:
     model = random_model(4, 5, 2)
     with pytest.raises(ModelError, match=text):
@@ -209,3 +222,71 @@ def test_a_model_that_contradicts_itself_is_refused(
 def test_limits_that_make_no_sense_are_refused(tol: float, max_sweeps: int) -> None:
     with pytest.raises(ModelError, match='tol'):
         solve_smdp(random_model(5, 3, 2), tol, max_sweeps)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 40), n_options=st.integers(1, 4))
+def test_both_forms_of_one_model_have_one_solution(
+    seed: int, n_states: int, n_options: int
+) -> None:
+    model = random_model(seed, n_states, n_options)
+    by_index, by_row = solve_smdp(model, 1e-12), solve_smdp(sparse(model), 1e-12)
+    assert by_row.values == pytest.approx(by_index.values, abs=1e-12)
+    assert (by_row.best == by_index.best).all()
+    assert by_row.sweeps == by_index.sweeps
+    both = concatenate([model, sparse(model)])
+    assert isinstance(both, SparseMultiTimeModel)
+    assert solve_smdp(both, 1e-12).values == pytest.approx(by_index.values, abs=1e-12)
+    assert (solve_smdp(both, 1e-12).best == by_index.best).all()
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 6), n_actions=st.integers(1, 3))
+def test_primitive_values_solve_the_dense_optimality_equations(
+    seed: int, n_states: int, n_actions: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    rules, over = random_rules(rng, n_states, n_actions, 3, 0.2)
+    names = tuple(map(str, range(n_actions)))
+    model = primitive_model(rules, over, 0.9, names)
+    solution = solve_smdp(model, 1e-12)
+    dense = np.zeros((n_states, n_actions, n_states))
+    share = 0.9 * rules.probability * ~rules.terminated
+    for s, a, b in np.ndindex(*rules.successor.shape):
+        dense[s, a, rules.successor[s, a, b]] += share[s, a, b]
+    reward = (rules.probability * rules.reward).sum(axis=2)
+    value = dense_policy_iteration(dense, reward, over)
+    assert solution.values == pytest.approx(value, abs=1e-9)
+    assert ((solution.best < 0) == over).all()
+
+
+def dense_policy_iteration(dense: Floats, reward: Floats, over: Flags) -> Floats:
+    """Solve the optimality equations by dense solves; values 0 where the task is over."""
+    n, states = len(reward), np.arange(len(reward))
+    policy = np.zeros(n, dtype=np.intp)
+    while True:
+        step = np.where(over[:, None], 0.0, dense[states, policy])
+        value = np.linalg.solve(np.eye(n) - step, np.where(over, 0.0, reward[states, policy]))
+        ahead = reward + dense @ value
+        better = ahead.argmax(axis=1)
+        gain = ahead.max(axis=1) - ahead[states, policy] > 1e-12
+        if not (gain & ~over).any():
+            found: Floats = value
+            return found
+        policy = np.where(gain, better, policy)
+
+
+@pytest.mark.parametrize(
+    ('rows', 'text'),
+    [
+        (np.array([[0.5, 0.6], [0, 0]]), 'sums of rows'),
+        (np.array([[-0.1, 0.6], [0, 0]]), 'a row'),
+        (np.array([[np.nan, 0.6], [0, 0]]), 'a row'),
+        (np.array([[0.5, 0.4], [0, 0.1]]), 'not available'),
+        (np.array([[0.5, 0.4]]), 'rows are'),
+    ],
+)
+def test_rows_that_are_no_probabilities_are_refused(rows: Floats, text: str) -> None:
+    available = np.array([[True], [False]])
+    with pytest.raises(ModelError, match=text):
+        SparseMultiTimeModel(('one',), np.zeros((2, 1)), available, csr_array(rows))

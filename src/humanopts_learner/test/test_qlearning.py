@@ -12,7 +12,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.options.option import OptionTables
 from humanopts_learner.planning.action_sets import build_model, TabledOption
 from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
-from humanopts_learner.planning.sampled.judging import Interval
+from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.value_iteration import solve_smdp
 from humanopts_learner.qlearning.choices import choices_of
 from humanopts_learner.qlearning.curves import best_rates, drawn_rates

@@ -10,10 +10,10 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning import any_domain
-from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
+from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
+from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.sampled.comparison import CHANCE, PLAN, RULE
 from humanopts_learner.planning.sampled.curve import Budgets, CurveRow
-from humanopts_learner.planning.sampled.judging import Interval
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate,

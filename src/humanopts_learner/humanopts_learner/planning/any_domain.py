@@ -5,9 +5,8 @@ Planning in any domain: exact where its states can all be listed, from samples e
 same request, options and seed always give the same numbers, seconds apart.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from itertools import count
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 import math
 import time
 from typing import Any
@@ -17,19 +16,17 @@ from humanopts_learner.library import taught_nothing
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import (
     HUMAN_AND_PRIMITIVE,
+    ignore_progress,
     MACHINE,
     OF_MACHINES,
     PRIMITIVE,
     Progress,
-    say_nothing,
 )
 from humanopts_learner.planning.errors import check_limits, NoOptionsError, PlanError
-from humanopts_learner.planning.evaluate import episode_starts, play, Returns
+from humanopts_learner.planning.evaluate import episode_starts, Interval, play
 from humanopts_learner.planning.plan import check_request, Clock, make_plan, Plan
-from humanopts_learner.planning.sampled.games import batch_domain, View
-from humanopts_learner.planning.sampled.judging import GameReturns, Interval
+from humanopts_learner.planning.sampled.games import batch_domain
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
-from humanopts_learner.planning.sampled.policies import Choice, GreedyPolicy
 from numpy.typing import NDArray
 
 TOLERANCE, SAMPLED_TOLERANCE = 1e-8, 1e-3  # reward units
@@ -44,14 +41,14 @@ table_seconds, model_seconds, sweep_seconds, and ``choose(state)``.
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What a plan shall be; for a number of 0 there is a default."""
+    """The settings of a plan; a number of 0 means the default."""
 
     action_set: str  # one of ``ACTION_SETS``
-    gamma: float = 0.0  # discount per primitive step; the domain's own
-    tol: float = 0.0  # of the last sweep, reward units; 1e-8 with exact models, 1e-3 with sampled
-    max_sweeps: int = 0  # 10,000
-    game_steps: int = 0  # to be sampled in all; 800,000. Exact models need none: always 0
-    seed: int = 0  # of the samples; it has no default
+    gamma: float = 0.0  # discount per primitive step; default: the domain's own
+    tol: float = 0.0  # of the last sweep, reward units; default: 1e-8 exact, 1e-3 sampled
+    max_sweeps: int = 0  # default: 10,000
+    game_steps: int = 0  # sampled in all; default: 800,000. Exact models need none: always 0
+    seed: int = 0  # of the samples
 
     def in_force(self, domain: Domain[Any]) -> 'PlanRequest':
         """Return the request with defaults filled in."""
@@ -67,13 +64,13 @@ class PlanRequest:
 
 @dataclass(frozen=True)
 class Performance:
-    """How a plan did in the episodes that it was judged by; intervals of one have no bounds."""
+    """The results of a plan in episodes; intervals of a single episode have no bounds."""
 
     episodes: int
     total: Interval  # undiscounted return
     discounted: Interval
     fallbacks: int  # primitive actions because no option could start
-    outcomes: Mapping[str, Interval]  # what else the domain tells of its games; exact: nothing
+    outcomes: Mapping[str, Interval]  # other results that the domain reports; exact: none
 
 
 def select_options(
@@ -85,11 +82,11 @@ def select_options(
     """
     Return the options to plan with, in the order given; none for the set ``primitive``.
 
-    Those of the sets ``automatic`` are of participants whose code begins so; those of the sets
-    ``human`` are of all others.
+    The sets ``automatic`` have the options of participants whose code begins with ``MACHINE``,
+    the sets ``human`` those of all others.
 
-    :param participant: whose; empty: the only one there is.
-    :param names: those to plan with; empty: all.
+    :param participant: who taught the options; empty: the only participant there is.
+    :param names: of the options to plan with; empty: all.
     :raises PlanError: there are several participants and none is named, or a name is unknown.
     :raises NoOptionsError: the participant has none, and others have.
     """
@@ -114,7 +111,7 @@ def check_plan_request(
     domain: Domain[Any], options: Sequence[LearnedOption], request: PlanRequest
 ) -> PlanRequest:
     """
-    Check what ``plan_in`` is asked for, without planning; return the request in force.
+    Check a request of ``plan_in``, without planning; return the request in force.
 
     :raises PlanError: it makes no sense; its subclasses say which part.
     """
@@ -139,19 +136,19 @@ def plan_in(
     """
     Plan with exact models where all states can be listed, and with sampled ones elsewhere.
 
-    :param options: not looked at in the set ``primitive``.
-    :param progress: told the stages tables, models and sweeps; models and sweeps alternate where
-        they are sampled.
+    :param options: ignored in the set ``primitive``.
+    :param progress: called with the stages tables, models and sweeps; models and sweeps alternate
+        where they are sampled.
     :raises PlanError: as ``check_plan_request``.
     :raises PlanCanceled: from ``progress``.
     """
     asked = check_plan_request(domain, options, request)
     limits: Any = {'gamma': asked.gamma, 'tol': asked.tol, 'max_sweeps': asked.max_sweeps}
-    told: Any = {'progress': progress, 'clock': clock}
+    watched: Any = {'progress': progress, 'clock': clock}
     if is_enumerable(domain):
-        return make_plan(domain, asked.action_set, options, **limits, **told)
+        return make_plan(domain, asked.action_set, options, **limits, **watched)
     return make_sampled_plan(
-        domain, asked.action_set, options, asked.game_steps, asked.seed, **limits, **told
+        domain, asked.action_set, options, asked.game_steps, asked.seed, **limits, **watched
     )
 
 
@@ -191,47 +188,26 @@ def judge_plan(
 
     :param seed: of start states and chance.
     :param episodes: 1 or more.
-    :param progress: told the stage evaluation.
+    :param progress: called with the stage evaluation.
     :raises PlanError: the domain never cuts an episode off, or ``episodes`` is below 1.
     :raises PlanCanceled: from ``progress``.
     """
     if episodes < 1:
         raise PlanError(f'cannot play {episodes} episodes')
-    tell = progress or say_nothing
-    returns: Returns | GameReturns
+    report = progress or ignore_progress
     if isinstance(plan, Plan):
-        starts = episode_starts(plan.domain, seed, episodes, tell)
-        returns = play(plan, starts, seed=seed, progress=tell)
+        starts = episode_starts(plan.domain, seed, episodes, report)
+        returns = play(plan, starts, seed=seed, progress=report)
     else:
-        returns = replace(plan, policy=_told(plan, tell)).play(seed, episodes)
-    tell('evaluation', 1.0, 0, math.nan)
-    outcomes = returns.outcomes if isinstance(returns, GameReturns) else {}
+        returns = plan.play(seed, episodes, progress=report)
+    report('evaluation', 1.0, 0, math.nan)
     return Performance(
         episodes=episodes,
         total=_interval(returns.total),
         discounted=_interval(returns.discounted),
         fallbacks=int(returns.fallbacks.sum()),
-        outcomes={name: _interval(values) for name, values in outcomes.items()},
+        outcomes={name: _interval(values) for name, values in returns.outcomes.items()},
     )
-
-
-@dataclass(frozen=True)
-class _ToldPolicy(GreedyPolicy):
-    """A policy that tells, at each step of the games, how far they are."""
-
-    tell: Progress
-    limit: int  # of steps
-    steps: Iterator[int] = field(default_factory=count)
-
-    def choose(self, view: View) -> Choice:
-        """Return what to run next in each game."""
-        self.tell('evaluation', min(next(self.steps) / self.limit, 1.0), 0, math.nan)
-        return super().choose(view)
-
-
-def _told(plan: SampledPlan, tell: Progress) -> _ToldPolicy:
-    same = {part.name: getattr(plan.policy, part.name) for part in fields(plan.policy)}
-    return _ToldPolicy(**same, tell=tell, limit=plan.domain.max_steps)
 
 
 def _interval(values: NDArray[Any]) -> Interval:

@@ -1,8 +1,9 @@
 """
 Arbitration between options: which one acts in the next step.
 
-A policy over options can be carried out in four ways. All of them are decided before each step
-from one table of option values, so the same table, states and draws always give the same run.
+A policy over options can be executed in four ways. All but the first are polling executions: they
+decide anew before each step, from one table of option values, so the same table, states and draws
+always give the same run.
 """
 
 from collections.abc import Mapping
@@ -17,11 +18,11 @@ from numpy.typing import NDArray
 Ints = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
-SLACK = 1e-9  # by the largest value: differences of values that are rounding
+ROUNDING = 1e-9  # relative to the largest value: differences of values that are rounding
 
 
 class Execution(StrEnum):
-    """How a policy over options is carried out."""
+    """How a policy over options is executed."""
 
     RUN_TO_END = 'run_to_end'
     """An option that was chosen runs until it ends."""
@@ -51,21 +52,21 @@ class Execution(StrEnum):
 @dataclass(frozen=True)
 class OptionValues:
     """
-    What arbitration needs of a plan: K states, O columns.
+    The values of a plan that arbitration decides by: K states, O options.
 
-    A situation is a state of an enumerable domain, by its index, or a planning state of a sampled
-    plan, by its code. Values are discounted returns; -inf: cannot be, or nothing is known.
+    States are those of an enumerable domain, by their indices, or the abstract states of a sampled
+    plan, by their codes. Values are discounted returns; -inf: not available, or not known.
 
     :raises ModelError: the arrays contradict each other.
     """
 
     action_set: str
-    names: tuple[str, ...]  # (O,) of the columns: options, then action:NAME
+    names: tuple[str, ...]  # (O,) options, then action:NAME
     states: NDArray[np.int64]  # (K,) ascending
-    option_values: Floats  # (K, O) of choosing the column now, where it can start
+    option_values: Floats  # (K, O) of choosing the option now, where it can start
     continuation_values: Floats  # (K, O) of going on with it, where it can start or not
-    interruption_margin: float  # differences up to this say nothing
-    sampled: bool  # states are planning states
+    interruption_margin: float  # differences up to this do not count
+    sampled: bool  # states are abstract states
 
     def __post_init__(self) -> None:
         """Check the arrays."""
@@ -86,7 +87,7 @@ class OptionValues:
             )
 
     def flat(self) -> dict[str, Any]:
-        """Return its parts with all arrays flat, row by row, as a message carries them."""
+        """Return the fields with all arrays flat, row by row, as a message carries them."""
         return {
             **vars(self),
             'names': list(self.names),
@@ -97,7 +98,7 @@ class OptionValues:
     @classmethod
     def from_flat(cls, parts: Mapping[str, Any]) -> 'OptionValues':
         """
-        Return what ``flat`` came from.
+        Return the values that ``flat`` was called on.
 
         :raises ModelError: the parts contradict each other.
         """
@@ -122,44 +123,42 @@ class OptionValues:
 
 
 def stops(
-    continuation_values: Floats, option_values: Floats, column: Ints, interruption_margin: float
+    continuation_values: Floats, best: Floats, option: Ints, interruption_margin: float
 ) -> Flags:
     """
-    Tell where a running option is to be stopped, (N,).
+    Return (N,): whether the running option is to be stopped.
 
-    :param continuation_values: (N, O); nothing is stopped of which it is -inf.
-    :param option_values: (N,) value of what would be chosen.
-    :param column: (N,) what runs; -1: nothing.
+    :param continuation_values: (N, O); an option of value -inf is not stopped.
+    :param best: (N,) value of the option that would be chosen.
+    :param option: (N,) index of the running option; -1: none.
     """
-    value = continuation_values[np.arange(len(column)), column]
-    stop: Flags = (
-        (column >= 0) & np.isfinite(value) & (value < option_values - interruption_margin)
-    )
+    value = continuation_values[np.arange(len(option)), option]
+    stop: Flags = (option >= 0) & np.isfinite(value) & (value < best - interruption_margin)
     return stop
 
 
 def strongest(continuation_values: Floats) -> Ints:
     """
-    Return (N,): the column of the strongest module, the lowest of equals.
+    Return (N,): the option index of the strongest module, the lowest of equals.
 
     :param continuation_values: (N, O).
     """
-    column: Ints = continuation_values.argmax(axis=1)
-    return column
+    option: Ints = continuation_values.argmax(axis=1)
+    return option
 
 
 def greatest_mass(option_values: Floats, action: Ints, n_actions: int) -> Ints:
     """
-    Return (N,): the strongest column among those that want the action of the greatest mass.
+    Return (N,): index of the strongest option among those whose action has the greatest mass.
 
-    Equal masses are decided by the strongest module, then by the lowest column.
+    Equal masses are decided by the strongest module, then by the lowest option index.
 
-    :param option_values: (N, O); modules of which it is -inf want nothing.
-    :param action: (N, O) what each module wants.
+    :param option_values: (N, O); modules of value -inf have no strength.
+    :param action: (N, O) the action that each module wants.
     """
-    speaks = np.isfinite(option_values)
-    weakest = np.where(speaks, option_values, np.inf).min(axis=1, keepdims=True)
-    strength = np.subtract(option_values, weakest, out=np.zeros(option_values.shape), where=speaks)
+    finite = np.isfinite(option_values)
+    weakest = np.where(finite, option_values, np.inf).min(axis=1, keepdims=True)
+    strength = np.subtract(option_values, weakest, out=np.zeros(option_values.shape), where=finite)
     wants = action[:, :, None] == np.arange(n_actions)  # (N, O, A)
     mass = (strength[:, :, None] * wants).sum(axis=1)
     wins = np.take_along_axis(mass, action, axis=1) >= mass.max(axis=1, keepdims=True)

@@ -1,13 +1,14 @@
-"""Playing a plan in the rules of its domain, all episodes at once."""
+"""Playing a plan in the rules of its domain, all episodes at once, and what the returns show."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain, S
 from humanopts_env.domains.chance import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.action_sets import Progress, say_nothing
+from humanopts_learner.planning.action_sets import ignore_progress, Progress
 from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.planning.plan import Plan
 import numpy as np
@@ -15,18 +16,58 @@ from numpy.typing import NDArray
 
 Ints = NDArray[np.intp]
 Flags = NDArray[np.bool_]
+NORMAL_95 = 1.959963984540054  # standard errors on each side of a 95 % interval
 
 
 @dataclass(frozen=True)
 class Returns:
-    """What each of E episodes came to."""
+    """Results of E episodes."""
 
     total: NDArray[np.float64]  # (E,) undiscounted
     discounted: NDArray[np.float64]  # (E,)
     steps: Ints  # (E,) primitive steps
-    successes: Flags  # (E,) the task was done
+    successes: Flags  # (E,) the task was done, not cut off
     decisions: Ints  # (E,) options begun
-    fallbacks: Ints  # (E,) of these, primitive actions because no option was available
+    fallbacks: Ints  # (E,) decisions for a primitive action because no option could start
+    unknown: Ints  # (E,) decisions by preference because no option was sampled enough; exact: 0
+    outcomes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """(E,) each: other results that the domain reports of its games; exact: none."""
+
+    @classmethod
+    def of_none(cls, over: Flags, outcomes: Mapping[str, NDArray[Any]] | None = None) -> 'Returns':
+        """Return the results of E episodes before their first step; ``over`` (E,) are done."""
+        steps, decisions, fallbacks, unknown = np.zeros((4, len(over)), dtype=np.intp)
+        total, discounted = np.zeros((2, len(over)))
+        return cls(total, discounted, steps, over, decisions, fallbacks, unknown, outcomes or {})
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and its 95 % confidence interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: NDArray[Any]) -> 'Interval':
+        """Return the normal interval of the mean of independent values (E,), two or more."""
+        mean = float(values.mean())
+        half = NORMAL_95 * float(values.std(ddof=1)) / float(np.sqrt(len(values)))
+        return cls(mean, mean - half, mean + half)
+
+    @classmethod
+    def of_share(cls, values: Flags) -> 'Interval':
+        """
+        Return a share and its interval (Wilson 1927), which stays within 0 and 1.
+
+        :param values: (E,) one or more.
+        """
+        count, share = len(values), float(values.mean())
+        z = NORMAL_95**2 / count
+        centre = (share + z / 2) / (1 + z)
+        half = float(np.sqrt(z * share * (1 - share) + z * z / 4)) / (1 + z)
+        return cls(share, max(centre - half, 0.0), min(centre + half, 1.0))
 
 
 def episode_starts(
@@ -37,12 +78,12 @@ def episode_starts(
 
     Each draw has its own generator, so start i is the same however many are asked for.
 
-    :param progress: told the stage evaluation, which begins with this.
+    :param progress: called with the stage evaluation, which begins with this.
     """
-    tell = progress or say_nothing
+    report = progress or ignore_progress
     starts = np.empty(episodes, dtype=np.int32)
     for episode in range(episodes):
-        tell('evaluation', 0.0, 0, math.nan)
+        report('evaluation', 0.0, 0, math.nan)
         starts[episode] = domain.index(episode_start(domain, seed, episode))
     return starts
 
@@ -67,7 +108,7 @@ def play(
     :param starts: (E,) state indices.
     :param seed: of the outcomes; not used where every action has one.
     :param max_steps: episodes are cut off after so many steps; 0: the domain's own limit.
-    :param progress: told the stage evaluation; what it raises passes through.
+    :param progress: called with the stage evaluation; what it raises passes through.
     :raises PlanError: neither limits the episodes, or a start is not a state.
     """
     limit = max_steps or plan.domain.max_steps
@@ -75,19 +116,19 @@ def play(
         raise PlanError(f'{plan.domain.name} never cuts an episode off: give max_steps')
     if len(starts) and not 0 <= starts.min() <= starts.max() < plan.domain.n_states:
         raise PlanError(f'a start is not within 0..{plan.domain.n_states - 1}')
-    game, tell = _Games(plan, starts), progress or say_nothing
+    episodes, report = _Episodes(plan, starts), progress or ignore_progress
     chance = not plan.domain.transitions().deterministic
     for step in range(limit):
-        if not len(game.live):
+        if not len(episodes.live):
             break
-        tell('evaluation', step / limit, 0, math.nan)
-        game.decide()
-        game.step(generator(seed, 'play', step).random(len(starts)) if chance else None)
-    return game.returns
+        report('evaluation', step / limit, 0, math.nan)
+        episodes.decide()
+        episodes.step(generator(seed, 'play', step).random(len(starts)) if chance else None)
+    return episodes.returns
 
 
-class _Games:
-    """E games side by side; ``live`` are those that go on."""
+class _Episodes:
+    """E episodes side by side; ``live`` are those that go on."""
 
     def __init__(self, plan: Plan, starts: NDArray[np.integer]) -> None:
         count = len(starts)
@@ -95,38 +136,31 @@ class _Games:
         self._rules = plan.domain.transitions()
         self._limits = None if self._rules.deterministic else outcome_limits(self._rules)
         self._over = plan.domain.over()
-        self._tables = _Tables(plan)
+        self._tables = _OptionTables(plan)
         self._state = starts.astype(np.intp)
-        self._column = np.full(count, -1, dtype=np.intp)  # -1: to be decided
+        self._option = np.full(count, -1, dtype=np.intp)  # -1: to be decided
         self._ran = np.zeros(count, dtype=np.intp)  # steps of the running option
         self._discount = np.ones(count)
         self.live = np.flatnonzero(~self._over[self._state])
-        self.returns = Returns(
-            total=np.zeros(count),
-            discounted=np.zeros(count),
-            steps=np.zeros(count, dtype=np.intp),
-            successes=self._over[self._state],
-            decisions=np.zeros(count, dtype=np.intp),
-            fallbacks=np.zeros(count, dtype=np.intp),
-        )
+        self.returns = Returns.of_none(self._over[self._state])
 
     def decide(self) -> None:
         """Begin an option wherever none is running."""
-        free = self.live[self._column[self.live] < 0]
-        column = self._plan.solution.best[self._state[free]]
-        self._column[free], self._ran[free] = column, 0
+        free = self.live[self._option[self.live] < 0]
+        option = self._plan.solution.best[self._state[free]]
+        self._option[free], self._ran[free] = option, 0
         self.returns.decisions[free] += 1
-        self.returns.fallbacks[free] += column >= self._plan.first_fallback
+        self.returns.fallbacks[free] += option >= self._plan.first_fallback
 
     def step(self, numbers: NDArray[np.float64] | None) -> None:
         """
-        Take one primitive step in every game that goes on.
+        Take one primitive step in every episode that goes on.
 
         :param numbers: (E,), uniform, that choose the outcomes; None: every action has one.
         """
         live, returns = self.live, self.returns
-        state, column = self._state[live], self._column[live]
-        action = self._tables.action(column, state)
+        state, option = self._state[live], self._option[live]
+        action = self._tables.action(option, state)
         outcome: Ints | int = 0
         if self._limits is not None and numbers is not None:
             outcome = draw_outcomes(self._limits, state, action, numbers[live])
@@ -140,15 +174,15 @@ class _Games:
         self._discount[live] *= self._plan.gamma
         self._state[live] = arrived
         self._ran[live] += 1
-        ended = self._tables.ends(column, arrived) | (
-            self._ran[live] >= self._tables.limit[column]
+        ended = self._tables.ends(option, arrived) | (
+            self._ran[live] >= self._tables.limit[option]
         )
-        self._column[live[ended]] = -1
+        self._option[live[ended]] = -1
         self.live = live[~over]
 
 
-class _Tables:
-    """The columns of a plan as arrays; primitive actions are options of one step."""
+class _OptionTables:
+    """The options of a plan as arrays; primitive actions are options of one step."""
 
     def __init__(self, plan: Plan) -> None:
         n_options = len(plan.options)
@@ -160,16 +194,16 @@ class _Tables:
         self._ends = np.array([t.termination for t in tables], dtype=np.bool_).reshape(shape)
         self.limit = np.array([o.max_steps for o in plan.options] + [1] * primitives)
 
-    def action(self, column: Ints, state: Ints) -> Ints:
+    def action(self, option: Ints, state: Ints) -> Ints:
         """Return the primitive action of each game, (E,)."""
-        action = column - self._n_options
-        learned = column < self._n_options
-        action[learned] = self._action[column[learned], state[learned]]
+        action = option - self._n_options
+        learned = option < self._n_options
+        action[learned] = self._action[option[learned], state[learned]]
         return action
 
-    def ends(self, column: Ints, state: Ints) -> Flags:
-        """Tell where the termination condition holds, (E,)."""
-        ends = column >= self._n_options
+    def ends(self, option: Ints, state: Ints) -> Flags:
+        """Return (E,): whether the termination condition holds."""
+        ends = option >= self._n_options
         learned = ~ends
-        ends[learned] = self._ends[column[learned], state[learned]]
+        ends[learned] = self._ends[option[learned], state[learned]]
         return ends

@@ -1,60 +1,79 @@
 """
-Exact multi-time models of options in deterministic domains (Precup 2000, chapter 3).
+Exact models of options: the expected reward, and the discounted distribution of the final state.
 
-Sutton, Precup and Singh (1999, section 4) define the model of an option by its reward and by its
-discounted successor. Where every action has one outcome both follow from running the option, and
-running it n steps from all states at once needs about log2(n) compositions of the successor table
-with itself.
+Such a multi-time model (Precup 2000, chapter 3; Sutton, Precup and Singh 1999, section 4) follows
+from running the option. ``max_steps`` counts here as it does in execution.
+
+Where every action has one outcome, running an option n steps from all states at once needs about
+log2(n) compositions of the successor table with itself.
+
+With chance the model solves linear equations. With M the discounted probabilities of going on, E
+those of ending, and r the expected rewards of one step, a run of at most n steps has
+
+    reward     sum of M**k r, k = 0..n-1
+    successor  sum of M**k E, k = 0..n-1, and M**n where it is cut off
+
+The reward is summed step by step. The successor of runs without a limit is F = (I - M)**-1 E, one
+sparse factorisation for each option; where some runs may be cut off, M**n (I - F) is added. States
+of which less than ``NEGLIGIBLE`` is still running after n steps need no such correction.
 """
 
 from dataclasses import dataclass
 
 from humanopts_env.domains.base import Transitions
-from humanopts_learner.planning.errors import check_gamma, ModelError
-from humanopts_learner.planning.model import check_deterministic
+from humanopts_learner.planning.errors import check_gamma, ModelError, NotDeterministicError
+from humanopts_learner.planning.multi_time_models import Rows
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import splu
 
-IntTable = NDArray[np.intp]
-FloatTable = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+NEGLIGIBLE = 1e-14  # discounted probability that is taken for 0
+BLOCK = 256  # columns that are dense at once
+Ints = NDArray[np.intp]
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class OptionModel:
-    """What running one option from each of n states leads to, in k steps."""
+    """Where running one option from each of n states leads in k steps, with one outcome each."""
 
-    states: IntTable  # (n,) ascending; all that were asked for, and perhaps others
-    reward: FloatTable  # (n,) sum of gamma**i * r[i], i = 0..k-1
-    successor: IntTable  # (n,) state where it ended
-    discount: FloatTable  # (n,) gamma**k; 0 where the task was over
-    reached: Mask  # (n,) False: still going after max_steps, and cut off there
+    states: Ints  # (n,) ascending; all that were asked for, and perhaps others
+    reward: Floats  # (n,) sum of gamma**i * r[i], i = 0..k-1
+    successor: Ints  # (n,) state where it ended
+    discount: Floats  # (n,) gamma**k; 0 where the task was over
+    cut_off: Flags  # (n,) still running after max_steps
 
-
-@dataclass
-class _Walk:
-    """Some number of moves from each of n rows, absorbed where the next step is the last."""
-
-    row: IntTable  # (n,) where it leads
-    reward: FloatTable  # (n,) discounted to the start
-    discount: FloatTable  # (n,) gamma to the number of moves
+    def values(self, values: Floats) -> Floats:
+        """Return (n,): what running the option is worth, by the values (S,) of where it ends."""
+        return self.reward + self.discount * values[self.successor]
 
 
 @dataclass(frozen=True)
-class _Policy:
-    """One step of an option from each of n states."""
+class SparseOptionModel:
+    """Where running one option from each of n states leads in k steps, with chance."""
 
-    states: IntTable  # (n,) in ascending order
-    successor: IntTable  # (n,) states
-    reward: FloatTable  # (n,)
-    terminated: Mask  # (n,)
-    last: Mask  # (n,) the step ends the option
+    states: Ints  # (n,) ascending; all that were asked for, and those that runs visit
+    reward: Floats  # (n,) expected sum of gamma**i * r[i], i = 0..k-1
+    successor: Rows  # (n, S) expected gamma**k at each end; nothing where the task was over
+    cut_off_probability: Floats  # (n,) the discounted part that was cut off after max_steps
+
+    @property
+    def cut_off(self) -> Flags:
+        """(n,): whether some runs are still going on after max_steps."""
+        return self.cut_off_probability > 0
+
+    def values(self, values: Floats) -> Floats:
+        """Return (n,): what running the option is worth, by the values (S,) of where it ends."""
+        worth: Floats = self.reward + self.successor @ values
+        return worth
 
 
-class Composer:
-    """Models the options of one deterministic domain."""
+class DeterministicModeller:
+    """Models the options of one domain in which every action has one outcome."""
 
-    def __init__(self, transitions: Transitions, over: Mask, gamma: float) -> None:
+    def __init__(self, transitions: Transitions, over: Flags, gamma: float) -> None:
         """
         Prepare for one domain.
 
@@ -62,7 +81,8 @@ class Composer:
         :raises PlanError: gamma is not in (0, 1], or the transitions are not deterministic.
         """
         check_gamma(gamma)
-        check_deterministic(transitions)
+        if not transitions.deterministic:
+            raise NotDeterministicError('an action of this domain has more than one outcome')
         self._n_actions = transitions.successor.shape[1]
         self._gamma = gamma
         self._over = over
@@ -72,12 +92,12 @@ class Composer:
         self._floats = np.empty(len(over))  # work space
         self._ints = np.empty(len(over), dtype=np.intp)
 
-    def outcome(
+    def model(
         self,
         action: NDArray[np.integer],
-        termination: Mask,
+        termination: Flags,
         max_steps: int,
-        starts: Mask | None = None,
+        starts: Flags | None = None,
     ) -> OptionModel:
         """
         Run an option from many states, as execution does.
@@ -94,13 +114,14 @@ class Composer:
         :param starts: (S,) states from which the answer is needed; None: all.
         :raises ModelError: max_steps is below 1.
         """
-        if max_steps < 1:
-            raise ModelError(f'max_steps is {max_steps}, and must be 1 or more')
+        _check_max_steps(max_steps)
         policy = self._policy(action, termination | self._over, starts)
         walk = self._walk(policy, max_steps - 1, starts)
         return self._last_step(policy, walk)
 
-    def _policy(self, action: NDArray[np.integer], ends: Mask, starts: Mask | None) -> _Policy:
+    def _policy(
+        self, action: NDArray[np.integer], ends: Flags, starts: Flags | None
+    ) -> '_PolicyTable':
         """Tabulate one step from the starts if no run leaves them, or else from all states."""
         states = np.arange(len(ends)) if starts is None else np.flatnonzero(starts)
         pair = states * self._n_actions
@@ -111,9 +132,9 @@ class Composer:
         last |= terminated
         if starts is not None and not (last | starts[successor]).all():
             return self._policy(action, ends, None)
-        return _Policy(states, successor, self._reward[pair], terminated, last)
+        return _PolicyTable(states, successor, self._reward[pair], terminated, last)
 
-    def _walk(self, policy: _Policy, steps: int, starts: Mask | None) -> _Walk:
+    def _walk(self, policy: '_PolicyTable', steps: int, starts: Flags | None) -> '_Walk':
         """Move ``steps`` times from every row, but stay before a step that would be the last."""
         last = policy.last
         here = np.arange(len(last))
@@ -133,7 +154,7 @@ class Composer:
             self._append(walk, self._power(one, steps - highest, last, wanted))
         return walk
 
-    def _power(self, one: _Walk, steps: int, last: Mask, wanted: Mask | None) -> _Walk:
+    def _power(self, one: '_Walk', steps: int, last: Flags, wanted: Flags | None) -> '_Walk':
         """Return ``steps`` moves (1 or more), or fewer where more would change nothing."""
         walk = _Walk(one.row.copy(), one.reward.copy(), one.discount.copy())
         for bit in bin(steps)[3:]:  # the highest bit is ``one`` itself
@@ -144,7 +165,7 @@ class Composer:
                 self._append(walk, one)
         return walk
 
-    def _append(self, walk: _Walk, then: _Walk) -> None:
+    def _append(self, walk: '_Walk', then: '_Walk') -> None:
         """Go on from where ``walk`` leads by ``then``, which may be ``walk`` itself."""
         at = walk.row
         floats, ints = self._floats[: len(at)], self._ints[: len(at)]
@@ -156,17 +177,194 @@ class Composer:
         np.take(then.row, at, out=ints, mode='clip')
         at[:] = ints
 
-    def _last_step(self, policy: _Policy, walk: _Walk) -> OptionModel:
+    def _last_step(self, policy: '_PolicyTable', walk: '_Walk') -> OptionModel:
         """Take the step that ends the option, or the last that ``max_steps`` allows."""
         end = walk.row
         walk.reward += walk.discount * policy.reward[end]
         walk.discount *= self._gamma
         walk.discount[policy.terminated[end]] = 0.0
         return OptionModel(
-            policy.states, walk.reward, policy.successor[end], walk.discount, policy.last[end]
+            policy.states, walk.reward, policy.successor[end], walk.discount, ~policy.last[end]
         )
 
 
-def _all_stay(walk: _Walk, last: Mask, wanted: Mask | None) -> bool:
+@dataclass(frozen=True)
+class _PolicyTable:
+    """One step of an option from each of n states."""
+
+    states: Ints  # (n,) in ascending order
+    successor: Ints  # (n,) states
+    reward: Floats  # (n,)
+    terminated: Flags  # (n,)
+    last: Flags  # (n,) the step ends the option
+
+
+@dataclass
+class _Walk:
+    """Some number of moves from each of n rows, absorbed where the next step is the last."""
+
+    row: Ints  # (n,) where it leads
+    reward: Floats  # (n,) discounted to the start
+    discount: Floats  # (n,) gamma to the number of moves
+
+
+def _all_stay(walk: _Walk, last: Flags, wanted: Flags | None) -> bool:
     stays = last[walk.row]
     return bool(stays.all() if wanted is None else (stays | ~wanted).all())
+
+
+class StochasticModeller:
+    """Models the options of one domain, with chance or without."""
+
+    def __init__(self, transitions: Transitions, over: Flags, gamma: float) -> None:
+        """
+        Prepare for one domain.
+
+        :param over: (S,) states where the task is over.
+        :raises GammaError: gamma is not in (0, 1].
+        """
+        check_gamma(gamma)
+        self._rules, self._over, self._gamma = transitions, over, gamma
+
+    def model(
+        self,
+        action: NDArray[np.integer],
+        termination: Flags,
+        max_steps: int,
+        starts: Flags | None = None,
+    ) -> SparseOptionModel:
+        """Run an option from many states; parameters and errors as ``DeterministicModeller``."""
+        _check_max_steps(max_steps)
+        step = self._step(action, termination | self._over, starts)
+        reward, running = _rewards(step, max_steps)
+        successor = _unlimited_successors(step)
+        late = running > NEGLIGIBLE
+        if late.any():
+            successor = _limited_successors(step, successor, late, max_steps)
+        return SparseOptionModel(step.states, reward, successor, np.where(late, running, 0.0))
+
+    def _step(
+        self, action: NDArray[np.integer], ends: Flags, starts: Flags | None
+    ) -> '_StochasticStep':
+        rules = self._rules
+        states = np.arange(len(ends)) if starts is None else visited(rules, action, ends, starts)
+        at = states, action[states]
+        successor, probability = rules.successor[at], rules.probability[at]  # (n, B)
+        over = rules.terminated[at]
+        last = ends[successor] | over
+        row_of = np.zeros(len(ends), dtype=np.intp)
+        row_of[states] = np.arange(len(states))
+
+        def rows(kept: Flags, columns: NDArray[np.integer], width: int) -> Rows:
+            data = np.where(kept, self._gamma * probability, 0.0).ravel()
+            pointers = np.arange(0, data.size + 1, probability.shape[1])
+            found = csr_array((data, columns.ravel(), pointers), shape=(len(states), width))
+            found.sum_duplicates()
+            found.eliminate_zeros()
+            return found
+
+        return _StochasticStep(
+            states,
+            (probability * rules.reward[at]).sum(axis=1),
+            rows(~last, row_of[successor], len(states)),
+            rows(last & ~over, successor, len(ends)),
+            (last & (probability > 0)).any(axis=1),
+        )
+
+
+@dataclass(frozen=True)
+class _StochasticStep:
+    """One step of an option from each of n states, as sparse rows."""
+
+    states: Ints  # (n,)
+    reward: Floats  # (n,)
+    on: Rows  # (n, n) discounted probability of going on: M
+    end: Rows  # (n, S) discounted probability of ending with the task not over: E
+    may_end: Flags  # (n,) the option may end with this step, the task over or not
+
+
+def option_modeller(
+    transitions: Transitions, over: Flags, gamma: float
+) -> DeterministicModeller | StochasticModeller:
+    """Return the modeller that fits a domain; parameters and errors as there."""
+    kind = DeterministicModeller if transitions.deterministic else StochasticModeller
+    return kind(transitions, over, gamma)
+
+
+def visited(
+    rules: Transitions, action: NDArray[np.integer], ends: Flags, starts: Flags
+) -> NDArray[np.intp]:
+    """Return the starts of an option and all states that runs from them can go on from."""
+    found = starts.copy()
+    fresh = np.flatnonzero(found)
+    while fresh.size:
+        at = fresh, action[fresh]
+        onward = (rules.probability[at] > 0) & ~rules.terminated[at]
+        reached = np.unique(rules.successor[at][onward])
+        fresh = reached[~ends[reached] & ~found[reached]]
+        found[fresh] = True
+    return np.flatnonzero(found)
+
+
+def _check_max_steps(max_steps: int) -> None:
+    if max_steps < 1:
+        raise ModelError(f'max_steps is {max_steps}, and must be 1 or more')
+
+
+def _rewards(step: _StochasticStep, max_steps: int) -> tuple[Floats, Floats]:
+    """Return the reward (n,) of at most ``max_steps`` steps and what is still running then."""
+    first = np.stack([step.reward, np.zeros(len(step.states))], axis=1)
+    total = np.stack([np.zeros(len(step.states)), np.ones(len(step.states))], axis=1)
+    for _ in range(max_steps):
+        total = first + step.on @ total
+        if not (total[:, 1] > NEGLIGIBLE).any():
+            break
+    return total[:, 0], total[:, 1]
+
+
+def _unlimited_successors(step: _StochasticStep) -> Rows:
+    """Solve (I - M) F = E, (n, S), where runs can end; where they never do, F is 0."""
+    can_end = step.may_end
+    while True:
+        more = can_end | ((step.on @ can_end.astype(np.float64)) > 0)
+        if (more == can_end).all():
+            break
+        can_end = more
+    rows = np.flatnonzero(can_end)
+    if not step.end.nnz:
+        return step.end
+    solve = splu((eye_array(len(rows)) - step.on[rows][:, rows]).tocsc()).solve
+    columns = np.unique(step.end.indices)
+    blocks = []
+    for begin in range(0, len(columns), BLOCK):
+        block = columns[begin : begin + BLOCK]
+        found = solve(step.end[rows][:, block].toarray())
+        row, col = np.nonzero(found > NEGLIGIBLE)
+        blocks.append((found[row, col], rows[row], block[col]))
+    data, row, col = (np.concatenate(part) for part in zip(*blocks))
+    return csr_array((data, (row, col)), shape=step.end.shape)
+
+
+def _limited_successors(
+    step: _StochasticStep, successor: Rows, late: Flags, max_steps: int
+) -> Rows:
+    """Return F + M**max_steps (I - F) in the late rows, and F in the others."""
+    count = len(late)
+    here = csr_array((np.ones(count), (np.arange(count), step.states)), shape=successor.shape)
+    back, rest = step.on.T.tocsr(), (here - successor).T.tocsr()
+    rows = np.flatnonzero(late)
+    parts = []
+    for begin in range(0, len(rows), BLOCK):
+        block = rows[begin : begin + BLOCK]
+        still = np.zeros((count, len(block)))  # columns of the transposed M**k
+        still[block, np.arange(len(block))] = 1.0
+        for _ in range(max_steps):
+            still = back @ still
+        change = rest @ still
+        col, row = np.nonzero(np.abs(change) > NEGLIGIBLE)
+        parts.append((change[col, row], block[row], col))
+    data, row, col = (np.concatenate(part) for part in zip(*parts))
+    corrected = (successor + csr_array((data, (row, col)), shape=successor.shape)).tocsr()
+    corrected.data[corrected.data < NEGLIGIBLE] = 0.0  # differences that are rounding
+    corrected.eliminate_zeros()
+    return corrected

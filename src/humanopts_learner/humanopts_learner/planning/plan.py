@@ -9,15 +9,12 @@ from typing import Any
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_learner.options.option import LearnedOption, option_tables, OptionError
 from humanopts_learner.planning.action_sets import (
-    ACTION_SETS,
     build_model,
     check_action_set,
-    HUMAN,
-    HUMAN_AND_PRIMITIVE,
+    ignore_progress,
     OPTIONS_ONLY,
     PRIMITIVE,
     Progress,
-    say_nothing,
     TabledOption,
 )
 from humanopts_learner.planning.errors import (
@@ -28,28 +25,12 @@ from humanopts_learner.planning.errors import (
 )
 from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 
-__all__ = [
-    'ACTION_SETS',
-    'HUMAN',
-    'HUMAN_AND_PRIMITIVE',
-    'PRIMITIVE',
-    'Clock',
-    'Decision',
-    'Plan',
-    'Progress',
-    'SweepProgress',
-    'TabledOption',
-    'check_request',
-    'make_plan',
-    'plan_with_tables',
-]
-
 Clock = Callable[[], float]  # seconds
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What to run next."""
+    """What a policy over options runs next."""
 
     name: str  # an option, or action:NAME
     fallback: bool  # a primitive action because no option is available
@@ -60,17 +41,17 @@ class Plan:
     """
     A greedy policy over options.
 
-    The columns are the options and then, where the action set needs them, all primitive actions.
-    In the sets ``human`` and ``automatic`` these are the fallback: available only in states where
-    no option is, so that the one chosen there is the best by one step of look-ahead in the plan's
-    own values, the first of equals.
+    Option indices count the learned options and then, where the action set needs them, all
+    primitive actions. In the sets ``human`` and ``automatic`` these are the fallback: available
+    only in states where no option is, so that the one chosen there is the best by one step of
+    look-ahead in the plan's own values, the first of equals.
     """
 
     domain: EnumerableDomain[Any]
     action_set: str
     gamma: float
     options: tuple[TabledOption, ...]
-    names: tuple[str, ...]  # of the columns
+    names: tuple[str, ...]  # by option index
     solution: Solution
     table_seconds: float
     model_seconds: float
@@ -82,19 +63,19 @@ class Plan:
 
         :raises PlanError: the task is over in it.
         """
-        column = int(self.solution.best[self.domain.index(state)])
-        if column < 0:
+        option = int(self.solution.best[self.domain.index(state)])
+        if option < 0:
             raise PlanError('there is nothing to do: the task is over')
-        return Decision(self.names[column], column >= self.first_fallback)
+        return Decision(self.names[option], option >= self.first_fallback)
 
     @property
     def first_fallback(self) -> int:
-        """Column from which on a choice is a fallback; the number of columns where none is."""
+        """Option index from which on a choice is a fallback; the number of names if none is."""
         return len(self.options) if self.action_set in OPTIONS_ONLY else len(self.names)
 
     @property
     def game_steps(self) -> int:
-        """Game steps that were sampled: none."""
+        """Game steps that were sampled: 0."""
         return 0
 
 
@@ -111,7 +92,7 @@ def make_plan(
     """
     Plan with learned options, primitive actions, or both.
 
-    :param action_set: one of ``ACTION_SETS``; ``options`` are not looked at in ``primitive``.
+    :param action_set: one of ``ACTION_SETS``; ``options`` are ignored in ``primitive``.
     :param gamma: discount per primitive step; None: the domain's own.
     :param tol: largest change allowed in the last sweep, in reward units.
     :raises PlanError: the request makes no sense; its subclasses say which part.
@@ -124,16 +105,16 @@ def make_plan(
         raise NotEnumerableError(
             f'the states of {domain.name} cannot all be listed, so it has no exact models'
         )
-    tell = progress or say_nothing
+    report = progress or ignore_progress
     domain.feature_table()  # built once for all plans, so no part of this one's time
     began = clock()
     tabled = []
     for done, option in enumerate(used):
-        tell('tables', done / len(used), 0, math.nan)
+        report('tables', done / len(used), 0, math.nan)
         tabled.append(TabledOption(option.name, option.max_steps, option_tables(option, domain)))
     table_seconds = clock() - began
     return plan_with_tables(
-        domain, action_set, tabled, gamma, tol, max_sweeps, tell, clock, table_seconds
+        domain, action_set, tabled, gamma, tol, max_sweeps, report, clock, table_seconds
     )
 
 
@@ -151,15 +132,15 @@ def plan_with_tables(
     """
     Plan with options that are tables already; parameters and errors as ``make_plan``.
 
-    :param table_seconds: what it took to evaluate the tables.
+    :param table_seconds: time that evaluating the tables took.
     """
-    tell = progress or say_nothing
+    report = progress or ignore_progress
     used = () if action_set == PRIMITIVE else tuple(options)
     domain.transitions(), domain.over()  # built once for all plans, so no part of this one's time
     began = clock()
-    model = build_model(domain, action_set, used, gamma, tell)
+    model = build_model(domain, action_set, used, gamma, report)
     modelled = clock()
-    solution = solve_smdp(model, tol, max_sweeps, SweepProgress(tell, tol, max_sweeps))
+    solution = solve_smdp(model, tol, max_sweeps, SweepProgress(report, tol, max_sweeps))
     return Plan(
         domain=domain,
         action_set=action_set,
@@ -177,7 +158,7 @@ def check_request(
     domain: Domain[Any], action_set: str, options: Sequence[LearnedOption], gamma: float
 ) -> None:
     """
-    Check what any planning is asked for, without planning.
+    Check a request to plan, without planning.
 
     :raises PlanError: the request makes no sense; its subclasses say which part.
     """
@@ -191,10 +172,10 @@ def check_request(
 
 
 class SweepProgress:
-    """Turns the residual into a share of the sweeps: its logarithm falls about linearly."""
+    """Reports the residual as a share of the sweeps: its logarithm falls about linearly."""
 
-    def __init__(self, tell: Progress, tol: float, max_sweeps: int) -> None:
-        self._tell, self._tol, self._max_sweeps = tell, tol, max_sweeps
+    def __init__(self, report: Progress, tol: float, max_sweeps: int) -> None:
+        self._report, self._tol, self._max_sweeps = report, tol, max_sweeps
         self._first, self._fraction = 0.0, 0.0
 
     def __call__(self, sweeps: int, residual: float) -> None:
@@ -206,4 +187,4 @@ class SweepProgress:
             fallen = math.log(self._first / residual) / math.log(self._first / self._tol)
             fraction = max(fraction, fallen)
         self._fraction = max(self._fraction, fraction)
-        self._tell('sweeps', self._fraction, sweeps, residual)
+        self._report('sweeps', self._fraction, sweeps, residual)

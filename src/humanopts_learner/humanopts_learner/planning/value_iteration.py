@@ -1,30 +1,31 @@
-"""Synchronous value iteration over options (Sutton, Precup and Singh 1999, section 4)."""
+"""SMDP value iteration: synchronous, over options (Sutton, Precup and Singh 1999, section 4)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from humanopts_learner.planning.errors import check_limits
-from humanopts_learner.planning.model import Model
+from humanopts_learner.planning.multi_time_models import Model
 import numpy as np
 from numpy.typing import NDArray
 
+Floats = NDArray[np.float64]
 OnSweep = Callable[[int, float], bool | None]
-OnValues = Callable[[NDArray[np.float64]], object]
+OnValues = Callable[[Floats], object]
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What value iteration came to."""
+    """The result of value iteration."""
 
-    values: NDArray[np.float64]  # (S,), 0 where nothing is available
-    best: NDArray[np.int32]  # (S,) greedy column, the lowest among equals; -1: none available
+    values: Floats  # (S,), 0 where no option is available
+    best: NDArray[np.int32]  # (S,) greedy option index, the lowest of equals; -1: none available
     sweeps: int
     residual: float  # largest change of the last sweep, reward units
     converged: bool  # residual is at most tol
 
 
 class _Backup:
-    """One sweep over a model, in place: no loop over states, and one column in cache at a time."""
+    """One sweep over a model, in place: no loop over states, and one option in cache at a time."""
 
     def __init__(self, model: Model) -> None:
         self.dead = ~model.available.any(axis=1)
@@ -33,30 +34,30 @@ class _Backup:
         self._reward[0, self.dead] = 0.0  # nothing follows there, so their value stays 0
         self._choice = np.empty(model.n_states)
 
-    def sweep(self, old: NDArray[np.float64], new: NDArray[np.float64]) -> float:
+    def sweep(self, old: Floats, new: Floats) -> float:
         """Write the next values to ``new`` and the changes to ``old``; return the largest."""
         self._expected.prepare(old)
         self._value(0, new)
-        for column in range(1, len(self._reward)):
-            np.maximum(new, self._value(column, self._choice), out=new)
+        for option in range(1, len(self._reward)):
+            np.maximum(new, self._value(option, self._choice), out=new)
         np.subtract(new, old, out=old)
         return max(float(old.max()), -float(old.min()))
 
-    def best(self, values: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Return the greedy column of every state, the lowest among equals; -1: none."""
+    def best(self, values: Floats) -> NDArray[np.int32]:
+        """Return the greedy option of every state, the lowest of equals; -1: none."""
         self._expected.prepare(values)
         greatest = self._value(0, np.empty_like(values))
         best = np.zeros(len(values), dtype=np.int32)
-        for column in range(1, len(self._reward)):
-            best[self._value(column, self._choice) > greatest] = column
+        for option in range(1, len(self._reward)):
+            best[self._value(option, self._choice) > greatest] = option
             np.maximum(greatest, self._choice, out=greatest)
         best[self.dead] = -1
         return best
 
-    def _value(self, column: int, out: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Write the value of one choice in every state to ``out``, and return it."""
-        self._expected.column(column, out)
-        out += self._reward[column]
+    def _value(self, option: int, out: Floats) -> Floats:
+        """Write the value of one option in every state to ``out``, and return it."""
+        self._expected.of_option(option, out)
+        out += self._reward[option]
         return out
 
 
@@ -89,3 +90,49 @@ def solve_smdp(
         if stop or residual <= tol:
             break
     return Solution(old, backup.best(old), sweeps, residual, residual <= tol)
+
+
+@dataclass(frozen=True)
+class SweepRow:
+    """The values after one sweep, for figures and tables."""
+
+    sweep: int  # 0: before the first
+    residual: float  # largest change of the sweep, reward units; NaN before the first
+    error: float  # largest distance from the final values
+    valued: int  # states whose value is no longer 0
+    settled: int  # states whose value is as near to its final value as asked
+
+
+def value_history(model: Model, tol: float = 1e-8, max_sweeps: int = 1000) -> Floats:
+    """
+    Return the values after each sweep, (sweeps + 1, S), from 0 to the final ones.
+
+    :raises ModelError: as ``solve_smdp``.
+    """
+    history = [np.zeros(model.n_states)]
+    solve_smdp(model, tol, max_sweeps, on_values=lambda values: history.append(values.copy()))
+    return np.array(history)
+
+
+def sweep_table(
+    model: Model, tol: float = 1e-8, near: float = 1e-3, max_sweeps: int = 1000
+) -> list[SweepRow]:
+    """
+    Return one row for each sweep, from the values of 0 to the final ones.
+
+    :param near: a value so close to its final one, in reward units, is settled.
+    :raises ModelError: as ``solve_smdp``.
+    """
+    history = value_history(model, tol, max_sweeps)
+    distance = np.abs(history - history[-1])
+    change = np.abs(np.diff(history, axis=0)).max(axis=1)
+    return [
+        SweepRow(
+            sweep=sweep,
+            residual=float(change[sweep - 1]) if sweep else float('nan'),
+            error=float(distance[sweep].max()),
+            valued=int((history[sweep] != 0).sum()),
+            settled=int((distance[sweep] <= near).sum()),
+        )
+        for sweep in range(len(history))
+    ]

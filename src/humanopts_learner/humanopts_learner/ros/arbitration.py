@@ -6,8 +6,8 @@ from humanopts_env.domains.base import Domain
 from humanopts_interfaces.msg import ExecutionState, OptionValues
 from humanopts_learner.library import OptionLibrary, RunnableOption
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.arbiter import Arbiter, make_arbiter
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.live import Arbiter, make_arbiter
 from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT

@@ -10,10 +10,11 @@ from humanopts_interfaces.msg import ExecutionState, OptionValues, PolicyGoal, P
 from humanopts_interfaces.srv import SetExecution
 from humanopts_learner.execution import execution_named, RunError
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.action_sets import PRIMITIVE
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.continuation import option_values
 from humanopts_learner.planning.evaluate import episode_start
-from humanopts_learner.planning.plan import Plan, PRIMITIVE
+from humanopts_learner.planning.interruption import option_values
+from humanopts_learner.planning.plan import Plan
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_learner.ros.goals import end_goal
 from humanopts_learner.ros.player import Episode, Made, Player, PolicyRun

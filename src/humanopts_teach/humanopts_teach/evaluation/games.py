@@ -18,9 +18,9 @@ from humanopts_env.domains.pacman.reference import AVOID_GHOST, CLOSEST_FOOD, NE
 from humanopts_env.domains.pacman.rules import GHOST_RULES
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.action_sets import HUMAN, HUMAN_AND_PRIMITIVE, PRIMITIVE
 from humanopts_learner.planning.any_domain import GAME_STEPS
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.plan import HUMAN, HUMAN_AND_PRIMITIVE, PRIMITIVE
 from humanopts_learner.planning.sampled.comparison import (
     Baseline,
     carried_over,

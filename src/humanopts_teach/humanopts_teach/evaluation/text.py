@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from humanopts_learner.options.criteria import Criterion
-from humanopts_learner.planning.sampled.judging import Interval
+from humanopts_learner.planning.evaluate import Interval
 from humanopts_teach.evaluation.planning import PlanningRow
 
 if TYPE_CHECKING:  # it imports this module

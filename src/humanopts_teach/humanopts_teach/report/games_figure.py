@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Sequence
 
+from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.sampled.comparison import ComparisonRow
-from humanopts_learner.planning.sampled.judging import Interval
 from humanopts_teach.evaluation.games import Curve, GamesEvaluation, Setting
 from humanopts_teach.report.figures import CaptionedFigure, Drawing, drawing, MUTED, SERIES
 from humanopts_teach.report.games_words import reached

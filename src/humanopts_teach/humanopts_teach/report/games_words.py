@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 
+from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.sampled.comparison import CHANCE, ComparisonRow, PLAN
-from humanopts_learner.planning.sampled.judging import Interval
 from humanopts_teach.evaluation.games import Curve, GamesEvaluation, Setting, TENFOLD
 from humanopts_teach.report.words import DASH, Finding
 

@@ -7,7 +7,7 @@ import math
 
 from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.plan import Plan
-from humanopts_learner.planning.sweeps import sweep_table, SweepRow
+from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
 from humanopts_teach.report.figures import drawing, SERIES
 from humanopts_teach.report.words import number
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter

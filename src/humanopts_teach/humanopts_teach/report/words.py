@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from humanopts_learner.planning.plan import HUMAN, PRIMITIVE
+from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
 from humanopts_teach.evaluation.options_block import differences
 from humanopts_teach.evaluation.planning import plan_differences, PlanningRow

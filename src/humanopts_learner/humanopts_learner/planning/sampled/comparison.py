@@ -16,17 +16,14 @@ from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.reference import reference_options
 from humanopts_env.domains.registry import parameters_json
 from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.planning.action_sets import HUMAN
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.errors import ForeignOptionError, PlanError
-from humanopts_learner.planning.plan import Clock, HUMAN
+from humanopts_learner.planning.evaluate import Interval, NORMAL_95, Returns
+from humanopts_learner.planning.plan import Clock
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns, LearnedBatchOption
 from humanopts_learner.planning.sampled.games import batch_domain, Watcher
-from humanopts_learner.planning.sampled.judging import (
-    GameReturns,
-    Interval,
-    NORMAL_95,
-    play_games,
-)
+from humanopts_learner.planning.sampled.judging import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, Sampling
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 import numpy as np
@@ -198,7 +195,7 @@ class _Match:
         return _row(contender, scores.score, outcomes)
 
 
-def _counted(contender: Baseline, returns: GameReturns) -> ComparisonRow:
+def _counted(contender: Baseline, returns: Returns) -> ComparisonRow:
     decisions, fallbacks = float(returns.decisions.mean()), float(returns.fallbacks.mean())
     row = _row(contender, returns.total, returns.outcomes)
     return replace(row, decisions=decisions, fallbacks=fallbacks)

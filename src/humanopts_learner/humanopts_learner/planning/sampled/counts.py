@@ -3,7 +3,7 @@
 from copy import copy
 from dataclasses import dataclass
 
-from humanopts_learner.planning.model import RowModel, Rows
+from humanopts_learner.planning.multi_time_models import Rows, SparseMultiTimeModel
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
@@ -115,7 +115,7 @@ class Counts:
         """(S, O) how many samples there are of each pair."""
         return self._count.T
 
-    def model(self, min_samples: int, penalty: float) -> RowModel:
+    def model(self, min_samples: int, penalty: float) -> SparseMultiTimeModel:
         """
         Return the mean of the samples.
 
@@ -130,7 +130,7 @@ class Counts:
         enough, rows = self._known(self._count >= max(min_samples, 1))
         count = np.where(enough, self._count, 1.0)
         reward = np.where(enough, self._reward / count - penalty / np.sqrt(count), 0.0)
-        return RowModel(self.names, reward.T, enough.T, rows)
+        return SparseMultiTimeModel(self.names, reward.T, enough.T, rows)
 
     def _known(self, enough: Flags) -> tuple[Flags, Rows]:
         """Return the pairs (O, S) that lead to states with such pairs, and where they lead."""

@@ -15,9 +15,10 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.plan import Clock, Progress
+from humanopts_learner.planning.action_sets import Progress
+from humanopts_learner.planning.evaluate import Interval
+from humanopts_learner.planning.plan import Clock
 from humanopts_learner.planning.sampled.columns import BatchOption
-from humanopts_learner.planning.sampled.judging import Interval
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, Sampling
 
 OnRow = Callable[['CurveRow'], object]

@@ -1,59 +1,34 @@
 """Playing a policy in the real game, many games at once."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
 from typing import Any
 
 from humanopts_env.seeding import generator
+from humanopts_learner.planning.action_sets import ignore_progress, Progress
 from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.sampled.columns import Columns
 from humanopts_learner.planning.sampled.games import Flags, Ints, Watcher
 from humanopts_learner.planning.sampled.policies import Policy
 from humanopts_learner.planning.sampled.runs import Runs
 import numpy as np
-from numpy.typing import NDArray
-
-NORMAL_95 = 1.959963984540054  # standard errors on each side of a 95 % interval
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A mean and its 95 % confidence interval, by the normal distribution."""
-
-    mean: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: NDArray[Any]) -> 'Interval':
-        """Return the interval of the mean of independent values (E,), two or more."""
-        mean = float(values.mean())
-        half = NORMAL_95 * float(values.std(ddof=1)) / float(np.sqrt(len(values)))
-        return cls(mean, mean - half, mean + half)
-
-
-@dataclass(frozen=True)
-class GameReturns:
-    """What each of E games came to; the first six fields are those of exact planning."""
-
-    total: NDArray[np.float64]  # (E,) undiscounted: the score
-    discounted: NDArray[np.float64]  # (E,)
-    steps: Ints  # (E,) primitive steps
-    successes: Flags  # (E,) the task is over, not cut off
-    decisions: Ints  # (E,) options begun
-    fallbacks: Ints  # (E,) of these, primitive actions because no option could start
-    unknown: Ints  # (E,) of these, by preference because no option was sampled enough
-    outcomes: Mapping[str, NDArray[Any]]  # (E,) each, what else the domain tells of its games
 
 
 def play_games(
-    watch: Watcher, columns: Columns, policy: Policy, gamma: float, seed: int, episodes: int
-) -> GameReturns:
+    watch: Watcher,
+    columns: Columns,
+    policy: Policy,
+    gamma: float,
+    seed: int,
+    episodes: int,
+    progress: Progress | None = None,
+) -> Returns:
     """
     Play games from the start of the task, each option run to its end.
 
     :param episodes: how many, E, all side by side; games do not affect each other, but which
         chance each meets depends on how many there are.
+    :param progress: called with the stage evaluation; what it raises passes through.
     :raises PlanError: the domain never cuts an episode off, or ``episodes`` is below 1.
     """
     limit = watch.games.domain.max_steps
@@ -63,8 +38,9 @@ def play_games(
     batch = watch.games.batch_reset(episodes, rng)
     result = _Result(watch, columns, batch, gamma)
     runs, at = Runs(watch, columns, batch, rng), np.arange(episodes)
-    over = watch.games.batch_over(batch)
-    for _ in range(limit):
+    over, report = watch.games.batch_over(batch), progress or ignore_progress
+    for step in range(limit):
+        report('evaluation', step / limit, 0, math.nan)
         if not over.all():
             result.step(runs, policy, at, over)
             over = watch.games.batch_over(runs.batch)
@@ -86,17 +62,7 @@ class _Result:
         self._outcomes = {
             name: values.copy() for name, values in watch.games.batch_outcome(batch).items()
         }
-        count = len(watch.games.batch_over(batch))
-        self.returns = GameReturns(
-            np.zeros(count),
-            np.zeros(count),
-            np.zeros(count, dtype=np.intp),
-            watch.games.batch_over(batch),
-            np.zeros(count, dtype=np.intp),
-            np.zeros(count, dtype=np.intp),
-            np.zeros(count, dtype=np.intp),
-            self._outcomes,
-        )
+        self.returns = Returns.of_none(watch.games.batch_over(batch), self._outcomes)
 
     def step(self, runs: Runs, policy: Policy, at: Ints, over: Flags) -> None:
         """

@@ -11,13 +11,14 @@ from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.action_sets import (
     check_action_set,
+    ignore_progress,
     PRIMITIVE,
     Progress,
-    say_nothing,
 )
 from humanopts_learner.planning.arbitration import Execution, OptionValues
 from humanopts_learner.planning.errors import check_gamma, ForeignOptionError, PlanError
-from humanopts_learner.planning.model import expected_values, RowModel
+from humanopts_learner.planning.evaluate import Returns
+from humanopts_learner.planning.multi_time_models import expected_values, SparseMultiTimeModel
 from humanopts_learner.planning.plan import Clock, Decision, SweepProgress
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns, LearnedBatchOption
 from humanopts_learner.planning.sampled.counts import Counts
@@ -27,7 +28,7 @@ from humanopts_learner.planning.sampled.games import (
     Watcher,
     watcher_for,
 )
-from humanopts_learner.planning.sampled.judging import GameReturns, play_games
+from humanopts_learner.planning.sampled.judging import play_games
 from humanopts_learner.planning.sampled.policies import (
     ArbitratedPolicy,
     executed,
@@ -124,19 +125,26 @@ class SampledPlan:
         column = int(choice.column[0])
         return Decision(self.names[column], column >= self.first_fallback)
 
-    def carried_out(self, execution: Execution | None = None) -> Policy:
-        """Return the policy, carried out in a way; None: as it was sampled."""
+    def as_executed(self, execution: Execution | None = None) -> Policy:
+        """Return the policy as executed in some way; None: as it was sampled."""
         execution = self.execution if execution is None else execution
         return executed(self.policy, self.continuation_values, execution, self.margin)
 
-    def play(self, seed: int, episodes: int, execution: Execution | None = None) -> GameReturns:
+    def play(
+        self,
+        seed: int,
+        episodes: int,
+        execution: Execution | None = None,
+        progress: Progress | None = None,
+    ) -> Returns:
         """
         Judge the plan in the real game.
 
-        :param execution: how the policy is carried out; None: as it was sampled.
+        :param execution: how the policy is executed; None: as it was sampled.
+        :param progress: called with the stage evaluation.
         """
-        policy = self.carried_out(execution)
-        return play_games(self.watch, self.columns, policy, self.gamma, seed, episodes)
+        policy = self.as_executed(execution)
+        return play_games(self.watch, self.columns, policy, self.gamma, seed, episodes, progress)
 
     def option_values(self) -> OptionValues:
         """Return what arbitration needs of it."""
@@ -187,7 +195,7 @@ def make_sampled_plan(
     if budget_steps < how.game_steps:
         raise PlanError(f'{budget_steps} game steps are fewer than the {how.game_steps} of a game')
     games = batch_domain(domain)
-    tell = progress or say_nothing
+    tell = progress or ignore_progress
     work = _Planning(
         games, action_set, used, gamma, how, budget_steps, seed, tell, clock, execution
     )
@@ -258,7 +266,7 @@ class _Planning:
         values = _values(model, self._solution.values)
         for _ in range(IMPROVEMENTS if self._pools else 0):
             policy = np.where(choosable.available, self._pooled(values), -np.inf).argmax(axis=1)
-            evaluated = solve_smdp(choosable.following(policy), tol, max_sweeps)
+            evaluated = solve_smdp(choosable.of_policy(policy), tol, max_sweeps)
             values = _values(model, evaluated.values)
         self._take(values)
         self._model_seconds += modelled - began
@@ -310,7 +318,7 @@ class _Planning:
         )
 
 
-def _values(model: RowModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _values(model: SparseMultiTimeModel, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what each choice is worth, (S, O); -inf where it is not available."""
     ahead = expected_values(model, values).T
     return np.where(model.available, model.reward + ahead, -np.inf)

@@ -1,8 +1,10 @@
 """
 Multi-time models of a semi-Markov decision process (SMDP), in two forms that plan alike.
 
-Axes: S states, O options (columns). A choice that takes k primitive steps counts its successor
-with gamma**k. ``SmdpModel`` has one successor for each choice, ``RowModel`` a sparse row of them.
+Axes: S states, O options; a primitive action is an option of one step. An option that takes k
+primitive steps counts its successor with gamma**k (Sutton, Precup and Singh 1999, section 4).
+``MultiTimeModel`` has one successor for each state and option, ``SparseMultiTimeModel`` a sparse
+row of them.
 """
 
 from collections.abc import Sequence
@@ -10,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from humanopts_env.domains.base import Transitions
-from humanopts_learner.planning.errors import check_gamma, ModelError, NotDeterministicError
+from humanopts_learner.planning.errors import check_gamma, ModelError
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
@@ -20,37 +22,37 @@ ROUNDING = 1e-9  # how far above 1 the entries of one row may sum up
 
 
 class Expectation(Protocol):
-    """The expected discounted value of what follows a choice."""
+    """Computes the expected discounted value of the successors of an option."""
 
     def prepare(self, values: NDArray[np.float64], /) -> object:
-        """Take the values (S,) that the columns are asked about next."""
+        """Take the values (S,) of the states."""
 
-    def column(self, option: int, out: NDArray[np.float64], /) -> object:
-        """Write (S,): what follows one choice in every state."""
+    def of_option(self, option: int, out: NDArray[np.float64], /) -> object:
+        """Write (S,): the expected discounted value of the successors of one option."""
 
 
 def expected_values(model: 'Model', values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (O, S): the expected discounted value of what follows every choice."""
+    """Return (O, S): the expected discounted value of the successors of every option."""
     expected, result = model.expectation(), np.empty(model.reward.T.shape)
     expected.prepare(values)
     for option, out in enumerate(result):
-        expected.column(option, out)
+        expected.of_option(option, out)
     return result
 
 
 @dataclass(frozen=True)
-class SmdpModel:
+class MultiTimeModel:
     """
-    What choosing option o in state s leads to, with one successor.
+    Rewards and successors of running option o from state s, with one successor each.
 
-    A choice takes k primitive steps; its reward is sum of gamma**i * r[i], i = 0..k-1. Entries of
-    pairs that are not available are ignored, but must be valid numbers. Planning reads the
+    An option takes k primitive steps; its reward is sum of gamma**i * r[i], i = 0..k-1. Entries
+    of pairs that are not available are ignored, but must be valid numbers. Planning reads the
     arrays options-major, so transposed (O, S) arrays are used without a copy.
 
     :raises ModelError: shapes disagree, a number is not finite, or an entry is out of range.
     """
 
-    names: tuple[str, ...]  # of the columns
+    names: tuple[str, ...]  # of the options, (O,)
     reward: NDArray[np.float64]  # (S, O)
     available: NDArray[np.bool_]  # (S, O)
     successor: NDArray[np.int32]  # (S, O)
@@ -73,7 +75,7 @@ class SmdpModel:
 
     @property
     def rows(self) -> Rows:
-        """The successors as sparse rows, as in ``RowModel``."""
+        """The successors as sparse rows, as in ``SparseMultiTimeModel``."""
         data = np.where(self.available.T, self.discount.T, 0.0).ravel()
         ends = np.arange(len(data) + 1)
         rows = csr_array((data, self.successor.T.ravel(), ends), shape=(len(data), self.n_states))
@@ -81,47 +83,49 @@ class SmdpModel:
         return rows
 
     def expectation(self) -> Expectation:
-        """Return what a sweep takes of the successors; it allocates nothing."""
+        """Return the expectation over the successors; computing it allocates nothing."""
         return _Successors(self)
 
 
 class _Successors:
     """
-    Expectation by gathers.
+    Expectation over single successors, by indexing.
 
-    Where all choices are discounted alike, as primitive actions are, the values are discounted
-    before they are gathered, and what follows the end of the task is one more value, of 0.
+    Where all options are discounted alike, as primitive actions are, the values are discounted
+    before they are indexed, and the successor of the end of the task is one more state of value 0.
     """
 
-    def __init__(self, model: SmdpModel) -> None:
+    def __init__(self, model: MultiTimeModel) -> None:
         self._successor = np.ascontiguousarray(model.successor.T, dtype=np.intp)
         self._discount = np.where(model.available.T, model.discount.T, 0.0)
-        self._alike = float(self._discount.max())
+        self._common_discount = float(self._discount.max())
         nothing = self._discount == 0.0
-        self._gathers = bool((nothing | (self._discount == self._alike)).all())
+        self._same_discount = bool((nothing | (self._discount == self._common_discount)).all())
         self._values = np.zeros(model.n_states + 1)
-        if self._gathers:
+        if self._same_discount:
             self._successor[nothing] = model.n_states
 
     def prepare(self, values: NDArray[np.float64]) -> None:
-        np.multiply(values, self._alike if self._gathers else 1.0, out=self._values[:-1])
+        np.multiply(
+            values, self._common_discount if self._same_discount else 1.0, out=self._values[:-1]
+        )
 
-    def column(self, option: int, out: NDArray[np.float64]) -> None:
+    def of_option(self, option: int, out: NDArray[np.float64]) -> None:
         np.take(self._values, self._successor[option], out=out, mode='clip')
-        if not self._gathers:
+        if not self._same_discount:
             np.multiply(out, self._discount[option], out=out)
 
 
 @dataclass(frozen=True)
-class RowModel:
+class SparseMultiTimeModel:
     """
-    What choosing option o in state s leads to, with any number of successors.
+    Rewards and successors of running option o from state s, with any number of successors.
 
     :raises ModelError: shapes disagree, a number is not finite or out of range, a row sums to
         more than 1, or belongs to a pair that is not available.
     """
 
-    names: tuple[str, ...]  # of the columns
+    names: tuple[str, ...]  # of the options, (O,)
     reward: NDArray[np.float64]  # (S, O), expected sum of gamma**i * r[i], i = 0..k-1
     available: NDArray[np.bool_]  # (S, O)
     rows: Rows  # (O*S, S), row o*S + s: expected gamma**k of each successor; none: task over
@@ -129,8 +133,8 @@ class RowModel:
     def __post_init__(self) -> None:
         """Check the arrays."""
         _check_shapes(self.names, self.reward, self.available)
-        count, columns = self.reward.shape
-        if self.rows.shape != (columns * count, count):
+        count, options = self.reward.shape
+        if self.rows.shape != (options * count, count):
             raise ModelError(f'rows are {self.rows.shape}, and reward is {self.reward.shape}')
         if self.rows.nnz:
             _check_range('a row', self.rows.data, 0, 1 + ROUNDING)
@@ -139,21 +143,21 @@ class RowModel:
         if sums[~self.available.T.ravel()].any():
             raise ModelError('a pair that is not available has successors')
 
-    def first(self, count: int) -> 'RowModel':
-        """Return the model of the first columns only."""
+    def first(self, count: int) -> 'SparseMultiTimeModel':
+        """Return the model of the first options only."""
         rows = self.rows[: count * self.n_states]
-        return RowModel(
+        return SparseMultiTimeModel(
             self.names[:count], self.reward[:, :count], self.available[:, :count], rows
         )
 
-    def following(self, column: NDArray[np.integer]) -> 'RowModel':
-        """Return the model whose one column is, in each state, a given one, (S,)."""
+    def of_policy(self, option: NDArray[np.integer]) -> 'SparseMultiTimeModel':
+        """Return the model whose only option is, in each state, a given one, (S,)."""
         states = np.arange(self.n_states)
-        return RowModel(
+        return SparseMultiTimeModel(
             ('policy',),
-            self.reward[states, column][:, None],
-            self.available[states, column][:, None],
-            self.rows[column * self.n_states + states],
+            self.reward[states, option][:, None],
+            self.available[states, option][:, None],
+            self.rows[option * self.n_states + states],
         )
 
     @property
@@ -162,61 +166,48 @@ class RowModel:
         return int(self.reward.shape[0])
 
     def expectation(self) -> Expectation:
-        """Return what a sweep takes of the successors; it allocates one array (O*S,)."""
+        """Return the expectation over the successors; computing it allocates one array (O*S,)."""
         return _Products(self)
 
 
 class _Products:
-    """Expectation by one sparse product."""
+    """Expectation over sparse rows, by one sparse product."""
 
-    def __init__(self, model: RowModel) -> None:
+    def __init__(self, model: SparseMultiTimeModel) -> None:
         self._rows, self._shape = model.rows, model.reward.T.shape
         self._expected = np.zeros(self._shape)
 
     def prepare(self, values: NDArray[np.float64]) -> None:
         self._expected = (self._rows @ values).reshape(self._shape)
 
-    def column(self, option: int, out: NDArray[np.float64]) -> None:
+    def of_option(self, option: int, out: NDArray[np.float64]) -> None:
         np.copyto(out, self._expected[option])
 
 
-Model = SmdpModel | RowModel
+Model = MultiTimeModel | SparseMultiTimeModel
 
 
 def concatenate(models: Sequence[Model]) -> Model:
-    """Return one model with the columns of all, in order; sparse rows where one has them."""
+    """Return one model with the options of all, in order; sparse where one of them is."""
 
-    def columns(field: str) -> NDArray[Any]:
+    def joined(field: str) -> NDArray[Any]:
         return np.concatenate([getattr(model, field).T for model in models]).T
 
     names = tuple(name for model in models for name in model.names)
-    reward, available = columns('reward'), columns('available')
-    if any(isinstance(model, RowModel) for model in models):
+    reward, available = joined('reward'), joined('available')
+    if any(isinstance(model, SparseMultiTimeModel) for model in models):
         rows = vstack([model.rows for model in models], format='csr')
-        return RowModel(names, reward, available, rows)
-    return SmdpModel(names, reward, available, columns('successor'), columns('discount'))
-
-
-def check_deterministic(transitions: Transitions) -> None:
-    """
-    Check that every action has one outcome.
-
-    :raises NotDeterministicError: one has more.
-    """
-    if not transitions.deterministic:
-        raise NotDeterministicError(
-            'an action of this domain has more than one outcome; exact models need a domain '
-            'whose actions have one'
-        )
+        return SparseMultiTimeModel(names, reward, available, rows)
+    return MultiTimeModel(names, reward, available, joined('successor'), joined('discount'))
 
 
 def primitive_model(
     transitions: Transitions, over: NDArray[np.bool_], gamma: float, names: Sequence[str]
 ) -> Model:
     """
-    Return the model whose options are the primitive actions.
+    Return the exact model whose options are the primitive actions.
 
-    :param over: (S,) states in which nothing is available, since the task is over there.
+    :param over: (S,) states where no action is available, because the task is over.
     :param names: of the actions, (A,).
     :raises PlanError: gamma is not in (0, 1].
     """
@@ -225,7 +216,7 @@ def primitive_model(
         return _primitive_rows(transitions, over, gamma, names)
     reward = np.ascontiguousarray(transitions.reward[:, :, 0].T)
     ended = transitions.terminated[:, :, 0].T
-    return SmdpModel(
+    return MultiTimeModel(
         names=tuple(names),
         reward=reward.T,
         available=np.broadcast_to(~over, reward.shape).T,
@@ -236,7 +227,7 @@ def primitive_model(
 
 def _primitive_rows(
     transitions: Transitions, over: NDArray[np.bool_], gamma: float, names: Sequence[str]
-) -> RowModel:
+) -> SparseMultiTimeModel:
     count, actions, outcomes = transitions.successor.shape
     share = np.where(transitions.terminated | over[:, None, None], 0.0, transitions.probability)
     rows = csr_array(
@@ -250,7 +241,9 @@ def _primitive_rows(
     rows.sum_duplicates()
     rows.eliminate_zeros()
     reward = (transitions.probability * transitions.reward).sum(axis=2)
-    return RowModel(tuple(names), reward, np.broadcast_to(~over, reward.T.shape).T, rows)
+    return SparseMultiTimeModel(
+        tuple(names), reward, np.broadcast_to(~over, reward.T.shape).T, rows
+    )
 
 
 def _check_shapes(

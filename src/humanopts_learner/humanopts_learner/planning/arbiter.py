@@ -1,21 +1,19 @@
 """
 Arbitration in one game, as the runner asks for it before each command.
 
-It is made from ``OptionValues``, which a message can carry, and decides as the vectorised play of
-``continuation`` and ``sampled`` does. Nothing is drawn, so the same states give the same rulings.
+An arbiter is made from ``OptionValues``, which a message can carry, and decides as the vectorised
+play of exact and sampled plans does. Nothing is drawn, so the same states give the same decisions.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import Enum
 from typing import Any, Protocol
 
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, option_tables
 from humanopts_learner.planning.arbitration import Execution, OptionValues
-from humanopts_learner.planning.continuation import stop_table, winners
 from humanopts_learner.planning.errors import ModelError
+from humanopts_learner.planning.interruption import interruptions, winners
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns
 from humanopts_learner.planning.sampled.counts import StateIndex
 from humanopts_learner.planning.sampled.games import batch_domain, watcher_for
@@ -25,30 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Verdict(Enum):
-    """What the runner shall do next."""
-
-    GO_ON = 'go on'  # with the running option
-    STOP = 'stop'  # it, and ask the policy what to run
-    ACT = 'act'  # take the action of the option that is named
-
-
-@dataclass(frozen=True)
-class Ruling:
-    """A decision before one step."""
-
-    verdict: Verdict
-    name: str = ''  # whose action is taken, an option or action:NAME; empty: STOP
-
-
 class Arbiter(Protocol):
-    """Decides before each step."""
+    """Decides before each step which option acts."""
 
-    def before_step(self, state: Any, running: str) -> Ruling:
+    def before_step(self, state: Any, running: str) -> str | None:
         """
-        Return what to do in a state of the domain, in which the task is not over.
+        Return the option, or action:NAME, that acts in a state in which the task is not over.
 
-        :param running: the option that runs, after its first step; modules: not looked at.
+        :param running: the option that runs, after its first step; ignored by modules.
+        :return: None: the running option is to be stopped, and the policy asked for another.
         """
         ...
 
@@ -63,7 +46,7 @@ def make_arbiter(
     Return the arbiter of a plan.
 
     :param options: that were planned with, in any order; for exact plans learned ones.
-    :raises ModelError: an option of the plan is not there, or the values do not fit the domain.
+    :raises ModelError: an option of the plan is missing, or the values do not fit the domain.
     :raises PlanError: the domain, or an option, cannot be used for a plan of this kind.
     """
     by_name = {option.name: option for option in options}
@@ -82,12 +65,12 @@ def make_arbiter(
 class _NoArbiter:
     """Runs every option to its end."""
 
-    def before_step(self, state: Any, running: str) -> Ruling:
-        return Ruling(Verdict.GO_ON, running)
+    def before_step(self, state: Any, running: str) -> str | None:
+        return running
 
 
 class _ExactArbiter:
-    """Looks states of an enumerable domain up."""
+    """Finds the decision of a state of an enumerable domain in a table."""
 
     def __init__(
         self,
@@ -99,27 +82,27 @@ class _ExactArbiter:
         if not is_enumerable(domain) or domain.n_states != len(values.states):
             raise ModelError(f'the values are not for every state of {domain.name}')
         self._domain, self._names = domain, values.names
-        self._stop = stop_table(values)
+        self._interruptions = interruptions(values)
         self._winner: NDArray[np.int32] | None = None
         if execution is Execution.INTERRUPTED:
             return
         action = np.tile(np.arange(len(values.names)) - len(options), (domain.n_states, 1))
-        for column, option in enumerate(options):
+        for o, option in enumerate(options):
             if not isinstance(option, LearnedOption):
                 raise ModelError(f'{option.name!r} has no tables')
-            action[:, column] = option_tables(option, domain).action
+            action[:, o] = option_tables(option, domain).action
         self._winner = winners(values, execution, action, domain.over())
 
-    def before_step(self, state: Any, running: str) -> Ruling:
+    def before_step(self, state: Any, running: str) -> str | None:
         at = self._domain.index(state)
         if self._winner is not None:
-            return Ruling(Verdict.ACT, self._names[self._winner[at]])
-        stop = running in self._names and self._stop[at, self._names.index(running)]
-        return Ruling(Verdict.STOP) if stop else Ruling(Verdict.GO_ON, running)
+            return str(self._names[self._winner[at]])
+        stop = running in self._names and self._interruptions[at, self._names.index(running)]
+        return None if stop else running
 
 
 class _SampledArbiter:
-    """Looks planning states up, with a policy for one game at a time."""
+    """Decides by abstract states, with a policy for one game at a time."""
 
     def __init__(
         self,
@@ -139,11 +122,10 @@ class _SampledArbiter:
         )
         self._watch = watcher_for(games, values.action_set)
 
-    def before_step(self, state: Any, running: str) -> Ruling:
+    def before_step(self, state: Any, running: str) -> str | None:
         view, nothing = self._watch(self._watch.games.batch_of([state])), np.random.default_rng(0)
         if self._execution is not Execution.INTERRUPTED:
-            column = int(self._policy(view, nothing).column[0])
-            return Ruling(Verdict.ACT, self._columns.names[column])
+            return self._columns.names[int(self._policy(view, nothing).column[0])]
         column = self._columns.names.index(running) if running in self._columns.names else -1
         stop = self._policy.stops(view, np.array([column]), nothing)[0]
-        return Ruling(Verdict.STOP) if stop else Ruling(Verdict.GO_ON, running)
+        return None if stop else running

@@ -1,5 +1,5 @@
 """
-What going on with an option is worth, exactly, and a policy over options carried out by it.
+Interruption and modules with exact values: continuation values, and the policies that use them.
 
 Sutton, Precup and Singh (1999), section 4 and theorem 2: a policy over Markov options that stops
 an option wherever going on is worth less than choosing anew, by the policy's own values, is worth
@@ -17,13 +17,12 @@ from humanopts_learner.planning.arbitration import (
     Execution,
     greatest_mass,
     OptionValues,
-    SLACK,
+    ROUNDING,
     stops,
     strongest,
 )
-from humanopts_learner.planning.chance import RowComposer, visited
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.planning.option_models import Composer
+from humanopts_learner.planning.option_models import option_modeller, visited
 from humanopts_learner.planning.plan import Plan
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +46,8 @@ def option_values(plan: Plan) -> OptionValues:
     ahead = (model.rows @ values).reshape(model.reward.T.shape)
     option_values = np.where(model.available.T, model.reward.T + ahead, -np.inf)
     continuation_values = option_values.copy()
-    for column, option in enumerate(plan.options):
-        continuation_values[column] = _continuation_values(plan, option)
+    for o, option in enumerate(plan.options):
+        continuation_values[o] = _continuation_values(plan, option)
     continuation_values[:, domain.over()] = -np.inf
     return OptionValues(
         action_set=plan.action_set,
@@ -56,42 +55,41 @@ def option_values(plan: Plan) -> OptionValues:
         states=np.arange(len(values)),
         option_values=option_values.T,
         continuation_values=continuation_values.T,
-        interruption_margin=_slack(plan),
+        interruption_margin=_interruption_margin(plan),
         sampled=False,
     )
 
 
-def carried_out(plan: Plan, execution: Execution) -> Plan:
+def as_executed(plan: Plan, execution: Execution) -> Plan:
     """
-    Return a plan that, with each option run to its end, does what ``plan`` does by ``execution``.
+    Return a plan that, with each option run to its end, acts as ``plan`` does by ``execution``.
 
     Interrupted options are those that end also where they are stopped; modules are options of one
     step that can start where they win. The values are still those of ``plan``; ``policy_values``
-    tells what the new one is worth.
+    returns those of the new one.
     """
     if execution is Execution.RUN_TO_END:
         return plan
     table = option_values(plan)
     if execution is Execution.INTERRUPTED:
-        stop = stop_table(table)
+        stop = interruptions(table)
         return replace(
-            plan, options=tuple(_ending(o, stop[:, c]) for c, o in enumerate(plan.options))
+            plan,
+            options=tuple(_ending(option, stop[:, o]) for o, option in enumerate(plan.options)),
         )
     winner = winners(table, execution, action_table(plan), plan.domain.over())
-    modules = tuple(_module(o, winner == c) for c, o in enumerate(plan.options))
+    modules = tuple(_module(option, winner == o) for o, option in enumerate(plan.options))
     return replace(plan, options=modules, solution=replace(plan.solution, best=winner))
 
 
-def stop_table(table: OptionValues) -> Flags:
-    """Return (S, O): where each column is stopped if it runs."""
-    anew, found = (
-        table.option_values.max(axis=1),
-        np.empty(table.continuation_values.shape, dtype=np.bool_),
-    )
-    for column in range(len(table.names)):
-        running = np.full(len(anew), column)
-        found[:, column] = stops(
-            table.continuation_values, anew, running, table.interruption_margin
+def interruptions(table: OptionValues) -> Flags:
+    """Return (S, O): where each option is stopped if it runs."""
+    best = table.option_values.max(axis=1)
+    found = np.empty(table.continuation_values.shape, dtype=np.bool_)
+    for option in range(len(table.names)):
+        running = np.full(len(best), option)
+        found[:, option] = stops(
+            table.continuation_values, best, running, table.interruption_margin
         )
     return found
 
@@ -100,24 +98,24 @@ def winners(
     table: OptionValues, execution: Execution, action: Ints, over: Flags
 ) -> NDArray[np.int32]:
     """
-    Return (S,): the column whose action is taken by modules; -1: the task is over.
+    Return (S,): the index of the option whose action modules take; -1: the task is over.
 
-    :param action: (S, O) what each column does.
+    :param action: (S, O) action of each option.
     :param over: (S,) states where the task is over.
     """
     if execution is Execution.MODULAR_STRONGEST:
-        column = strongest(table.continuation_values)
+        option = strongest(table.continuation_values)
     else:
-        column = greatest_mass(table.option_values, action, int(action.max()) + 1)
-    return np.where(over, -1, column).astype(np.int32)
+        option = greatest_mass(table.option_values, action, int(action.max()) + 1)
+    return np.where(over, -1, option).astype(np.int32)
 
 
 def action_table(plan: Plan) -> Ints:
-    """Return what each column of a plan does in every state, (S, O)."""
+    """Return (S, O): the action of each option of a plan in every state."""
     n_options, n_states = len(plan.options), plan.domain.n_states
     action = np.tile(np.arange(len(plan.names)) - n_options, (n_states, 1))
-    for column, option in enumerate(plan.options):
-        action[:, column] = option.tables.action
+    for o, option in enumerate(plan.options):
+        action[:, o] = option.tables.action
     return action
 
 
@@ -125,7 +123,7 @@ def policy_values(plan: Plan) -> Floats:
     """
     Return what a plan is worth in every state, (S,), each option run to its end.
 
-    The solution of V = R + P V, with R and P the model of the column chosen in each state.
+    The solution of V = R + P V, with R and P the model of the option chosen in each state.
 
     :raises PlanError: gamma is 1 and the policy does not end from everywhere.
     """
@@ -157,28 +155,23 @@ def _module(option: TabledOption, wins: Flags) -> TabledOption:
     return replace(option, max_steps=1, tables=replace(option.tables, initiation=wins))
 
 
-def _slack(plan: Plan) -> float:
-    """Return how far apart values can be that would be equal if the sweeps had not been ended."""
+def _interruption_margin(plan: Plan) -> float:
+    """Return how far values can differ that would be equal had the sweeps gone on for ever."""
     solution = plan.solution
-    rounding = SLACK * max(1.0, float(np.abs(solution.values).max()))
-    left = max(1.0 - plan.gamma, SLACK)
+    rounding = ROUNDING * max(1.0, float(np.abs(solution.values).max()))
+    left = max(1.0 - plan.gamma, ROUNDING)
     return rounding + 8.0 * solution.residual / left
 
 
 def _continuation_values(plan: Plan, option: TabledOption) -> Floats:
-    """Return what running an option from each state is worth, (S,), started there or not."""
+    """Return the value of running an option from each state, (S,), started there or not."""
     domain, values, tables = plan.domain, plan.solution.values, option.tables
     rules, over = domain.transitions(), domain.over()
-    run = tables.action, tables.termination, option.max_steps
-    if rules.deterministic:
-        walk = Composer(rules, over, plan.gamma).outcome(*run)
-        worth = walk.reward + walk.discount * values[walk.successor]
-        cut_off = ~walk.reached
-    else:
-        rows = RowComposer(rules, over, plan.gamma).outcome(*run)
-        worth = rows.reward + rows.successor @ values
-        cut_off = rows.cut_off > 0
-    late = cut_off & tables.initiation & ~over
+    model = option_modeller(rules, over, plan.gamma).model(
+        tables.action, tables.termination, option.max_steps
+    )
+    worth = model.values(values)
+    late = model.cut_off & tables.initiation & ~over
     if late.any():
         ends = tables.termination | over
         states = visited(rules, tables.action, ends, late)

@@ -1,0 +1,284 @@
+"""Exact option models against runs taken step by step, dense algebra and answers by hand."""
+
+from humanopts_env.domains.base import Transitions
+from humanopts_learner.planning.errors import GammaError, ModelError, NotDeterministicError
+from humanopts_learner.planning.option_models import (
+    DeterministicModeller,
+    option_modeller,
+    StochasticModeller,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+from random_rules import random_rules
+
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+
+
+def table(
+    successor: NDArray[np.integer], reward: NDArray[np.float64], terminated: NDArray[np.bool_]
+) -> Transitions:
+    """Return deterministic transitions from (S, A) arrays."""
+    return Transitions(
+        successor.astype(np.int32)[:, :, None],
+        np.ones((*successor.shape, 1)),
+        reward.astype(np.float64)[:, :, None],
+        terminated.astype(np.bool_)[:, :, None],
+    )
+
+
+def chain(length: int, last: int | None = None) -> Transitions:
+    """Return states 0..length-1, one action "next" that costs 1; the last leads to ``last``."""
+    successor = np.minimum(np.arange(1, length + 1), length - 1)
+    successor[-1] = length - 1 if last is None else last
+    return table(successor[:, None], -np.ones((length, 1)), np.zeros((length, 1), dtype=np.bool_))
+
+
+def run_by_steps(
+    rules: Transitions,
+    over: NDArray[np.bool_],
+    gamma: float,
+    action: NDArray[np.integer],
+    termination: NDArray[np.bool_],
+    max_steps: int,
+    start: int,
+) -> tuple[float, int, float, bool]:
+    """Return reward, successor, discount and reached of one run, the slow and obvious way."""
+    state, total, steps = start, 0.0, 0
+    while True:
+        at = (state, action[state], 0)
+        total += gamma**steps * rules.reward[at]
+        steps += 1
+        state, terminated = int(rules.successor[at]), bool(rules.terminated[at])
+        ended = terminated or over[state] or termination[state]
+        if ended or steps == max_steps:
+            return total, state, 0.0 if terminated else gamma**steps, bool(ended)
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_states=st.integers(1, 30),
+    n_actions=st.integers(1, 3),
+    max_steps=st.integers(1, 70),
+    gamma=st.sampled_from([0.5, 0.9, 0.99, 1.0]),
+    ending=st.sampled_from([0.0, 0.05, 0.4]),
+    some=st.booleans(),
+)
+def test_models_equal_runs_taken_step_by_step(
+    seed: int,
+    n_states: int,
+    n_actions: int,
+    max_steps: int,
+    gamma: float,
+    ending: float,
+    some: bool,
+) -> None:
+    rng = np.random.default_rng(seed)
+    shape = (n_states, n_actions)
+    rules = table(
+        rng.integers(0, n_states, shape), rng.normal(size=shape), rng.random(shape) < ending
+    )
+    over, termination, starts = (rng.random((3, n_states)) < [[ending], [ending], [0.5]])[:]
+    action = rng.integers(0, n_actions, n_states)
+    found = DeterministicModeller(rules, over, gamma).model(
+        action, termination, max_steps, starts if some else None
+    )
+    assert set(np.flatnonzero(starts) if some else range(n_states)) <= set(found.states)
+    for row, state in enumerate(found.states):
+        if some and not starts[state]:
+            continue
+        reward, successor, discount, reached = run_by_steps(
+            rules, over, gamma, action, termination, max_steps, int(state)
+        )
+        assert found.successor[row] == successor
+        assert found.cut_off[row] != reached
+        assert found.reward[row] == pytest.approx(reward, abs=1e-10)
+        assert found.discount[row] == pytest.approx(discount, abs=1e-12)
+
+
+@pytest.mark.parametrize('length', [1, 2, 3, 4, 7, 8, 9, 100])
+def test_discount_is_gamma_to_the_number_of_steps(length: int) -> None:
+    termination = np.arange(length + 1) == length
+    rules, never = chain(length + 1), np.zeros(length + 1, dtype=np.bool_)
+    action = np.zeros(length + 1, dtype=np.intp)
+    found = DeterministicModeller(rules, never, 0.9).model(action, termination, 1000)
+    assert found.successor[0] == length
+    assert found.discount[0] == pytest.approx(0.9**length)
+    assert found.reward[0] == pytest.approx(-(1 - 0.9**length) / (1 - 0.9))
+    assert not found.cut_off.any()
+
+
+@pytest.mark.parametrize('max_steps', [1, 2, 3, 4, 5, 31, 32, 33, 63, 64, 65])
+def test_a_run_is_cut_off_at_max_steps_where_it_is(max_steps: int) -> None:
+    rules, never = chain(100), np.zeros(100, dtype=np.bool_)
+    termination = np.arange(100) == 64
+    action = np.zeros(100, dtype=np.intp)
+    found = DeterministicModeller(rules, never, 0.9).model(action, termination, max_steps)
+    assert found.successor[0] == min(max_steps, 64)
+    assert found.discount[0] == pytest.approx(0.9 ** min(max_steps, 64))
+    assert found.cut_off[0] == (max_steps < 64)
+
+
+def test_a_circle_is_not_valued_as_if_it_reached_its_end() -> None:
+    rules, never = chain(3, last=0), np.zeros(3, dtype=np.bool_)
+    found = DeterministicModeller(rules, never, 0.9).model(
+        np.zeros(3, dtype=np.intp), np.zeros(3, dtype=np.bool_), max_steps=7
+    )
+    assert found.cut_off.all()
+    assert found.successor.tolist() == [1, 2, 0]  # 7 steps of 3
+    assert found.discount == pytest.approx(0.9**7)
+
+
+def test_termination_is_looked_at_only_after_a_step() -> None:
+    rules, never = chain(3), np.zeros(3, dtype=np.bool_)
+    termination = np.array([True, False, True])
+    found = DeterministicModeller(rules, never, 0.9).model(
+        np.zeros(3, dtype=np.intp), termination, 9
+    )
+    assert found.successor[0] == 2
+    assert found.discount[0] == pytest.approx(0.81)
+
+
+def test_the_end_of_the_task_ends_the_option_and_nothing_follows() -> None:
+    rules = chain(5)
+    rules.terminated[2] = True
+    never = np.zeros(5, dtype=np.bool_)
+    found = DeterministicModeller(rules, never, 0.9).model(np.zeros(5, dtype=np.intp), never, 9)
+    assert found.successor[0] == 3
+    assert found.reward[0] == pytest.approx(-1 - 0.9 - 0.81)
+    assert found.discount[0] == 0.0
+    assert not found.cut_off[0]
+
+
+def test_a_start_is_answered_although_the_run_leaves_the_starts() -> None:
+    rules, never = chain(6), np.zeros(6, dtype=np.bool_)
+    starts = np.arange(6) == 0
+    termination = np.arange(6) == 4
+    found = DeterministicModeller(rules, never, 0.9).model(
+        np.zeros(6, dtype=np.intp), termination, 9, starts
+    )
+    row = found.states.tolist().index(0)
+    assert found.successor[row] == 4
+    assert found.discount[row] == pytest.approx(0.9**4)
+
+
+def dense_model(
+    rules: Transitions, ends: Flags, gamma: float, action: NDArray[np.intp], max_steps: int
+) -> tuple[Floats, Floats, Floats]:
+    """Run at most max_steps steps by dense matrices: reward (S,), successor (S, S), cut off."""
+    n = len(ends)
+    on, end, reward = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    for s in range(n):
+        for b in range(rules.successor.shape[2]):
+            at = s, action[s], b
+            reward[s] += rules.probability[at] * rules.reward[at]
+            if rules.terminated[at]:
+                continue
+            into = end if ends[rules.successor[at]] else on
+            into[s, rules.successor[at]] += gamma * rules.probability[at]
+    total, successor, running = np.zeros(n), np.zeros((n, n)), np.eye(n)
+    for _ in range(max_steps):
+        total += running @ reward
+        successor += running @ end
+        running = running @ on
+    return total, successor + running, running.sum(axis=1)
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_states=st.integers(1, 12),
+    outcomes=st.integers(1, 4),
+    max_steps=st.sampled_from([1, 2, 3, 7, 40, 3000]),
+    gamma=st.sampled_from([0.5, 0.9, 0.99, 1.0]),
+    ending=st.sampled_from([0.0, 0.1, 0.4]),
+    some=st.booleans(),
+)
+def test_models_equal_those_of_dense_algebra(
+    seed: int,
+    n_states: int,
+    outcomes: int,
+    max_steps: int,
+    gamma: float,
+    ending: float,
+    some: bool,
+) -> None:
+    rng = np.random.default_rng(seed)
+    rules, over = random_rules(rng, n_states, 2, outcomes, ending)
+    termination, starts = rng.random((2, n_states)) < [[ending], [0.5]]
+    action = rng.integers(0, 2, n_states)
+    found = StochasticModeller(rules, over, gamma).model(
+        action, termination, max_steps, starts if some else None
+    )
+    reward, successor, running = dense_model(rules, termination | over, gamma, action, max_steps)
+    assert set(np.flatnonzero(starts) if some else range(n_states)) <= set(found.states)
+    scale = 1 + np.abs(reward).max()
+    assert found.reward / scale == pytest.approx(reward[found.states] / scale, abs=1e-10)
+    assert found.successor.toarray() == pytest.approx(successor[found.states], abs=1e-10)
+    assert found.cut_off_probability == pytest.approx(running[found.states], abs=1e-10)
+    assert (found.successor.data > 0).all()
+
+
+@settings(deadline=None, max_examples=60)
+@given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 20), max_steps=st.integers(1, 30))
+def test_without_chance_both_modellers_agree(seed: int, n_states: int, max_steps: int) -> None:
+    rng = np.random.default_rng(seed)
+    rules, over = random_rules(rng, n_states, 3, 1, 0.1)
+    action, termination = rng.integers(0, 3, n_states), rng.random(n_states) < 0.2
+    by_index = DeterministicModeller(rules, over, 0.9).model(action, termination, max_steps)
+    by_rows = StochasticModeller(rules, over, 0.9).model(action, termination, max_steps)
+    assert by_rows.reward == pytest.approx(by_index.reward, abs=1e-10)
+    expected = np.zeros((n_states, n_states))
+    expected[np.arange(n_states), by_index.successor] = by_index.discount
+    assert by_rows.successor.toarray() == pytest.approx(expected, abs=1e-10)
+    assert (by_rows.cut_off == by_index.cut_off).all()
+
+
+def coin() -> Transitions:
+    """Return states 0 and 1: a coin is thrown in 0 for a reward of -1; heads leads to 1."""
+    return Transitions(
+        np.array([[[1, 0]], [[1, 1]]], dtype=np.int32),
+        np.full((2, 1, 2), 0.5),
+        np.full((2, 1, 2), -1.0),
+        np.zeros((2, 1, 2), dtype=np.bool_),
+    )
+
+
+@pytest.mark.parametrize(('max_steps', 'cut_off'), [(1, 0.5), (2, 0.25), (5, 1 / 32), (100, 0.0)])
+def test_throwing_until_heads_is_cut_off_at_max_steps(max_steps: int, cut_off: float) -> None:
+    never, heads = np.zeros(2, dtype=np.bool_), np.array([False, True])
+    found = StochasticModeller(coin(), never, 1.0).model(np.zeros(2, np.intp), heads, max_steps)
+    assert found.reward[0] == pytest.approx(-2 * (1 - 0.5**max_steps))
+    assert found.successor.toarray()[0] == pytest.approx([cut_off, 1 - cut_off])
+    assert found.cut_off_probability[0] == pytest.approx(cut_off)
+
+
+def test_what_never_ends_is_cut_off_and_not_valued_as_if_it_ended() -> None:
+    never = np.zeros(2, dtype=np.bool_)
+    found = StochasticModeller(coin(), never, 1.0).model(np.zeros(2, np.intp), never, 3)
+    assert found.reward.tolist() == [-3.0, -3.0]
+    assert found.successor.toarray() == pytest.approx(np.array([[1 / 8, 7 / 8], [0, 1]]))
+    assert found.cut_off_probability == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize('modeller', [DeterministicModeller, StochasticModeller])
+def test_impossible_requests_are_refused(
+    modeller: type[DeterministicModeller] | type[StochasticModeller],
+) -> None:
+    rules, never = chain(3), np.zeros(3, dtype=np.bool_)
+    with pytest.raises(GammaError, match=r'1\.5'):
+        modeller(rules, never, 1.5)
+    with pytest.raises(ModelError, match='max_steps is 0'):
+        modeller(rules, never, 0.9).model(np.zeros(3, dtype=np.intp), never, 0)
+
+
+def test_each_domain_gets_the_modeller_that_fits() -> None:
+    never = np.zeros(2, dtype=np.bool_)
+    assert isinstance(option_modeller(chain(2), never, 0.9), DeterministicModeller)
+    assert isinstance(option_modeller(coin(), never, 0.9), StochasticModeller)
+    with pytest.raises(NotDeterministicError, match='more than one outcome'):
+        DeterministicModeller(coin(), never, 0.9)
