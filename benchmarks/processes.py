@@ -17,7 +17,7 @@ NAMESPACE = f'/bench_{os.getpid()}'
 
 def bench_spec(name: str, **parameters: Value) -> ProcessSpec:
     """Return the process of a node that is only there to measure."""
-    return ProcessSpec(name, 'benchmarks', f'benchmarks.{name}', parameters)
+    return ProcessSpec(name, f'benchmarks.{name}', parameters)
 
 
 @contextmanager

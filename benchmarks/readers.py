@@ -65,7 +65,6 @@ class Run:
 def _record(load: Load, folder: Path, on_sent: OnSent) -> Run:
     recorder = ProcessSpec(
         'recorder',
-        'humanopts_teach',
         'humanopts_teach.ros.recorder',
         {'path': str(folder / 'bag')},
     )

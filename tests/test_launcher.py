@@ -12,8 +12,7 @@ from graph_support.live import GAME, Graph, RECORDER
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.launching import LaunchError
-from humanopts_teach.launching.launcher import Launcher
-from humanopts_teach.launching.lock import only_launch
+from humanopts_teach.launching.launcher import Launcher, only_launch
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
 from humanopts_teach.ros.graph_client import GraphClient
 import pytest
@@ -22,7 +21,7 @@ Launch = Callable[..., Launcher]
 
 
 def spec(name: str, module: str, **parameters: Value) -> ProcessSpec:
-    return ProcessSpec(name, module.split('.')[0], module, parameters)
+    return ProcessSpec(name, module, parameters)
 
 
 @pytest.fixture

@@ -18,9 +18,11 @@ KEYS = {
     'numpy': 'python3-numpy',
     'pandas': 'python3-pandas',
     'prompt_toolkit': 'python3-prompt-toolkit',
+    'psutil': 'python3-psutil',
     'rich': 'python3-rich',
     'scipy': 'python3-scipy',
     'sklearn': 'python3-sklearn',
+    'typer': 'python3-typer',
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }

@@ -13,7 +13,7 @@ from humanopts_teach.commands.session import (
     setup_from,
 )
 from humanopts_teach.demos.store import CODE, CODE_RULE
-from humanopts_teach.launching.launcher import RECORDER
+from humanopts_teach.launching.processes import RECORDER
 
 _WATCHED = 0.15  # s between steps of the machine, while a person looks on
 

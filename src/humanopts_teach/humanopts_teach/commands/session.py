@@ -20,8 +20,7 @@ from humanopts_ros.recording import Selection
 from humanopts_teach.commands.ending import CommandError, ENDING, interruptible
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.launching import LaunchError
-from humanopts_teach.launching.launcher import Launcher
-from humanopts_teach.launching.lock import only_launch
+from humanopts_teach.launching.launcher import Launcher, only_launch
 from humanopts_teach.launching.processes import common_parameters, processes, Recording, Setup
 from humanopts_teach.ros.graph_client import GraphClient
 

@@ -1,25 +1,54 @@
-"""Starts one process per node, watches them, and stops them all, the recorder last."""
+"""Starts one process for each node, watches them, and stops them all, the recorder last."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+import fcntl
+import hashlib
 import json
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
+import tempfile
 import termios
 import time
 from typing import Any
 
 from humanopts_ros.environment import LAUNCHER_PID
 from humanopts_teach.launching import LaunchError
-from humanopts_teach.launching.processes import ProcessSpec
+from humanopts_teach.launching.processes import ProcessSpec, RECORDER
 
 TAIL_LINES = 12
-RECORDER = 'recorder'
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
 _ENDS_AS_ASKED = (0, -signal.SIGTERM)  # the second: before the node had a handler for it
+
+
+@contextmanager
+def only_launch(namespace: str) -> Iterator[None]:
+    """
+    Hold the place of the one launch in this ROS_DOMAIN_ID and namespace.
+
+    :raises LaunchError: another one holds it; the text names its process.
+    """
+    domain = int(os.environ.get('ROS_DOMAIN_ID') or 0)
+    key = hashlib.sha256(f'{domain} {namespace}'.encode()).hexdigest()[:12]
+    path = Path(tempfile.gettempdir()) / f'humanopts-{os.getuid()}-{key}.lock'
+    with path.open('a+', encoding='utf-8') as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            raise LaunchError(
+                f'process {file.read().strip() or "?"} runs humanopts already in ROS_DOMAIN_ID '
+                f'{domain}, namespace {namespace}; stop it, or choose another --namespace or '
+                'ROS_DOMAIN_ID'
+            ) from None
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        yield
 
 
 @dataclass(frozen=True)

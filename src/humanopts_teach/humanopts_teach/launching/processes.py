@@ -9,6 +9,7 @@ from humanopts_env.domains.base import Parameter
 from humanopts_learner.options.criteria import Thresholds
 
 Value = Parameter | list[str]
+RECORDER = 'recorder'
 _PATIENCE = 5.0  # s that a run waits for game, beside the time that game takes for a step
 
 
@@ -17,11 +18,23 @@ class ProcessSpec:
     """One node in one process."""
 
     name: str  # node name and executable
-    package: str
     module: str  # run with python -m
     parameters: Mapping[str, Value] = field(default_factory=dict)
-    late: bool = False  # started when the others are ready
-    terminal: bool = False  # it takes over the terminal
+
+    @property
+    def package(self) -> str:
+        """The package that the executable belongs to."""
+        return self.module.partition('.')[0]
+
+    @property
+    def late(self) -> bool:
+        """Whether it is started when the others are ready."""
+        return self.name == 'simulated_teacher'
+
+    @property
+    def terminal(self) -> bool:
+        """Whether it takes over the terminal."""
+        return self.name == 'keyboard_teleop'
 
 
 @dataclass(frozen=True)
@@ -36,7 +49,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Setup:
-    """What a launch is to do; the defaults are those of ``./humanopts up``."""
+    """What a launch starts; the defaults are those of ``./humanopts up``."""
 
     domain: str
     directory: Path  # demonstrations, options and the bag go below it
@@ -69,22 +82,94 @@ class Setup:
 
 def processes(setup: Setup) -> list[ProcessSpec]:
     """Return the processes of a launch, the recorder first."""
-    specs = []
-    if setup.record:
-        specs.append(_recorder(setup))
-    specs.append(_game(setup))
-    if setup.teach:
-        specs += [_learner(setup), _lesson(setup)]
-    specs += [_option_server(setup), _spec('planner', 'humanopts_learner', 'planner_node', setup)]
-    if setup.taught:
-        specs.append(_simulated_teacher(setup))
-    if setup.keyboard:
-        specs.append(_keyboard_teleop(setup))
-    return specs
+    domain_parameters = json.dumps(dict(setup.domain_parameters))
+    thresholds, recording = setup.thresholds, setup.recording
+    table: list[tuple[bool, str, str, dict[str, Value]]] = [
+        (
+            setup.record,
+            'recorder',
+            'humanopts_teach.ros.recorder',
+            {
+                'path': str(setup.bag),
+                'metadata': json.dumps(recorded_facts(setup)),
+                'max_bytes': recording.split_bytes,
+                'max_seconds': recording.split_seconds,
+                'attach': [str(setup.options)],
+            },
+        ),
+        (
+            True,
+            'game',
+            'humanopts_env.ros.game_node',
+            {
+                'domain': setup.domain,
+                'domain_parameters': domain_parameters,
+                'seed': setup.seed,
+                'step_period': setup.step_period,
+            },
+        ),
+        (
+            setup.teach,
+            'learner',
+            'humanopts_learner.ros.learner_node',
+            {
+                'directory': str(setup.options),
+                'seed': setup.seed,
+                'return_delta': thresholds.return_delta,
+                'initiation_error': thresholds.initiation_error,
+                'termination_error': thresholds.termination_error,
+            },
+        ),
+        (
+            setup.teach,
+            'lesson',
+            'humanopts_teach.ros.lesson_node',
+            {
+                'directory': str(setup.directory / 'demonstrations'),
+                'seed': setup.seed,
+                'strategy': setup.strategy,
+                'budget': setup.budget,
+                'until_no_failures': setup.until_no_failures,
+            },
+        ),
+        (
+            True,
+            'option_server',
+            'humanopts_learner.ros.option_server',
+            {
+                'options_directory': str(setup.options),
+                'seed': setup.seed,
+                'no_progress_seconds': _PATIENCE + setup.step_period,
+            },
+        ),
+        (True, 'planner', 'humanopts_learner.ros.planner_node', {}),
+        (
+            bool(setup.taught),
+            'simulated_teacher',
+            'humanopts_teach.ros.simulated_teacher',
+            {
+                'options': list(setup.taught),
+                'participant': setup.participant,
+                'error_rate': setup.teacher_error_rate,
+                'seed': setup.seed,
+            },
+        ),
+        (
+            setup.keyboard,
+            'keyboard_teleop',
+            'humanopts_teach.ros.keyboard_teleop',
+            {'participant': setup.participant, 'seed': setup.seed},
+        ),
+    ]
+    return [
+        ProcessSpec(name, module, {**own, **_common(name, setup)})
+        for wanted, name, module, own in table
+        if wanted
+    ]
 
 
 def recorded_facts(setup: Setup) -> dict[str, str]:
-    """Return what offline evaluation needs to arrive at the live numbers, for the bag."""
+    """Return the settings, as texts for the bag, that an evaluation of it needs."""
     facts = {
         'domain': setup.domain,
         'domain_parameters': json.dumps(dict(setup.domain_parameters)),
@@ -102,119 +187,15 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
 
 
 def common_parameters(setup: Setup) -> dict[str, Value]:
-    """Return what every node but the recorder is told of the recording."""
+    """Return what every node but the recorder has to know about the recording."""
     return {'expect_recorder': setup.record, **_patterns(setup.recording)}
 
 
+def _common(name: str, setup: Setup) -> dict[str, Value]:
+    return _patterns(setup.recording) if name == RECORDER else common_parameters(setup)
+
+
 def _patterns(recording: Recording) -> dict[str, Value]:
-    """Return the parameters of the recorder and of those who wait for it; none: all topics."""
+    """Return the patterns of recorded topics that were given; none: all topics are recorded."""
     patterns = {'record_include': recording.include, 'record_exclude': recording.exclude}
     return {name: list(values) for name, values in patterns.items() if values}
-
-
-def _spec(
-    name: str,
-    package: str,
-    module: str,
-    setup: Setup,
-    *,
-    late: bool = False,
-    terminal: bool = False,
-    **own: Value,
-) -> ProcessSpec:
-    common = _patterns(setup.recording) if name == 'recorder' else common_parameters(setup)
-    parameters = {**own, **common}
-    return ProcessSpec(name, package, f'{package}.ros.{module}', parameters, late, terminal)
-
-
-def _recorder(setup: Setup) -> ProcessSpec:
-    return _spec(
-        'recorder',
-        'humanopts_teach',
-        'recorder',
-        setup,
-        path=str(setup.bag),
-        metadata=json.dumps(recorded_facts(setup)),
-        max_bytes=setup.recording.split_bytes,
-        max_seconds=setup.recording.split_seconds,
-        attach=[str(setup.options)],
-    )
-
-
-def _game(setup: Setup) -> ProcessSpec:
-    return _spec(
-        'game',
-        'humanopts_env',
-        'game_node',
-        setup,
-        domain=setup.domain,
-        domain_parameters=json.dumps(dict(setup.domain_parameters)),
-        seed=setup.seed,
-        step_period=setup.step_period,
-    )
-
-
-def _learner(setup: Setup) -> ProcessSpec:
-    return _spec(
-        'learner',
-        'humanopts_learner',
-        'learner_node',
-        setup,
-        directory=str(setup.options),
-        seed=setup.seed,
-        return_delta=setup.thresholds.return_delta,
-        initiation_error=setup.thresholds.initiation_error,
-        termination_error=setup.thresholds.termination_error,
-    )
-
-
-def _lesson(setup: Setup) -> ProcessSpec:
-    return _spec(
-        'lesson',
-        'humanopts_teach',
-        'lesson_node',
-        setup,
-        directory=str(setup.directory / 'demonstrations'),
-        seed=setup.seed,
-        strategy=setup.strategy,
-        budget=setup.budget,
-        until_no_failures=setup.until_no_failures,
-    )
-
-
-def _option_server(setup: Setup) -> ProcessSpec:
-    return _spec(
-        'option_server',
-        'humanopts_learner',
-        'option_server',
-        setup,
-        options_directory=str(setup.options),
-        seed=setup.seed,
-        no_progress_seconds=_PATIENCE + setup.step_period,
-    )
-
-
-def _simulated_teacher(setup: Setup) -> ProcessSpec:
-    return _spec(
-        'simulated_teacher',
-        'humanopts_teach',
-        'simulated_teacher',
-        setup,
-        late=True,
-        options=list(setup.taught),
-        participant=setup.participant,
-        error_rate=setup.teacher_error_rate,
-        seed=setup.seed,
-    )
-
-
-def _keyboard_teleop(setup: Setup) -> ProcessSpec:
-    return _spec(
-        'keyboard_teleop',
-        'humanopts_teach',
-        'keyboard_teleop',
-        setup,
-        terminal=True,
-        participant=setup.participant,
-        seed=setup.seed,
-    )

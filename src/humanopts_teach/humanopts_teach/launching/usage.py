@@ -1,16 +1,11 @@
-"""
-What a process uses of the machine, as Linux tells it.
-
-What ``getrusage`` tells of memory begins with that of the program that started the process.
-"""
+"""What a process uses of the machine."""
 
 from dataclasses import dataclass
-import os
 from pathlib import Path
+import re
 import time
 
-_TICK = 1 / os.sysconf('SC_CLK_TCK')  # s
-_CPU = slice(11, 13)  # of the fields after the name in /proc/PID/stat: in user mode, in the kernel
+import psutil
 
 
 @dataclass(frozen=True)
@@ -27,10 +22,12 @@ def look(pid: int) -> Usage:
     """
     Look at a process.
 
-    :raises OSError: it is gone.
+    :raises psutil.Error: it is gone.
     """
-    stat = Path(f'/proc/{pid}/stat').read_text('utf-8').rpartition(')')[2].split()
-    lines = Path(f'/proc/{pid}/status').read_text('utf-8').splitlines()
-    sizes = {name: value for name, _, value in (line.partition(':') for line in lines)}
-    memory, peak = (int(sizes[name].split()[0]) * 1024 for name in ('VmRSS', 'VmHWM'))
-    return Usage(time.monotonic(), _TICK * sum(map(int, stat[_CPU])), memory, peak)
+    process = psutil.Process(pid)
+    cpu, memory = process.cpu_times(), process.memory_info().rss
+    # psutil has no peak on Linux, and getrusage counts the memory of the program that started it.
+    peak = re.search(r'VmHWM:\s+(\d+)', Path(f'/proc/{pid}/status').read_text('utf-8'))
+    if peak is None:
+        raise psutil.NoSuchProcess(pid)
+    return Usage(time.monotonic(), cpu.user + cpu.system, memory, 1024 * int(peak[1]))

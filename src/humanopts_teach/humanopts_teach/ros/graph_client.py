@@ -23,8 +23,7 @@ from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, LATCHED_ALL
 from humanopts_teach.launching import LaunchError
-from humanopts_teach.launching.launcher import RECORDER
-from humanopts_teach.launching.processes import Value
+from humanopts_teach.launching.processes import RECORDER, Value
 from humanopts_teach.teacher.simulated import FINISHED
 import rclpy
 from rclpy.action import ActionClient
