@@ -103,11 +103,15 @@ class PrimitiveOption:
 
 
 class OptionLibrary:
-    """The learned options of one domain by participant and name, beside its primitive actions."""
+    """
+    The learned options of one domain by participant and name, beside its primitive actions.
+
+    :ivar domain: in which the options act.
+    """
 
     def __init__(self, domain: Domain[Any]) -> None:
         """Make a library without learned options."""
-        self._domain = domain
+        self.domain = domain
         names = [PRIMITIVE_PREFIX + action.name for action in domain.actions]
         self._primitives = {
             name: PrimitiveOption(name, index, len(names)) for index, name in enumerate(names)
@@ -142,7 +146,7 @@ class OptionLibrary:
 
         :raises OptionError: it was learned in another domain, or is named like an action.
         """
-        option.check_domain(self._domain)
+        option.check_domain(self.domain)
         if option.name.startswith(PRIMITIVE_PREFIX):
             raise OptionError(f'{option.name!r} is the name of a primitive action')
 

@@ -238,3 +238,13 @@ class NodeBase(Node):
         self.ready = True
         self.on_ready()
         self.set_status(NodeStatus.STATE_READY)
+
+
+def end_goal(handle: ServerGoalHandle, good: bool, canceled: bool) -> None:
+    """Set how a goal of an action ended: as wanted, canceled by its client, or neither."""
+    if good:
+        handle.succeed()
+    elif canceled:
+        handle.canceled()
+    else:
+        handle.abort()

@@ -73,7 +73,7 @@ class GameNode(NodeBase):
         self._game.reset('', self._seed, Source.MACHINE)
         self._send_moment(self._game.moment)
 
-    def _read_domain(self) -> Domain:
+    def _read_domain(self) -> Domain[Any]:
         name = self.setting('domain', 'taxi', 'registered name of the domain')
         parameters = self.setting('domain_parameters', '{}', 'JSON object of its parameters')
         try:

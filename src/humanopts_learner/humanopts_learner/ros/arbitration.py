@@ -2,7 +2,6 @@
 
 from operator import is_
 
-from humanopts_env.domains.base import Domain
 from humanopts_interfaces.msg import ExecutionState, OptionValues
 from humanopts_learner.library import OptionLibrary, RunnableOption
 from humanopts_learner.options.option import LearnedOption
@@ -29,16 +28,16 @@ class Arbitration:
         """Tell whether the values of a plan are here."""
         return self._message is not None and self._message.plan_id == plan_id
 
-    def newest_plan(self) -> str:
+    def newest(self) -> str:
         """Return the plan whose values are here, in words."""
         return f'there are those of {self._message.plan_id}' if self._message else 'none came yet'
 
-    def arbiter(self, execution: Execution, domain: Domain, library: OptionLibrary) -> Arbiter:
+    def arbiter(self, execution: Execution, library: OptionLibrary) -> Arbiter:
         """
         Return the arbiter of the plan whose values are here.
 
         :raises UnknownOptionError: an option of the plan is not in the library.
-        :raises ValueError: the values do not fit the options or the domain.
+        :raises ValueError: the values do not fit the options or their domain.
         """
         assert self._message is not None
         found = self.options(library).values()
@@ -48,7 +47,7 @@ class Arbitration:
             self._made_for, self._arbiters = (library, options), {}
         if execution not in self._arbiters:
             values = option_values_from_message(self._message)
-            self._arbiters[execution] = make_arbiter(values, execution, domain, options)
+            self._arbiters[execution] = make_arbiter(values, execution, library.domain, options)
         return self._arbiters[execution]
 
     def options(self, library: OptionLibrary) -> dict[str, RunnableOption]:

@@ -7,10 +7,11 @@ import math
 from typing import Any
 
 from humanopts_interfaces import msg
+from humanopts_interfaces.action import Plan
 from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
 from humanopts_learner.execution import End
 from humanopts_learner.options.criteria import Judgement
-from humanopts_learner.options.files import option_from_json
+from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.any_domain import AnyPlan, Performance, PlanRequest
 from humanopts_learner.planning.arbitration import OptionValues
@@ -95,7 +96,17 @@ def options_from_message(message: msg.LearnedOptions) -> tuple[list[LearnedOptio
     return options, problems
 
 
-def plan_request_from_goal(goal: Any) -> PlanRequest:
+def options_to_message(options: Sequence[LearnedOption]) -> msg.LearnedOptions:
+    """Encode options with what is in their files."""
+    return msg.LearnedOptions(
+        options=[
+            msg.OptionFile(name=o.name, participant=o.participant, model=option_to_json(o))
+            for o in options
+        ]
+    )
+
+
+def plan_request_from_goal(goal: Plan.Goal) -> PlanRequest:
     """Decode what a plan shall be from a goal of the action plan."""
     return PlanRequest(
         action_set=goal.action_set,
@@ -108,7 +119,7 @@ def plan_request_from_goal(goal: Any) -> PlanRequest:
 
 
 def plan_goal_to_message(
-    goal: Any, plan_id: str, request: PlanRequest, options: Sequence[LearnedOption]
+    goal: Plan.Goal, plan_id: str, request: PlanRequest, options: Sequence[LearnedOption]
 ) -> msg.PlanGoal:
     """
     Say what is being planned.

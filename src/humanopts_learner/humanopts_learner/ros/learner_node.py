@@ -3,12 +3,10 @@
 from pathlib import Path
 import sys
 
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import DomainError
 from humanopts_env.ros.convert import domain_from_info
 from humanopts_interfaces.msg import (
-    Demonstration as DemonstrationMessage,
-)
-from humanopts_interfaces.msg import (
+    Demonstration,
     DemonstrationReceipt,
     DomainInfo,
     LearnedOptions,
@@ -40,23 +38,21 @@ class LearnerNode(NodeBase):
         natural = IntegerRange(from_value=0, to_value=2**62, step=1)
         self._seed = self.setting('seed', 0, 'of every random draw', integer_range=[natural])
         self._thresholds = self._read_thresholds()
-        self._domain: Domain | None = None
-        self._course: OptionTrainer | None = None
+        self._trainer: OptionTrainer | None = None
         self._receipts = self.stamped_publisher(DemonstrationReceipt, 'demonstration_receipts')
         self._status_out = self.stamped_publisher(LearningStatus, 'learning_status', LATCHED)
         self._options_out = self.stamped_publisher(LearnedOptions, 'learned_options', LATCHED)
         self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
-        self.create_subscription(
-            DemonstrationMessage, 'demonstrations', self._on_demonstration, STREAM
-        )
+        self.create_subscription(Demonstration, 'demonstrations', self._on_demonstration, STREAM)
 
     def waits_for(self) -> str | None:
         """Wait for the rules of the game."""
-        return None if self._course else 'domain_info'
+        return None if self._trainer else 'domain_info'
 
     def on_ready(self) -> None:
-        """Publish what was learned in earlier sittings."""
-        self._publish()
+        """Publish what was learned in earlier sessions."""
+        if self._trainer is not None:
+            self._publish(self._trainer)
 
     def _read_thresholds(self) -> Thresholds:
         default, share = Thresholds(), FloatingPointRange(from_value=0.0, to_value=1.0)
@@ -73,43 +69,37 @@ class LearnerNode(NodeBase):
         )
 
     def _on_domain(self, info: DomainInfo) -> None:
-        if self._course is not None:
+        if self._trainer is not None:
             return
         try:
-            self._domain = domain_from_info(info)
-            self._course = OptionTrainer(
-                self._directory, self._domain, self._thresholds, self._seed
-            )
+            domain = domain_from_info(info)
+            self._trainer = OptionTrainer(self._directory, domain, self._thresholds, self._seed)
         except (CourseError, DomainError) as error:
             raise StartError(str(error)) from error
-        self._report()
+        self._log_problems(self._trainer)
 
-    def _on_demonstration(self, message: DemonstrationMessage) -> None:
+    def _on_demonstration(self, message: Demonstration) -> None:
         receipt = DemonstrationReceipt(uuid=message.uuid, option_name=message.option_name)
-        if self._course is None:
-            receipt.status = DemonstrationReceipt.STATUS_REFUSED
-            receipt.detail = 'the learner does not know the game yet'
-        else:
-            try:
-                kept = self._course.take(demonstration_from_message(message))
-                accepted, known = receipt.STATUS_ACCEPTED, receipt.STATUS_DUPLICATE
-                receipt.status = accepted if kept else known
-                receipt.detail = '' if kept else 'it is known already'
-            except (DemonstrationError, CourseError) as error:
-                receipt.status = DemonstrationReceipt.STATUS_REFUSED
-                receipt.detail = str(error)
-        if receipt.status == DemonstrationReceipt.STATUS_ACCEPTED:
-            self._report()
-            self._publish()
+        try:
+            if self._trainer is None:
+                raise CourseError('the learner does not know the game yet')
+            if self._trainer.take(demonstration_from_message(message)):
+                receipt.status = receipt.STATUS_ACCEPTED
+                self._log_problems(self._trainer)
+                self._publish(self._trainer)
+            else:
+                receipt.status, receipt.detail = receipt.STATUS_DUPLICATE, 'it is known already'
+        except (DemonstrationError, CourseError) as error:
+            receipt.status, receipt.detail = receipt.STATUS_REFUSED, str(error)
         self._receipts.publish(receipt)
 
-    def _report(self) -> None:
+    def _log_problems(self, trainer: OptionTrainer) -> None:
         """Log what is wrong with the folder since the last time."""
-        while self._course.problems:
-            self.get_logger().warning(self._course.problems.pop(0))
+        while trainer.problems:
+            self.get_logger().warning(trainer.problems.pop(0))
 
-    def _publish(self) -> None:
-        progress = self._course.progress()
+    def _publish(self, trainer: OptionTrainer) -> None:
+        progress = trainer.progress()
         self._options_out.publish(
             LearnedOptions(
                 options=[

@@ -2,22 +2,22 @@
 
 from pathlib import Path
 import sys
-from typing import Any
 
 from humanopts_env.domains.base import DomainError
 from humanopts_env.ros.convert import domain_from_info
 from humanopts_interfaces.action import ExecuteOption
-from humanopts_interfaces.msg import DomainInfo, LearnedOptions, OptionResult
+from humanopts_interfaces.msg import DomainInfo, GameState, LearnedOptions, OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
 from humanopts_learner.execution import Run
-from humanopts_learner.library import taught_nothing, UnknownOptionError
+from humanopts_learner.library import OptionLibrary, taught_nothing, UnknownOptionError
 from humanopts_learner.options.files import load_options
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 from humanopts_learner.ros.convert import options_from_message
 from humanopts_learner.ros.runner import Runner, RunRequest
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.node_base import end_goal, NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT
+import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -54,7 +54,6 @@ class OptionServerNode(NodeBase):
             'a run ends when game is silent for so long, s',
             floating_point_range=[patience],
         )
-        self._domain: Any = None
         self._learned: list[LearnedOption] | None = None  # None: nobody has said yet
         self._automatic: list[LearnedOption] = []
         self._results = self.stamped_publisher(OptionResult, 'option_results')
@@ -79,10 +78,9 @@ class OptionServerNode(NodeBase):
 
     def _on_domain(self, info: DomainInfo) -> None:
         try:
-            self._domain = domain_from_info(info)
+            self._runner.library = OptionLibrary(domain_from_info(info))
         except DomainError as error:
             raise StartError(str(error)) from error
-        self._runner.set_domain(self._domain)
         if self._learned is None:
             self._learned = self._read_files()
         self._serve()
@@ -125,36 +123,34 @@ class OptionServerNode(NodeBase):
     async def _on_run(
         self, request: RunOption.Request, response: RunOption.Response
     ) -> RunOption.Response:
-        response.result = await self._run(_request(request, 'run_option'))
+        response.result = await self._run(
+            RunRequest(request, 'run_option', request.execution_sequence)
+        )
         return response
 
     async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
-        def on_step(run: Run, action: str, state: str) -> None:
-            row = self._domain.feature_values(self._domain.decode(state))[None]
+        def on_step(run: Run, state: GameState) -> None:
+            row = np.array([state.features], dtype=np.int32)
             handle.publish_feedback(
                 ExecuteOption.Feedback(
                     step_count=run.step_count,
-                    action=action,
+                    action=state.previous_action,
                     total_reward=run.total_reward,
-                    state=state,
+                    state=state.state,
                     termination=float(run.acting.termination_probability(row)[0]),
                     option_name=run.acting.name,
                 )
             )
 
-        request = _request(
-            handle.request,
-            'execute_option',
-            canceled=lambda: handle.is_cancel_requested,
-            on_step=on_step,
+        result = await self._run(
+            RunRequest(
+                handle.request,
+                'execute_option',
+                canceled=lambda: bool(handle.is_cancel_requested),
+                on_step=on_step,
+            )
         )
-        result = await self._run(request)
-        if result.status in _DONE:
-            handle.succeed()
-        elif result.status == OptionResult.STATUS_CANCELED:
-            handle.canceled()
-        else:
-            handle.abort()
+        end_goal(handle, result.status in _DONE, result.status == result.STATUS_CANCELED)
         return ExecuteOption.Result(result=result)
 
     async def _run(self, request: RunRequest) -> OptionResult:
@@ -188,13 +184,13 @@ class OptionServerNode(NodeBase):
         self, request: QueryOption.Request, response: QueryOption.Response
     ) -> QueryOption.Response:
         await self.provided()
-        current = self._runner.state
+        library, current = self._runner.library, self._runner.state
         text = request.state or (current.state if current is not None else '')
         try:
-            if self._runner.library is None or not text:
+            if library is None or not text:
                 raise DomainError('no state is given and no episode was begun')
-            option = self._runner.library.resolve(request.option_name, request.participant)
-            row = self._domain.feature_values(self._domain.decode(text))[None]
+            option = library.resolve(request.option_name, request.participant)
+            row = library.domain.feature_values(library.domain.decode(text))[None]
         except UnknownOptionError as error:
             response.status, response.detail = response.STATUS_UNKNOWN_OPTION, str(error)
             return response
@@ -202,7 +198,7 @@ class OptionServerNode(NodeBase):
             response.status, response.detail = response.STATUS_BAD_STATE, str(error)
             return response
         chances = option.action_probabilities(row)[0]
-        names = [action.name for action in self._domain.actions]
+        names = [action.name for action in library.domain.actions]
         response.status = response.STATUS_OK
         response.can_start = bool(option.can_start(row)[0])
         response.initiation = float(option.initiation_probability(row)[0])
@@ -210,21 +206,6 @@ class OptionServerNode(NodeBase):
         response.actions, response.action_probabilities = names, chances.tolist()
         response.greedy_action = names[int(chances.argmax())]
         return response
-
-
-def _request(request: Any, via: str, **callbacks: Any) -> RunRequest:
-    return RunRequest(
-        option_name=request.option_name,
-        participant=request.participant,
-        max_steps=request.max_steps,
-        episode=request.episode,
-        step=request.step,
-        execution=request.execution,
-        plan_id=request.plan_id,
-        execution_sequence=getattr(request, 'execution_sequence', 0),
-        via=via,
-        **callbacks,
-    )
 
 
 def main(args: list[str] | None = None) -> int:

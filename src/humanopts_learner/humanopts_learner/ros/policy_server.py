@@ -1,62 +1,109 @@
 """Acting by the policies of plans: the action run_policy, and who changes it while it runs."""
 
-from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 import math
 from typing import Any
 import uuid
 
 from humanopts_interfaces.action import RunPolicy
-from humanopts_interfaces.msg import ExecutionState, OptionValues, PolicyGoal, PolicyResult
-from humanopts_interfaces.srv import SetExecution
-from humanopts_learner.execution import execution_named, RunError
-from humanopts_learner.options.option import LearnedOption
+from humanopts_interfaces.msg import (
+    ExecutionState,
+    OptionResult,
+    OptionValues,
+    PolicyGoal,
+    PolicyResult,
+)
+from humanopts_interfaces.srv import ResetGame, RunOption, SetExecution
+from humanopts_learner.execution import execution_named, MODULAR, RunError
 from humanopts_learner.planning.action_sets import PRIMITIVE
+from humanopts_learner.planning.any_domain import AnyPlan
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.evaluate import episode_start
 from humanopts_learner.planning.interruption import option_values
 from humanopts_learner.planning.plan import Plan
 from humanopts_learner.ros.convert import option_values_to_message
-from humanopts_learner.ros.goals import end_goal
-from humanopts_learner.ros.player import Episode, Made, Player, PolicyRun
-from humanopts_ros.node_base import NodeBase
+from humanopts_learner.ros.planner_actions import in_thread, MadePlan, PlannerState, STOPS
+from humanopts_ros.node_base import end_goal, NodeBase
 from humanopts_ros.qos import LATCHED, LATCHED_LARGE
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 
-InThread = Callable[[Callable[[], Any]], Awaitable[Any]]
+_RESET_SECONDS = 5.0  # to wait for an answer
+# To wait for a run: modules may run for a whole episode that is paced; the server itself does not
+# wait long for game.
+_RUN_SECONDS = 86_400.0
+_GO_ON = (
+    OptionResult.STATUS_REACHED,
+    OptionResult.STATUS_EPISODE_OVER,
+    OptionResult.STATUS_MAX_STEPS,
+    OptionResult.STATUS_STOPPED_BY_PLAN,
+    OptionResult.STATUS_EXECUTION_CHANGED,
+)
+
+
+class _Ended(Exception):  # noqa: N818 - no error: the run is over before its last episode
+    """The policy run is over: its status in ``PolicyResult``, and the detail."""
+
+    def __init__(self, status: int, detail: str) -> None:
+        super().__init__(detail)
+        self.status, self.detail = status, detail
+
+
+@dataclass
+class _PolicyRun:
+    """The policy that runs."""
+
+    handle: ServerGoalHandle
+    made: MadePlan
+    execution: Execution
+    result: PolicyResult
+    limit: int  # decisions in an episode
+    execution_sequence: int = 0  # of the ExecutionState that says the execution
+    canceled: bool = False  # the client wants no more
+
+    def publish_feedback(self) -> None:
+        """Say how far it is."""
+        result = self.result
+        self.handle.publish_feedback(
+            RunPolicy.Feedback(
+                episodes=result.episodes,
+                successes=result.successes,
+                fallbacks=result.fallbacks,
+                mean_return=result.mean_return,
+                interruptions=result.interruptions,
+                execution=self.execution,
+            )
+        )
+
+    def count(self, ran: OptionResult, decisions: int) -> None:
+        """Add what an option, or the modules, came to."""
+        plan = self.made.plan
+        fallback = plan.names[plan.first_fallback :]
+        acted = zip(ran.acted_names, ran.acted_steps)
+        self.result.decisions += decisions
+        self.result.fallbacks += sum(steps for name, steps in acted if name in fallback)
+        self.result.interruptions += ran.status == OptionResult.STATUS_STOPPED_BY_PLAN
 
 
 class PolicyServer:
     """
     Plays episodes by the newest plans, one policy at a time.
 
-    Values go to option_server once a policy needs them. Which option acts is decided there; the
-    execution can be changed from here at any time, and is in force from the next action on.
+    Game begins the episodes, and option_server runs the options. Values go to option_server once
+    a policy needs them. Which option acts is decided there; the execution can be changed from
+    here at any time, and is in force from the next action on.
     """
 
-    def __init__(
-        self,
-        node: NodeBase,
-        group: CallbackGroup,
-        plan_of: Callable[[str, str], Made | None],
-        options: Callable[[str], list[LearnedOption]],
-        in_thread: InThread,
-    ) -> None:
-        """
-        Serve.
-
-        :param plan_of: finds the newest plan of an action set and a participant.
-        :param options: returns those that an action set can have now.
-        :param in_thread: does long work beside the executor.
-        """
-        self._plan_of, self._options, self._in_thread = plan_of, options, in_thread
-        self._player = Player(node, group)
-        self._run: PolicyRun | None = None
+    def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
+        self._node, self._state = node, state
+        self._run: _PolicyRun | None = None
         self._published = ''  # plan_id of the newest OptionValues
         self._goals = node.stamped_publisher(PolicyGoal, 'policy_goals')
         self._results = node.stamped_publisher(PolicyResult, 'policy_results')
         self._values = node.stamped_publisher(OptionValues, 'option_values', LATCHED_LARGE)
         self._executions = node.stamped_publisher(ExecutionState, 'execution', LATCHED)
+        self._reset_client = node.recorded_client(ResetGame, 'reset_game', group)
+        self._run_client = node.recorded_client(RunOption, 'run_option', group)
         node.recorded_action(RunPolicy, 'run_policy', self._execute, group, self._on_cancel)
         node.recorded_service(SetExecution, 'set_execution', self._on_set, group)
 
@@ -67,106 +114,206 @@ class PolicyServer:
 
     def stop(self) -> None:
         """End the run, because the node ends."""
-        self._player.stopping = True
         if self._run is not None:
-            self._say(self._run, canceled=True)
+            self._publish_execution(self._run, canceled=True)
 
     async def _execute(self, handle: ServerGoalHandle) -> RunPolicy.Result:
-        result = await self._act(handle)
+        goal: RunPolicy.Goal = handle.request
+        result = PolicyResult(
+            action_set=goal.action_set, mean_return=math.nan, mean_discounted_return=math.nan
+        )
+        try:
+            self._run = run = self._check(handle, goal, result)
+            try:
+                await self._play(run, goal)
+                result.status = result.STATUS_DONE
+            finally:
+                self._run, result.execution = None, run.execution
+        except _Ended as end:
+            result.status, result.detail = end.status, end.detail
+        except Exception as error:  # such as no memory for the values of so many states
+            result.status, result.detail = result.STATUS_FAILED, repr(error)
         self._results.publish(result)
         canceled = result.status == PolicyResult.STATUS_CANCELED
         end_goal(handle, result.status == PolicyResult.STATUS_DONE, canceled)
         return RunPolicy.Result(result=result)
 
-    async def _act(self, handle: ServerGoalHandle) -> PolicyResult:
-        request = handle.request
-        result = PolicyResult(
-            action_set=request.action_set, mean_return=math.nan, mean_discounted_return=math.nan
-        )
-        made = self._plan_of(request.action_set, request.participant)
-        result.status, result.detail = self._refusal(request, made)
-        if made is None or result.status:
-            return result
-        self._run = run = PolicyRun(handle, made, execution_named(request.execution), result)
-        try:
-            await self._play(run)
-        except Exception as error:  # such as no memory for the values of so many states
-            result.status, result.detail = result.STATUS_FAILED, repr(error)
-        finally:
-            self._run = None
-        result.execution = run.execution
-        return result
+    def _check(
+        self, handle: ServerGoalHandle, goal: RunPolicy.Goal, result: PolicyResult
+    ) -> _PolicyRun:
+        """
+        Return the run that a goal asks for.
 
-    def _refusal(self, request: Any, made: Made | None) -> tuple[int, str]:
-        """Return status and detail of what cannot be played; status 0: it can."""
+        :raises _Ended: it cannot be played.
+        """
         if self._run is not None:
-            return PolicyResult.STATUS_BUSY, 'a policy is running already'
-        bad, no_plan = PolicyResult.STATUS_BAD_REQUEST, PolicyResult.STATUS_NO_PLAN
+            raise _Ended(result.STATUS_BUSY, 'a policy is running already')
         try:
-            execution_named(request.execution)
+            execution = execution_named(goal.execution)
         except RunError as error:
-            return bad, str(error)
+            raise _Ended(result.STATUS_BAD_REQUEST, str(error)) from error
+        made = self._state.plans.get((goal.action_set, goal.participant))
         if made is None:
-            return no_plan, f'there is no {request.action_set!r} plan yet: plan it first'
-        known = self._options(request.action_set)
-        if made.learned is not known and request.action_set != PRIMITIVE:
-            return no_plan, 'the options changed since they were planned with: plan again'
-        if request.episodes == 0:
-            return bad, 'episodes is 0'
-        if not (request.max_decisions or made.plan.domain.max_steps):
-            return bad, f'{made.plan.domain.name} never cuts an episode off: give max_decisions'
-        return 0, ''
+            text = f'there is no {goal.action_set!r} plan yet: plan it first'
+            raise _Ended(result.STATUS_NO_PLAN, text)
+        known = self._state.options(goal.action_set)
+        if made.known_options is not known and goal.action_set != PRIMITIVE:
+            text = 'the options changed since they were planned with: plan again'
+            raise _Ended(result.STATUS_NO_PLAN, text)
+        if goal.episodes == 0:
+            raise _Ended(result.STATUS_BAD_REQUEST, 'episodes is 0')
+        domain = made.plan.domain
+        limit = goal.max_decisions or domain.max_steps
+        if not limit:
+            text = f'{domain.name} never cuts an episode off: give max_decisions'
+            raise _Ended(result.STATUS_BAD_REQUEST, text)
+        return _PolicyRun(handle, made, execution, result, limit)
 
-    async def _play(self, run: PolicyRun) -> None:
-        request, result, domain = run.request, run.result, run.made.plan.domain
+    async def _play(self, run: _PolicyRun, goal: RunPolicy.Goal) -> None:
+        """
+        Play all episodes.
+
+        :raises _Ended: the run is over before that.
+        """
+        result = run.result
         result.run_id = str(uuid.uuid4())
-        limit = request.max_decisions or domain.max_steps
         self._goals.publish(
             PolicyGoal(
                 run_id=result.run_id,
                 plan_id=run.made.plan_id,
-                action_set=request.action_set,
-                participant=request.participant,
-                episodes=request.episodes,
-                seed=request.seed,
-                max_decisions=limit,
+                action_set=goal.action_set,
+                participant=goal.participant,
+                episodes=goal.episodes,
+                seed=goal.seed,
+                max_decisions=run.limit,
                 execution=run.execution,
             )
         )
         if run.execution is not Execution.RUN_TO_END:
             await self._publish_values(run.made)
-        self._say(run)
+        self._publish_execution(run)
         totals, discounted = [], []
-        for number in range(request.episodes):
-            start = episode_start(domain, request.seed, number)
-            episode = Episode(self._player, run)
-            if not await episode.play(start, (request.seed + number) % 2**64, limit):
-                return
-            totals.append(episode.total)
-            discounted.append(episode.discounted)
+        for number in range(goal.episodes):
+            start = episode_start(run.made.plan.domain, goal.seed, number)
+            returns = await self._play_episode(run, start, (goal.seed + number) % 2**64)
+            totals.append(returns[0])
+            discounted.append(returns[1])
             result.episodes += 1
             result.mean_return = math.fsum(totals) / len(totals)
             result.mean_discounted_return = math.fsum(discounted) / len(discounted)
-            run.tell()
-        result.status = PolicyResult.STATUS_DONE
+            run.publish_feedback()
 
-    async def _publish_values(self, made: Made) -> None:
+    async def _play_episode(self, run: _PolicyRun, start: Any, seed: int) -> tuple[float, float]:
+        """
+        Play an episode; return its return and its discounted return.
+
+        :raises _Ended: the run is over before the episode is.
+        """
+        plan = run.made.plan
+        episode = await self._reset(plan, start, seed)
+        state, step, decided, total, discounted = start, 0, 0, 0.0, 0.0
+        while decided < run.limit:
+            self._check_wanted(run)
+            modular = run.execution in MODULAR
+            name = '' if modular else plan.choose(state).name
+            ran = await self._run_option(run, name, run.limit - decided, episode, step)
+            decisions = ran.step_count if modular else min(ran.step_count, 1)
+            run.count(ran, decisions)
+            decided += decisions
+            total += ran.total_reward
+            discounted += plan.gamma**step * ran.discounted_return
+            step += ran.step_count
+            if ran.status == OptionResult.STATUS_INTERRUPTED:
+                raise _Ended(PolicyResult.STATUS_INTERRUPTED, ran.detail)
+            if ran.status == OptionResult.STATUS_CANCELED:
+                self._check_wanted(run)
+            if ran.status not in _GO_ON:
+                what = repr(name) if name else run.execution
+                text = f'{what} in {ran.final_state!r}: {ran.detail}'
+                raise _Ended(PolicyResult.STATUS_FAILED, text)
+            if ran.terminated or ran.truncated:
+                run.result.successes += ran.terminated
+                break
+            state = plan.domain.decode(ran.final_state)
+        return total, discounted
+
+    async def _reset(self, plan: AnyPlan, start: Any, seed: int) -> int:
+        """
+        Begin an episode; return its number.
+
+        :raises _Ended: game does not.
+        """
+        request = ResetGame.Request(
+            source=ResetGame.Request.SOURCE_MACHINE,
+            start_state=plan.domain.encode(start),
+            seed=seed,
+        )
+        answer = await self._node.answer(self._reset_client, request, _RESET_SECONDS)
+        if answer is None:
+            raise _Ended(PolicyResult.STATUS_FAILED, 'game did not answer reset_game')
+        if answer.status == ResetGame.Response.STATUS_HELD_BY_PERSON:
+            raise _Ended(PolicyResult.STATUS_INTERRUPTED, answer.detail)
+        if answer.status != ResetGame.Response.STATUS_OK:
+            text = f'game refused to begin an episode: {answer.detail}'
+            raise _Ended(PolicyResult.STATUS_FAILED, text)
+        return int(answer.episode)
+
+    async def _run_option(
+        self, run: _PolicyRun, name: str, left: int, episode: int, step: int
+    ) -> OptionResult:
+        """
+        Run an option, or all of them as modules.
+
+        :param name: of the option; empty: modules.
+        :param left: steps that modules may take.
+        :raises _Ended: option_server does not answer.
+        """
+        request = RunOption.Request(
+            option_name=name,
+            participant=run.made.participant if name else '',
+            max_steps=0 if name else left,
+            episode=episode,
+            step=step,
+            execution=run.execution,
+            plan_id=run.made.plan_id,
+            execution_sequence=run.execution_sequence,
+        )
+        answer = await self._node.answer(self._run_client, request, _RUN_SECONDS)
+        if answer is None:
+            raise _Ended(PolicyResult.STATUS_FAILED, 'option_server did not answer run_option')
+        result: OptionResult = answer.result
+        return result
+
+    def _check_wanted(self, run: _PolicyRun) -> None:
+        """
+        Check that somebody wants more.
+
+        :raises _Ended: nobody does.
+        """
+        if run.canceled:
+            raise _Ended(PolicyResult.STATUS_CANCELED, 'canceled by the client')
+        if self._state.stopping:
+            raise _Ended(PolicyResult.STATUS_FAILED, STOPS)
+
+    async def _publish_values(self, made: MadePlan) -> None:
         """Give option_server what it needs to arbitrate by a plan, unless it has that."""
         if self._published == made.plan_id:
             return
         plan = made.plan
 
-        def work() -> OptionValues:
+        def compute() -> OptionValues:
             values = option_values(plan) if isinstance(plan, Plan) else plan.option_values()
             return option_values_to_message(values, made.plan_id, made.participant)
 
-        message = await self._in_thread(work)
+        message = await in_thread(self._node, self._state.pool, compute)
         if self._published != made.plan_id:
             self._values.publish(message)
             self._published = made.plan_id
 
-    def _say(self, run: PolicyRun, previous: str = '', *, canceled: bool = False) -> None:
-        """Publish how the run is carried out."""
+    def _publish_execution(
+        self, run: _PolicyRun, previous: str = '', *, canceled: bool = False
+    ) -> None:
+        """Say how the run is carried out, or that it is to end at once."""
         self._executions.publish(
             ExecutionState(
                 run_id=run.result.run_id,
@@ -184,33 +331,32 @@ class PolicyServer:
         run = self._run
         if run is not None and run.handle is handle:
             run.canceled = True
-            self._say(run, canceled=True)
+            self._publish_execution(run, canceled=True)
 
     async def _on_set(
         self, request: SetExecution.Request, response: SetExecution.Response
     ) -> SetExecution.Response:
-        try:
-            response.status, response.detail, response.previous = await self._change(request)
-        except Exception as error:  # such as no memory for the values of so many states
-            response.status, response.detail = response.STATUS_FAILED, repr(error)
-        return response
-
-    async def _change(self, request: SetExecution.Request) -> tuple[int, str, str]:
-        """Change how the run is carried out; return status, detail and what it was before."""
-        answer, run = SetExecution.Response, self._run
+        """Change how the run is carried out."""
+        run = self._run
         try:
             if not request.execution:
                 raise RunError('execution is empty')
             execution = execution_named(request.execution)
+            if run is not None and execution is not Execution.RUN_TO_END:
+                await self._publish_values(run.made)
         except RunError as error:
-            return answer.STATUS_BAD_REQUEST, str(error), ''
-        if run is not None and execution is not Execution.RUN_TO_END:
-            await self._publish_values(run.made)
+            response.status, response.detail = response.STATUS_BAD_REQUEST, str(error)
+            return response
+        except Exception as error:  # such as no memory for the values of so many states
+            response.status, response.detail = response.STATUS_FAILED, repr(error)
+            return response
         if run is None or self._run is not run:
-            text = 'no policy runs: name the execution in the goal of run_policy'
-            return answer.STATUS_NO_RUN, text, ''
-        previous, run.execution = run.execution, execution
-        if previous is not execution:
+            response.status = response.STATUS_NO_RUN
+            response.detail = 'no policy runs: name the execution in the goal of run_policy'
+            return response
+        response.status, response.previous = response.STATUS_OK, run.execution
+        if run.execution is not execution:
+            previous, run.execution = run.execution, execution
             run.result.execution_changes += 1
-            self._say(run, previous)
-        return answer.STATUS_OK, '', previous
+            self._publish_execution(run, previous)
+        return response

@@ -3,12 +3,18 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 import time
-from typing import Any
 import uuid
 
-from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
-from humanopts_interfaces.msg import ActionCommand, ActionRefusal, GameState, OptionGoal
+from humanopts_interfaces.action import ExecuteOption
+from humanopts_interfaces.msg import (
+    ActionCommand,
+    ActionRefusal,
+    GameState,
+    OptionGoal,
+    OptionResult,
+)
+from humanopts_interfaces.srv import RunOption
 from humanopts_learner.execution import (
     End,
     execution_named,
@@ -31,7 +37,7 @@ from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, STREAM
 from rclpy.task import Future
 
-_CHECK_PERIOD = 0.1  # s between looks at deadlines
+_CHECK_PERIOD = 0.1  # s between looks at the deadline of a command
 
 
 class RunCanceled(Exception):  # noqa: N818 - no error: the client wants no more
@@ -40,19 +46,20 @@ class RunCanceled(Exception):  # noqa: N818 - no error: the client wants no more
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What a service or action asks to be run."""
+    """
+    What a service or action asks to be run.
 
-    option_name: str  # empty: modules
-    participant: str
-    max_steps: int  # 0: the option's own limit
-    episode: int  # 0: whatever is current
-    step: int
-    execution: str
-    plan_id: str  # empty: no plan arbitrates
-    execution_sequence: int  # 0: the execution never changes
+    :ivar via: name of the service or action.
+    :ivar execution_sequence: of the ExecutionState that the execution is from; 0: it is fixed.
+    :ivar canceled: tells whether the client wants no more.
+    :ivar on_step: called after each step with the run and the state that the step led to.
+    """
+
+    goal: RunOption.Request | ExecuteOption.Goal
     via: str
+    execution_sequence: int = 0
     canceled: Callable[[], bool] = lambda: False
-    on_step: Callable[[Run, str, str], None] = field(default=lambda run, action, state: None)
+    on_step: Callable[[Run, GameState], None] = lambda run, state: None
 
 
 @dataclass
@@ -62,6 +69,7 @@ class _Active:
     run: Run
     run_id: str
     request: RunRequest
+    library: OptionLibrary
     execution: Execution
     arbiter: Arbiter | None  # that may stop the run
     episode: int
@@ -79,16 +87,23 @@ class Runner:
     command is on its way when it ends, be it canceled or not. So is what a plan arbitrates: the
     same states, values and execution give the same run. A person who takes over, or a reset,
     ends it as interrupted; silence of game ends it after a deadline.
+
+    :ivar library: what can be run; None: the game is not known yet.
+    :ivar state: the newest state of the game; None: none came.
     """
 
-    def __init__(self, node: NodeBase, mode: Mode, seed: int, no_progress_seconds: float) -> None:
-        self._node, self._mode, self._seed = node, mode, seed
-        self._patience = no_progress_seconds
+    def __init__(self, node: NodeBase, mode: Mode, seed: int, patience: float) -> None:
+        """
+        Subscribe to the game.
+
+        :param seed: of what the sampled mode draws.
+        :param patience: s to wait for game, and for the values of a plan.
+        """
+        self._node, self._mode, self._seed, self._patience = node, mode, seed, patience
         self._plans = Arbitration(node)
-        self._domain: Domain | None = None
         self.library: OptionLibrary | None = None
-        self.state: GameState | None = None  # newest
-        self._taken_by = ''  # what the runner is at work on; empty: it is free
+        self.state: GameState | None = None
+        self._taken_by = ''  # the option or execution of the request; empty: the runner is free
         self._active: _Active | None = None  # from its first command on
         self._stopping = False
         self._actions = node.stamped_publisher(ActionCommand, 'action')
@@ -97,31 +112,6 @@ class Runner:
         node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
         node.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
         node.create_timer(_CHECK_PERIOD, self._check_deadline)
-
-    def set_domain(self, domain: Domain) -> None:
-        """Take the rules of the game; options of an earlier game are dropped."""
-        self._domain, self.library = domain, OptionLibrary(domain)
-
-    async def run(self, request: RunRequest) -> Any:
-        """Run to the end, or refuse; return an ``OptionResult``."""
-        if self._domain is None or self.library is None:
-            return self._refused(request, Status.NO_EPISODE, 'game has not announced itself')
-        if self._taken_by:
-            return self._refused(request, Status.BUSY, self._taken_by)
-        try:
-            execution = self._check(request)
-            self._taken_by = request.option_name or execution.value
-            return await self._drive(request, execution)
-        except RunCanceled:
-            return self._refused(request, Status.CANCELED)
-        except UnknownOptionError as error:
-            return self._refused(request, Status.UNKNOWN_OPTION, str(error))
-        except RunError as error:
-            return self._refused(request, Status.BAD_REQUEST, str(error))
-        except PlanError as error:
-            return self._refused(request, Status.NO_VALUES, str(error))
-        finally:
-            self._taken_by = ''
 
     @property
     def busy(self) -> bool:
@@ -134,82 +124,52 @@ class Runner:
         if self._active is not None:
             self._finish(self._active.run.end(Status.FAILED, 'option_server stops'))
 
-    def _check(self, request: RunRequest) -> Execution:
-        """
-        Check what can be checked before the state is here.
+    async def run(self, request: RunRequest) -> OptionResult:
+        """Run to the end, or refuse."""
+        if self.library is None:
+            return _refused(request, Status.NO_EPISODE, 'game has not announced itself')
+        if self._taken_by:
+            return _refused(request, Status.BUSY, self._taken_by)
+        try:
+            execution = _check(request.goal, self.library)
+            self._taken_by = request.goal.option_name or execution.value
+            return await self._drive(request, execution, self.library)
+        except RunCanceled:
+            return _refused(request, Status.CANCELED)
+        except UnknownOptionError as error:
+            return _refused(request, Status.UNKNOWN_OPTION, str(error))
+        except RunError as error:
+            return _refused(request, Status.BAD_REQUEST, str(error))
+        except PlanError as error:
+            return _refused(request, Status.NO_VALUES, str(error))
+        finally:
+            self._taken_by = ''
 
-        :raises RunError: the request makes no sense.
-        :raises UnknownOptionError: there is no such option.
-        """
-        execution = execution_named(request.execution)
-        if execution is not Execution.RUN_TO_END and not request.plan_id:
-            raise RunError(f'{execution} needs the values of a plan: give its plan_id')
-        if execution not in MODULAR:
-            self.library.resolve(request.option_name, request.participant)
-        elif request.option_name or request.participant:
-            raise RunError(f'{execution} runs all options of the plan: leave option_name empty')
-        return execution
-
-    async def _drive(self, request: RunRequest, execution: Execution) -> Any:
+    async def _drive(
+        self, request: RunRequest, execution: Execution, library: OptionLibrary
+    ) -> OptionResult:
         """Wait for the values to decide by and the state to start from, and run from there."""
+        plan_id = request.goal.plan_id
         if execution is not Execution.RUN_TO_END:
-            await self._wait(request, lambda: self._plans.has(request.plan_id))
-            if not self._plans.has(request.plan_id):
-                raise PlanError(
-                    f'those of plan {request.plan_id} did not come; {self._plans.newest_plan()}'
-                )
+            await self._wait(request, lambda: self._plans.has(plan_id))
+            if not self._plans.has(plan_id):
+                raise PlanError(f'those of plan {plan_id} did not come; {self._plans.newest()}')
         state = await self._first_state(request)
         if state is None:
-            return self._refused(request, Status.NO_EPISODE, self._missing(request))
+            return _refused(request, Status.NO_EPISODE, self._missing(request))
         if state.terminated or state.truncated:
-            return self._refused(request, Status.NO_EPISODE, 'the episode has ended')
+            return _refused(request, Status.NO_EPISODE, 'the episode has ended')
         moment = state.episode, state.step
-        run, arbiter = self._prepare(request, execution, moment)
-        end = run.begin(self._domain.decode(state.state), *moment)
+        run, arbiter = self._prepare(request, execution, library, moment)
+        end = run.begin(library.domain.decode(state.state), *moment)
         if end is not None:
             return end_to_message(end, '')
         run_id = str(uuid.uuid4())
-        self._active = active = _Active(run, run_id, request, execution, arbiter, *moment)
+        self._active = active = _Active(run, run_id, request, library, execution, arbiter, *moment)
         self._announce(active)
         self._send(active)
         end = await active.done
         return end_to_message(end, run_id, active.execution)
-
-    def _prepare(
-        self, request: RunRequest, execution: Execution, moment: tuple[int, int]
-    ) -> tuple[Run, Arbiter | None]:
-        """Return the run, and what may stop it; errors are those of ``run``."""
-        domain, library = self._domain, self.library
-        rng = generator(self._seed, 'run', request.option_name or execution, *moment)
-        rest = domain, domain.gamma, request.max_steps, self._mode, rng
-        arbiter = None
-        if execution is not Execution.RUN_TO_END:
-            arbiter = self._plans.arbiter(execution, domain, library)
-        if arbiter is not None and execution in MODULAR:
-            return ModularRun(arbiter, self._plans.options(library), *rest), None
-        option = library.resolve(request.option_name, request.participant)
-        return OptionRun(option, *rest), arbiter
-
-    def _missing(self, request: RunRequest) -> str:
-        if self.state is None or not request.episode:
-            return 'no state came from game'
-        return (
-            f'episode {request.episode} step {request.step} did not come; the game is at episode '
-            f'{self.state.episode} step {self.state.step}'
-        )
-
-    def _announce(self, active: _Active) -> None:
-        self._goals.publish(
-            OptionGoal(
-                run_id=active.run_id,
-                via=active.request.via,
-                option_name=active.run.name,
-                participant=active.request.participant,
-                max_steps=active.run.max_steps,
-                execution=active.execution,
-                plan_id=active.request.plan_id,
-            )
-        )
 
     async def _wait(self, request: RunRequest, condition: Callable[[], bool]) -> None:
         """
@@ -229,7 +189,7 @@ class Runner:
 
         :raises RunCanceled: the client wants no more.
         """
-        before, wanted = self.state, (request.episode, request.step)
+        before, wanted = self.state, (request.goal.episode, request.goal.step)
 
         def is_here() -> bool:
             state = self.state
@@ -237,18 +197,60 @@ class Runner:
 
         def is_past() -> bool:  # a game that was started again counts from 1
             state = self.state
-            if state is None or (state is before and state.episode != request.episode):
+            if state is None or (state is before and state.episode != wanted[0]):
                 return False
             return wanted < (state.episode, state.step)
 
-        if not request.episode:
+        if not wanted[0]:
             return self.state if self.state is not None and self.state.episode else None
         await self._wait(request, lambda: is_here() or is_past())
         return self.state if is_here() and not self._stopping else None
 
+    def _missing(self, request: RunRequest) -> str:
+        """Say which state is missing."""
+        goal, state = request.goal, self.state
+        if state is None or not goal.episode:
+            return 'no state came from game'
+        return (
+            f'episode {goal.episode} step {goal.step} did not come; the game is at episode '
+            f'{state.episode} step {state.step}'
+        )
+
+    def _prepare(
+        self,
+        request: RunRequest,
+        execution: Execution,
+        library: OptionLibrary,
+        moment: tuple[int, int],
+    ) -> tuple[Run, Arbiter | None]:
+        """Return the run, and what may stop it; errors are those of ``run``."""
+        goal, domain = request.goal, library.domain
+        rng = generator(self._seed, 'run', goal.option_name or execution, *moment)
+        rest = domain, domain.gamma, goal.max_steps, self._mode, rng
+        arbiter = None
+        if execution is not Execution.RUN_TO_END:
+            arbiter = self._plans.arbiter(execution, library)
+        if arbiter is not None and execution in MODULAR:
+            return ModularRun(arbiter, self._plans.options(library), *rest), None
+        return OptionRun(library.resolve(goal.option_name, goal.participant), *rest), arbiter
+
+    def _announce(self, active: _Active) -> None:
+        """Publish that a run begins."""
+        self._goals.publish(
+            OptionGoal(
+                run_id=active.run_id,
+                via=active.request.via,
+                option_name=active.run.name,
+                participant=active.request.goal.participant,
+                max_steps=active.run.max_steps,
+                execution=active.execution,
+                plan_id=active.request.goal.plan_id,
+            )
+        )
+
     def _send(self, active: _Active) -> None:
-        assert self._domain is not None
-        action = self._domain.actions[active.run.next_action()].name
+        """Send the next action to game."""
+        action = active.library.domain.actions[active.run.next_action()].name
         command = ActionCommand(
             source=ActionCommand.SOURCE_MACHINE,
             episode=active.episode,
@@ -264,7 +266,7 @@ class Runner:
         """Take the next state; ``current_state`` repeats those that ``game_state`` brought."""
         known, moment = self.state, (message.episode, message.step)
         same_game = known is not None and known.publisher_id == message.publisher_id
-        if same_game and moment <= (known.episode, known.step):
+        if known is not None and same_game and moment <= (known.episode, known.step):
             return
         self.state = message
         self._node.waiting.look()
@@ -277,31 +279,29 @@ class Runner:
             self._on_step(active, message)
 
     def _on_step(self, active: _Active, message: GameState) -> None:
+        """Take the state that the command under way led to, or another driver's."""
         mine = message.action_publisher_id == self._node.publisher_id
         if not mine or message.action_sequence != active.command:
-            who = message.action_publisher_id
-            self._finish(
-                active.run.end(Status.INTERRUPTED, f'{who} took {message.previous_action}')
-            )
+            text = f'{message.action_publisher_id} took {message.previous_action}'
+            self._finish(active.run.end(Status.INTERRUPTED, text))
             return
-        assert self._domain is not None
         active.step = message.step
-        state = self._domain.decode(message.state)
+        state = active.library.domain.decode(message.state)
         end = active.run.observe(state, message.reward, message.terminated, message.truncated)
-        active.request.on_step(active.run, message.previous_action, message.state)
-        end = end or self._ruled(active)
+        active.request.on_step(active.run, message)
+        end = end or self._stopped(active)
         if end is not None:
             self._finish(end)
         else:
             self._send(active)
 
-    def _ruled(self, active: _Active) -> End | None:
+    def _stopped(self, active: _Active) -> End | None:
         """Return how the run ends before its next command; None: it goes on."""
-        run, request, plans = active.run, active.request, self._plans
+        run, request, before = active.run, active.request, active.execution
         if self._canceled(request):
             return run.end(Status.CANCELED)
-        before = active.execution
-        wanted = plans.wanted(before, request.execution_sequence, request.plan_id)
+        plan_id = request.goal.plan_id
+        wanted = self._plans.wanted(before, request.execution_sequence, plan_id)
         if wanted is not before:
             if wanted in MODULAR or before in MODULAR:
                 return run.end(Status.EXECUTION_CHANGED, f'from {before} to {wanted}')
@@ -315,11 +315,15 @@ class Runner:
         """Carry an option out in another way, unless the values for it are still on their way."""
         if wanted is Execution.RUN_TO_END:
             active.execution, active.arbiter = wanted, None
-        elif self._plans.has(active.request.plan_id):
-            active.arbiter = self._plans.arbiter(wanted, self._domain, self.library)
+        elif self._plans.has(active.request.goal.plan_id):
+            active.arbiter = self._plans.arbiter(wanted, active.library)
             active.execution = wanted
 
+    def _canceled(self, request: RunRequest) -> bool:
+        return request.canceled() or self._plans.canceled(request.execution_sequence)
+
     def _on_refusal(self, message: ActionRefusal) -> None:
+        """End the run whose command game refused."""
         active = self._active
         mine = message.command_publisher_id == self._node.publisher_id
         if active is None or not mine or message.command_sequence != active.command:
@@ -328,18 +332,33 @@ class Runner:
         status = Status.INTERRUPTED if message.reason in interrupted else Status.FAILED
         self._finish(active.run.end(status, message.detail))
 
-    def _finish(self, end: End) -> None:
-        active, self._active = self._active, None
-        if active is not None:
-            active.done.set_result(end)
-
-    def _canceled(self, request: RunRequest) -> bool:
-        return request.canceled() or self._plans.canceled(request.execution_sequence)
-
     def _check_deadline(self) -> None:
         active = self._active
         if active is not None and time.monotonic() > active.deadline:
             self._finish(active.run.end(Status.NO_PROGRESS, f'{self._patience:g} s'))
 
-    def _refused(self, request: RunRequest, status: Status, detail: str = '') -> Any:
-        return end_to_message(refusal(status, request.option_name, detail), '')
+    def _finish(self, end: End) -> None:
+        active, self._active = self._active, None
+        if active is not None:
+            active.done.set_result(end)
+
+
+def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary) -> Execution:
+    """
+    Check what can be checked before the state is here.
+
+    :raises RunError: the request makes no sense.
+    :raises UnknownOptionError: there is no such option.
+    """
+    execution = execution_named(goal.execution)
+    if execution is not Execution.RUN_TO_END and not goal.plan_id:
+        raise RunError(f'{execution} needs the values of a plan: give its plan_id')
+    if execution not in MODULAR:
+        library.resolve(goal.option_name, goal.participant)
+    elif goal.option_name or goal.participant:
+        raise RunError(f'{execution} runs all options of the plan: leave option_name empty')
+    return execution
+
+
+def _refused(request: RunRequest, status: Status, detail: str = '') -> OptionResult:
+    return end_to_message(refusal(status, request.goal.option_name, detail), '')
