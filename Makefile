@@ -10,8 +10,9 @@ CMAKE_ARGS := --cmake-args -DPython3_EXECUTABLE=$(CURDIR)/$(VENV)/bin/python \
 INTERFACES := $(shell find src/humanopts_interfaces -type f)
 PACKAGES := $(shell find src -type f -not -path 'src/humanopts_interfaces/*' \
   -not -path '*/test/*' -not -name '*.pyc')
-PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*' \
-  -not -path '*/ros/*' -not -path '*/humanopts_ros/*') $(wildcard experiments/*.py)
+# What mypy checks: the packages, and what is built on them.
+PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*') \
+  $(wildcard experiments/*.py benchmarks/*.py)
 CHECKED := src experiments benchmarks tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
 # Two processes, each with a file of tests at a time: while one waits for its graph, one computes.
@@ -28,7 +29,7 @@ unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
 	@echo 'make test    run the tests, two at a time (ARGS=); make test-slow runs the long ones'
-	@echo 'make lint    ruff, mypy --strict on pure code, package.xml checks'
+	@echo 'make lint    ruff, mypy --strict, package.xml checks'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
 	@echo 'make setup   only the set-up that the others do when it is needed'
 	@echo 'make format  reformat the Python code'
@@ -51,6 +52,11 @@ build/.interfaces: $(VENV)/.locked $(INTERFACES)
 	  $(CMAKE_ARGS) 2> >(grep -v 'local_setup' >&2)
 	@touch $@
 
+# The types of messages, for mypy: a misspelt field is an error.
+build/.stubs: build/.interfaces tools/make_stubs.py
+	@$(VENV)/bin/python tools/make_stubs.py build/stubs $(VENV)/share src
+	@touch $@
+
 build/.packages: build/.interfaces $(PACKAGES)
 	@echo 'Building the Python packages ...'
 	@rm -rf install/humanopts_{ros,env,learner,teach} build/humanopts_{ros,env,learner,teach}
@@ -70,7 +76,7 @@ test: setup
 test-slow: setup
 	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m slow $(ARGS)
 
-lint: setup
+lint: setup build/.stubs
 	@$(VENV)/bin/ruff check $(CHECKED)
 	@$(VENV)/bin/ruff format --check --quiet $(CHECKED)
 	@$(VENV)/bin/mypy $(PURE)

@@ -197,12 +197,13 @@ class Runner:
 
         def is_past() -> bool:  # a game that was started again counts from 1
             state = self.state
-            if state is None or (state is before and state.episode != wanted[0]):
+            if state is None:
                 return False
-            return wanted < (state.episode, state.step)
+            newer = state.episode == wanted[0] or state is not before
+            return newer and wanted < (state.episode, state.step)
 
         if not wanted[0]:
-            return self.state if self.state is not None and self.state.episode else None
+            return before if before is not None and before.episode else None
         await self._wait(request, lambda: is_here() or is_past())
         return self.state if is_here() and not self._stopping else None
 
