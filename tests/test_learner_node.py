@@ -40,13 +40,24 @@ class Learning:
 
     def start(self) -> NodeProcess:
         """Start the learner, and wait until it has said what it knows."""
-        known, writers = len(self.statuses), self._out.get_subscription_count()
+        known, before = len(self.statuses), self._readers()
         process = self.graph.start(LEARNER, directory=str(self.folder), seed=SEED)
         self.graph.until(
             lambda: len(self.statuses) == len(self.options) > known, 'what the learner knows'
         )
-        self.graph.until(lambda: self._out.get_subscription_count() > writers, 'it to listen')
+        self.graph.until(
+            lambda: (
+                self._readers() - before
+                and self._out.get_subscription_count() >= len(self._readers())
+            ),
+            'it to listen',
+        )
         return process
+
+    def _readers(self) -> set[bytes]:
+        """Return who is listed to listen; a learner that was killed is for a while."""
+        listed = self.graph.node.get_subscriptions_info_by_topic('demonstrations')
+        return {bytes(reader.endpoint_gid) for reader in listed}
 
     def give(self, message: DemonstrationMessage) -> DemonstrationReceipt:
         """Send a demonstration and return its receipt."""
