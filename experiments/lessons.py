@@ -18,15 +18,36 @@ from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
-from humanopts_teach.demos.store import DemonstrationStore
-from humanopts_teach.dialogue.answers import Answer, Progress
-from humanopts_teach.dialogue.learned_starts import LearnedStarts
-from humanopts_teach.dialogue.lesson import Lesson, LessonRules
-from humanopts_teach.teacher.acts import Act, Begin, Define, Drive, End, Finish, Open, Reply
-from humanopts_teach.teacher.simulated import SimulatedTeacher, TeacherError, TeacherSettings
+from humanopts_teach.lesson.lesson import Lesson
+from humanopts_teach.lesson.requests import (
+    Answer,
+    AnswerQuestion,
+    BeginDemonstration,
+    DefineOption,
+    Drive,
+    EndDemonstration,
+    OptionStatus,
+    RequestStatus,
+)
+from humanopts_teach.lesson.simulated_teacher import (
+    Act,
+    Finish,
+    SimulatedTeacher,
+    TeacherError,
+    TeacherSettings,
+    Wait,
+)
+from humanopts_teach.lesson.start_states import LessonRules, StartStates
+from humanopts_teach.lesson.store import DemonstrationStore
 
 # What a person is taken to need for one act, s: a simulated one needs no time of its own.
-SECONDS = {Define: 5.0, Reply: 3.0, Begin: 2.0, Drive: 0.5, End: 1.0}
+SECONDS = {
+    DefineOption: 5.0,
+    AnswerQuestion: 3.0,
+    BeginDemonstration: 2.0,
+    Drive: 0.5,
+    EndDemonstration: 1.0,
+}
 
 # Tells whether an option is taught well enough; called after each of its demonstrations, with all
 # of them, from the first trajectory on.
@@ -84,14 +105,14 @@ class _InProcess:
         self._domain, self._seed, self._enough = domain, rules.seed, enough
         self._seconds = 0.0
         self._teacher = SimulatedTeacher(domain, reference_options(domain), teacher)
-        self._starts = LearnedStarts(domain, rules.strategy, until_no_failures=until_no_failures)
+        self._starts = StartStates(domain, rules, until_no_failures=until_no_failures)
         self._lesson = Lesson(
             domain, store, self._starts, rules, clock=lambda: self._seconds, today=lambda: ''
         )
         self._game = Game(domain)
         self._moment: Transition | None = None
         self._options: dict[str, LearnedOption] = {}
-        self._progress: dict[str, Progress] = {}  # by option
+        self._progress: dict[str, OptionStatus] = {}  # by option
 
     def run(self) -> Taught:
         """Do what the teacher does next, until it is done or gives up."""
@@ -108,25 +129,21 @@ class _InProcess:
 
     def _do(self, act: Act) -> None:
         self._seconds += SECONDS.get(type(act), 0.0)
-        lesson = self._lesson
         match act:
-            case Open():
-                _check(lesson.open_session(act.participant, act.session))
-            case Define():
-                _check(lesson.define_option(act.option_name))
-            case Reply():
-                lesson.answer_question(act.question_id, act.yes)
-            case Begin():
-                self._begin()
+            case Wait() | Finish():
+                raise LessonError(f'the teacher waits for {act}, and nothing is under way')
             case Drive():
                 self._drive(act)
-            case End():
-                self._end(act)
             case _:
-                raise LessonError(f'the teacher waits for {act}, and nothing is under way')
+                answer = self._lesson.carry_out(act)
+                if answer.status not in (RequestStatus.OK, RequestStatus.NO_FEATURE):
+                    raise LessonError(answer.detail)
+                if isinstance(act, BeginDemonstration):
+                    self._begin(answer)
+                if answer.demonstration is not None:
+                    self._learn(answer.demonstration)
 
-    def _begin(self) -> None:
-        prepared = _check(self._lesson.prepare())
+    def _begin(self, prepared: Answer) -> None:
         moment = self._game.reset(prepared.state, prepared.seed, Source.PERSON).moment
         if moment is None:
             raise LessonError(f'the game does not begin in {prepared.state}')
@@ -144,15 +161,6 @@ class _InProcess:
         self._moment = moment
         self._lesson.saw(moment)
 
-    def _end(self, act: End) -> None:
-        answer = _check(
-            self._lesson.end_demonstration(
-                act.verdict, act.episode, act.step, act.can_start_at_end
-            )
-        )
-        if answer.demonstration is not None:
-            self._learn(answer.demonstration)
-
     def _learn(self, newest: Demonstration) -> None:
         """Do the part of the learner, and tell the lesson."""
         name, enough = newest.option_name, False
@@ -163,11 +171,7 @@ class _InProcess:
             features = option.features
             self._starts.learned(newest.participant, name, option_to_json(option, []))
             enough = self._enough(shown, option)
-        self._progress[name] = Progress(newest.participant, name, features, newest.uuid, enough)
+        self._progress[name] = OptionStatus(
+            name, newest.participant, features, last_uuid=newest.uuid, criteria_met=enough
+        )
         self._lesson.learner_said(list(self._progress.values()))
-
-
-def _check(answer: Answer) -> Answer:
-    if not answer.ok:
-        raise LessonError(answer.detail)
-    return answer

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from humanopts_env.seeding import generator
-from humanopts_teach.teacher.simulated import TeacherSettings
+from humanopts_teach.lesson.simulated_teacher import TeacherSettings
 
 CAREFUL, VARIED = 'careful', 'varied'
 GROUPS = (CAREFUL, VARIED)

@@ -12,7 +12,7 @@ from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_teach.bags.demonstrations import read_domain
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.dialogue.lesson import LessonRules
+from humanopts_teach.lesson.start_states import LessonRules
 
 from experiments import paper
 from experiments.lessons import teach

@@ -30,7 +30,7 @@ from humanopts_interfaces.srv import (
     WithdrawDemonstration,
 )
 from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
-from humanopts_teach.demos.store import DemonstrationStore
+from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
 import rclpy
 from rclpy.context import Context

@@ -13,8 +13,8 @@ from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_teach.bags.demonstrations import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
-from humanopts_teach.dialogue.lesson import LessonRules
-from humanopts_teach.teacher.simulated import TeacherSettings
+from humanopts_teach.lesson.simulated_teacher import TeacherSettings
+from humanopts_teach.lesson.start_states import LessonRules
 import pytest
 
 from experiments.lessons import teach

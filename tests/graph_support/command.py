@@ -16,7 +16,7 @@ from typing import Any
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.bags.demonstrations import read_demonstrations
 from humanopts_teach.bags.reader import Bag
-from humanopts_teach.demos.entries import entry_from_line
+from humanopts_teach.lesson.store import entry_from_line
 
 from graph_support.live import free_domain_id
 

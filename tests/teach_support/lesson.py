@@ -8,9 +8,21 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_teach.demos.store import DemonstrationStore
-from humanopts_teach.dialogue.answers import Answer, Phase, Progress, Verdict
-from humanopts_teach.dialogue.lesson import Lesson, LessonRules
+from humanopts_teach.lesson.lesson import Lesson
+from humanopts_teach.lesson.requests import (
+    Answer,
+    AnswerQuestion,
+    BeginDemonstration,
+    DefineOption,
+    EndDemonstration,
+    OpenSession,
+    OptionStatus,
+    Phase,
+    Verdict,
+)
+from humanopts_teach.lesson.session_log import OptionHistory
+from humanopts_teach.lesson.start_states import LessonRules, StartStates
+from humanopts_teach.lesson.store import DemonstrationStore
 import numpy as np
 import pytest
 
@@ -21,33 +33,24 @@ START = 'taxi 0,1 passenger R destination G'
 OTHER = 'taxi 3,1 passenger B destination R'
 
 
-class Starts:
+class Starts(StartStates):
     """Start states without a learner: what is learned is set by the test."""
 
-    def __init__(self) -> None:
-        self.known: set[str] | None = None  # uuids counted in; None: all
-        self.more = False  # the strategy has something left to ask
+    known: set[str] | None = None  # uuids counted in; None: all
+    more = False  # the strategy has something left to ask
 
-    def choose(
-        self,
-        participant: str,
-        option_name: str,
-        demonstrations: Sequence[Demonstration],
-        rng: np.random.Generator,
-    ) -> Any:
-        return TAXI.sample_states(rng, 1)[0]
+    def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
+        if self.known is None or not option.n_trajectories:
+            return True
+        return (demonstration.uuid in self.known) != demonstration.withdrawn
 
-    def knows(self, demonstration: Demonstration) -> bool:
-        return self.known is None or (demonstration.uuid in self.known) != demonstration.withdrawn
-
-    def exhausted(
-        self,
-        participant: str,
-        option_name: str,
-        demonstrations: Sequence[Demonstration],
-        rng: np.random.Generator,
-    ) -> bool:
+    def exhausted(self, participant: str, option: OptionHistory) -> bool:
         return not self.more
+
+
+def status(participant: str = 'p1', **fields: Any) -> OptionStatus:
+    """Return what the learner says of the option."""
+    return OptionStatus(OPTION, participant, **{'features': CHOSEN, **fields})
 
 
 class Table:
@@ -55,7 +58,8 @@ class Table:
 
     def __init__(self, store: DemonstrationStore, *, budget: int = 5, seed: int = 0) -> None:
         self.store = store
-        self.starts = Starts()
+        rules = LessonRules('random', budget, seed)
+        self.starts = Starts(TAXI, rules)
         self.time = 100.0
         self.episode = 0
         self.here: Transition | None = None
@@ -63,20 +67,20 @@ class Table:
             TAXI,
             store,
             self.starts,
-            LessonRules('random', budget, seed),
+            rules,
             clock=lambda: self.time,
             today=lambda: '20260102',
         )
 
     def opened(self) -> 'Table':
         """Open a session."""
-        assert self.lesson.open_session('p1', 's1').ok
+        assert self.lesson.carry_out(OpenSession('p1', 's1')).ok
         return self
 
     def defined(self) -> 'Table':
         """Name the option, whose questions are now asked."""
         self.opened()
-        assert self.lesson.define_option(OPTION).ok
+        assert self.lesson.carry_out(DefineOption(OPTION)).ok
         return self
 
     def answer_all(self, chosen: Sequence[str] = CHOSEN) -> Answer:
@@ -84,7 +88,9 @@ class Table:
         for feature in TAXI.features:
             view = self.lesson.view
             assert view.question_feature == feature.name
-            answer = self.lesson.answer_question(view.question_id, feature.name in chosen)
+            answer = self.lesson.carry_out(
+                AnswerQuestion(view.question_id, feature.name in chosen)
+            )
         return answer
 
     def ready(self) -> 'Table':
@@ -95,7 +101,7 @@ class Table:
 
     def began(self, start_state: str = '') -> 'Table':
         """Let the game begin the episode that the lesson asks for."""
-        prepared = self.lesson.prepare(start_state)
+        prepared = self.lesson.carry_out(BeginDemonstration(start_state))
         assert prepared.ok, prepared
         self.episode += 1
         self.arrives(prepared.state)
@@ -130,12 +136,14 @@ class Table:
     def end(self, verdict: Verdict | None = Verdict.DONE, again: bool = False) -> Answer:
         """Give a verdict on the state that is there."""
         assert self.here is not None
-        return self.lesson.end_demonstration(verdict, self.here.episode, self.here.step, again)
+        return self.lesson.carry_out(
+            EndDemonstration(verdict, self.here.episode, self.here.step, again)
+        )
 
     def learned(self, *, met: bool = False, features: tuple[str, ...] = CHOSEN) -> None:
         """Let the learner tell that the newest demonstration is counted in."""
         self.lesson.learner_said(
-            [Progress('p1', OPTION, features, self.lesson.awaited or 'old', met)]
+            [status(features=features, last_uuid=self.lesson.awaited or 'old', criteria_met=met)]
         )
 
     def shown(self) -> 'Table':
@@ -148,7 +156,7 @@ class Table:
 
 def preparing(table: Table) -> Table:
     """Ask for an episode, which has not begun."""
-    assert table.ready().lesson.prepare().ok
+    assert table.ready().lesson.carry_out(BeginDemonstration()).ok
     return table
 
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from humanopts_teach.bags.info import summarise
     from humanopts_teach.bags.reader import Bag, open_bag
     from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag
+    from humanopts_teach.lesson.simulated_teacher import SimulatedTeacher, TeacherSettings
     from humanopts_teach.report.write import write_evaluation_report
-    from humanopts_teach.teacher.simulated import SimulatedTeacher, TeacherSettings
 
 __all__ = [
     'Bag',
@@ -40,6 +40,6 @@ __getattr__, __dir__ = lazy_names(
         'humanopts_teach.bags.reader': ('Bag', 'open_bag'),
         'humanopts_teach.evaluation.bag_evaluation': ('BagEvaluation', 'evaluate_bag'),
         'humanopts_teach.report.write': ('write_evaluation_report',),
-        'humanopts_teach.teacher.simulated': ('SimulatedTeacher', 'TeacherSettings'),
+        'humanopts_teach.lesson.simulated_teacher': ('SimulatedTeacher', 'TeacherSettings'),
     },
 )

@@ -9,7 +9,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain, parameters_json, reference_options
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_teach.demos.store import DemonstrationStore
+from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
 from teach_support.lesson import Table
 

@@ -10,12 +10,11 @@ from humanopts_learner.options.failures import survey
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_teach.dialogue.learned_starts import LearnedStarts
-import numpy as np
+from humanopts_teach.lesson.session_log import OptionHistory
+from humanopts_teach.lesson.start_states import LessonRules, StartStates
 import pytest
 
 OPTION = 'go to passenger and pickup'
-RNG = np.random.default_rng
 
 
 @pytest.fixture(scope='module')
@@ -30,41 +29,59 @@ def option(taxi: Domain[Any], shown: list[Demonstration]) -> LearnedOption:
     return learn_option(shown, taxi, 0)
 
 
-def starts(taxi: Domain[Any], strategy: str = 'failures', until: bool = True) -> LearnedStarts:
-    return LearnedStarts(taxi, strategy, until_no_failures=until)
+def starts(
+    taxi: Domain[Any], strategy: str = 'failures', until: bool = True, seed: int = 0
+) -> StartStates:
+    rules = LessonRules(strategy, seed=seed)
+    return StartStates(taxi, rules, until_no_failures=until)
+
+
+@pytest.fixture
+def history(taxi: Domain[Any], shown: list[Demonstration]) -> OptionHistory:
+    """The option with these demonstrations."""
+    found = OptionHistory(OPTION, taxi.features)
+    for demo in shown:
+        found.add(demo)
+    return found
 
 
 def test_failures_asks_for_a_state_where_the_learned_option_fails(
-    taxi: Any, shown: list[Demonstration], option: LearnedOption
+    taxi: Any, shown: list[Demonstration], option: LearnedOption, history: OptionHistory
 ) -> None:
     failing = survey(option, taxi, shown).failing
     assert failing.any()
-    chooser = starts(taxi)
-    chooser.learned('p1', OPTION, option_to_json(option, []))
-    drawn = [chooser.choose('p1', OPTION, shown, RNG(seed)) for seed in range(5)]
-    assert all(failing[taxi.index(state)] for state in drawn)
+    for seed in range(5):
+        chooser = starts(taxi, seed=seed)
+        chooser.learned('p1', OPTION, option_to_json(option, []))
+        assert failing[taxi.index(taxi.decode(chooser.draw('p1', history)))]
 
 
-def test_it_knows_the_demonstrations_that_the_newest_option_was_learned_from(
-    taxi: Any, shown: list[Demonstration], option: LearnedOption
+def test_it_counts_the_demonstrations_that_the_newest_option_was_learned_from(
+    taxi: Any, shown: list[Demonstration], option: LearnedOption, history: OptionHistory
 ) -> None:
     chooser = starts(taxi)
     newer = replace(shown[0], uuid='a newer one')
-    assert not chooser.knows(shown[0])
+    assert not chooser.counts(history, shown[0])
     chooser.learned('p1', OPTION, option_to_json(option, []))
-    assert all(chooser.knows(demo) for demo in shown)
-    assert not chooser.knows(newer)
-    assert not chooser.knows(replace(shown[0], participant='p2'))
-    assert starts(taxi, 'random').knows(newer)
+    assert all(chooser.counts(history, demo) for demo in shown)
+    assert not chooser.counts(history, newer)
+    assert not chooser.counts(history, replace(shown[0], participant='p2'))
+    assert starts(taxi, 'random').counts(history, newer)
+
+
+def test_not_here_alone_teaches_it_nothing_to_wait_for(
+    taxi: Any, shown: list[Demonstration]
+) -> None:
+    assert starts(taxi).counts(OptionHistory(OPTION, taxi.features), shown[0])
 
 
 def test_it_knows_that_one_is_withdrawn_once_the_option_is_learned_without_it(
-    taxi: Any, shown: list[Demonstration], option: LearnedOption
+    taxi: Any, shown: list[Demonstration], option: LearnedOption, history: OptionHistory
 ) -> None:
     chooser = starts(taxi)
     chooser.learned('p1', OPTION, option_to_json(option, []))
-    assert not chooser.knows(replace(shown[0], withdrawn=True))
-    assert chooser.knows(replace(shown[0], uuid='left out', withdrawn=True))
+    assert not chooser.counts(history, replace(shown[0], withdrawn=True))
+    assert chooser.counts(history, replace(shown[0], uuid='left out', withdrawn=True))
 
 
 @pytest.mark.parametrize(
@@ -73,15 +90,15 @@ def test_it_knows_that_one_is_withdrawn_once_the_option_is_learned_without_it(
 )
 def test_only_failures_goes_on_when_the_criteria_hold(
     taxi: Any,
-    shown: list[Demonstration],
     option: LearnedOption,
+    history: OptionHistory,
     strategy: str,
     until: bool,
     exhausted: bool,
 ) -> None:
     chooser = starts(taxi, strategy, until)
     chooser.learned('p1', OPTION, option_to_json(option, []))
-    assert chooser.exhausted('p1', OPTION, shown, RNG(0)) is exhausted
+    assert chooser.exhausted('p1', history) is exhausted
 
 
 @pytest.mark.parametrize('text', ['{}', 'not JSON'])

@@ -5,8 +5,14 @@ from pathlib import Path
 
 from humanopts_env.game import Source
 from humanopts_learner.demonstrations import Kind
-from humanopts_teach.demos.store import DemonstrationStore
-from humanopts_teach.dialogue.answers import Phase, Status, Verdict
+from humanopts_teach.lesson.requests import (
+    BeginDemonstration,
+    EndDemonstration,
+    Phase,
+    RequestStatus,
+    Verdict,
+)
+from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
 from teach_support.lesson import CHOSEN, fill_disk, OPTION, preparing, START, Table, TAXI
 
@@ -40,13 +46,13 @@ def test_not_here_is_one_state_without_steps(table: Table) -> None:
 @pytest.mark.parametrize(
     ('steps', 'verdict', 'status'),
     [
-        ((), Verdict.DONE, Status.NO_STEPS),
-        (('west',), Verdict.NOT_HERE, Status.STEPS_TAKEN),
-        (('west',), None, Status.BAD_VERDICT),
+        ((), Verdict.DONE, RequestStatus.NO_STEPS),
+        (('west',), Verdict.NOT_HERE, RequestStatus.STEPS_TAKEN),
+        (('west',), None, RequestStatus.BAD_VERDICT),
     ],
 )
 def test_a_verdict_that_does_not_fit_lets_the_demonstration_go_on(
-    table: Table, steps: tuple[str, ...], verdict: Verdict | None, status: Status
+    table: Table, steps: tuple[str, ...], verdict: Verdict | None, status: RequestStatus
 ) -> None:
     table.ready().began(START).drive(*steps)
     assert table.end(verdict).status is status
@@ -58,8 +64,8 @@ def test_a_verdict_on_another_state_is_not_carried_out(
     table: Table, episode: int, step: int
 ) -> None:
     table.ready().began(START).drive('west')
-    answer = table.lesson.end_demonstration(Verdict.DONE, episode, step, False)
-    assert answer.status is Status.NOT_CURRENT
+    answer = table.lesson.carry_out(EndDemonstration(Verdict.DONE, episode, step, False))
+    assert answer.status is RequestStatus.NOT_CURRENT
     assert 'episode 1 step 1' in answer.detail
     assert table.end().ok
 
@@ -75,7 +81,7 @@ def test_the_state_that_a_verdict_names_may_still_be_on_its_way(table: Table) ->
 def test_a_discarded_demonstration_can_be_tried_again_from_the_same_state(table: Table) -> None:
     first = table.ready().began().lesson.view.start_state
     table.drive('west')
-    assert table.lesson.end_demonstration(Verdict.DISCARD, 0, 0, False).ok
+    assert table.lesson.carry_out(EndDemonstration(Verdict.DISCARD, 0, 0, False)).ok
     view = table.lesson.view
     assert (view.phase, view.n_demonstrations, view.episode) == (Phase.READY, 0, 0)
     assert table.began().lesson.view.start_state == first
@@ -110,23 +116,23 @@ def test_start_states_depend_on_seed_person_option_and_number_alone(
     ],
 )
 def test_a_start_state_must_be_one_to_demonstrate_from(table: Table, text: str, says: str) -> None:
-    answer = table.ready().lesson.prepare(text)
-    assert answer.status is Status.BAD_STATE
+    answer = table.ready().lesson.carry_out(BeginDemonstration(text))
+    assert answer.status is RequestStatus.BAD_STATE
     assert says in answer.detail
-    assert table.lesson.prepare().ok
+    assert table.lesson.carry_out(BeginDemonstration()).ok
 
 
 def test_a_game_that_does_not_answer_leaves_the_lesson_ready(table: Table) -> None:
     preparing(table)
-    answer = table.lesson.not_begun(Status.NO_GAME, 'game did not answer within 5 s')
-    assert answer.status is Status.NO_GAME
+    answer = table.lesson.not_begun(RequestStatus.NO_GAME, 'game did not answer within 5 s')
+    assert answer.status is RequestStatus.NO_GAME
     assert table.lesson.phase is Phase.READY
     assert 'game did not answer' in table.lesson.view.text
-    assert table.lesson.prepare().ok
+    assert table.lesson.carry_out(BeginDemonstration()).ok
 
 
 def test_the_first_state_may_come_before_or_after_games_answer(table: Table) -> None:
-    state = table.ready().lesson.prepare().state
+    state = table.ready().lesson.carry_out(BeginDemonstration()).state
     table.episode = 4
     table.lesson.began(4, state)
     assert not table.lesson.reached(4, 0)
@@ -136,7 +142,7 @@ def test_the_first_state_may_come_before_or_after_games_answer(table: Table) -> 
 
 
 def test_late_states_of_earlier_episodes_do_not_end_a_demonstration(table: Table) -> None:
-    state = table.ready().lesson.prepare().state
+    state = table.ready().lesson.carry_out(BeginDemonstration()).state
     table.lesson.began(4, state)
     table.episode = 3
     table.arrives(START)
@@ -155,11 +161,11 @@ def test_a_reset_by_somebody_else_ends_the_demonstration(table: Table) -> None:
     assert view.phase is Phase.READY
     assert 'reset by somebody else' in view.text
     assert table.lesson.demonstrations() == []
-    assert table.end().status is Status.WRONG_PHASE
+    assert table.end().status is RequestStatus.WRONG_PHASE
 
 
 def test_a_reset_before_the_first_state_came_ends_the_demonstration(table: Table) -> None:
-    table.lesson.began(1, table.ready().lesson.prepare(START).state)
+    table.lesson.began(1, table.ready().lesson.carry_out(BeginDemonstration(START)).state)
     table.episode = 2
     assert table.arrives(START)
     assert 'reset by somebody else' in table.lesson.view.text
@@ -180,7 +186,7 @@ def test_a_lost_state_ends_the_demonstration(table: Table) -> None:
 
 
 def test_an_episode_that_begins_elsewhere_is_not_the_one_asked_for(table: Table) -> None:
-    table.lesson.began(1, table.ready().lesson.prepare(START).state)
+    table.lesson.began(1, table.ready().lesson.carry_out(BeginDemonstration(START)).state)
     table.episode = 1
     assert table.arrives('taxi 4,4 passenger B destination R')
     assert 'began in taxi 4,4' in table.lesson.view.text
@@ -197,7 +203,7 @@ def test_steps_that_break_the_rules_are_refused_and_discarded(table: Table) -> N
     )
     table.lesson.saw(table.here)
     answer = table.end()
-    assert answer.status is Status.REFUSED
+    assert answer.status is RequestStatus.REFUSED
     assert 'north does not lead' in answer.detail
     assert table.lesson.phase is Phase.READY
     assert table.lesson.demonstrations() == []
@@ -226,7 +232,7 @@ def test_what_cannot_be_written_is_not_lost_and_can_be_tried_again(
     with monkeypatch.context() as patch:
         fill_disk(patch)
         answer = table.end()
-        assert answer.status is Status.NOT_SAVED
+        assert answer.status is RequestStatus.NOT_SAVED
         assert 'disk is full' in answer.detail
         assert table.lesson.phase is Phase.DEMONSTRATING
     assert table.end().ok

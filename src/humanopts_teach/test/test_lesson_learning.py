@@ -2,9 +2,17 @@
 
 from dataclasses import replace
 
-from humanopts_teach.demos.entries import Entry
-from humanopts_teach.demos.store import DemonstrationStore
-from humanopts_teach.dialogue.answers import Phase, Progress, Status, Verdict
+from humanopts_teach.lesson.requests import (
+    AnswerQuestion,
+    BeginDemonstration,
+    DefineOption,
+    OpenSession,
+    Phase,
+    RequestStatus,
+    Verdict,
+    WithdrawDemonstration,
+)
+from humanopts_teach.lesson.store import DemonstrationStore, Entry
 import pytest
 from teach_support.lesson import (
     CHOSEN,
@@ -15,15 +23,16 @@ from teach_support.lesson import (
     OTHER,
     spent,
     START,
+    status,
     Table,
 )
 
 
 def test_the_lesson_waits_until_the_newest_demonstration_is_counted_in(table: Table) -> None:
     learning(table)
-    table.lesson.learner_said([Progress('p1', OPTION, CHOSEN, 'older', True)])
+    table.lesson.learner_said([status(last_uuid='older', criteria_met=True)])
     assert table.lesson.phase is Phase.LEARNING
-    table.lesson.learner_said([Progress('p2', OPTION, CHOSEN, table.lesson.awaited, True)])
+    table.lesson.learner_said([status('p2', last_uuid=table.lesson.awaited, criteria_met=True)])
     assert table.lesson.phase is Phase.LEARNING
     table.learned()
     assert table.lesson.phase is Phase.READY
@@ -34,7 +43,7 @@ def test_the_lesson_waits_until_start_states_know_of_the_demonstration(table: Ta
     learning(table).learned()
     assert table.lesson.phase is Phase.LEARNING
     table.starts.known.add(table.lesson.awaited)
-    table.lesson.starts_know_more()
+    table.lesson.starts_learned()
     assert table.lesson.phase is Phase.READY
 
 
@@ -65,9 +74,9 @@ def test_criteria_that_hold_finish_the_option(table: Table) -> None:
     view = met(table).lesson.view
     assert (view.phase, view.criteria_met) == (Phase.FINISHED, True)
     assert 'All criteria hold' in view.text
-    assert table.lesson.define_option('the next').ok
+    assert table.lesson.carry_out(DefineOption('the next')).ok
     assert table.lesson.phase is Phase.ASKING
-    table.lesson.define_option(OPTION)
+    table.lesson.carry_out(DefineOption(OPTION))
     assert table.lesson.phase is Phase.FINISHED
 
 
@@ -94,12 +103,12 @@ def test_the_budget_ends_the_lesson_whatever_the_criteria_say(table: Table, not_
         table.learned()
     assert table.lesson.phase is Phase.FINISHED
     assert 'budget of 5 is spent. Not all criteria hold.' in table.lesson.view.text
-    assert table.lesson.prepare().status is Status.BUDGET_SPENT
+    assert table.lesson.carry_out(BeginDemonstration()).status is RequestStatus.BUDGET_SPENT
 
 
 def test_the_budget_counts_for_each_option(table: Table) -> None:
     spent(table)
-    assert table.lesson.define_option('another').ok
+    assert table.lesson.carry_out(DefineOption('another')).ok
     table.answer_all()
     assert table.lesson.phase is Phase.READY
 
@@ -108,15 +117,15 @@ def test_a_lesson_is_taken_up_after_a_restart_where_it_was_left(
     store: DemonstrationStore,
 ) -> None:
     table = Table(store).ready().shown()
-    table.lesson.define_option('half asked')
-    table.lesson.answer_question(table.lesson.view.question_id, True)
+    table.lesson.carry_out(DefineOption('half asked'))
+    table.lesson.carry_out(AnswerQuestion(table.lesson.view.question_id, True))
     left = table.lesson.view
 
     resumed = Table(store)
-    answer = resumed.lesson.open_session('p1', 's1')
+    answer = resumed.lesson.carry_out(OpenSession('p1', 's1'))
     assert answer.known_options == (OPTION, 'half asked')
     assert resumed.lesson.view == left
-    assert resumed.lesson.define_option(OPTION).resumed
+    assert resumed.lesson.carry_out(DefineOption(OPTION)).resumed
     assert resumed.lesson.view.chosen_features == CHOSEN
     kept = resumed.began().drive('west').end().demonstration
     assert kept is not None
@@ -129,15 +138,15 @@ def test_another_session_begins_without_an_option_and_keeps_the_counts(
 ) -> None:
     Table(store).ready().shown()
     resumed = Table(store)
-    assert resumed.lesson.open_session('p1', 's2').known_options == (OPTION,)
+    assert resumed.lesson.carry_out(OpenSession('p1', 's2')).known_options == (OPTION,)
     assert resumed.lesson.phase is Phase.NO_OPTION
-    resumed.lesson.define_option(OPTION)
+    resumed.lesson.carry_out(DefineOption(OPTION))
     assert resumed.lesson.view.n_demonstrations == 1
 
 
 def test_participants_and_domains_are_kept_apart(store: DemonstrationStore) -> None:
     Table(store).ready().shown()
-    assert Table(store).lesson.open_session('p2', 's1').known_options == ()
+    assert Table(store).lesson.carry_out(OpenSession('p2', 's1')).known_options == ()
     other: list[Entry] = [
         replace(demo, domain_parameters='{"rows": 9}')
         for demo in Table(store).lesson.demonstrations()
@@ -161,7 +170,7 @@ def test_the_newest_demonstration_can_be_taken_back_and_shown_anew(table: Table)
     table.began(OTHER).drive('west').end()
     table.learned()
     newest = table.lesson.view.last_uuid
-    answer = table.lesson.withdraw(newest)
+    answer = table.lesson.carry_out(WithdrawDemonstration(newest))
     assert answer.ok
     assert answer.demonstration is not None
     assert (answer.demonstration.uuid, answer.demonstration.withdrawn) == (newest, True)
@@ -169,15 +178,15 @@ def test_the_newest_demonstration_can_be_taken_back_and_shown_anew(table: Table)
     assert (view.phase, view.n_demonstrations, view.last_uuid) == (Phase.LEARNING, 1, first)
     table.learned()
     assert table.lesson.phase is Phase.LEARNING  # the learner has not counted it out yet
-    table.lesson.learner_said([Progress('p1', OPTION, CHOSEN, first, False)])
-    assert table.lesson.prepare().state == OTHER
+    table.lesson.learner_said([status(last_uuid=first)])
+    assert table.lesson.carry_out(BeginDemonstration()).state == OTHER
 
 
 def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
     table: Table,
 ) -> None:
     spent(table)
-    assert table.lesson.withdraw().ok
+    assert table.lesson.carry_out(WithdrawDemonstration()).ok
     table.lesson.learner_said([])
     assert table.lesson.phase is Phase.READY
     again = table.began().drive('west').end().demonstration
@@ -187,7 +196,7 @@ def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
 
 def test_a_lesson_that_was_finished_goes_on_without_what_made_it_so(table: Table) -> None:
     met(table)
-    assert table.lesson.withdraw().ok
+    assert table.lesson.carry_out(WithdrawDemonstration()).ok
     table.lesson.learner_said([])  # the option has no demonstration left
     assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
 
@@ -196,11 +205,11 @@ def test_only_the_newest_of_the_option_that_is_taught_can_be_taken_back(table: T
     table.ready().shown()
     older = table.lesson.view.last_uuid
     table.shown()
-    refused = table.lesson.withdraw(older)
-    assert refused.status is Status.NO_DEMONSTRATION
+    refused = table.lesson.carry_out(WithdrawDemonstration(older))
+    assert refused.status is RequestStatus.NO_DEMONSTRATION
     assert older in refused.detail
-    table.lesson.define_option('another')
-    assert table.lesson.withdraw().status is Status.NO_DEMONSTRATION
+    table.lesson.carry_out(DefineOption('another'))
+    assert table.lesson.carry_out(WithdrawDemonstration()).status is RequestStatus.NO_DEMONSTRATION
     assert table.lesson.demonstrations()[1].withdrawn is False
 
 
@@ -209,9 +218,9 @@ def test_what_was_taken_back_stays_so_after_a_restart_and_is_told_to_the_learner
 ) -> None:
     table = Table(store).ready().shown().shown()
     newest = table.lesson.view.last_uuid
-    table.lesson.withdraw()
+    table.lesson.carry_out(WithdrawDemonstration())
     resumed = Table(store)
-    resumed.lesson.open_session('p1', 's1')
+    resumed.lesson.carry_out(OpenSession('p1', 's1'))
     assert resumed.lesson.view.n_demonstrations == 1
     told = [(demo.uuid, demo.withdrawn) for demo in resumed.lesson.demonstrations()]
     assert told == [(resumed.lesson.view.last_uuid, False), (newest, True)]
@@ -223,17 +232,17 @@ def test_a_withdrawal_that_cannot_be_written_changes_nothing(
     view = table.ready().shown().lesson.view
     with monkeypatch.context() as patch:
         fill_disk(patch)
-        assert table.lesson.withdraw().status is Status.NOT_SAVED
+        assert table.lesson.carry_out(WithdrawDemonstration()).status is RequestStatus.NOT_SAVED
     assert table.lesson.view == view
-    assert table.lesson.withdraw().ok
+    assert table.lesson.carry_out(WithdrawDemonstration()).ok
 
 
 def test_a_learner_that_does_not_take_a_withdrawal_is_quoted(table: Table) -> None:
-    table.ready().shown().lesson.withdraw()
+    table.ready().shown().lesson.carry_out(WithdrawDemonstration())
     table.lesson.learner_refused(table.lesson.awaited, 'cannot write')
     assert table.lesson.phase is Phase.READY
     assert 'did not take the demonstration back: cannot write' in table.lesson.view.text
-    table.shown().lesson.withdraw()
+    table.shown().lesson.carry_out(WithdrawDemonstration())
     table.lesson.learner_silent()
     assert 'taken back is on disk' in table.lesson.view.text
 
@@ -242,23 +251,23 @@ def test_start_states_are_drawn_only_once_they_know_of_a_withdrawal(table: Table
     table.ready().shown().shown()
     uuid = table.lesson.view.last_uuid
     table.starts.known = {uuid}
-    table.lesson.withdraw()
+    table.lesson.carry_out(WithdrawDemonstration())
     table.lesson.learner_said([])
     assert table.lesson.phase is Phase.LEARNING
     table.starts.known.clear()
-    table.lesson.starts_know_more()
+    table.lesson.starts_learned()
     assert table.lesson.phase is Phase.READY
 
 
 @pytest.mark.parametrize('how', ['silent', 'refused'])
 def test_criteria_that_rest_on_what_was_taken_back_hold_no_more(table: Table, how: str) -> None:
-    met(table).lesson.withdraw()
+    met(table).lesson.carry_out(WithdrawDemonstration())
     if how == 'silent':
         table.lesson.learner_silent()
     else:
         table.lesson.learner_refused(table.lesson.awaited, 'cannot write')
     assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
-    assert table.lesson.prepare().ok
+    assert table.lesson.carry_out(BeginDemonstration()).ok
 
 
 def test_what_was_taken_back_is_shown_anew_after_a_restart_and_another_option_too(
@@ -267,15 +276,15 @@ def test_what_was_taken_back_is_shown_anew_after_a_restart_and_another_option_to
     table = Table(store).ready().began(OTHER).drive('west')
     assert table.end().ok
     table.learned()
-    table.lesson.withdraw()
+    table.lesson.carry_out(WithdrawDemonstration())
     resumed = Table(store)
-    resumed.lesson.open_session('p1', 's1')
-    resumed.lesson.define_option('another')
-    resumed.lesson.define_option(OPTION)
+    resumed.lesson.carry_out(OpenSession('p1', 's1'))
+    resumed.lesson.carry_out(DefineOption('another'))
+    resumed.lesson.carry_out(DefineOption(OPTION))
     assert resumed.began().lesson.view.start_state == OTHER
     assert resumed.drive('west').end().ok
     resumed.learned()
-    assert resumed.lesson.prepare().state != OTHER
+    assert resumed.lesson.carry_out(BeginDemonstration()).state != OTHER
 
 
 def test_what_was_taken_back_is_shown_anew_one_by_one(table: Table) -> None:
@@ -284,7 +293,7 @@ def test_what_was_taken_back_is_shown_anew_one_by_one(table: Table) -> None:
         assert table.began(start).drive('west').end().ok
         table.learned()
     for _ in range(2):
-        assert table.lesson.withdraw().ok
+        assert table.lesson.carry_out(WithdrawDemonstration()).ok
         table.lesson.learner_said([])
     for start in (START, OTHER):
         assert table.began().lesson.view.start_state == start
@@ -297,12 +306,12 @@ def test_questions_that_are_asked_again_keep_what_was_chosen_before(
 ) -> None:
     table = Table(store).ready()
     assert table.lesson.view.earlier_features == ()
-    table.lesson.define_option(OPTION, ask_again=True)
-    table.lesson.answer_question(table.lesson.view.question_id, False)
+    table.lesson.carry_out(DefineOption(OPTION, ask_again=True))
+    table.lesson.carry_out(AnswerQuestion(table.lesson.view.question_id, False))
     resumed = Table(store).opened()
     assert (resumed.lesson.view.phase, resumed.lesson.view.chosen_features) == (Phase.ASKING, ())
     assert resumed.lesson.view.earlier_features == CHOSEN
-    resumed.lesson.define_option(OPTION, ask_again=True)
+    resumed.lesson.carry_out(DefineOption(OPTION, ask_again=True))
     assert resumed.lesson.view.earlier_features == CHOSEN
     assert resumed.answer_all().ok
     assert resumed.lesson.view.earlier_features == ()

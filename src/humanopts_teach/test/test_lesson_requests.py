@@ -2,7 +2,18 @@
 
 from collections.abc import Callable
 
-from humanopts_teach.dialogue.answers import Answer, Phase, Status, Verdict
+from humanopts_teach.lesson.requests import (
+    Answer,
+    AnswerQuestion,
+    BeginDemonstration,
+    DefineOption,
+    EndDemonstration,
+    OpenSession,
+    Phase,
+    RequestStatus,
+    Verdict,
+    WithdrawDemonstration,
+)
 import pytest
 from teach_support.lesson import (
     CHOSEN,
@@ -18,29 +29,39 @@ from teach_support.lesson import (
 
 # What each request answers in each phase.
 TABLE = [
-    ('open_session', dict.fromkeys(Phase, Status.OK) | {Phase.DEMONSTRATING: Status.WRONG_PHASE}),
+    (
+        'open_session',
+        dict.fromkeys(Phase, RequestStatus.OK) | {Phase.DEMONSTRATING: RequestStatus.WRONG_PHASE},
+    ),
     (
         'define_option',
-        dict.fromkeys(Phase, Status.OK)
-        | dict.fromkeys((Phase.NO_SESSION, Phase.DEMONSTRATING), Status.WRONG_PHASE),
+        dict.fromkeys(Phase, RequestStatus.OK)
+        | dict.fromkeys((Phase.NO_SESSION, Phase.DEMONSTRATING), RequestStatus.WRONG_PHASE),
     ),
-    ('answer_question', dict.fromkeys(Phase, Status.NOT_ASKED) | {Phase.ASKING: Status.OK}),
-    ('prepare', dict.fromkeys(Phase, Status.WRONG_PHASE) | {Phase.READY: Status.OK}),
+    (
+        'answer_question',
+        dict.fromkeys(Phase, RequestStatus.NOT_ASKED) | {Phase.ASKING: RequestStatus.OK},
+    ),
+    ('prepare', dict.fromkeys(Phase, RequestStatus.WRONG_PHASE) | {Phase.READY: RequestStatus.OK}),
     (
         'withdraw',
-        dict.fromkeys(Phase, Status.WRONG_PHASE)
-        | dict.fromkeys((Phase.ASKING, Phase.READY), Status.NO_DEMONSTRATION)
-        | {Phase.FINISHED: Status.OK},
+        dict.fromkeys(Phase, RequestStatus.WRONG_PHASE)
+        | dict.fromkeys((Phase.ASKING, Phase.READY), RequestStatus.NO_DEMONSTRATION)
+        | {Phase.FINISHED: RequestStatus.OK},
     ),
-    ('end', dict.fromkeys(Phase, Status.WRONG_PHASE) | {Phase.DEMONSTRATING: Status.NO_STEPS}),
+    (
+        'end',
+        dict.fromkeys(Phase, RequestStatus.WRONG_PHASE)
+        | {Phase.DEMONSTRATING: RequestStatus.NO_STEPS},
+    ),
 ]
 REQUESTS: dict[str, Callable[[Table], Answer]] = {
-    'open_session': lambda table: table.lesson.open_session('p2', ''),
-    'define_option': lambda table: table.lesson.define_option('another'),
-    'answer_question': lambda table: table.lesson.answer_question(1, True),
-    'prepare': lambda table: table.lesson.prepare(),
-    'withdraw': lambda table: table.lesson.withdraw(),
-    'end': lambda table: table.lesson.end_demonstration(Verdict.DONE, 1, 0, False),
+    'open_session': lambda table: table.lesson.carry_out(OpenSession('p2', '')),
+    'define_option': lambda table: table.lesson.carry_out(DefineOption('another')),
+    'answer_question': lambda table: table.lesson.carry_out(AnswerQuestion(1, True)),
+    'prepare': lambda table: table.lesson.carry_out(BeginDemonstration()),
+    'withdraw': lambda table: table.lesson.carry_out(WithdrawDemonstration()),
+    'end': lambda table: table.lesson.carry_out(EndDemonstration(Verdict.DONE, 1, 0, False)),
 }
 FULL = 'recording stopped: the disk is full'
 NEW_THINGS = ['open_session', 'define_option', 'answer_question', 'prepare', 'withdraw']
@@ -49,7 +70,7 @@ NEW_THINGS = ['open_session', 'define_option', 'answer_question', 'prepare', 'wi
 @pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
 @pytest.mark.parametrize(('request_name', 'statuses'), TABLE)
 def test_every_request_is_answered_in_every_phase(
-    table: Table, phase: Phase, request_name: str, statuses: dict[Phase, Status]
+    table: Table, phase: Phase, request_name: str, statuses: dict[Phase, RequestStatus]
 ) -> None:
     TO_PHASE[phase](table)
     assert table.lesson.phase is phase
@@ -68,7 +89,10 @@ def test_while_it_is_paused_nothing_new_begins_and_then_all_goes_on(
     view = TO_PHASE[phase](table).lesson.view
     table.lesson.pause(FULL)
     answer = REQUESTS[name](table)
-    assert (answer.status, answer.detail) == (Status.PAUSED, f'the lesson is paused: {FULL}')
+    assert (answer.status, answer.detail) == (
+        RequestStatus.PAUSED,
+        f'the lesson is paused: {FULL}',
+    )
     paused = table.lesson.view
     assert (paused.phase, paused.paused) == (phase, FULL)
     assert paused.text
@@ -82,7 +106,7 @@ def test_a_demonstration_under_way_is_kept_while_paused_and_said_to_be_unrecorde
 ) -> None:
     table.ready().began(START).drive('west')
     table.lesson.pause(FULL)
-    assert table.drive('west').end(Verdict.NOT_HERE).status is Status.STEPS_TAKEN
+    assert table.drive('west').end(Verdict.NOT_HERE).status is RequestStatus.STEPS_TAKEN
     answer = table.end()
     assert answer.ok
     assert 'not in this recording: the next one has it' in answer.detail
@@ -98,16 +122,16 @@ def test_a_demonstration_under_way_can_be_discarded_while_paused(table: Table) -
     table.lesson.pause(FULL)
     assert table.end(Verdict.DISCARD).ok
     table.lesson.pause('')
-    assert table.lesson.prepare().state == START
+    assert table.lesson.carry_out(BeginDemonstration()).state == START
 
 
 def test_an_episode_that_begins_after_the_pause_is_no_demonstration(table: Table) -> None:
-    table.ready().lesson.prepare(START)
+    table.ready().lesson.carry_out(BeginDemonstration(START))
     table.lesson.pause(FULL)
-    assert table.lesson.began(1, START).status is Status.PAUSED
+    assert table.lesson.began(1, START).status is RequestStatus.PAUSED
     assert table.lesson.phase is Phase.READY
     table.lesson.pause('')
-    assert table.lesson.prepare().ok
+    assert table.lesson.carry_out(BeginDemonstration()).ok
 
 
 @pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
@@ -122,28 +146,30 @@ def test_nothing_comes_between_the_request_for_an_episode_and_its_start(
     table: Table, name: str
 ) -> None:
     answer = REQUESTS[name](preparing(table))
-    assert answer.status in (Status.WRONG_PHASE, Status.NOT_ASKED)
+    assert answer.status in (RequestStatus.WRONG_PHASE, RequestStatus.NOT_ASKED)
 
 
 @pytest.mark.parametrize(
     ('participant', 'session'), [('', 's1'), ('a b', ''), ('../x', ''), ('p1', 's/1')]
 )
 def test_a_session_needs_codes(table: Table, participant: str, session: str) -> None:
-    assert table.lesson.open_session(participant, session).status is Status.BAD_NAME
+    assert (
+        table.lesson.carry_out(OpenSession(participant, session)).status is RequestStatus.BAD_NAME
+    )
     assert table.lesson.phase is Phase.NO_SESSION
 
 
 def test_a_new_session_is_named_after_the_day_and_counted(table: Table) -> None:
-    assert table.lesson.open_session('p1', '').session == '20260102-1'
-    assert table.lesson.open_session('p1', '').session == '20260102-2'
-    assert table.lesson.open_session('p2', '').session == '20260102-1'
+    assert table.lesson.carry_out(OpenSession('p1', '')).session == '20260102-1'
+    assert table.lesson.carry_out(OpenSession('p1', '')).session == '20260102-2'
+    assert table.lesson.carry_out(OpenSession('p2', '')).session == '20260102-1'
 
 
 @pytest.mark.parametrize(
     'name', ['', '   ', 'x' * 61, 'two\nlines', 'bell\a', 'action:north', '\u200b']
 )
 def test_an_option_needs_a_name_that_can_be_shown(table: Table, name: str) -> None:
-    assert table.opened().lesson.define_option(name).status is Status.BAD_NAME
+    assert table.opened().lesson.carry_out(DefineOption(name)).status is RequestStatus.BAD_NAME
     assert table.lesson.phase is Phase.NO_OPTION
 
 
@@ -157,15 +183,15 @@ def test_one_question_is_asked_for_each_feature_in_the_words_of_the_paper(table:
 
 
 def test_an_answer_to_another_question_changes_nothing(table: Table) -> None:
-    table.defined().lesson.answer_question(1, True)
-    again = table.lesson.answer_question(1, True)
-    assert again.status is Status.NOT_ASKED
+    table.defined().lesson.carry_out(AnswerQuestion(1, True))
+    again = table.lesson.carry_out(AnswerQuestion(1, True))
+    assert again.status is RequestStatus.NOT_ASKED
     assert 'question 2 is' in again.detail
     assert table.lesson.view.question_id == 2
 
 
 def test_the_questions_are_asked_again_when_all_answers_are_no(table: Table) -> None:
-    assert table.defined().answer_all(()).status is Status.NO_FEATURE
+    assert table.defined().answer_all(()).status is RequestStatus.NO_FEATURE
     view = table.lesson.view
     assert view.phase is Phase.ASKING
     assert (view.question_feature, view.question_id) == (TAXI.features[0].name, 11)
@@ -175,8 +201,8 @@ def test_the_questions_are_asked_again_when_all_answers_are_no(table: Table) -> 
 
 def test_asking_again_forgets_the_answers_and_keeps_the_demonstrations(table: Table) -> None:
     met(table)
-    answer = table.lesson.define_option(OPTION, ask_again=True)
-    assert (answer.status, answer.resumed) == (Status.OK, True)
+    answer = table.lesson.carry_out(DefineOption(OPTION, ask_again=True))
+    assert (answer.status, answer.resumed) == (RequestStatus.OK, True)
     assert table.lesson.phase is Phase.ASKING
     assert table.lesson.view.n_demonstrations == 1
     table.answer_all(CHOSEN[:2])
@@ -198,6 +224,6 @@ def test_a_full_disk_is_told_and_changes_nothing(
     before = TO_PHASE[phase](table).lesson.view
     with monkeypatch.context() as patch:
         fill_disk(patch)
-        assert REQUESTS[request_name](table).status is Status.NOT_SAVED
+        assert REQUESTS[request_name](table).status is RequestStatus.NOT_SAVED
     assert table.lesson.view == before
     assert REQUESTS[request_name](table).ok

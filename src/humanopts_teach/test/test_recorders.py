@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from humanopts_teach.dialogue.recorders import PATIENCE, Recorders, SILENT
+from humanopts_teach.lesson.recorders import PATIENCE, Recorders, SILENT
 import pytest
 
 STARTING: dict[str, Any] = {'complete': False, 'stopped': False, 'text': ''}

@@ -5,7 +5,8 @@ import os
 from pathlib import Path
 
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_teach.demos.entries import (
+from humanopts_teach.lesson.store import (
+    DemonstrationStore,
     Entry,
     entry_from_line,
     entry_to_line,
@@ -13,8 +14,8 @@ from humanopts_teach.demos.entries import (
     FeatureAnswered,
     OptionDefined,
     SessionOpened,
+    StoreError,
 )
-from humanopts_teach.demos.store import DemonstrationStore, StoreError
 import pytest
 
 KEY = ('taxi', '{}')

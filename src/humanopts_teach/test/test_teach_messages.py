@@ -1,35 +1,38 @@
 """Teaching values survive the way through messages, and every status has its number."""
 
 from collections.abc import Callable, Iterator
+import math
 from pathlib import Path
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import moment_from_message, Source, Transition
 from humanopts_env.ros.convert import domain_to_info, transition_to_message
-from humanopts_interfaces.msg import LessonState, NodeStatus, OptionStatus
-from humanopts_interfaces.srv import (
+from humanopts_interfaces import msg, srv
+from humanopts_interfaces.msg import Criterion, LessonState, NodeStatus
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_ros.publisher import PublishError
+from humanopts_teach.lesson.requests import (
+    Answer,
     AnswerQuestion,
     BeginDemonstration,
     DefineOption,
     EndDemonstration,
-    OpenSession,
-)
-from humanopts_learner.demonstrations import Demonstration
-from humanopts_ros.publisher import PublishError
-from humanopts_teach.dialogue.answers import (
-    Answer,
+    LessonRequest,
     LessonView,
+    OpenSession,
     Phase,
-    Progress,
-    Status,
+    RequestStatus,
     Verdict,
+    WithdrawDemonstration,
 )
 from humanopts_teach.ros.convert import (
-    answered,
-    progress_from_message,
-    verdict_from_number,
-    verdict_to_number,
+    answer_from_response,
+    answer_to_response,
+    LESSON_SERVICES,
+    option_status_from_message,
+    request_from_message,
+    request_to_message,
     view_from_message,
     view_to_message,
 )
@@ -37,6 +40,7 @@ from humanopts_teach.ros.lesson_node import LessonNode
 import pytest
 import rclpy
 
+SERVICES = [service for service, _ in LESSON_SERVICES.values()]
 VIEW = LessonView(
     phase=Phase.ASKING,
     participant='p1',
@@ -78,41 +82,73 @@ def test_a_moment_of_the_game_survives_the_way_through_a_message() -> None:
     assert moment_from_message(transition_to_message(moment)) == moment
 
 
-def test_verdicts_have_numbers_of_their_own_and_no_others() -> None:
-    assert {verdict_from_number(verdict_to_number(verdict)) for verdict in Verdict} == set(Verdict)
-    assert verdict_from_number(0) is verdict_from_number(9) is None
-
-
-def test_progress_is_read_from_the_learners_status() -> None:
-    status = OptionStatus(
-        participant='p1', option_name='go', features=['row'], last_uuid='u', criteria_met=True
-    )
-    assert progress_from_message(status) == Progress('p1', 'go', ('row',), 'u', True)
-
-
-ANSWERS = [
-    (OpenSession, 'OK BAD_NAME WRONG_PHASE NOT_SAVED PAUSED'),
-    (DefineOption, 'OK BAD_NAME WRONG_PHASE NOT_SAVED PAUSED'),
-    (AnswerQuestion, 'OK NOT_ASKED NO_FEATURE NOT_SAVED PAUSED'),
-    (BeginDemonstration, 'OK WRONG_PHASE BAD_STATE NO_GAME BUDGET_SPENT PAUSED'),
-    (
-        EndDemonstration,
-        'OK WRONG_PHASE NO_STEPS STEPS_TAKEN NOT_CURRENT REFUSED NOT_SAVED BAD_VERDICT',
-    ),
-]
-
-
 @pytest.mark.parametrize(
-    ('service', 'names'), ANSWERS, ids=lambda value: getattr(value, '__name__', '')
+    'request_value',
+    [
+        OpenSession('p1', 's1'),
+        DefineOption('go', ask_again=True),
+        AnswerQuestion(3, yes=True),
+        BeginDemonstration('here'),
+        *(EndDemonstration(verdict, 2, 5, can_start_at_end=True) for verdict in Verdict),
+        EndDemonstration(None, 2, 5),
+        WithdrawDemonstration('u'),
+    ],
+    ids=repr,
 )
-def test_every_answer_of_the_lesson_has_a_number_and_a_text(service: Any, names: str) -> None:
-    numbers = set()
-    for name in names.split():
-        response = answered(service.Response(), Answer(Status[name], 'because'))
-        assert response.detail == 'because'
-        numbers.add(response.status)
-    assert len(numbers) == len(names.split())
-    assert 0 not in numbers
+def test_a_request_survives_the_way_through_a_message(request_value: LessonRequest) -> None:
+    message = request_to_message(request_value)
+    assert request_from_message(type(request_value), message) == request_value
+
+
+def test_a_verdict_that_does_not_exist_is_none() -> None:
+    message = srv.EndDemonstration.Request(verdict=9)
+    assert request_from_message(EndDemonstration, message) == EndDemonstration(None, 0, 0)
+
+
+def test_what_the_learner_says_of_an_option_is_read_from_its_status() -> None:
+    criteria = [
+        Criterion(name='return', value=0.5, threshold=1.0, measurable=True, met=True),
+        Criterion(name='initiation', value=math.nan, threshold=0.05),
+    ]
+    message = msg.OptionStatus(
+        participant='p1',
+        option_name='go',
+        features=['row'],
+        last_uuid='u',
+        criteria=criteria,
+        criteria_met=True,
+        more_needed=-1,
+    )
+    found = option_status_from_message(message)
+    assert (found.participant, found.option_name, found.features) == ('p1', 'go', ('row',))
+    assert (found.last_uuid, found.criteria_met, found.more_needed) == ('u', True, -1)
+    assert [(c.name, c.value, c.met) for c in found.criteria] == [
+        ('return', 0.5, True),
+        ('initiation', None, False),
+    ]
+
+
+@pytest.mark.parametrize('service', SERVICES, ids=lambda service: service.__name__)
+def test_every_status_of_a_service_survives_the_way_through_its_response(service: Any) -> None:
+    names = {n for n in type(service.Response).__prepare__('', ()) if n.startswith('STATUS_')}
+    assert len(names) > 2
+    for name in names - {'STATUS_UNKNOWN'}:
+        answer = Answer(RequestStatus[name.removeprefix('STATUS_')], 'because')
+        response = answer_to_response(answer, service.Response())
+        assert response.status == getattr(service.Response, name)
+        assert answer_from_response(response) == answer
+
+
+def test_the_fields_of_an_answer_survive_the_way_through_a_response() -> None:
+    opened = Answer(RequestStatus.OK, '', session='s1', known_options=('go', 'stay'))
+    begun = Answer(RequestStatus.OK, '', episode=3, state='here')
+    for answer, service in ((opened, srv.OpenSession), (begun, srv.BeginDemonstration)):
+        assert answer_from_response(answer_to_response(answer, service.Response())) == answer
+
+
+def test_an_unknown_status_is_refused() -> None:
+    with pytest.raises(ValueError, match='unknown status 0'):
+        answer_from_response(srv.OpenSession.Response())
 
 
 @pytest.fixture

@@ -6,13 +6,24 @@ from dataclasses import replace
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.game import Transition
-from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
-from humanopts_teach.teacher.acts import Begin, Define, Drive, End, Finish, Open, Reply, Wait
-from humanopts_teach.teacher.simulated import (
+from humanopts_teach.lesson.requests import (
+    AnswerQuestion,
+    BeginDemonstration,
+    DefineOption,
+    Drive,
+    EndDemonstration,
+    LessonView,
+    OpenSession,
+    Phase,
+    Verdict,
+)
+from humanopts_teach.lesson.simulated_teacher import (
     ATTEMPTS,
+    Finish,
     SimulatedTeacher,
     TeacherError,
     TeacherSettings,
+    Wait,
 )
 import numpy as np
 import pytest
@@ -55,10 +66,10 @@ def showing(state: str, option: str = PICKUP, given: int = 0) -> LessonView:
 
 def show(
     by: SimulatedTeacher, start: str, option: str = PICKUP, given: int = 0
-) -> tuple[list[str], End]:
+) -> tuple[list[str], EndDemonstration]:
     """Let the teacher demonstrate by the rules alone; return its actions and its verdict."""
     view, game, actions = showing(start, option, given), at(start), list[str]()
-    while not isinstance(act := by.next_act(view, game), End):
+    while not isinstance(act := by.next_act(view, game), EndDemonstration):
         assert isinstance(act, Drive)
         assert (act.episode, act.step) == (1, game.step)
         actions.append(act.action)
@@ -70,25 +81,25 @@ def show(
 @pytest.mark.parametrize(
     ('lesson', 'act'),
     [
-        (LessonView(Phase.NO_SESSION), Open('simulated', 'simulated')),
-        (replace(LESSON, participant='p9'), Open('simulated', 'simulated')),
-        (replace(LESSON, phase=Phase.NO_OPTION, option_name=''), Define(PICKUP)),
-        (replace(LESSON, option_name='something else'), Define(PICKUP)),
+        (LessonView(Phase.NO_SESSION), OpenSession('simulated', 'simulated')),
+        (replace(LESSON, participant='p9'), OpenSession('simulated', 'simulated')),
+        (replace(LESSON, phase=Phase.NO_OPTION, option_name=''), DefineOption(PICKUP)),
+        (replace(LESSON, option_name='something else'), DefineOption(PICKUP)),
         (
             replace(LESSON, phase=Phase.ASKING, question_id=3, question_feature='taxi_row'),
-            Reply(3, True),
+            AnswerQuestion(3, True),
         ),
         (
             replace(LESSON, phase=Phase.ASKING, question_id=4, question_feature='blocked_moves'),
-            Reply(4, False),
+            AnswerQuestion(4, False),
         ),
-        (LESSON, Begin()),
+        (LESSON, BeginDemonstration()),
         (replace(LESSON, phase=Phase.LEARNING), Wait('the learner')),
         (
             replace(LESSON, paused='No space.'),
             Wait('the lesson to go on; it is paused: No space.'),
         ),
-        (replace(LESSON, phase=Phase.FINISHED), Define(DROPOFF)),
+        (replace(LESSON, phase=Phase.FINISHED), DefineOption(DROPOFF)),
     ],
 )
 def test_each_phase_has_its_act(lesson: LessonView, act: object) -> None:
@@ -109,10 +120,10 @@ def test_it_waits_for_the_first_state_of_the_demonstration() -> None:
 
 
 def test_it_says_not_here_exactly_where_the_option_cannot_start() -> None:
-    assert show(teacher(), ABOARD) == ([], End(Verdict.NOT_HERE, 1, 0))
+    assert show(teacher(), ABOARD) == ([], EndDemonstration(Verdict.NOT_HERE, 1, 0))
     assert show(teacher(TeacherSettings((DROPOFF,))), WAITING, DROPOFF) == (
         [],
-        End(Verdict.NOT_HERE, 1, 0),
+        EndDemonstration(Verdict.NOT_HERE, 1, 0),
     )
 
 
@@ -120,7 +131,7 @@ def test_without_errors_it_shows_a_shortest_way_and_says_done_at_its_end() -> No
     actions, end = show(teacher(), WAITING)
     assert sorted(actions) == ['north'] * 4 + ['pickup'] + ['west'] * 4
     assert actions[-1] == 'pickup'
-    assert end == End(Verdict.DONE, 1, 9)
+    assert end == EndDemonstration(Verdict.DONE, 1, 9)
 
 
 def test_an_option_that_could_start_again_at_its_end_is_said_so() -> None:
@@ -218,7 +229,7 @@ def test_it_gives_up_when_nothing_it_tries_comes_to_the_end() -> None:
 @pytest.mark.parametrize('over', ['terminated', 'truncated'])
 def test_an_episode_that_is_over_too_early_is_discarded(over: str) -> None:
     game = at(WAITING, 4, terminated=over == 'terminated', truncated=over == 'truncated')
-    assert teacher().next_act(showing(WAITING), game) == End(Verdict.DISCARD, 1, 4)
+    assert teacher().next_act(showing(WAITING), game) == EndDemonstration(Verdict.DISCARD, 1, 4)
 
 
 @pytest.mark.parametrize(

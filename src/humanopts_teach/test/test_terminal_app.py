@@ -5,31 +5,38 @@ from dataclasses import replace
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_learner.options.criteria import FEWEST
-from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
+from humanopts_env.game import Transition
+from humanopts_learner.options.criteria import Criterion, FEWEST
+from humanopts_teach.lesson.requests import (
+    Answer,
+    AnswerQuestion,
+    BeginDemonstration,
+    DefineOption,
+    Drive,
+    EndDemonstration,
+    LessonView,
+    OpenSession,
+    OptionStatus,
+    Phase,
+    RequestStatus,
+    SetControl,
+    Verdict,
+    WithdrawDemonstration,
+)
 from humanopts_teach.terminal.app import App, REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.terminal.drawing import frame
 from humanopts_teach.terminal.menu import opening
 from humanopts_teach.terminal.requests import (
-    AnswerQuestion,
-    Begin,
     CancelRun,
-    DefineOption,
-    Drive,
-    End,
     ListOptions,
     NewEpisode,
-    OpenSession,
     PlanOptions,
     PlayEpisodes,
     Reply,
     Request,
     RunOption,
-    SetControl,
     SetExecution,
-    Withdraw,
 )
-from humanopts_teach.terminal.world import CriterionView, GameView, ProgressView
 import pytest
 
 START = 'taxi 2,3 passenger R destination B'
@@ -45,7 +52,7 @@ class Person:
         self.app = App(opening('p1'))
         self.world = self.app.world
         self.world.domain, self.world.me = domain, 'me'
-        self.world.game = GameView(episode=1, step=0, state=START)
+        self.world.game = Transition(episode=1, step=0, state=START)
         self.world.lesson = LessonView(Phase.NO_SESSION, budget=100)
         self.now = 0.0
         self.asked: list[Request] = []
@@ -66,15 +73,21 @@ class Person:
             self.asked.append(request)
         return request
 
-    def answer(self, request: Request | None, ok: bool = True, **fields: Any) -> Request | None:
+    def answer(
+        self, request: Request | None, ok: bool = True, episode: int = 1, **fields: Any
+    ) -> Request | None:
         """Answer a request; return the next one."""
         assert request is not None
-        self.app.replied(Reply(request, ok, **fields), self.now)
+        uuid = request.uuid if isinstance(request, WithdrawDemonstration) else ''
+        answer = Answer(RequestStatus.OK, '', episode=episode, uuid=uuid)
+        self.app.replied(Reply(request, ok, answer=answer, **fields), self.now)
         return self.look()
 
     def lesson(self, phase: Phase, **fields: Any) -> Request | None:
         """Have the lesson announce where it stands; return the next request."""
         assert self.world.lesson is not None
+        if phase is not Phase.DEMONSTRATING:
+            fields = {'episode': 0, **fields}
         self.world.lesson = replace(self.world.lesson, phase=phase, **fields)
         return self.look()
 
@@ -82,7 +95,9 @@ class Person:
         """Have the game go on; return the next request."""
         assert self.world.game is not None
         self.world.game = replace(self.world.game, **fields)
-        self.app.moved(self.now)
+        asked = self.app.waits_for
+        if isinstance(asked, Drive):
+            self.app.replied(Reply(asked, ok=True), self.now)
         return self.look()
 
     def sees(self, width: int = 80, height: int = 24) -> str:
@@ -120,7 +135,7 @@ def teacher(person: Person) -> Person:
 def shower(teacher: Person) -> Person:
     """Somebody who is demonstrating."""
     request = teacher.press('enter')
-    assert request == Begin()
+    assert request == BeginDemonstration()
     teacher.game(episode=2, step=0)
     teacher.lesson(Phase.DEMONSTRATING, episode=2, start_state=START)
     teacher.answer(request, episode=2)
@@ -210,28 +225,28 @@ def test_all_keys_are_on_the_screen_while_demonstrating(shower: Person) -> None:
 
 
 def test_an_arrow_key_is_sent_for_the_state_that_was_seen(shower: Person) -> None:
-    assert shower.press('left', 'left') == Drive('west', (2, 0))
+    assert shower.press('left', 'left') == Drive('west', 2, 0)
     assert shower.look() is None  # the second key waits for the first
-    assert shower.game(step=1) == Drive('west', (2, 1))
+    assert shower.game(step=1) == Drive('west', 2, 1)
 
 
 def test_done_waits_for_the_steps_typed_before_it(shower: Person) -> None:
     shower.press('p', 'enter')
-    assert shower.game(step=1) == End(Verdict.DONE, (2, 1))
+    assert shower.game(step=1) == EndDemonstration(Verdict.DONE, 2, 1)
 
 
 def test_the_next_start_begins_by_itself_after_a_verdict(shower: Person) -> None:
     request = shower.press('n')
-    assert request == End(Verdict.NOT_HERE, (2, 0))
+    assert request == EndDemonstration(Verdict.NOT_HERE, 2, 0)
     shower.lesson(Phase.LEARNING, n_not_here=1)
     assert shower.answer(request) is None
-    assert shower.lesson(Phase.READY) == Begin()
+    assert shower.lesson(Phase.READY) == BeginDemonstration()
 
 
 def test_a_refused_verdict_leaves_the_demonstration_as_it_is(shower: Person) -> None:
     shower.answer(shower.press('enter'), ok=False, text='nothing was demonstrated')
     assert shower.sees_words('nothing was demonstrated')
-    assert shower.press('left') == Drive('west', (2, 0))
+    assert shower.press('left') == Drive('west', 2, 0)
 
 
 def test_starts_are_not_asked_for_again_and_again_when_they_are_refused(teacher: Person) -> None:
@@ -243,13 +258,13 @@ def test_can_start_again_goes_with_one_done_only(shower: Person) -> None:
     assert shower.press('s') is None
     assert 'can restart at its end: YES' in shower.sees()
     request = shower.press('enter')
-    assert request == End(Verdict.DONE, (2, 0), can_start_at_end=True)
+    assert request == EndDemonstration(Verdict.DONE, 2, 0, can_start_at_end=True)
     shower.lesson(Phase.LEARNING)
     begin = shower.answer(request) or shower.lesson(Phase.READY)
     shower.game(episode=3)
     shower.lesson(Phase.DEMONSTRATING, episode=3)
     shower.answer(begin, episode=3)
-    assert shower.press('enter') == End(Verdict.DONE, (3, 0), can_start_at_end=False)
+    assert shower.press('enter') == EndDemonstration(Verdict.DONE, 3, 0, can_start_at_end=False)
 
 
 def test_leaving_asks_first_once_steps_were_taken(shower: Person) -> None:
@@ -258,12 +273,12 @@ def test_leaving_asks_first_once_steps_were_taken(shower: Person) -> None:
     assert shower.press('escape') is None
     assert shower.sees_words('The demonstration under way is discarded; all else is saved.')
     assert shower.press('x') is None
-    assert shower.press('escape', 'enter') == End(Verdict.DISCARD, (2, 1))
+    assert shower.press('escape', 'enter') == EndDemonstration(Verdict.DISCARD, 2, 1)
 
 
 def test_questions_can_be_answered_again(shower: Person) -> None:
     discard = shower.press('e')
-    assert discard == End(Verdict.DISCARD, (2, 0))
+    assert discard == EndDemonstration(Verdict.DISCARD, 2, 0)
     shower.lesson(Phase.READY)
     again = shower.answer(discard)
     assert again == DefineOption(NAME, ask_again=True)
@@ -323,33 +338,33 @@ def test_the_last_demonstration_is_taken_back_after_a_question_and_shown_anew(
     assert shower.sees_words('This one is discarded.')
     assert shower.press('x') is None
     discard = shower.press('u', 'enter')
-    assert discard == End(Verdict.DISCARD, (2, 1))
+    assert discard == EndDemonstration(Verdict.DISCARD, 2, 1)
     shower.lesson(Phase.READY)
     withdraw = shower.answer(discard)
-    assert withdraw == Withdraw('abc')
+    assert withdraw == WithdrawDemonstration('abc')
     shower.lesson(Phase.LEARNING, last_uuid='')
     assert shower.answer(withdraw, text='demonstration 1 is taken back') is None
     assert shower.sees_words('demonstration 1 is taken back')
-    assert shower.lesson(Phase.READY) == Begin()
+    assert shower.lesson(Phase.READY) == BeginDemonstration()
 
 
 def test_a_finished_option_can_still_be_undone_and_a_refusal_is_told(shower: Person) -> None:
     shower.lesson(Phase.FINISHED, last_uuid='abc')
     withdraw = shower.press('u', 'enter')
-    assert withdraw == Withdraw('abc')
+    assert withdraw == WithdrawDemonstration('abc')
     assert shower.answer(withdraw, ok=False, text='it is not the newest') is None
     assert shower.sees_words('it is not the newest')
     assert shower.lesson(Phase.READY) is None
 
 
-def criteria(values: Iterable[tuple[str, float, float, bool, bool]]) -> ProgressView:
+def criteria(values: Iterable[tuple[str, float | None, float]]) -> OptionStatus:
     """Make the progress of the option."""
-    return ProgressView(
+    return OptionStatus(
         NAME,
         'p1',
         CHOSEN,
         FEWEST,
-        criteria=tuple(CriterionView(*value) for value in values),
+        criteria=tuple(Criterion(*value) for value in values),
         more_needed=6,
     )
 
@@ -360,9 +375,9 @@ def test_each_criterion_shows_value_target_and_whether_it_can_be_measured(
     shower.world.progress = [
         criteria(
             [
-                ('return', 0.25, 1.0, True, True),
-                ('initiation', 0.125, 0.05, True, False),
-                ('termination', float('nan'), 0.05, False, False),
+                ('return', 0.25, 1.0),
+                ('initiation', 0.125, 0.05),
+                ('termination', None, 0.05),
             ]
         )
     ]
@@ -377,13 +392,13 @@ def test_each_criterion_shows_value_target_and_whether_it_can_be_measured(
 
 
 def test_an_estimate_that_cannot_be_made_is_not_made(shower: Person) -> None:
-    progress = criteria([('return', 0.0, 1.0, True, True)])
+    progress = criteria([('return', 0.0, 1.0)])
     shower.world.progress = [replace(progress, more_needed=-1)]
     assert 'How many more it takes cannot be told yet.' in shower.sees()
 
 
 def test_a_person_is_told_why_a_lesson_goes_on_whose_criteria_hold(shower: Person) -> None:
-    progress = criteria([('return', 0.0, 1.0, True, True)])
+    progress = criteria([('return', 0.0, 1.0)])
     shower.world.progress = [replace(progress, criteria_met=True)]
     assert shower.sees_words('All criteria hold, but from some starts it still fails.')
     shower.lesson(Phase.FINISHED)
@@ -391,14 +406,14 @@ def test_a_person_is_told_why_a_lesson_goes_on_whose_criteria_hold(shower: Perso
 
 
 def test_a_person_is_told_when_the_criteria_will_be_measured(shower: Person) -> None:
-    progress = criteria([('return', float('nan'), 1.0, False, False)])
+    progress = criteria([('return', None, 1.0)])
     few = replace(progress, n_demonstrations=FEWEST - 1, more_needed=-1)
     shower.world.progress = [few]
     assert f'Measured from {FEWEST} demonstrations on.' in shower.sees()
 
 
 def test_conflicts_come_with_the_feature_that_would_tell_them_apart(shower: Person) -> None:
-    progress = criteria([('return', 0.0, 1.0, True, True)])
+    progress = criteria([('return', 0.0, 1.0)])
     clash = 'taxi row 0: pickup, but also east'
     shower.world.progress = [
         replace(progress, conflicts=(clash, 'more'), suggested_feature='passenger_in_taxi')
@@ -444,7 +459,7 @@ def started(runner: Person) -> RunOption:
 
 def test_an_action_key_takes_over_from_a_run(runner: Person) -> None:
     run = started(runner)
-    assert runner.press('left') == Drive('west', (1, 0))
+    assert runner.press('left') == Drive('west', 1, 0)
     runner.game(step=1)
     runner.app.run_ended(Reply(run, ok=True, text='You took over.'))
     assert runner.sees_words('You took over.')
@@ -543,7 +558,10 @@ def test_ctrl_c_ends_at_once_whatever_is_under_way(shower: Person) -> None:
     shower.press('ctrl-c')
     assert shower.app.ended
     shower.world.holder = 'me'
-    assert shower.app.parting() == [End(Verdict.DISCARD, (2, 0)), SetControl(hold=False)]
+    assert shower.app.parting() == [
+        EndDemonstration(Verdict.DISCARD, 2, 0),
+        SetControl(hold=False),
+    ]
 
 
 def test_a_demonstration_left_by_a_cut_connection_is_taken_up(person: Person) -> None:
@@ -577,16 +595,16 @@ def test_a_long_reason_leaves_the_board_whole_in_a_low_window(shower: Person) ->
 
 def test_while_the_lesson_is_paused_the_next_start_waits_for_a_key(shower: Person) -> None:
     ended = shower.press('enter')
-    assert isinstance(ended, End)
+    assert isinstance(ended, EndDemonstration)
     shower.lesson(Phase.READY, paused=FULL)
     assert shower.answer(ended) is None
     assert shower.sees_words('The lesson is paused.')
     assert shower.lesson(Phase.READY, paused='') is None
-    assert shower.press('enter') == Begin()
+    assert shower.press('enter') == BeginDemonstration()
 
 
 def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:
-    values = [(name, 0.125, 0.05, True, False) for name in ('return', 'initiation', 'termination')]
+    values = [(name, 0.125, 0.05) for name in ('return', 'initiation', 'termination')]
     shower.lesson(Phase.DEMONSTRATING, last_uuid='abc')
     situation = ', '.join(f'{name.replace("_", " ")} 4' for name in CHOSEN)
     shower.world.progress = [

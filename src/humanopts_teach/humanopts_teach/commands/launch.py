@@ -12,8 +12,8 @@ from humanopts_teach.commands.session import (
     session,
     setup_from,
 )
-from humanopts_teach.demos.store import CODE, CODE_RULE
 from humanopts_teach.launching.processes import RECORDER
+from humanopts_teach.lesson.store import CODE, CODE_RULE
 
 _WATCHED = 0.15  # s between steps of the machine, while a person looks on
 

@@ -24,7 +24,7 @@ from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, LATCHED_ALL
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import RECORDER, Value
-from humanopts_teach.teacher.simulated import FINISHED
+from humanopts_teach.lesson.simulated_teacher import FINISHED
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor

@@ -1,35 +1,21 @@
 """The node ``keyboard_teleop``: a person teaches, drives and watches from a terminal."""
 
 from collections.abc import Callable
-from dataclasses import fields
 from functools import partial
 import sys
 import time
 
-from humanopts_env.domains.base import DomainError
-from humanopts_env.ros.convert import domain_from_info
-from humanopts_interfaces.msg import (
-    ActionRefusal,
-    ControlState,
-    DomainInfo,
-    ExecutionState,
-    GameState,
-    LearningStatus,
-    LessonState,
-    OptionGoal,
-    OptionStatus,
-)
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_interfaces.msg import ControlState, ExecutionState, LearningStatus, OptionGoal
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, DISPLAY
-from humanopts_teach.ros.convert import view_from_message
+from humanopts_teach.ros.convert import option_status_from_message
+from humanopts_teach.ros.lesson_client import LessonClient
 from humanopts_teach.ros.terminal_calls import Calls
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.drawing import frame
 from humanopts_teach.terminal.menu import opening
-from humanopts_teach.terminal.requests import Drive, Reply
-from humanopts_teach.terminal.world import CriterionView, GameView, ProgressView
 from rcl_interfaces.msg import IntegerRange
 from rclpy.executors import Executor
 
@@ -41,7 +27,6 @@ _PRESENCE_SECONDS = 0.5  # between looks who is on the graph
 _START_SECONDS = 5.0  # before a node that has not come is called missing
 _PARTING_SECONDS = 1.0  # for the last requests
 _NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # and what shows that they are there
-_SAME_IN_PROGRESS = {f.name for f in fields(ProgressView)} - {'features', 'criteria', 'conflicts'}
 
 
 class KeyboardTeleopNode(NodeBase):
@@ -55,22 +40,19 @@ class KeyboardTeleopNode(NodeBase):
         seed = self.setting('seed', 0, what, integer_range=[natural])
         self.app = App(opening(participant), seed=seed)
         self.app.world.me = self.publisher_id
-        self._calls = Calls(self, self.app)
+        self._client = LessonClient(self, on_news=self._on_news)
+        self._calls = Calls(self, self._client, self.app)
         self._came: set[str] = set()  # nodes that were there once
         self._started = self._looked = time.monotonic()
         self._drawn = self._asked = 0.0
         self._news = True  # something came in since the last frame
         self._seen: object = None  # what the last frame showed
         for kind, topic, callback in (
-            (DomainInfo, 'domain_info', self._on_domain),
-            (GameState, 'current_state', self._on_game),
-            (LessonState, 'lesson_state', self._on_lesson),
             (LearningStatus, 'learning_status', self._on_learning),
             (ControlState, 'control', self._on_control),
             (ExecutionState, 'execution', self._on_execution),
         ):
             self.create_subscription(kind, topic, callback, CURRENT)
-        self.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, DISPLAY)
         self.create_subscription(OptionGoal, 'option_goals', self._on_option_goal, DISPLAY)
 
     def waits_for(self) -> str | None:
@@ -121,32 +103,16 @@ class KeyboardTeleopNode(NodeBase):
         while any(not future.done() for future in pending) and time.monotonic() < until:
             executor.spin_once(_POLL_SECONDS)
 
-    def _on_domain(self, message: DomainInfo) -> None:
-        try:
-            self.app.world.domain = domain_from_info(message)
-        except DomainError as error:
-            raise StartError(str(error)) from error
-        self._news = True
-
-    def _on_game(self, message: GameState) -> None:
-        self.app.world.game = GameView(
-            episode=message.episode,
-            step=message.step,
-            state=message.state,
-            action=message.previous_action,
-            reward=message.reward,
-            terminated=message.terminated,
-            truncated=message.truncated,
-        )
-        self.app.moved(time.monotonic())
-        self._news = True
-
-    def _on_lesson(self, message: LessonState) -> None:
-        self.app.world.lesson = view_from_message(message)
+    def _on_news(self) -> None:
+        """Show what lesson and game have published."""
+        world, client = self.app.world, self._client
+        world.domain, world.game, world.lesson = client.domain, client.game, client.lesson
         self._news = True
 
     def _on_learning(self, message: LearningStatus) -> None:
-        self.app.world.progress = [_progress_view(status) for status in message.options]
+        self.app.world.progress = [
+            option_status_from_message(status) for status in message.options
+        ]
         self._news = True
 
     def _on_control(self, message: ControlState) -> None:
@@ -160,25 +126,6 @@ class KeyboardTeleopNode(NodeBase):
     def _on_option_goal(self, message: OptionGoal) -> None:
         self.app.world.running = message.option_name
         self._news = True
-
-    def _on_refusal(self, message: ActionRefusal) -> None:
-        request, last = self.app.waits_for, (self.publisher_id, self._calls.drive_sequence)
-        refused = (message.command_publisher_id, message.command_sequence)
-        if isinstance(request, Drive) and refused == last:
-            reply = Reply(request, ok=False, text=f'{request.action}: {message.detail}')
-            self.app.replied(reply, time.monotonic())
-
-
-def _progress_view(status: OptionStatus) -> ProgressView:
-    return ProgressView(
-        features=tuple(status.features),
-        conflicts=tuple(status.conflicts),
-        criteria=tuple(
-            CriterionView(c.name, c.value, c.threshold, c.measurable, c.met)
-            for c in status.criteria
-        ),
-        **{name: getattr(status, name) for name in _SAME_IN_PROGRESS},
-    )
 
 
 def main(args: list[str] | None = None) -> int:

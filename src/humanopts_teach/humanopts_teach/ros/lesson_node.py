@@ -1,9 +1,10 @@
 """The node ``lesson``: the teaching session behind services, its state and demonstrations out."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from datetime import datetime, UTC
+from pathlib import Path
 import sys
 import time
 from typing import Any
@@ -24,43 +25,89 @@ from humanopts_interfaces.msg import (
     NodeStatus,
     RecorderStatus,
 )
-from humanopts_interfaces.srv import (
-    AnswerQuestion,
-    BeginDemonstration,
-    DefineOption,
-    EndDemonstration,
-    OpenSession,
-    ResetGame,
-    WithdrawDemonstration,
-)
+from humanopts_interfaces.srv import ResetGame
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.option import OptionError
+from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
-from humanopts_teach.dialogue.answers import Answer, LessonView, Phase, Status, Verdict
-from humanopts_teach.dialogue.learned_starts import LearnedStarts
-from humanopts_teach.dialogue.lesson import Lesson
-from humanopts_teach.dialogue.recorders import Recorders
+from humanopts_teach.lesson.lesson import Lesson
+from humanopts_teach.lesson.recorders import Recorders
+from humanopts_teach.lesson.requests import (
+    Answer,
+    BeginDemonstration,
+    EndDemonstration,
+    LessonView,
+    OpenSession,
+    Phase,
+    RequestStatus,
+    Verdict,
+)
+from humanopts_teach.lesson.start_states import LessonRules, StartStates
+from humanopts_teach.lesson.store import DemonstrationStore, StoreError
 from humanopts_teach.ros.convert import (
-    answered,
-    progress_from_message,
-    verdict_from_number,
+    answer_to_response,
+    LESSON_SERVICES,
+    option_status_from_message,
+    request_from_message,
     view_to_message,
 )
-from humanopts_teach.ros.lesson_settings import open_store, read_rules
-from rcl_interfaces.msg import FloatingPointRange
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 _TICK = 0.1  # s between looks at deadlines
 _GAME_DEADLINE = 5.0  # s for game to answer, and for a state that was announced to arrive
+_KEEPING = (Verdict.DONE, Verdict.NOT_HERE)
 _RESEND_DELAY = 0.5  # s from a learner's first word until it is sure to be listening
 
 
+def read_rules(node: NodeBase) -> LessonRules:
+    """
+    Read how start states are drawn, and when the lesson on an option ends.
+
+    :raises StartError: there is no such strategy.
+    """
+    default = LessonRules()
+    numbers = IntegerRange(from_value=1, to_value=1_000_000, step=1)
+    seeds = IntegerRange(from_value=0, to_value=2**62, step=1)
+    strategy = node.setting(
+        'strategy', default.strategy, 'of start states: random, coverage or failures'
+    )
+    if strategy not in STRATEGIES:
+        raise StartError(f'parameter strategy: {strategy!r} is none of {", ".join(STRATEGIES)}')
+    return LessonRules(
+        strategy,
+        node.setting(
+            'budget',
+            default.budget,
+            'demonstrations that are asked for at most for one option',
+            integer_range=[numbers],
+        ),
+        node.setting('seed', 0, 'of every random draw', integer_range=[seeds]),
+    )
+
+
+def open_store(node: NodeBase) -> DemonstrationStore:
+    """
+    Open the folder of demonstrations, and log what was mended in it.
+
+    :raises StartError: it cannot be used.
+    """
+    directory = node.setting('directory', 'demonstrations', 'folder of all demonstrations')
+    try:
+        store = DemonstrationStore(Path(directory))
+    except StoreError as error:
+        raise StartError(str(error)) from error
+    for damage in store.damage:
+        node.get_logger().warning(damage)
+    return store
+
+
 class LessonNode(NodeBase):
-    """Serves one lesson; what it is told is on disk before it is published."""
+    """Serves one lesson; what the person says is on disk before it is published."""
 
     def __init__(self) -> None:
         super().__init__('lesson')
@@ -137,9 +184,7 @@ class LessonNode(NodeBase):
         self._serve()
 
     def _make_lesson(self, domain: Domain[Any]) -> Lesson:
-        self._starts = LearnedStarts(
-            domain, self._rules.strategy, until_no_failures=self._until_no_failures
-        )
+        self._starts = StartStates(domain, self._rules, until_no_failures=self._until_no_failures)
         lesson = Lesson(
             domain,
             self._store,
@@ -149,21 +194,14 @@ class LessonNode(NodeBase):
             today=lambda: datetime.now(UTC).strftime('%Y%m%d'),
         )
         if self._participant:
-            answer = lesson.open_session(self._participant, self._session)
+            answer = lesson.carry_out(OpenSession(self._participant, self._session))
             if not answer.ok:
                 raise StartError(answer.detail)
         return lesson
 
     def _serve(self) -> None:
-        def serve(kind: Any, name: str, callback: Callable[..., Any]) -> None:
-            self.recorded_service(kind, f'lesson/{name}', callback, self._reentrant)
-
-        serve(OpenSession, 'open_session', self._on_open)
-        serve(DefineOption, 'define_option', self._on_define)
-        serve(AnswerQuestion, 'answer_question', self._on_answer)
-        serve(BeginDemonstration, 'begin_demonstration', self._on_begin)
-        serve(EndDemonstration, 'end_demonstration', self._on_end)
-        serve(WithdrawDemonstration, 'withdraw_demonstration', self._on_withdraw)
+        for kind, (service, name) in LESSON_SERVICES.items():
+            self.recorded_service(service, name, self._handler(kind), self._reentrant)
         self.create_subscription(
             DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM
         )
@@ -172,46 +210,30 @@ class LessonNode(NodeBase):
 
     # What the person asks for.
 
-    def _on_open(
-        self, request: OpenSession.Request, response: OpenSession.Response
-    ) -> OpenSession.Response:
-        answer = self._lesson.open_session(request.participant, request.session)
-        self._show()
-        response.session = answer.session
-        response.known_options = list(answer.known_options)
-        return answered(response, answer)
+    def _handler(self, kind: type) -> Callable[[Any, Any], Awaitable[Any]]:
+        """Return the callback of the service of one kind of request."""
 
-    def _on_define(
-        self, request: DefineOption.Request, response: DefineOption.Response
-    ) -> DefineOption.Response:
-        answer = self._lesson.define_option(request.name, request.ask_again)
-        self._show()
-        response.resumed = answer.resumed
-        return answered(response, answer)
+        async def handle(message: Any, response: Any) -> Any:
+            request = request_from_message(kind, message)
+            if isinstance(request, EndDemonstration) and request.verdict in _KEEPING:
+                await self._catch_up(request)
+            answer = self._lesson.carry_out(request)
+            if isinstance(request, BeginDemonstration) and answer.ok:
+                answer = await self._begin(answer)
+            if answer.demonstration is not None:  # kept, or taken back
+                self._asked_learner = time.monotonic()
+                self._unsent.append(answer.demonstration)
+            self._show()
+            return answer_to_response(answer, response)
 
-    def _on_answer(
-        self, request: AnswerQuestion.Request, response: AnswerQuestion.Response
-    ) -> AnswerQuestion.Response:
-        answer = self._lesson.answer_question(request.question_id, request.yes)
-        self._show()
-        return answered(response, answer)
-
-    async def _on_begin(
-        self, request: BeginDemonstration.Request, response: BeginDemonstration.Response
-    ) -> BeginDemonstration.Response:
-        answer = self._lesson.prepare(request.start_state)
-        if answer.ok:
-            answer = await self._begin(answer)
-        self._show()
-        if answer.ok:
-            response.episode, response.state = self._lesson.view.episode, answer.state
-        return answered(response, answer)
+        return handle
 
     async def _begin(self, prepared: Answer) -> Answer:
         """Have game begin the episode, and wait for its first state on the stream."""
         lesson, until = self._lesson, self.waiting.until
+        no_game = RequestStatus.NO_GAME
         if not await until(self._game_is_there, _GAME_DEADLINE):
-            return lesson.not_begun(Status.NO_GAME, 'Game does not serve reset_game.')
+            return lesson.not_begun(no_game, 'Game does not serve reset_game.')
         reply = await self.answer(
             self._reset,
             ResetGame.Request(
@@ -222,17 +244,17 @@ class LessonNode(NodeBase):
             _GAME_DEADLINE,
         )
         if reply is None:
-            return lesson.not_begun(Status.NO_GAME, 'Game does not answer.')
+            return lesson.not_begun(no_game, 'Game does not answer.')
         if reply.status != ResetGame.Response.STATUS_OK:
             bad = reply.status == ResetGame.Response.STATUS_BAD_STATE
-            return lesson.not_begun(Status.BAD_STATE if bad else Status.NO_GAME, reply.detail)
+            return lesson.not_begun(RequestStatus.BAD_STATE if bad else no_game, reply.detail)
         answer = lesson.began(reply.episode, reply.state)
         if not answer.ok:
             return answer
         if not await until(lambda: lesson.reached(reply.episode, 0), _GAME_DEADLINE):
-            return lesson.not_begun(Status.NO_GAME, 'The first state of the episode did not come.')
+            return lesson.not_begun(no_game, 'The first state of the episode did not come.')
         if lesson.phase is not Phase.DEMONSTRATING:
-            return Answer(Status.NO_GAME, lesson.view.text)
+            return Answer(no_game, lesson.view.text)
         return answer
 
     def _game_is_there(self) -> bool:
@@ -240,29 +262,10 @@ class LessonNode(NodeBase):
         heard = self._game_states.get_publisher_count() > 0
         return heard and bool(self._reset.service_is_ready())
 
-    async def _on_end(
-        self, request: EndDemonstration.Request, response: EndDemonstration.Response
-    ) -> EndDemonstration.Response:
-        lesson = self._lesson
-        verdict, here = verdict_from_number(request.verdict), (request.episode, request.step)
-        if verdict in (Verdict.DONE, Verdict.NOT_HERE):
-            await self.waiting.until(lambda: lesson.reached(*here), _GAME_DEADLINE)
-        answer = lesson.end_demonstration(verdict, *here, request.can_start_at_end)
-        return self._told_learner(response, answer)
-
-    def _on_withdraw(
-        self, request: WithdrawDemonstration.Request, response: WithdrawDemonstration.Response
-    ) -> WithdrawDemonstration.Response:
-        return self._told_learner(response, self._lesson.withdraw(request.uuid))
-
-    def _told_learner(self, response: Any, answer: Answer) -> Any:
-        """Answer, and publish the demonstration that was kept or taken back."""
-        if answer.demonstration is not None:
-            response.uuid = answer.demonstration.uuid
-            self._asked_learner = time.monotonic()
-            self._unsent.append(answer.demonstration)
-        self._show()
-        return answered(response, answer)
+    async def _catch_up(self, request: EndDemonstration) -> None:
+        """Wait for the states that the person saw, so that they are in the demonstration."""
+        episode, step = request.episode, request.step
+        await self.waiting.until(lambda: self._lesson.reached(episode, step), _GAME_DEADLINE)
 
     # What game and the learner tell.
 
@@ -281,7 +284,9 @@ class LessonNode(NodeBase):
             self._show()
 
     def _on_status(self, status: LearningStatus) -> None:
-        self._lesson.learner_said([progress_from_message(option) for option in status.options])
+        self._lesson.learner_said(
+            [option_status_from_message(option) for option in status.options]
+        )
         self._show()
         if status.publisher_id != self._learner:  # a learner that may lack demonstrations
             self._learner = status.publisher_id
@@ -293,7 +298,7 @@ class LessonNode(NodeBase):
                 self._starts.learned(option.participant, option.name, option.model)
             except OptionError as error:
                 self.get_logger().error(f'learned_options: {error}')
-        self._lesson.starts_know_more()
+        self._lesson.starts_learned()
         self._show()
 
     def _on_recorder(self, status: RecorderStatus) -> None:
@@ -305,13 +310,11 @@ class LessonNode(NodeBase):
         )
 
     def _look_at_recording(self) -> None:
-        """Notice that nothing is recorded; then that it is, and have the new bag get all."""
+        """Pause while nothing is recorded; then publish everything again for the new bag."""
         there = self._recorder_status.get_publisher_count()
         fault = self._recorders.look(there > 0)
         if self._unrecorded and not fault:
-            if not self.records(
-                self._demonstrations_out, there
-            ):  # one that stopped may be among them
+            if not self.records(self._demonstrations_out, there):  # also one that has stopped
                 return
             self._unsent.extend(self._lesson.demonstrations())
         self._unrecorded = fault

@@ -4,56 +4,31 @@ import sys
 import time
 from typing import Any
 
-from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.registry import reference_options
-from humanopts_env.game import moment_from_message, Transition
-from humanopts_env.ros.convert import domain_from_info
-from humanopts_interfaces.msg import (
-    ActionCommand,
-    ActionRefusal,
-    DomainInfo,
-    GameState,
-    LessonState,
-    NodeStatus,
-)
-from humanopts_interfaces.srv import (
-    AnswerQuestion,
-    BeginDemonstration,
-    DefineOption,
-    EndDemonstration,
-    OpenSession,
-    SetControl,
-)
+from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
-from humanopts_ros.qos import CURRENT, STREAM
-from humanopts_teach.dialogue.answers import LessonView
-from humanopts_teach.ros.convert import verdict_to_number, view_from_message
-from humanopts_teach.teacher.acts import (
+from humanopts_teach.lesson.requests import Drive
+from humanopts_teach.lesson.simulated_teacher import (
     Act,
-    Begin,
-    Define,
-    Drive,
-    End,
     Finish,
-    is_seen,
-    Open,
-    Reply,
-    Wait,
-)
-from humanopts_teach.teacher.simulated import (
     FINISHED,
     SimulatedTeacher,
     TeacherError,
     TeacherSettings,
+    Wait,
+)
+from humanopts_teach.ros.lesson_client import (
+    LessonClient,
+    LessonClientError,
+    NoAnswerError,
+    RefusedError,
 )
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
-from rclpy.task import Future
 
-_TICK = 0.1  # s between looks at the deadline
+_TICK = 0.1  # s until something that was refused is tried again
 _REFUSALS = 3  # in a row, after which it gives up
-_GAME_DEADLINE = 5.0  # s for game to take control back
 
 
 class SimulatedTeacherNode(NodeBase):
@@ -71,49 +46,15 @@ class SimulatedTeacherNode(NodeBase):
             )
         )
         self._teacher: SimulatedTeacher | None = None
-        self._lesson: LessonView | None = None
-        self._game: Transition | None = None
-        self._act: Act | None = None  # what was done last; None: what came of it was seen
-        self._answered = False  # the lesson has said yes to it
-        self._episode = 0  # that the lesson said it began
-        self._refused = 0  # in a row
-        self._awaits = ''  # what is waited for, in words
-        self._since = 0.0  # s, since when
-        self._end: str | None = None  # cause of the end, empty when all was taught; None: goes on
-        self._action = self.stamped_publisher(ActionCommand, 'action')
-        names = {
-            OpenSession: 'open_session',
-            DefineOption: 'define_option',
-            AnswerQuestion: 'answer_question',
-            BeginDemonstration: 'begin_demonstration',
-            EndDemonstration: 'end_demonstration',
-        }
-        self._clients_of = {
-            kind: self.recorded_client(kind, f'lesson/{name}') for kind, name in names.items()
-        }
-        self._clients_of[SetControl] = self.recorded_client(SetControl, 'set_control')
-        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
-        self.create_subscription(LessonState, 'lesson_state', self._on_lesson, CURRENT)
-        self.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
-        self._states = self.create_subscription(
-            GameState, 'game_state', self._on_game_state, STREAM
-        )
-        self.create_timer(_TICK, self._tick)
+        self._client = LessonClient(self, patience=self._deadline, on_news=self._meet)
 
     def waits_for(self) -> str | None:
         """Wait for the rules, the lesson and its services."""
-        if self._teacher is None:
-            return 'domain_info'
-        if self._lesson is None:
-            return 'lesson_state'
-        if not (self._states.get_publisher_count() and self.count_subscribers('action')):
-            return 'game'
-        missing = [c.srv_name for c in self._clients_of.values() if not c.service_is_ready()]
-        return missing[0] if missing else None
+        return self._client.waits_for()
 
     def on_ready(self) -> None:
         """Begin to teach."""
-        self._advance()
+        self.executor.create_task(self._teach)
 
     def _read_settings(self) -> TeacherSettings:
         default = TeacherSettings(('',))
@@ -148,155 +89,60 @@ class SimulatedTeacherNode(NodeBase):
             seed=read('seed', 'of every random draw', integer_range=[seeds]),
         )
 
-    # What it sees.
+    def _meet(self) -> None:
+        """Get ready to teach, once the rules of the game are known."""
+        domain = self._client.domain
+        if self._teacher is None and domain is not None:
+            try:
+                self._teacher = SimulatedTeacher(domain, reference_options(domain), self._settings)
+            except TeacherError as error:
+                raise StartError(str(error)) from error
 
-    def _on_domain(self, info: DomainInfo) -> None:
-        if self._teacher is not None:
-            return
+    async def _teach(self) -> None:
+        """Teach everything, give control back, and say how it ended."""
+        cause, refused = '', 0
         try:
-            domain = domain_from_info(info)
-            self._teacher = SimulatedTeacher(domain, reference_options(domain), self._settings)
-        except (DomainError, TeacherError) as error:
-            raise StartError(str(error)) from error
+            while not isinstance(act := await self._next_act(), Finish):
+                try:
+                    await self._do(act)
+                    refused = 0
+                except RefusedError as error:
+                    refused += 1
+                    if refused == _REFUSALS:
+                        detail = error.answer.detail
+                        cause = f'{error.what} was refused {_REFUSALS} times: {detail}'
+                        break
+                    await self.waiting.until(lambda: False, _TICK)
+        except (TeacherError, LessonClientError, PublishError) as error:
+            cause = str(error)
+        if not await self._client.give_back():
+            cause = cause or 'game does not take control back'
+        state = NodeStatus.STATE_PAUSED if cause else NodeStatus.STATE_READY
+        self.set_status(state, cause or FINISHED)
 
-    def _on_lesson(self, message: LessonState) -> None:
-        self._lesson = view_from_message(message)
-        self._advance()
+    async def _next_act(self) -> Act:
+        """
+        Return what to do next, once there is anything to do.
 
-    def _on_game_state(self, message: GameState) -> None:
-        self._game = moment_from_message(message)
-        self._advance()
+        :raises NoAnswerError: nothing has changed in time.
+        """
+        client, reason, since = self._client, '', 0.0
+        while isinstance(act := self._teacher.next_act(client.lesson, client.game), Wait):
+            if act.reason != reason:
+                reason, since = act.reason, time.monotonic()
+            seen = (client.lesson, client.game)
+            left = since + self._deadline - time.monotonic()
+            if not await self.waiting.until(
+                lambda seen=seen: (client.lesson, client.game) != seen, left
+            ):
+                raise NoAnswerError(f'gave up after {self._deadline:g} s of waiting for {reason}')
+        return act
 
-    def _on_refusal(self, message: ActionRefusal) -> None:
-        if message.command_publisher_id == self.publisher_id:
-            self._was_refused(f'action {message.command_action}', message.detail)
-
-    def _tick(self) -> None:
-        """Keep the deadline, and try again what was refused."""
-        late = time.monotonic() - self._since
-        if not self.ready or self._end == FINISHED:
-            return
-        if self._end is not None:
-            if late > _GAME_DEADLINE:
-                self._report(self._end or 'game does not take control back')
-        elif late > self._deadline:
-            self._stop(f'gave up after {self._deadline:g} s of waiting for {self._awaits}')
+    async def _do(self, act: Act) -> None:
+        if isinstance(act, Drive):
+            await self._client.drive(act.action)
         else:
-            self._advance()
-
-    # What it does.
-
-    def _advance(self) -> None:
-        """Do the next thing, once what came of the last one can be seen."""
-        if not self.ready or self._end is not None:
-            return
-        if self._act is not None:
-            seen = is_seen(self._act, self._lesson, self._game, self._episode)
-            if not (self._answered and seen):
-                return
-            self._act, self._refused = None, 0
-        try:
-            self._do(self._teacher.next_act(self._lesson, self._game))
-        except (TeacherError, PublishError) as error:
-            self._stop(str(error))
-
-    def _do(self, act: Act) -> None:
-        if isinstance(act, Finish):
-            self._stop('')
-        elif isinstance(act, Wait):
-            self._await(act.reason)
-        elif isinstance(act, Drive):
-            self._act, self._answered = act, True
-            self._await(f'game to leave step {act.step} of episode {act.episode}')
-            self._action.publish(
-                ActionCommand(
-                    source=ActionCommand.SOURCE_PERSON,
-                    episode=act.episode,
-                    step=act.step,
-                    action=act.action,
-                )
-            )
-        else:
-            self._ask(act)
-
-    def _ask(self, act: Open | Define | Reply | Begin | End) -> None:
-        kind, request = _request(act)
-        client = self._clients_of[kind]
-        self._act, self._answered = act, False
-        self._await(f'an answer of {client.srv_name}')
-
-        def on_answer(future: Future) -> None:
-            response = future.result()
-            if response.status not in _YES[kind]:
-                self._was_refused(client.srv_name, response.detail)
-                return
-            self._answered, self._episode = True, getattr(response, 'episode', 0)
-            self._await(f'the lesson to show what came of {client.srv_name}')
-            self._advance()
-
-        client.call_async(request).add_done_callback(on_answer)
-
-    def _was_refused(self, what: str, detail: str) -> None:
-        """Look again at the next tick and go on from there, but not for ever."""
-        self._act = None
-        self._refused += 1
-        if self._refused >= _REFUSALS:
-            self._stop(f'{what} was refused {_REFUSALS} times: {detail}')
-
-    def _await(self, what: str) -> None:
-        if what != self._awaits:
-            self._awaits, self._since = what, time.monotonic()
-
-    def _stop(self, cause: str) -> None:
-        """Give control back and say so; an empty cause means that everything was taught."""
-        if self._end is not None:
-            return
-        self._end = cause
-        self._await('game to take control back')
-        request = SetControl.Request(hold=False, holder_id=self.publisher_id)
-        answer = self._clients_of[SetControl].call_async(request)
-        answer.add_done_callback(lambda _: self._report(cause))
-
-    def _report(self, cause: str) -> None:
-        self._end = FINISHED  # nothing is left to do
-        if cause:
-            self.set_status(NodeStatus.STATE_PAUSED, cause)
-        else:
-            self.set_status(NodeStatus.STATE_READY, FINISHED)
-
-
-_YES = {
-    OpenSession: {OpenSession.Response.STATUS_OK},
-    DefineOption: {DefineOption.Response.STATUS_OK},
-    AnswerQuestion: {
-        AnswerQuestion.Response.STATUS_OK,
-        AnswerQuestion.Response.STATUS_NO_FEATURE,
-    },
-    BeginDemonstration: {BeginDemonstration.Response.STATUS_OK},
-    EndDemonstration: {EndDemonstration.Response.STATUS_OK},
-}
-
-
-def _request(act: Open | Define | Reply | Begin | End) -> tuple[Any, Any]:
-    """Return the service of an act and its request."""
-    match act:
-        case Open():
-            return OpenSession, OpenSession.Request(
-                participant=act.participant, session=act.session
-            )
-        case Define():
-            return DefineOption, DefineOption.Request(name=act.option_name)
-        case Reply():
-            return AnswerQuestion, AnswerQuestion.Request(question_id=act.question_id, yes=act.yes)
-        case Begin():
-            return BeginDemonstration, BeginDemonstration.Request()
-        case End():
-            return EndDemonstration, EndDemonstration.Request(
-                verdict=verdict_to_number(act.verdict),
-                episode=act.episode,
-                step=act.step,
-                can_start_at_end=act.can_start_at_end,
-            )
+            await self._client.ask(act)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -3,26 +3,27 @@
 import time
 from typing import Any
 
+from humanopts_env.game import Transition
 from humanopts_interfaces import action as actions
 from humanopts_interfaces import srv
-from humanopts_interfaces.msg import ActionCommand, OptionResult, PlanResult
+from humanopts_interfaces.msg import OptionResult, PlanResult
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.publisher import PublishError
-from humanopts_teach.ros.convert import verdict_to_number
+from humanopts_teach.lesson.requests import (
+    Answer,
+    DefineOption,
+    Drive,
+    RequestStatus,
+    WithdrawDemonstration,
+)
+from humanopts_teach.ros.lesson_client import CARRIED_OUT, LessonClient
 from humanopts_teach.terminal import requests as ask
 from humanopts_teach.terminal.app import App
 from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.task import Future
 
-_SERVICES = {
-    ask.OpenSession: (srv.OpenSession, 'lesson/open_session'),
-    ask.DefineOption: (srv.DefineOption, 'lesson/define_option'),
-    ask.AnswerQuestion: (srv.AnswerQuestion, 'lesson/answer_question'),
-    ask.Begin: (srv.BeginDemonstration, 'lesson/begin_demonstration'),
-    ask.End: (srv.EndDemonstration, 'lesson/end_demonstration'),
-    ask.Withdraw: (srv.WithdrawDemonstration, 'lesson/withdraw_demonstration'),
-    ask.SetControl: (srv.SetControl, 'set_control'),
+_SERVICES = {  # besides those of LessonClient
     ask.NewEpisode: (srv.ResetGame, 'reset_game'),
     ask.ListOptions: (srv.ListOptions, 'list_options'),
     ask.SetExecution: (srv.SetExecution, 'set_execution'),
@@ -40,17 +41,15 @@ _PLAN_EPISODES = 20  # start states that a plan is judged from
 class Calls:
     """Sends one request after the other, and hands the answers to the app; never waits."""
 
-    def __init__(self, node: NodeBase, app: App) -> None:
-        self._node = node
+    def __init__(self, node: NodeBase, client: LessonClient, app: App) -> None:
         self._app = app
-        self._action = node.stamped_publisher(ActionCommand, 'action')
+        self._client = client
         self._services: dict[type, Client] = {
             kind: node.recorded_client(*service) for kind, service in _SERVICES.items()
         }
         self._actions = {kind: ActionClient(node, *spec) for kind, spec in _ACTIONS.items()}
         self._held: ask.Request | None = None  # its server is not there yet
         self._handle: Any = None  # of the run under way
-        self.drive_sequence = 0  # of the last ActionCommand
 
     def send(self, request: ask.Request | None) -> None:
         """Send a request, or the one that still waits for its server."""
@@ -64,21 +63,19 @@ class Calls:
             self._reply(ask.Reply(request, ok=True))
         elif not self._ready(request):
             self._held = request
-        elif isinstance(request, ask.Drive):
-            self._drive(request)
-        elif type(request) in _ACTIONS:
+        elif isinstance(request, ask.Run):
             self._start(request)
         else:
-            future = self._services[type(request)].call_async(self._message(request))
-            future.add_done_callback(lambda done: self._answered(request, done))
+            try:
+                self._call(request).add_done_callback(lambda done: self._answered(request, done))
+            except PublishError as error:
+                self._reply(ask.Reply(request, ok=False, text=str(error)))
 
     def part(self, request: ask.Request) -> Future | None:
         """Send one of the last requests; None: nobody is there to answer it."""
         if isinstance(request, ask.CancelRun):
             return self._handle.cancel_goal_async() if self._handle is not None else None
-        if not self._ready(request):
-            return None
-        return self._services[type(request)].call_async(self._message(request))
+        return self._call(request) if self._ready(request) else None
 
     def check_server(self) -> None:
         """End the run when its server is gone."""
@@ -88,82 +85,59 @@ class Calls:
 
     def _ready(self, request: ask.Request) -> bool:
         """Tell whether the server is matched: a request that is sent before would be lost."""
-        if isinstance(request, ask.Drive):
-            return self._action.heard_by('game')
-        if type(request) in _ACTIONS:
+        if isinstance(request, ask.Run):
             return self._actions[type(request)].server_is_ready()
-        return self._services[type(request)].service_is_ready()
+        if type(request) in self._services:
+            return self._services[type(request)].service_is_ready()
+        return self._client.is_ready(request)
 
     def _reply(self, reply: ask.Reply) -> None:
         self._app.replied(reply, time.monotonic())
 
-    def _drive(self, request: ask.Drive) -> None:
-        episode, step = request.at
-        command = ActionCommand(
-            source=ActionCommand.SOURCE_PERSON, episode=episode, step=step, action=request.action
-        )
-        try:
-            self._action.publish(command)
-        except PublishError as error:
-            self._reply(ask.Reply(request, ok=False, text=str(error)))
-        self.drive_sequence = self._action.sequence
+    def _call(self, request: ask.Request) -> Future:
+        """
+        Send a request; the future's result is an ``Answer``, or the response of a service.
 
-    def _message(self, request: ask.Request) -> Any:
+        :raises PublishError: an action could not be sent.
+        """
         match request:
-            case ask.OpenSession(participant):
-                return srv.OpenSession.Request(participant=participant)
-            case ask.DefineOption(name, ask_again):
-                return srv.DefineOption.Request(name=name, ask_again=ask_again)
-            case ask.AnswerQuestion(question_id, yes):
-                return srv.AnswerQuestion.Request(question_id=question_id, yes=yes)
-            case ask.Begin():
-                return srv.BeginDemonstration.Request()
-            case ask.End(verdict, (episode, step), can_start_at_end):
-                return srv.EndDemonstration.Request(
-                    verdict=verdict_to_number(verdict),
-                    episode=episode,
-                    step=step,
-                    can_start_at_end=can_start_at_end,
-                )
-            case ask.Withdraw(uuid):
-                return srv.WithdrawDemonstration.Request(uuid=uuid)
-            case ask.SetControl(hold):
-                return srv.SetControl.Request(hold=hold, holder_id=self._node.publisher_id)
             case ask.NewEpisode(seed):
-                return srv.ResetGame.Request(source=srv.ResetGame.Request.SOURCE_PERSON, seed=seed)
+                source = srv.ResetGame.Request.SOURCE_PERSON
+                message = srv.ResetGame.Request(source=source, seed=seed)
             case ask.ListOptions(participant):
-                return srv.ListOptions.Request(participant=participant)
+                message = srv.ListOptions.Request(participant=participant)
             case ask.SetExecution(execution):
-                return srv.SetExecution.Request(execution=execution)
-        raise TypeError(f'{request} is not a service request')
+                message = srv.SetExecution.Request(execution=execution)
+            case _:
+                return self._client.send(request)
+        return self._services[type(request)].call_async(message)
 
     def _answered(self, request: ask.Request, done: Future) -> None:
-        response: Any = done.result()
-        if isinstance(request, ask.ListOptions):
-            reply = ask.Reply(request, ok=True, names=tuple(response.option_names))
+        """Hand the answer to the app, in the words that the person reads."""
+        found: Any = done.result()
+        if isinstance(found, Answer):
+            self._reply(_lesson_reply(request, found))
+        elif isinstance(request, ask.ListOptions):
+            self._reply(ask.Reply(request, ok=True, names=tuple(found.option_names)))
         else:
-            kind = type(response)
-            ok = response.status == kind.STATUS_OK
-            again = getattr(kind, 'STATUS_NO_FEATURE', None)
-            paused = response.status == getattr(kind, 'STATUS_PAUSED', None)
-            text = _PAUSED if paused else response.detail
-            reply = ask.Reply(
-                request,
-                ok=ok or response.status == again,
-                text=''
-                if ok and not isinstance(request, ask.DefineOption | ask.Withdraw)
-                else text,
-                names=tuple(getattr(response, 'known_options', ())),
-                episode=getattr(response, 'episode', 0),
+            ok = found.status == type(found).STATUS_OK
+            answer = Answer(
+                RequestStatus.OK if ok else RequestStatus.REFUSED,
+                found.detail,
+                episode=getattr(found, 'episode', 0),
             )
-        self._reply(reply)
+            text = '' if ok else found.detail
+            self._reply(ask.Reply(request, ok=ok, text=text, answer=answer))
 
     def _goal(self, run: ask.Run) -> Any:
         match run:
             case ask.RunOption(name, participant):
-                episode, step = self._app.world.game.at if self._app.world.game else (0, 0)
+                game = self._app.world.game or Transition()
                 return actions.ExecuteOption.Goal(
-                    option_name=name, participant=participant, episode=episode, step=step
+                    option_name=name,
+                    participant=participant,
+                    episode=game.episode,
+                    step=game.step,
                 )
             case ask.PlanOptions(action_set, participant, seed):
                 return actions.Plan.Goal(
@@ -208,6 +182,23 @@ class Calls:
         self._handle = None
         ok, text = result_text(done.result().result.result, self._app.world.i_drive)
         self._app.run_ended(ask.Reply(run, ok=ok, text=text))
+
+
+def _lesson_reply(request: ask.Request, answer: Answer) -> ask.Reply:
+    text = answer.detail
+    if answer.status is RequestStatus.PAUSED:
+        text = _PAUSED
+    elif isinstance(request, Drive) and not answer.ok:
+        text = f'{request.action}: {answer.detail}'
+    elif answer.ok and not isinstance(request, DefineOption | WithdrawDemonstration):
+        text = ''
+    return ask.Reply(
+        request,
+        ok=answer.status in CARRIED_OUT,
+        text=text,
+        names=answer.known_options,
+        answer=answer,
+    )
 
 
 def result_text(result: Any, i_drive: bool) -> tuple[bool, str]:

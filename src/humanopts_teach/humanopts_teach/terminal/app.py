@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from humanopts_env.domains.base import Domain
-from humanopts_teach.dialogue.answers import Phase, Verdict
+from humanopts_teach.lesson.requests import Drive, EndDemonstration, Phase, SetControl, Verdict
 from humanopts_teach.terminal.keys import END_OF_FILE, INTERRUPT
 from humanopts_teach.terminal.requests import (
     CancelRun,
-    Drive,
-    End,
     PlanOptions,
     PlayEpisodes,
     Reply,
@@ -24,7 +22,6 @@ from humanopts_teach.terminal.requests import (
     Run,
     RunOption,
     server,
-    SetControl,
     settled,
 )
 from humanopts_teach.terminal.world import World
@@ -117,13 +114,13 @@ class App:
     def drive(self, action: str) -> None:
         """Have a primitive action taken as a person; between two episodes, only take control."""
         game = self.world.game
-        if game is None or not game.under_way:
+        if game is None or not game.open:
             if self.run is not None:
                 self.ask(SetControl(hold=True))
                 return
             self.say('No step can be taken: the episode is over.', bad=True)
         else:
-            self.ask(Drive(action, game.at))
+            self.ask(Drive(action, game.episode, game.step))
 
     def end(self) -> None:
         """Leave the terminal."""
@@ -170,12 +167,6 @@ class App:
             self.world.running = ''
         self._look_at_waiting(now)
 
-    def moved(self, now: float) -> None:
-        """Take in that the game has gone on since the person's action was sent."""
-        request, game = self.waits_for, self.world.game
-        if isinstance(request, Drive) and game is not None and game.at != request.at:
-            self.replied(Reply(request, ok=True), now)
-
     def run_said(self, text: str) -> None:
         """Take in how far the run is."""
         self.run_text = text
@@ -201,7 +192,7 @@ class App:
         if self.run is not None:
             requests.append(CancelRun())
         if mine and demonstrating and game is not None:
-            requests.append(End(Verdict.DISCARD, game.at))
+            requests.append(EndDemonstration(Verdict.DISCARD, game.episode, game.step))
         if self.world.i_drive:
             requests.append(SetControl(hold=False))
         return requests

@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 from io import StringIO
 from typing import Literal
 
-from humanopts_teach.dialogue.answers import Phase
+from humanopts_teach.lesson.requests import Phase
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.board import board_text
 from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen

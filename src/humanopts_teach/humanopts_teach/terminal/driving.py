@@ -5,19 +5,18 @@ from dataclasses import dataclass, field
 
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.arbitration import Execution
+from humanopts_teach.lesson.requests import Drive, SetControl
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.entry import HelpScreen, Keys, PlainScreen
 from humanopts_teach.terminal.keys import Command, key_table, KeyTable, label
 from humanopts_teach.terminal.requests import (
     CancelRun,
-    Drive,
     NewEpisode,
     PlanOptions,
     PlayEpisodes,
     Reply,
     Request,
     RunOption,
-    SetControl,
     SetExecution,
 )
 
@@ -122,7 +121,7 @@ class RunScreen(PlayScreen):
     def start(self, app: App) -> None:
         """Give control back, and run the option from the current state."""
         game = app.world.game
-        under_way = game is not None and game.under_way
+        under_way = game is not None and game.open
         first = [] if under_way else [self.new_start(app)]
         app.ask(*first, SetControl(hold=False), RunOption(self.option_name, app.participant))
 

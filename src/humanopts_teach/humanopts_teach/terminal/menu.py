@@ -2,16 +2,11 @@
 
 from collections.abc import Callable
 
-from humanopts_teach.dialogue.answers import Phase
+from humanopts_teach.lesson.requests import DefineOption, OpenSession, Phase
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.driving import PlayScreen, RunScreen, WatchScreen
 from humanopts_teach.terminal.entry import Item, ListScreen, TextScreen
-from humanopts_teach.terminal.requests import (
-    DefineOption,
-    ListOptions,
-    OpenSession,
-    Reply,
-)
+from humanopts_teach.terminal.requests import ListOptions, Reply
 from humanopts_teach.terminal.teaching import LessonScreen
 
 
@@ -147,5 +142,5 @@ def _watching(action_set: str) -> Callable[[App], None]:
 def _play(app: App) -> None:
     screen = PlayScreen(menu=to_menu)
     app.show(screen)
-    if app.world.game is None or not app.world.game.under_way:
+    if app.world.game is None or not app.world.game.open:
         app.ask(screen.new_start(app))

@@ -5,13 +5,12 @@ from functools import singledispatch
 import math
 
 from humanopts_learner.options.conflicts import NO_START
-from humanopts_learner.options.criteria import FEWEST
-from humanopts_teach.dialogue.answers import LessonView, Phase
+from humanopts_learner.options.criteria import Criterion, FEWEST
+from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
 from humanopts_teach.terminal.app import App, Screen
 from humanopts_teach.terminal.driving import EXECUTIONS, PlayScreen, WatchScreen
 from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen, ListScreen, TextScreen
 from humanopts_teach.terminal.teaching import LessonScreen
-from humanopts_teach.terminal.world import CriterionView, ProgressView
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -84,7 +83,7 @@ def _play(screen: PlayScreen, app: App) -> RenderableType:
     if game is not None and game.episode:
         lines.append(Text(f'episode {game.episode}, step {game.step}'))
         if game.step:
-            lines.append(Text(f'last: {game.action}, reward {game.reward:g}'))
+            lines.append(Text(f'last: {game.previous_action}, reward {game.reward:g}'))
         if game.terminated:
             lines.append(Text('The task is done.', 'bold green'))
         elif game.truncated:
@@ -154,7 +153,7 @@ def _features(lesson: LessonView, app: App) -> Text:
     return text
 
 
-def _criteria(lesson: LessonView, progress: ProgressView | None) -> list[RenderableType]:
+def _criteria(lesson: LessonView, progress: OptionStatus | None) -> list[RenderableType]:
     if progress is None or not progress.criteria:
         return [Text('Nothing is learned yet.')]
     table = Table.grid(padding=(0, 2, 0, 0))
@@ -171,7 +170,7 @@ def _criteria(lesson: LessonView, progress: ProgressView | None) -> list[Rendera
     return parts
 
 
-def _criterion(criterion: CriterionView) -> list[Text]:
+def _criterion(criterion: Criterion) -> list[Text]:
     error = criterion.name != 'return'
 
     def number(value: float) -> str:
@@ -180,7 +179,7 @@ def _criterion(criterion: CriterionView) -> list[Text]:
         return f'{abs(value):.2f} {"worse" if value >= 0 else "better"}'
 
     style = 'green' if criterion.met else 'yellow'
-    now = number(criterion.value) if criterion.measurable else 'not yet measurable'
+    now = 'not yet measurable' if criterion.value is None else number(criterion.value)
     return [
         Text('✓' if criterion.met else '·', style),
         Text(_CRITERIA.get(criterion.name, criterion.name)),
@@ -189,7 +188,7 @@ def _criterion(criterion: CriterionView) -> list[Text]:
     ]
 
 
-def _estimate(lesson: LessonView, progress: ProgressView) -> Text:
+def _estimate(lesson: LessonView, progress: OptionStatus) -> Text:
     more = progress.more_needed
     if progress.criteria_met:
         goes_on = lesson.phase in {Phase.READY, Phase.DEMONSTRATING}
@@ -203,7 +202,7 @@ def _estimate(lesson: LessonView, progress: ProgressView) -> Text:
     return Text(f'About {more} more {"is" if more == 1 else "are"} needed (an estimate).')
 
 
-def _conflicts(progress: ProgressView, key: str) -> list[RenderableType]:
+def _conflicts(progress: OptionStatus, key: str) -> list[RenderableType]:
     """Return a situation that was answered differently, and what to press about it."""
     if not progress.conflicts:
         return []
@@ -217,7 +216,7 @@ def _conflicts(progress: ProgressView, key: str) -> list[RenderableType]:
     return lines
 
 
-def _ends(progress: ProgressView, again: str, undo: str) -> list[RenderableType]:
+def _ends(progress: OptionStatus, again: str, undo: str) -> list[RenderableType]:
     """Return what may be missing where some say that it can start here, and some not."""
     if progress.suggested_feature or not any(NO_START in text for text in progress.conflicts):
         return []  # where a feature is missing, that is why

@@ -2,67 +2,18 @@
 
 from dataclasses import dataclass
 
-from humanopts_teach.dialogue.answers import Phase, Verdict
+from humanopts_teach.lesson.requests import (
+    Answer,
+    BeginDemonstration,
+    Drive,
+    LessonRequest,
+    RequestStatus,
+    SetControl,
+    shows_outcome,
+)
 from humanopts_teach.terminal.world import World
 
-
-@dataclass(frozen=True, slots=True)
-class OpenSession:
-    """Begin a sitting, or go on with the participant's options."""
-
-    participant: str
-
-
-@dataclass(frozen=True, slots=True)
-class DefineOption:
-    """Name an option, or take it up again."""
-
-    name: str
-    ask_again: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class AnswerQuestion:
-    """Answer the open question."""
-
-    question_id: int
-    yes: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Begin:
-    """Draw a start state and begin a demonstration."""
-
-
-@dataclass(frozen=True, slots=True)
-class End:
-    """Give the verdict on the demonstration under way."""
-
-    verdict: Verdict
-    at: tuple[int, int]  # episode and step that the person saw
-    can_start_at_end: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Withdraw:
-    """Take back the newest demonstration of the option."""
-
-    uuid: str
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """Take one primitive action as a person, and so take control."""
-
-    action: str
-    at: tuple[int, int]  # episode and step that the person saw
-
-
-@dataclass(frozen=True, slots=True)
-class SetControl:
-    """Take control, or give it back to the machine."""
-
-    hold: bool
+_NO_FIELDS = Answer(RequestStatus.OK, '')
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,19 +72,7 @@ class CancelRun:
 
 Run = RunOption | PlanOptions | PlayEpisodes  # long: they go on after they were accepted
 Request = (
-    OpenSession
-    | DefineOption
-    | AnswerQuestion
-    | Begin
-    | End
-    | Withdraw
-    | Drive
-    | SetControl
-    | NewEpisode
-    | ListOptions
-    | SetExecution
-    | CancelRun
-    | Run
+    LessonRequest | Drive | SetControl | NewEpisode | ListOptions | SetExecution | CancelRun | Run
 )
 
 
@@ -145,7 +84,7 @@ class Reply:
     ok: bool
     text: str = ''
     names: tuple[str, ...] = ()  # options, where the request was about them
-    episode: int = 0  # that was begun
+    answer: Answer = _NO_FIELDS  # the fields of the service's response
 
 
 def server(request: Request) -> str:
@@ -169,24 +108,15 @@ def settled(reply: Reply, world: World) -> bool:
     if not reply.ok:
         return True
     match reply.request:
-        case OpenSession(participant):
-            return lesson is not None and lesson.participant == participant
-        case DefineOption(name):
-            return lesson is not None and lesson.option_name == name
-        case AnswerQuestion(question_id):
-            return lesson is not None and lesson.question_id != question_id
-        case Begin():
-            begun = lesson is not None and lesson.phase is Phase.DEMONSTRATING
-            return begun and game is not None and game.episode >= reply.episode
-        case End():
-            return lesson is not None and lesson.phase is not Phase.DEMONSTRATING
-        case Withdraw(uuid):
-            return lesson is not None and lesson.last_uuid != uuid
+        case Drive() | ListOptions() | CancelRun() | RunOption() | PlanOptions() | PlayEpisodes():
+            return True
         case NewEpisode():
-            return game is not None and game.episode >= reply.episode
+            return game is not None and game.episode >= reply.answer.episode
         case SetExecution(execution):
             return world.execution == execution
         case SetControl(hold):
             return world.i_drive == hold
-        case _:
-            return True
+        case BeginDemonstration() if game is None or game.episode < reply.answer.episode:
+            return False
+        case request:
+            return lesson is not None and shows_outcome(lesson, request, reply.answer)

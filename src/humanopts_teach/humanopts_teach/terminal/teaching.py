@@ -3,18 +3,20 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
+from humanopts_teach.lesson.requests import (
+    AnswerQuestion,
+    BeginDemonstration,
+    DefineOption,
+    EndDemonstration,
+    LessonView,
+    Phase,
+    Verdict,
+    WithdrawDemonstration,
+)
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen, Keys, PlainScreen
 from humanopts_teach.terminal.keys import Command, ENTER, key_table, KeyTable, label, SPACE
-from humanopts_teach.terminal.requests import (
-    AnswerQuestion,
-    Begin,
-    DefineOption,
-    End,
-    Reply,
-    Withdraw,
-)
+from humanopts_teach.terminal.requests import Reply
 
 _ALWAYS = (Command.QUESTIONS, Command.MENU, Command.HELP, Command.QUIT)
 _IN_PHASE: dict[Phase, tuple[Command, ...]] = {
@@ -91,17 +93,17 @@ class LessonScreen(PlainScreen):
         if self.rest and lesson is not None and _can_skip(lesson):
             app.ask(_as_before(lesson))
         if self.automatic and lesson is not None and lesson.phase is Phase.READY:
-            app.ask(Begin())
+            app.ask(BeginDemonstration())
 
     def replied(self, reply: Reply, app: App) -> None:
         """Go on to the next start state, or stop where something was refused."""
-        if isinstance(reply.request, Begin):
+        if isinstance(reply.request, BeginDemonstration):
             self.automatic = False
         elif isinstance(reply.request, AnswerQuestion) and not reply.ok:
             self.rest = False
-        elif isinstance(reply.request, Withdraw) and reply.ok:
+        elif isinstance(reply.request, WithdrawDemonstration) and reply.ok:
             self.automatic = True
-        elif isinstance(reply.request, End) and reply.ok:
+        elif isinstance(reply.request, EndDemonstration) and reply.ok:
             self.again = False
             self.automatic = not app.world.paused
 
@@ -167,7 +169,8 @@ class LessonScreen(PlainScreen):
 
     def _verdict(self, verdict: Verdict, app: App) -> None:
         if (game := app.world.game) is not None:
-            app.ask(End(verdict, game.at, self.again and verdict is Verdict.DONE))
+            again = self.again and verdict is Verdict.DONE
+            app.ask(EndDemonstration(verdict, game.episode, game.step, again))
 
     def _take_back(self, lesson: LessonView, app: App) -> None:
         """Take back the newest demonstration, and discard the one under way; ask first."""
@@ -175,8 +178,8 @@ class LessonScreen(PlainScreen):
         def withdraw(app: App) -> None:
             app.show(self)
             if (game := app.world.game) is not None and _phase(app) is Phase.DEMONSTRATING:
-                app.ask(End(Verdict.DISCARD, game.at))
-            app.ask(Withdraw(lesson.last_uuid))
+                app.ask(EndDemonstration(Verdict.DISCARD, game.episode, game.step))
+            app.ask(WithdrawDemonstration(lesson.last_uuid))
 
         under_way = lesson.phase is Phase.DEMONSTRATING
         last = 'the one before this' if under_way else 'the last demonstration'
@@ -195,7 +198,7 @@ class LessonScreen(PlainScreen):
 
         def discard(app: App) -> None:
             app.show(self)
-            app.ask(End(Verdict.DISCARD, game.at))
+            app.ask(EndDemonstration(Verdict.DISCARD, game.episode, game.step))
             go(app)
 
         if game.step:

@@ -1,19 +1,119 @@
-"""The lesson's memory: for each participant one journal of what they said and showed."""
+"""
+What is kept of a lesson: for each participant one file of what they said and showed.
 
+A line of JSON is one entry. It is on disk (fsync) before the lesson goes on.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 import errno
 import fcntl
+import json
 import os
 from pathlib import Path
 import re
 from types import TracebackType
+from typing import Any
 
+from humanopts_learner.demonstrations import Demonstration, DemonstrationError
 from humanopts_learner.journal import Journal
-from humanopts_teach.demos.entries import Entry, entry_from_line, entry_to_line, EntryError
 
+VERSION = 1  # of the line format
 _SUFFIX = '.jsonl'
 _LOCK = '.lock'
 CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')
 CODE_RULE = 'letters, digits, - and _, at most 60 of them'
+
+
+class EntryError(ValueError):
+    """A line is not an entry; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class SessionOpened:
+    """A participant began a session, or went on with it."""
+
+    domain: str
+    domain_parameters: str  # JSON object
+    participant: str
+    session: str
+
+
+@dataclass(frozen=True, slots=True)
+class OptionDefined:
+    """An option was named, or taken up again."""
+
+    domain: str
+    domain_parameters: str
+    participant: str
+    session: str
+    option_name: str
+    ask_again: bool  # the answers given before count no longer
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureAnswered:
+    """One feature question was answered."""
+
+    domain: str
+    domain_parameters: str
+    participant: str
+    session: str
+    option_name: str
+    feature: str
+    yes: bool
+
+
+Entry = SessionOpened | OptionDefined | FeatureAnswered | Demonstration
+_DIALOGUE: Mapping[str, type[SessionOpened | OptionDefined | FeatureAnswered]] = {
+    'session': SessionOpened,
+    'option': OptionDefined,
+    'answer': FeatureAnswered,
+}
+_DEMONSTRATION = 'demonstration'
+_NAMES = {kind: name for name, kind in _DIALOGUE.items()}
+
+
+def entry_to_line(entry: Entry) -> str:
+    """Return the entry as one line of JSON, without the line's end."""
+    if isinstance(entry, Demonstration):
+        name, values = _DEMONSTRATION, json.loads(entry.to_json())
+    else:
+        name, values = _NAMES[type(entry)], asdict(entry)
+    return json.dumps({'version': VERSION, 'entry': name, **values}, sort_keys=True)
+
+
+def entry_from_line(line: str) -> Entry:
+    """
+    Read what ``entry_to_line`` wrote.
+
+    :raises EntryError: it is not JSON, of another version, or a field is missing or wrong.
+    """
+    try:
+        values = json.loads(line)
+    except json.JSONDecodeError as error:
+        raise EntryError(f'it is not JSON: {error}') from None
+    if not isinstance(values, dict) or values.get('version') != VERSION:
+        raise EntryError(f'it is not an entry of version {VERSION}')
+    name = str(values.get('entry'))
+    try:
+        if name == _DEMONSTRATION:
+            return Demonstration.from_fields(values)
+        if name in _DIALOGUE:
+            return _dialogue_entry(_DIALOGUE[name], values)
+    except DemonstrationError as error:
+        raise EntryError(str(error)) from None
+    raise EntryError(f'it has an unknown kind of entry, {name!r}')
+
+
+def _dialogue_entry(
+    kind: type[SessionOpened | OptionDefined | FeatureAnswered], values: Mapping[str, Any]
+) -> Entry:
+    found: dict[str, Any] = {field.name: values.get(field.name) for field in fields(kind)}
+    for field in fields(kind):
+        if type(found[field.name]) is not field.type:
+            raise EntryError(f'its field {field.name} is missing or wrong')
+    return kind(**found)
 
 
 class StoreError(OSError):
@@ -32,7 +132,7 @@ class DemonstrationStore:
         self.directory = directory
         self.damage: list[str] = []  # what was found damaged, in words
         self._entries: dict[str, list[Entry]] = {}
-        self._journals: dict[str, Journal] = {}
+        self._logs: dict[str, Journal] = {}
         self._lock = -1
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -55,13 +155,13 @@ class DemonstrationStore:
         self.close()
 
     def close(self) -> None:
-        """Let another process use the folder."""
+        """Unlock the folder for another process."""
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
 
     def participants(self) -> list[str]:
-        """Return the codes of everybody in the folder, sorted."""
+        """Return the codes of all participants in the folder, sorted."""
         return sorted(self._entries)
 
     def entries(self, participant: str) -> tuple[Entry, ...]:
@@ -80,19 +180,19 @@ class DemonstrationStore:
             raise ValueError(f'participant {entry.participant!r} is not a code: {CODE_RULE}')
         path = self.directory / f'{entry.participant}{_SUFFIX}'
         try:
-            if entry.participant not in self._journals:
-                self._journals[entry.participant] = Journal(path)
-            self._journals[entry.participant].append(entry_to_line(entry))
+            if entry.participant not in self._logs:
+                self._logs[entry.participant] = Journal(path)
+            self._logs[entry.participant].append(entry_to_line(entry))
         except OSError as error:
             raise _explained(error, f'write to {path}') from error
         self._entries.setdefault(entry.participant, []).append(entry)
 
     def _load(self, path: Path) -> list[Entry]:
-        journal = self._journals[path.stem] = Journal(path)
-        if journal.damage:
-            self.damage.append(journal.damage)
+        log = self._logs[path.stem] = Journal(path)
+        if log.damage:
+            self.damage.append(log.damage)
         found: list[Entry] = []
-        for number, line in enumerate(journal.lines, start=1):
+        for number, line in enumerate(log.lines, start=1):
             try:
                 entry = entry_from_line(line)
                 if entry.participant != path.stem:

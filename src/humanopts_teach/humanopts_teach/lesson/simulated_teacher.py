@@ -27,8 +27,18 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
-from humanopts_teach.dialogue.answers import LessonView, Phase, Verdict
-from humanopts_teach.teacher.acts import Act, Begin, Define, Drive, End, Finish, Open, Reply, Wait
+from humanopts_teach.lesson.requests import (
+    AnswerQuestion,
+    BeginDemonstration,
+    DefineOption,
+    Drive,
+    EndDemonstration,
+    LessonRequest,
+    LessonView,
+    OpenSession,
+    Phase,
+    Verdict,
+)
 import numpy as np
 
 FINISHED = 'finished'  # text of its node's status when everything was taught
@@ -53,8 +63,23 @@ class TeacherSettings:
     seed: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """Do nothing until something changes."""
+
+    reason: str  # completes "waits for ..."
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """Everything was taught."""
+
+
+Act = LessonRequest | Drive | Wait | Finish
+
+
 class SimulatedTeacher:
-    """Says what to do next, given where the lesson and the game stand."""
+    """Decides what to do next, given where the lesson and the game stand."""
 
     def __init__(
         self,
@@ -85,25 +110,29 @@ class SimulatedTeacher:
         :raises TeacherError: it cannot show the option from the start state.
         """
         act = self._wanted(lesson, game)
-        if lesson.paused and isinstance(act, Open | Define | Reply | Begin):
+        if lesson.paused and isinstance(
+            act, OpenSession | DefineOption | AnswerQuestion | BeginDemonstration
+        ):
             return Wait(f'the lesson to go on; it is paused: {lesson.paused}')
         return act
 
     def _wanted(self, lesson: LessonView, game: Transition | None) -> Act:
         settings = self._settings
         if (lesson.participant, lesson.session) != (settings.participant, settings.session):
-            return Open(settings.participant, settings.session)
+            return OpenSession(settings.participant, settings.session)
         if lesson.phase is Phase.FINISHED:
             self._finished.add(lesson.option_name)
         left = [name for name in settings.options if name not in self._finished]
         if not left:
             return Finish()
         if lesson.option_name != left[0]:
-            return Define(left[0])
+            return DefineOption(left[0])
         if lesson.phase is Phase.ASKING:
-            return Reply(lesson.question_id, self.depends_on(left[0], lesson.question_feature))
+            return AnswerQuestion(
+                lesson.question_id, self.depends_on(left[0], lesson.question_feature)
+            )
         if lesson.phase is Phase.READY:
-            return Begin()
+            return BeginDemonstration()
         if lesson.phase is Phase.DEMONSTRATING:
             return self._demonstrate(lesson, game)
         return Wait('the learner')
@@ -125,12 +154,12 @@ class SimulatedTeacher:
         state = self._domain.decode(game.state)
         here = (game.episode, game.step)
         if game.step == 0 and not reference.can_start(state):
-            return End(Verdict.NOT_HERE, *here)
+            return EndDemonstration(Verdict.NOT_HERE, *here)
         if game.step > 0 and reference.ends(state):
             if self._erred:
                 return self._discard(lesson, here)
             over = game.terminated or game.truncated
-            return End(Verdict.DONE, *here, not over and reference.can_start(state))
+            return EndDemonstration(Verdict.DONE, *here, not over and reference.can_start(state))
         best = reference.optimal_actions(state)
         stuck = not best or game.step >= self._settings.step_limit
         if game.terminated or game.truncated or stuck:
@@ -139,14 +168,14 @@ class SimulatedTeacher:
         self._erred = action not in best
         return Drive(self._domain.actions[action].name, *here)
 
-    def _discard(self, lesson: LessonView, here: tuple[int, int]) -> End:
+    def _discard(self, lesson: LessonView, here: tuple[int, int]) -> EndDemonstration:
         self._attempt += 1
         if self._attempt >= ATTEMPTS:
             raise TeacherError(
                 f'cannot show {lesson.option_name!r} from {lesson.start_state}: '
                 f'{ATTEMPTS} demonstrations in a row did not come to the end'
             )
-        return End(Verdict.DISCARD, *here)
+        return EndDemonstration(Verdict.DISCARD, *here)
 
     def _choose(self, best: tuple[int, ...], option_name: str, number: int, step: int) -> int:
         rng = self._generator('error', option_name, number, self._attempt, step)

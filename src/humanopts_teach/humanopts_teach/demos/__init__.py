@@ -1,1 +1,0 @@
-"""Demonstrations as they are collected and kept: pure, without ROS."""

@@ -1,1 +1,0 @@
-"""The teaching dialogue as a state machine: pure, without ROS."""

@@ -1,0 +1,1 @@
+"""A teaching session: what is asked, kept and shown, as pure values and rules, without ROS."""

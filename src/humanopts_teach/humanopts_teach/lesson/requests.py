@@ -1,0 +1,219 @@
+"""
+What is asked of a lesson, what it answers, and what it shows.
+
+All are plain values with the names and fields of the messages that carry them (``.srv`` and
+``.msg`` files of humanopts_interfaces). The terminal, the simulated teacher, programs of other
+people and the lesson itself use these same values.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+import math
+
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.criteria import Criterion
+
+
+class Phase(Enum):
+    """Where the lesson stands; the names are those of LessonState's PHASE constants."""
+
+    NO_SESSION = 'no session'
+    NO_OPTION = 'no option'
+    ASKING = 'asking'
+    READY = 'ready'
+    DEMONSTRATING = 'demonstrating'
+    LEARNING = 'learning'
+    FINISHED = 'finished'
+
+
+class Verdict(Enum):
+    """What becomes of a demonstration; the names are those of EndDemonstration's constants."""
+
+    DONE = 'done'
+    NOT_HERE = 'not here'
+    DISCARD = 'discard'
+
+
+class RequestStatus(Enum):
+    """How a request ended; the names are those of the services' STATUS constants."""
+
+    OK = 'ok'
+    BAD_NAME = 'bad name'
+    BAD_STATE = 'bad state'
+    BAD_VERDICT = 'bad verdict'
+    BUDGET_SPENT = 'budget spent'
+    NOT_ASKED = 'not asked'
+    NOT_CURRENT = 'not current'
+    NOT_HOLDER = 'not holder'
+    NOT_SAVED = 'not saved'
+    NO_DEMONSTRATION = 'no demonstration'
+    NO_FEATURE = 'no feature'
+    NO_GAME = 'no game'
+    NO_STEPS = 'no steps'
+    PAUSED = 'paused'
+    REFUSED = 'refused'
+    STEPS_TAKEN = 'steps taken'
+    WRONG_PHASE = 'wrong phase'
+
+
+@dataclass(frozen=True, slots=True)
+class OpenSession:
+    """Begin a session of one participant, or go on with it."""
+
+    participant: str
+    session: str = ''  # empty: today's date and a number
+
+
+@dataclass(frozen=True, slots=True)
+class DefineOption:
+    """Name an option to teach, or take it up again."""
+
+    name: str
+    ask_again: bool = False  # ask the feature questions anew
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerQuestion:
+    """Answer the open question."""
+
+    question_id: int
+    yes: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BeginDemonstration:
+    """Choose a start state and begin an episode there."""
+
+    start_state: str = ''  # in the domain's notation; empty: drawn by the lesson's strategy
+
+
+@dataclass(frozen=True, slots=True)
+class EndDemonstration:
+    """Give the verdict on the demonstration under way."""
+
+    verdict: Verdict | None  # None: the request named none that exists
+    episode: int  # of the last state that the person saw
+    step: int
+    can_start_at_end: bool = False  # with DONE: the option could start again there
+
+
+@dataclass(frozen=True, slots=True)
+class WithdrawDemonstration:
+    """Take back the newest demonstration of the option."""
+
+    uuid: str = ''  # of the demonstration that is meant; empty: whichever is the newest
+
+
+LessonRequest = (
+    OpenSession
+    | DefineOption
+    | AnswerQuestion
+    | BeginDemonstration
+    | EndDemonstration
+    | WithdrawDemonstration
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Take one primitive action as a person: an ActionCommand, which game answers."""
+
+    action: str
+    episode: int  # of the last state that the person saw
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
+class SetControl:
+    """Take control of the game for a person, or give it back to the machine."""
+
+    hold: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The answer to one request; the fields that it does not concern are empty."""
+
+    status: RequestStatus
+    detail: str
+    session: str = ''  # in force
+    known_options: tuple[str, ...] = ()
+    resumed: bool = False
+    episode: int = 0  # that was begun
+    state: str = ''  # its first, in the domain's notation
+    uuid: str = ''  # of the demonstration that was kept or taken back
+    seed: int = 0  # of the chance in the episode to begin; for game only
+    demonstration: Demonstration | None = None  # kept or taken back; for the learner only
+
+    @property
+    def ok(self) -> bool:
+        """Whether the request was carried out."""
+        return self.status is RequestStatus.OK
+
+
+@dataclass(frozen=True, slots=True)
+class OptionStatus:
+    """How far one option is learned, as in OptionStatus; returns in the domain's units."""
+
+    option_name: str
+    participant: str
+    features: tuple[str, ...] = ()
+    n_demonstrations: int = 0
+    n_not_here: int = 0
+    last_uuid: str = ''  # newest demonstration that is counted in
+    criteria: tuple[Criterion, ...] = ()
+    criteria_met: bool = False
+    mean_return_demonstrations: float = math.nan
+    mean_return_policy: float = math.nan
+    more_needed: int = -1  # demonstrations; -1: it cannot be told yet
+    conflicts: tuple[str, ...] = ()
+    suggested_feature: str = ''
+
+
+@dataclass(frozen=True, slots=True)
+class LessonView:
+    """Where the lesson stands, as in LessonState."""
+
+    phase: Phase
+    participant: str = ''
+    session: str = ''
+    option_name: str = ''
+    question_id: int = 0  # 0: none is open
+    question: str = ''
+    question_feature: str = ''
+    questions_total: int = 0
+    chosen_features: tuple[str, ...] = ()
+    earlier_features: tuple[str, ...] = ()  # before the questions were asked again
+    n_demonstrations: int = 0
+    n_not_here: int = 0
+    last_uuid: str = ''  # of the newest demonstration; empty: none
+    budget: int = 0
+    strategy: str = ''
+    start_state: str = ''
+    episode: int = 0
+    criteria_met: bool = False
+    paused: str = ''  # why nothing new can be begun; empty: it can
+    text: str = ''
+
+
+def shows_outcome(view: LessonView, request: LessonRequest, answer: Answer) -> bool:
+    """
+    Tell whether the lesson's state shows what a request has changed.
+
+    The state is published on a topic, so it can come after the answer of the service.
+
+    :param answer: to the request, which was carried out.
+    """
+    match request:
+        case OpenSession(participant, session):
+            return view.participant == participant and session in ('', view.session)
+        case DefineOption(name):
+            return view.option_name == name
+        case AnswerQuestion(question_id):
+            return view.question_id != question_id
+        case BeginDemonstration():
+            return view.episode == answer.episode
+        case EndDemonstration(episode=episode):
+            return view.episode != episode
+        case WithdrawDemonstration():
+            return view.last_uuid != answer.uuid

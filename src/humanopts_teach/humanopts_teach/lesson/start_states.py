@@ -1,0 +1,109 @@
+"""Where demonstrations start: drawn by a strategy, keyed by person, option and number."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.failures import nothing_fails
+from humanopts_learner.options.files import option_from_json
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.start_states import choose_start_state
+from humanopts_teach.lesson.session_log import OptionHistory
+import numpy as np
+
+FAILURES = 'failures'  # the strategy that looks at what was learned
+
+
+@dataclass(frozen=True, slots=True)
+class LessonRules:
+    """How start states are drawn, and when the lesson on an option ends."""
+
+    strategy: str = 'random'  # one of the learner's ``STRATEGIES``
+    budget: int = 100  # the most that is asked for one option, "not here" answers included
+    seed: int = 0
+
+
+class StartStates:
+    """
+    The start states of one lesson.
+
+    A draw depends on seed, participant, option, the number of the demonstration and, with the
+    strategy ``failures``, on what was learned; so a demonstration that is tried again, or after a
+    restart, starts in the same state.
+    """
+
+    def __init__(
+        self, domain: Domain[Any], rules: LessonRules, *, until_no_failures: bool = False
+    ) -> None:
+        """
+        Begin with nothing learned.
+
+        :param until_no_failures: with ``failures``, ask on as long as there is a state from which
+            the learned option fails.
+        """
+        self._domain = domain
+        self._rules = rules
+        self._until_no_failures = until_no_failures
+        self._options: dict[tuple[str, str], LearnedOption] = {}
+        self._texts: dict[tuple[str, str], str] = {}
+
+    def learned(self, participant: str, option_name: str, text: str) -> None:
+        """
+        Take in an option as the learner publishes it.
+
+        :raises OptionError: it is not an option, or one of another domain.
+        """
+        key = (participant, option_name)
+        if self._rules.strategy == FAILURES and self._texts.get(key) != text:
+            option, _ = option_from_json(text)
+            option.check_domain(self._domain)
+            self._options[key], self._texts[key] = option, text
+
+    def draw(self, participant: str, option: OptionHistory) -> str:
+        """Return the start state of the next demonstration, in the domain's notation."""
+        rng = self._generator('start_state', participant, option)
+        learned = self._options.get((participant, option.name))
+        state = choose_start_state(
+            self._rules.strategy, self._domain, learned, option.demonstrations, rng
+        )
+        return self._domain.encode(state)
+
+    def check(self, text: str) -> str:
+        """
+        Return the state that somebody asked for, in the domain's notation.
+
+        :raises DomainError: it is not a state, or the task is over there.
+        """
+        state = self._domain.decode(text)
+        if self._domain.is_over(state):
+            raise DomainError(f'the task is over in {text}: nothing can be shown from there')
+        return self._domain.encode(state)
+
+    def episode_seed(self, participant: str, option: OptionHistory) -> int:
+        """Return the seed of the chance in the next demonstration's episode."""
+        return int(self._generator('episode', participant, option).integers(2**63))
+
+    def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
+        """Tell whether the next draw has counted this one in; out, where it is withdrawn."""
+        if not option.n_trajectories or self._rules.strategy != FAILURES:
+            return True
+        learned = self._options.get((demonstration.participant, option.name))
+        if learned is None:
+            return False
+        return (demonstration.uuid in learned.uuids) != demonstration.withdrawn
+
+    def exhausted(self, participant: str, option: OptionHistory) -> bool:
+        """Tell whether the strategy has nothing left to ask, once the criteria hold."""
+        learned = self._options.get((participant, option.name))
+        asks_failures = self._until_no_failures and self._rules.strategy == FAILURES
+        if not asks_failures or learned is None or not option.demonstrations:
+            return True
+        rng = self._generator('exhausted', participant, option)
+        return nothing_fails(learned, self._domain, option.demonstrations, rng)
+
+    def _generator(
+        self, purpose: str, participant: str, option: OptionHistory
+    ) -> np.random.Generator:
+        return generator(self._rules.seed, purpose, participant, option.name, option.number)

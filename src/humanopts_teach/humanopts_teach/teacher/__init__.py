@@ -1,1 +1,0 @@
-"""The simulated teacher: a documented stand-in for a person, pure, without ROS."""
