@@ -340,19 +340,6 @@ def test_a_bag_of_several_files_becomes_one(bag: Path, tmp_path: Path) -> None:
     assert [file.name for file in (tmp_path / 'out').glob('*.mcap')] == ['out_0.mcap']
 
 
-def test_the_leading_messages_of_a_large_chunk_that_was_cut_are_saved(tmp_path: Path) -> None:
-    path = tmp_path / 'bag'
-    write(path, list(range(1, 241)), flush_every=0, size=1000)
-    whole = contents(path)
-    start, end = chunk_at(path, 0)
-    assert end - start > 64 * 1024  # of two parts that zstd compresses, 128 KiB before that
-    change(path, lambda data: data.__delitem__(slice(end - 10, None)))
-    found = contents(path)
-    assert 100 < len(found) < 480
-    assert found == whole[: len(found)]
-    assert 'of the chunk that was cut short are kept' in open_bag(path).damage
-
-
 def test_messages_survive_the_loss_of_the_chunk_that_describes_their_topics(bag: Path) -> None:
     start, end = chunk_at(bag, 0)
     change(bag, lambda data: data.__setitem__((start + end) // 2, data[(start + end) // 2] ^ 1))

@@ -4,8 +4,8 @@ from collections.abc import Callable
 import re
 from typing import Any
 
-from humanopts_teach.bags.blocks import DAMAGE
 from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.mcap_file import DAMAGE
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 

@@ -7,7 +7,7 @@ from typing import overload
 
 from humanopts_env.game import moment_from_message, Transition
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.order import ALWAYS
+from humanopts_teach.bags.mcap_file import ALWAYS
 from humanopts_teach.bags.reader import Bag, Recorded
 from humanopts_teach.bags.stamps import read_place, read_stamp, tells_place
 

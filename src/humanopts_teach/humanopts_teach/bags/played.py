@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_env.game import Source, Transition
 from humanopts_teach.bags.episodes import Episode
-from humanopts_teach.bags.order import ALWAYS
+from humanopts_teach.bags.mcap_file import ALWAYS
 from humanopts_teach.bags.reader import Bag
 
 ACTION_COMMAND = 'humanopts_interfaces/msg/ActionCommand'

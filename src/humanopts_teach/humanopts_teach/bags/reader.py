@@ -1,24 +1,35 @@
 """Opens rosbag2 directories and MCAP files, whole or damaged."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from humanopts_teach.bags.blocks import Attached, FileIndex
 from humanopts_teach.bags.decoding import decode, Decoder, make_decoder
 from humanopts_teach.bags.directory import find_files, load
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.file import LIBRARY, RECORD, SELF, SELF_TEXT
-from humanopts_teach.bags.index import data_fits, read_attachment, read_index
+from humanopts_teach.bags.mcap_file import (
+    ALWAYS,
+    Attached,
+    data_fits,
+    FileIndex,
+    read_attachment,
+    read_index,
+    read_messages,
+)
 from humanopts_teach.bags.metadata import FILE
-from humanopts_teach.bags.order import ALWAYS, OnRead, Pass, Passage, silent
 from mcap.records import Attachment, Schema
 
 INTERFACES = 'humanopts_interfaces/'
-MOST_NOTES = 1000  # kinds of damage that are told
+MOST_NOTES = 1000  # kinds of damage that are kept
+ProgressCallback = Callable[[int, int], object]  # takes how many bytes are read, and of how many
+
+
+def ignore_progress(done: int, total: int) -> None:
+    """Do nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +64,8 @@ class Bag:
     ) -> None:
         self.path = path
         self.information = information  # of metadata.yaml; {}: there is none
-        self.on_read: OnRead = silent  # told how far every pass is
+        self.on_read: ProgressCallback = ignore_progress  # called in every pass
         self._files = files
-        self._passage = Passage(self.files)
         self._damage = dict.fromkeys([*damage, *(text for file in files for text in file.damage)])
         self._decoders: dict[str, Decoder] = {}
         self.topics = _topics(files)
@@ -103,8 +113,9 @@ class Bag:
 
     def compare_bytes(self) -> None:
         """Compare every file with the checksum over it; ``damage`` says where they differ."""
+        tell = _by_file(self.files, self.on_read)
         for number, file in enumerate(self.files):
-            if not data_fits(file, partial(self._passage.tell, self.on_read, number)):
+            if not data_fits(file, partial(tell, number)):
                 self.note(f'{file.name}: its bytes do not fit the checksum over all of them')
 
     def of_type(self, type_name: str) -> list[str]:
@@ -125,24 +136,24 @@ class Bag:
         :param decoded: fill in ``Recorded.message``.
         :param between: first and last log time, ns.
         """
-        found = Pass(
+        found = read_messages(
             self._files,
             [self._wanted(file, topics) for file in self._files],
             between,
-            partial(self._passage.tell, self.on_read),
+            _by_file(self.files, self.on_read),
             self.note,
         )
-        for stored in found.messages():
-            channel = self._files[stored.file].channels[stored.channel]
+        for number, message in found:
+            channel = self._files[number].channels[message.channel_id]
             topic = self.topics[channel.topic]
             yield Recorded(
                 topic.name,
                 topic.type,
-                stored.log_time,
-                stored.publish_time,
-                stored.sequence,
-                stored.data,
-                self.decode(topic.name, stored.data) if decoded else None,
+                message.log_time,
+                message.publish_time,
+                message.sequence,
+                message.data,
+                self.decode(topic.name, message.data) if decoded else None,
             )
 
     def decode(self, topic: str, data: bytes) -> Any:
@@ -202,7 +213,7 @@ class Bag:
         )
 
 
-def open_bag(path: Path | str, on_read: OnRead = silent) -> Bag:
+def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> Bag:
     """
     Open a rosbag2 directory or an MCAP file.
 
@@ -227,13 +238,15 @@ def open_bag(path: Path | str, on_read: OnRead = silent) -> Bag:
     return bag
 
 
-def _indexes(files: Sequence[Path], on_read: OnRead) -> tuple[list[FileIndex], list[str]]:
+def _indexes(
+    files: Sequence[Path], on_read: ProgressCallback
+) -> tuple[list[FileIndex], list[str]]:
     """
     Find the messages of the files that can be read; say which of them cannot.
 
     :raises BagError: none can.
     """
-    tell = partial(Passage(files).tell, on_read)
+    tell = _by_file(files, on_read)
     found, errors = [], []
     for number, file in enumerate(files):
         try:
@@ -267,3 +280,11 @@ def _topics(files: list[FileIndex]) -> dict[str, Topic]:
 def _definition(schema: Schema) -> tuple[str, str]:
     """Return the name of a type and its ros2msg text."""
     return schema.name, schema.data.decode(errors='replace')
+
+
+def _by_file(files: Sequence[Path], on_read: ProgressCallback) -> Callable[[int, int], object]:
+    """Return what takes the number of a file and the offset up to which it is read."""
+    sizes = [file.stat().st_size if file.exists() else 0 for file in files]
+    total = sum(sizes)
+    before = [sum(sizes[:number]) for number in range(len(sizes))]
+    return lambda number, offset: on_read(before[number] + offset, total)

@@ -15,9 +15,8 @@ from humanopts_teach.bags.demonstrations import read_domain
 from humanopts_teach.bags.episodes import Played
 from humanopts_teach.bags.errors import BagWriteError
 from humanopts_teach.bags.info import summarise
-from humanopts_teach.bags.order import silent
 from humanopts_teach.bags.played import actors_in
-from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.reader import ignore_progress, open_bag
 from humanopts_teach.bags.repair import repair
 from humanopts_teach.commands.ending import CommandError
 from humanopts_teach.terminal.device import Device, why_not
@@ -98,7 +97,7 @@ def play(path: Path, episode: int, speed: float) -> int:
     with progress_bar() as show:
         bag = open_bag(path, show)
         domain, episodes = read_domain(bag), Played(bag)
-        bag.on_read = silent  # what follows is read quickly, while the screen is drawn
+        bag.on_read = ignore_progress  # what follows is read quickly, while the screen is drawn
     if not 1 <= episode <= len(episodes):
         there = f'1 to {len(episodes)}' if episodes else 'none'
         raise CommandError(f'there is no episode {episode} in {bag.path}: {there}')
