@@ -18,7 +18,7 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach.bags.demonstrations import read_domain
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.evaluation.options_block import accuracies
+from humanopts_teach.evaluation.summary import accuracies
 from humanopts_teach.lesson.start_states import LessonRules
 
 from experiments import paper

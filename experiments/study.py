@@ -19,7 +19,7 @@ from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.bag_evaluation import FACTS
-from humanopts_teach.evaluation.settings import settings_from_facts
+from humanopts_teach.evaluation.summary import settings_from_facts
 
 from experiments.cells import Cell
 from experiments.sections import Section

@@ -18,12 +18,13 @@ from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
+    compare_options,
     evaluate,
     evaluate_bag,
     EvaluationError,
 )
-from humanopts_teach.evaluation.reproduction import compare_options
-from humanopts_teach.evaluation.settings import Settings, settings_from_facts
+from humanopts_teach.evaluation.summary import Settings, settings_from_facts
+from humanopts_teach.evaluation.text import evaluation_text
 import pytest
 from rclpy.serialization import serialize_message
 
@@ -107,7 +108,7 @@ def test_progress_ends_at_its_total(taxi: Domain[Any], taxi_lesson: Lesson) -> N
 def test_json_holds_no_nan_and_the_text_names_every_option(evaluation: BagEvaluation) -> None:
     values = json.loads(json.dumps(evaluation.to_dict(), allow_nan=False))
     assert len(values['options'][0]['learning_curve']) == len(evaluation.options[0].curve)
-    text = evaluation.to_text()
+    text = evaluation_text(evaluation)
     assert all(block.name in text for block in evaluation.blocks)
     assert 'nan' not in text
 
@@ -203,7 +204,7 @@ def test_a_bag_whose_option_files_come_out_again_says_so(
     found = evaluate_bag(tmp_path / 'bag')
     assert [option.reproduced for option in found.options] == [True]
     assert found.to_dict()['options'][0]['equals_option_file'] is True
-    assert 'equal to its option file in the bag, to the last digit' in found.to_text()
+    assert 'equal to its option file in the bag, to the last digit' in evaluation_text(found)
     (warning,) = (text for text in found.warnings if 'recorded with' in text)
     assert warning.startswith('recorded with numpy 1.0, and this is')
 

@@ -27,8 +27,7 @@ from humanopts_teach.evaluation.games import (
     option_sets,
     PAPER_OPTIONS,
 )
-from humanopts_teach.evaluation.planning import plan_differences
-from humanopts_teach.evaluation.settings import Settings
+from humanopts_teach.evaluation.summary import plan_differences, Settings
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.report.data import Frame, ReportData
 from humanopts_teach.report.film import filmstrip, MOST_FRAMES

@@ -12,7 +12,7 @@ from humanopts_learner.demonstrations import Demonstration, group_by_option
 from humanopts_learner.options.criteria import judge, Judgement, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
-from humanopts_teach.evaluation.options_block import differences, option_block, OptionBlock
+from humanopts_teach.evaluation.summary import differences, option_block, OptionBlock
 import pytest
 
 KEYS = {

@@ -13,8 +13,7 @@ from humanopts_learner.ros.convert import demonstration_to_message, status_to_me
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.evaluation.bag_evaluation import evaluate, evaluate_bag, EvaluationError
-from humanopts_teach.evaluation.options_block import option_block
-from humanopts_teach.evaluation.settings import Settings
+from humanopts_teach.evaluation.summary import option_block, Settings
 import pytest
 from rclpy.serialization import serialize_message
 

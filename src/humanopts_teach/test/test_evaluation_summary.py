@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 
 from humanopts_learner.options.criteria import Thresholds
-from humanopts_teach.evaluation.planning import PlanningRow
-from humanopts_teach.evaluation.settings import Settings
 from humanopts_teach.evaluation.summary import (
     BagFacts,
     Execution,
+    PlanningRow,
+    Settings,
     Summary,
     SummaryError,
     write_json,

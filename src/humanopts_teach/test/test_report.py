@@ -11,8 +11,7 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.planning.plan import Plan
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
-from humanopts_teach.evaluation.settings import Settings
-from humanopts_teach.evaluation.summary import BagFacts, Execution, Summary, SummaryError
+from humanopts_teach.evaluation.summary import BagFacts, Execution, Settings, Summary, SummaryError
 from humanopts_teach.report import sweeps as sweeps_module
 from humanopts_teach.report.board import read_board
 from humanopts_teach.report.curves import learning_curves

@@ -17,6 +17,7 @@ from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_ba
 from humanopts_teach.evaluation.bag_games import check_games, with_games
 from humanopts_teach.evaluation.difference import compare, difference_text, read_lesson
 from humanopts_teach.evaluation.summary import SummaryError
+from humanopts_teach.evaluation.text import evaluation_text
 from humanopts_teach.report.bag_parts import bag_parts
 from humanopts_teach.report.write import write_evaluation_report
 
@@ -101,8 +102,7 @@ def _print(as_json: bool, bags: Sequence[Bag], found: Sequence[BagEvaluation]) -
         ]
         print(json.dumps(listed if len(bags) > 1 else found[0].to_dict(), indent=2))
         return
-    texts = [
-        f'bag {bag.path}\n{evaluation.to_text()}' if len(bags) > 1 else evaluation.to_text()
-        for bag, evaluation in zip(bags, found)
-    ]
+    texts = [evaluation_text(evaluation) for evaluation in found]
+    if len(bags) > 1:
+        texts = [f'bag {bag.path}\n{text}' for bag, text in zip(bags, texts)]
     print('\n\n'.join(texts))

@@ -38,11 +38,15 @@ from humanopts_teach.evaluation.bag_evaluation import (
     judged_by,
 )
 from humanopts_teach.evaluation.bag_games import with_games
-from humanopts_teach.evaluation.options_block import differences, option_block, OptionBlock
-from humanopts_teach.evaluation.planning import plan_differences, PlanningRow, row_of_result
 from humanopts_teach.evaluation.summary import (
     BagFacts,
+    differences,
     Execution,
+    option_block,
+    OptionBlock,
+    plan_differences,
+    PlanningRow,
+    row_of_result,
     Summary,
     SummaryError,
     write_json,

@@ -1,7 +1,8 @@
-"""Evaluating a bag: every option learned again from the recorded demonstrations alone."""
+"""Evaluation of a bag: every option learned again from its demonstrations, and planned with."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+import json
 from pathlib import Path
 from typing import Any
 
@@ -15,34 +16,61 @@ from humanopts_learner.demonstrations import (
     group_by_option,
     Kind,
 )
-from humanopts_learner.options.criteria import Judgement
+from humanopts_learner.options.criteria import Criterion, judge, Judgement
+from humanopts_learner.options.files import FORMAT, option_to_json
+from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.any_domain import AnyPlan, judge_plan, plan_in, PlanRequest
 from humanopts_learner.planning.errors import PlanError
 from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
 from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.games import GAMES, GamesEvaluation
-from humanopts_teach.evaluation.learning_curve import CurvePoint, learn_again
-from humanopts_teach.evaluation.options_block import option_block, OptionBlock
-from humanopts_teach.evaluation.planning import PlanningRow, row_of_plan
-from humanopts_teach.evaluation.reproduction import (
-    attached_options,
-    compare_options,
-    software_notes,
+from humanopts_teach.evaluation.summary import (
+    accuracies,
+    finite,
+    option_block,
+    OptionBlock,
+    PlanningRow,
+    row_of_plan,
+    Settings,
+    settings_from_facts,
 )
-from humanopts_teach.evaluation.settings import Settings, settings_from_facts
-from humanopts_teach.evaluation.text import evaluation_text
 
 EPISODES = 100  # that plans are judged by, where models are exact
 FACTS = 'humanopts'  # the bag's metadata record of the lesson's settings
 
-OnProgress = Callable[[int, int, str], object]  # done, total, what is under way
+SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # that learning depends on
+Key = tuple[str, str]  # participant and name of an option
+ProgressCallback = Callable[[int, int, str], object]  # done, total, what is under way
 
 
 class EvaluationError(BagError):
     """A bag cannot be evaluated; the text says why."""
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """An option as it was after some of its demonstrations."""
+
+    n_demonstrations: int  # trajectories
+    n_not_here: int
+    seconds: float  # of the person's time so far
+    policy_accuracy: float | None
+    classification_accuracy_initiation: float | None
+    classification_accuracy_termination: float | None
+    criteria: tuple[Criterion, ...]
+    criteria_met: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the point as JSON data, the criteria by name."""
+        criteria = {
+            c.name: {'value': finite(c.value), 'threshold': c.threshold, 'met': c.met}
+            for c in self.criteria
+        }
+        return {**asdict(self), 'criteria': criteria}
 
 
 @dataclass(frozen=True)
@@ -122,10 +150,6 @@ class BagEvaluation:
             'warnings': list(self.warnings),
         }
 
-    def to_text(self) -> str:
-        """Return tables for a terminal; warnings are not in them."""
-        return evaluation_text(self)
-
 
 def judged_by(domain: Domain[Any]) -> int:
     """Return how many episodes plans are judged by, where nothing else is asked."""
@@ -133,7 +157,7 @@ def judged_by(domain: Domain[Any]) -> int:
 
 
 def evaluate_bag(
-    bag: str | Path | Bag, progress: OnProgress | None = None, episodes: int = 0
+    bag: str | Path | Bag, progress: ProgressCallback | None = None, episodes: int = 0
 ) -> BagEvaluation:
     """
     Evaluate a bag with the settings that it carries.
@@ -164,7 +188,7 @@ def evaluate(
     domain: Domain[Any],
     settings: Settings,
     warnings: Sequence[str] = (),
-    progress: OnProgress | None = None,
+    progress: ProgressCallback | None = None,
     episodes: int = 0,
 ) -> BagEvaluation:
     """
@@ -190,7 +214,7 @@ def evaluate(
 
 
 class _Progress:
-    def __init__(self, tell: OnProgress | None, total: int) -> None:
+    def __init__(self, tell: ProgressCallback | None, total: int) -> None:
         self._tell, self._total, self.done = tell, total, 0
 
     def reach(self, done: int, text: str) -> None:
@@ -226,16 +250,29 @@ def _learn(
     reference: ReferenceOption | None,
     work: _Progress,
 ) -> OptionEvaluation:
-    first, before = demos[0], work.done
-
-    def on_point(count: int) -> None:
+    """Learn an option and judge it after every demonstration, from the first trajectory on."""
+    first, before, points = demos[0], work.done, []
+    for count in range(_first_trajectory(demos) + 1, len(demos) + 1):
+        seen = demos[:count]
+        option = learn_option(seen, domain, settings.seed)
+        judgement = judge(seen, domain, settings.thresholds, settings.seed, option)
+        points.append(
+            CurvePoint(
+                option.n_demonstrations,
+                option.n_not_here,
+                sum(demo.seconds for demo in seen),
+                *accuracies(option, domain, reference),
+                criteria=judgement.criteria,
+                criteria_met=judgement.criteria_met,
+            )
+        )
         work.reach(before + count, f'{first.option_name}: demonstration {count} of {len(demos)}')
+    block = option_block(option, judgement, domain, reference)
+    return OptionEvaluation(first.participant, block, option, judgement, tuple(points))
 
-    learned = learn_again(demos, domain, settings.thresholds, settings.seed, reference, on_point)
-    block = option_block(learned.option, learned.judgement, domain, reference)
-    return OptionEvaluation(
-        first.participant, block, learned.option, learned.judgement, learned.curve
-    )
+
+def _first_trajectory(demos: Sequence[Demonstration]) -> int:
+    return next(i for i, demo in enumerate(demos) if demo.kind is Kind.TRAJECTORY)
 
 
 def _plans(
@@ -261,3 +298,60 @@ def _plans(
             continue
         plans.append(PlanEvaluation(person, plan, row))
     return plans, refused
+
+
+def attached_options(bag: Bag) -> dict[Key, Mapping[str, Any]]:
+    """Return the option files that are attached to a bag; a damaged one is noted there."""
+    found: dict[Key, Mapping[str, Any]] = {}
+    for file in bag.attached():
+        try:
+            data = json.loads(file.data)
+        except (ValueError, RecursionError):
+            continue  # another kind of file
+        if isinstance(data, dict) and data.get('format') == FORMAT:
+            found[str(data.get('participant')), str(data.get('name'))] = data
+    return found
+
+
+def compare_options(
+    attached: Mapping[Key, Mapping[str, Any]],
+    options: Sequence[LearnedOption],
+    demonstrations: Sequence[Demonstration],
+) -> tuple[dict[Key, bool], list[str]]:
+    """
+    Compare option files with the same options learned again.
+
+    :param attached: those that nobody taught, automatic options, are passed over.
+    :param demonstrations: that the options were learned from, among others.
+    :return: whether they are equal to the last digit, and in words where they are not.
+    """
+    by_uuid = {demo.uuid: demo for demo in reversed(demonstrations)}
+    equal: dict[Key, bool] = {}
+    notes = []
+    for option in options:
+        key = (option.participant, option.name)
+        if key in attached:
+            file, shown = attached[key], [by_uuid[uuid] for uuid in option.uuids]
+            again = json.loads(option_to_json(option, shown))
+            wrong = [part for part in again if again[part] != file.get(part)]
+            equal[key] = not wrong
+            if wrong:
+                notes.append(f'{_named(key)} differs from its option file: {", ".join(wrong)}')
+    lone = [key for key, file in attached.items() if key not in equal and file.get('uuids')]
+    notes += [f'{_named(key)} has an option file, but was not learned again' for key in lone]
+    return equal, notes
+
+
+def software_notes(facts: Mapping[str, str]) -> list[str]:
+    """Say which software that learning depends on is another than at the recording."""
+    now = software()
+    return [
+        f'recorded with {name.removesuffix("_version")} {facts[name]}, and this is {now[name]}: '
+        'numbers may differ'
+        for name in SOFTWARE
+        if facts.get(name, UNKNOWN) not in (UNKNOWN, now[name])
+    ]
+
+
+def _named(key: Key) -> str:
+    return f'{key[1]!r} by {key[0]}'

@@ -13,10 +13,10 @@ from humanopts_teach.bags.summary import table
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate_bag,
-    OnProgress,
     OptionEvaluation,
+    ProgressCallback,
 )
-from humanopts_teach.evaluation.options_block import finite
+from humanopts_teach.evaluation.summary import finite
 
 HEAD = ('what', 'of', 'A', 'B')
 DEMONSTRATION = 'demonstration'
@@ -45,7 +45,7 @@ class Lesson:
     demonstrations: Mapping[str, Demonstration]  # by uuid
 
 
-def read_lesson(bag: Bag, progress: OnProgress | None = None) -> Lesson:
+def read_lesson(bag: Bag, progress: ProgressCallback | None = None) -> Lesson:
     """
     Learn everything in a bag again.
 

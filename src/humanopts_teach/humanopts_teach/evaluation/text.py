@@ -1,36 +1,36 @@
 """An evaluation as plain text, for terminals."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from humanopts_learner.options.criteria import Criterion
 from humanopts_learner.planning.evaluate import Interval
-from humanopts_teach.evaluation.planning import PlanningRow
-
-if TYPE_CHECKING:  # it imports this module
-    from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
-    from humanopts_teach.evaluation.games import GamesEvaluation
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
+from humanopts_teach.evaluation.games import GamesEvaluation
+from humanopts_teach.evaluation.summary import PlanningRow
 
 MOST_POINTS = 12  # of a learning curve that are printed
 REPRODUCED = {
     True: 'equal to its option file in the bag, to the last digit',
     False: 'NOT equal to its option file in the bag',
 }
-CURVE_HEAD = ('shown', 'not here', 'return', 'E_I', 'E_beta', 'policy', 'I', 'beta', 'met')
+CURVE_HEAD = (
+    *('shown', 'not here', 'return', 'initiation', 'termination'),
+    *('acc. policy', 'acc. I', 'acc. beta', 'met'),
+)
 PLAN_HEAD = (
     *('action set', 'gamma', 'game steps', 'planning ms', 'sweeps'),
     *('episodes', 'mean return', '95 % interval', 'discounted'),
 )
 
 
-def evaluation_text(evaluation: 'BagEvaluation') -> str:
+def evaluation_text(evaluation: BagEvaluation) -> str:
     """Return tables of every option, its learning curve and the plans."""
     domain, settings = evaluation.domain, evaluation.settings
     limits = settings.thresholds
     lines = [
-        f'domain {domain.name}, seed {settings.seed}; criteria: return shortfall <= '
-        f'{limits.return_delta:g}, E_I <= {limits.initiation_error:g}, '
-        f'E_beta <= {limits.termination_error:g}',
+        f'domain {domain.name}, seed {settings.seed}; criteria: return <= '
+        f'{limits.return_delta:g}, initiation <= {limits.initiation_error:g}, '
+        f'termination <= {limits.termination_error:g}',
     ]
     for option in evaluation.options:
         lines += ['', *_option(option)]
@@ -44,7 +44,7 @@ def evaluation_text(evaluation: 'BagEvaluation') -> str:
     return '\n'.join(lines)
 
 
-def games_text(games: 'GamesEvaluation') -> list[str]:
+def games_text(games: GamesEvaluation) -> list[str]:
     """Return lines that compare all ways to play, with 95 % intervals, and the curves."""
     lines = []
     for setting in games.settings:
@@ -103,7 +103,7 @@ def share(value: float | None) -> str:
     return '-' if value is None else f'{100 * value:.1f}%'
 
 
-def _option(option: 'OptionEvaluation') -> list[str]:
+def _option(option: OptionEvaluation) -> list[str]:
     block = option.block
     met = 'all criteria met' if block.criteria_met else 'criteria not met'
     points = option.curve

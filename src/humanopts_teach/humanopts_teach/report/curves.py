@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from humanopts_teach.evaluation.learning_curve import CurvePoint
+from humanopts_teach.evaluation.bag_evaluation import CurvePoint
 from humanopts_teach.report.figures import Drawing, drawing, SERIES
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from humanopts_teach.evaluation.planning import PlanningRow
+from humanopts_teach.evaluation.summary import PlanningRow
 from humanopts_teach.report.figures import CaptionedFigure, Drawing, drawing, MUTED, SERIES
 from humanopts_teach.report.words import number
 from matplotlib.ticker import MaxNLocator

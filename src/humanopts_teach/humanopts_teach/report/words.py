@@ -5,9 +5,12 @@ from dataclasses import dataclass
 
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
-from humanopts_teach.evaluation.options_block import differences
-from humanopts_teach.evaluation.planning import plan_differences, PlanningRow
-from humanopts_teach.evaluation.summary import Execution
+from humanopts_teach.evaluation.summary import (
+    differences,
+    Execution,
+    plan_differences,
+    PlanningRow,
+)
 from humanopts_teach.report.data import ReportData, TopicRow
 
 DASH = '\N{EN DASH}'  # no number

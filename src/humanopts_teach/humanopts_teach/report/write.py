@@ -11,8 +11,7 @@ from typing import Any
 from humanopts_learner.planning.plan import Plan
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import Curve
-from humanopts_teach.evaluation.options_block import OptionBlock
-from humanopts_teach.evaluation.summary import write_text
+from humanopts_teach.evaluation.summary import OptionBlock, write_text
 from humanopts_teach.evaluation.text import REPRODUCED
 from humanopts_teach.report.board_figure import board_figures
 from humanopts_teach.report.curves import learning_curves
