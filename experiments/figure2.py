@@ -16,7 +16,7 @@ from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.start_states import STRATEGIES
-from humanopts_teach.bags.demonstrations import read_domain
+from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.evaluation.summary import accuracies
 from humanopts_teach.lesson.start_states import LessonRules

@@ -15,7 +15,7 @@ from humanopts_learner.demonstrations import (
     group_by_option,
     Kind,
 )
-from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
+from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.bag_evaluation import FACTS

@@ -10,7 +10,7 @@ from humanopts_learner.demonstrations import Kind
 from humanopts_learner.options.criteria import judge, usual_thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
-from humanopts_teach.bags.demonstrations import read_domain
+from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.lesson.start_states import LessonRules
 

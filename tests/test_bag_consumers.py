@@ -8,8 +8,8 @@ from typing import Any
 from graph_support import foxglove
 from graph_support.command import DemoRun
 from graph_support.differences import differences
+from humanopts_teach.bags.check import repair
 from humanopts_teach.bags.reader import Bag, open_bag, Recorded
-from humanopts_teach.bags.repair import repair
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.writer import BagWriter, Limits
 from mcap.reader import make_reader

@@ -13,7 +13,7 @@ from typing import Any, get_args, get_type_hints
 from graph_support.command import Command, DemoRun
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.start_states import STRATEGIES
-from humanopts_teach.bags.episodes import read_episodes
+from humanopts_teach.bags.contents import read_episodes
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.commands.options import LaunchOptions

@@ -14,8 +14,7 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Kind
 from humanopts_learner.options.files import option_from_json
-from humanopts_teach.bags.demonstrations import DEMONSTRATION
-from humanopts_teach.bags.episodes import Episode, read_episodes
+from humanopts_teach.bags.contents import DEMONSTRATION, Episode, read_episodes
 from humanopts_teach.bags.info import count_loss
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.cli import main

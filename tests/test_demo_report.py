@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 import re
 
 from graph_support.command import DemoRun
-from humanopts_teach.bags.episodes import read_episodes
+from humanopts_teach.bags.contents import read_episodes
 from humanopts_teach.bags.reader import open_bag
 import pytest
 

@@ -18,7 +18,7 @@ from humanopts_interfaces.srv import (
     WithdrawDemonstration,
 )
 from humanopts_ros.qos import CURRENT, STREAM
-from humanopts_teach.bags.demonstrations import read_demonstrations
+from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 import pytest
 

@@ -14,7 +14,7 @@ import time
 from typing import Any
 
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_teach.bags.demonstrations import read_demonstrations
+from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.lesson.store import entry_from_line
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from humanopts_env.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
+    from humanopts_teach.bags.contents import read_demonstrations, read_domain
     from humanopts_teach.bags.errors import BagError
     from humanopts_teach.bags.info import summarise
     from humanopts_teach.bags.reader import Bag, open_bag
@@ -34,7 +34,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        'humanopts_teach.bags.demonstrations': ('read_demonstrations', 'read_domain'),
+        'humanopts_teach.bags.contents': ('read_demonstrations', 'read_domain'),
         'humanopts_teach.bags.errors': ('BagError',),
         'humanopts_teach.bags.info': ('summarise',),
         'humanopts_teach.bags.reader': ('Bag', 'open_bag'),

@@ -9,10 +9,9 @@ import resource
 import struct
 
 from humanopts_interfaces.msg import GameState
-from humanopts_teach.bags.check import check_bag, RECORDER
+from humanopts_teach.bags.check import check_bag, RECORDER, REPAIR, repair
 from humanopts_teach.bags.errors import BagError, BagWriteError
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.repair import REPAIR, repair
 from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
 from humanopts_teach.cli import main
 from mcap.reader import make_reader

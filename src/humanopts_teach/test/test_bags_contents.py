@@ -11,14 +11,18 @@ from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_interfaces.msg import ActionCommand, GameState, OptionResult
 from humanopts_learner.demonstrations import check_demonstration, Demonstration, DemonstrationError
 from humanopts_learner.ros.convert import demonstration_to_message
-from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
-from humanopts_teach.bags.episodes import Played, read_episodes
+from humanopts_teach.bags.contents import (
+    Actors,
+    Played,
+    read_actors,
+    read_demonstrations,
+    read_domain,
+    read_episodes,
+)
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
-from humanopts_teach.bags.loss import MOST_GAPS, Stream
-from humanopts_teach.bags.played import Actors, read_actors
 from humanopts_teach.bags.reader import Bag, MOST_NOTES
-from humanopts_teach.bags.stamps import read_stamp, Stamp
+from humanopts_teach.bags.sequence_numbers import MOST_GAPS, read_stamp, Stamp, Stream
 from humanopts_teach.report.bag_parts import bag_parts
 from hypothesis import given, strategies
 import pytest

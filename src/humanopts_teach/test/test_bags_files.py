@@ -27,7 +27,7 @@ class Block:
 sys.meta_path.insert(0, Block())
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.repair import repair
+from humanopts_teach.bags.check import repair
 print(summarise(open_bag(sys.argv[1])).messages)
 """
 

@@ -20,7 +20,7 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags import mcap_file
 from humanopts_teach.bags.check import check_bag
-from humanopts_teach.bags.episodes import Played, read_episodes
+from humanopts_teach.bags.contents import Played, read_episodes
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter

@@ -5,11 +5,10 @@ import shutil
 from typing import Any
 
 from humanopts_interfaces.msg import ActionCommand, GameState
-from humanopts_teach.bags.check import check_bag
+from humanopts_teach.bags.check import check_bag, repair
 from humanopts_teach.bags.errors import BagWriteError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.repair import repair
 from humanopts_teach.bags.writer import BagWriter, Limits
 from mcap.reader import make_reader
 import pytest

@@ -4,8 +4,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Command, Game, Source
-from humanopts_teach.bags.episodes import Episode
-from humanopts_teach.bags.played import Actors
+from humanopts_teach.bags.contents import Actors, Episode
 from humanopts_teach.terminal.replay import FASTEST, Replay, SLOWEST, STEP_SECONDS
 import pytest
 

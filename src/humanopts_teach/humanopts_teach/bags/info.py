@@ -14,12 +14,17 @@ from humanopts_learner.demonstrations import (
     each_once,
     Kind,
 )
-from humanopts_teach.bags.demonstrations import DEMONSTRATION, DOMAIN_INFO
-from humanopts_teach.bags.episodes import GAME_STATE, Games, Group, is_ended
-from humanopts_teach.bags.loss import Ledger
+from humanopts_teach.bags.contents import (
+    DEMONSTRATION,
+    DOMAIN_INFO,
+    GAME_STATE,
+    Games,
+    Group,
+    is_ended,
+)
 from humanopts_teach.bags.reader import Bag, Recorded
 from humanopts_teach.bags.schemas import constants
-from humanopts_teach.bags.stamps import is_stamped, read_stamp
+from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp
 from humanopts_teach.bags.summary import (
     AttachedRow,
     BagInfo,

@@ -7,10 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from humanopts_teach.bags.decoding import decode, Decoder, make_decoder
-from humanopts_teach.bags.directory import find_files, load
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.file import LIBRARY, RECORD, SELF, SELF_TEXT
 from humanopts_teach.bags.mcap_file import (
     ALWAYS,
     Attached,
@@ -20,7 +17,9 @@ from humanopts_teach.bags.mcap_file import (
     read_index,
     read_messages,
 )
-from humanopts_teach.bags.metadata import FILE
+from humanopts_teach.bags.rosbag2 import FILE, find_files, load
+from humanopts_teach.bags.schemas import decode, Decoder, make_decoder
+from humanopts_teach.bags.writer import LIBRARY, RECORD, SELF, SELF_TEXT
 from mcap.records import Attachment, Schema
 
 INTERFACES = 'humanopts_interfaces/'

@@ -10,14 +10,11 @@ import time
 from typing import Protocol
 
 from humanopts_env.domains.base import StateError
-from humanopts_teach.bags.check import check_bag
-from humanopts_teach.bags.demonstrations import read_domain
-from humanopts_teach.bags.episodes import Played
+from humanopts_teach.bags.check import check_bag, repair
+from humanopts_teach.bags.contents import actors_in, Played, read_domain
 from humanopts_teach.bags.errors import BagWriteError
 from humanopts_teach.bags.info import summarise
-from humanopts_teach.bags.played import actors_in
 from humanopts_teach.bags.reader import ignore_progress, open_bag
-from humanopts_teach.bags.repair import repair
 from humanopts_teach.commands.ending import CommandError
 from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.replay import Replay

@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 
 from humanopts_env.domains.base import StateError
-from humanopts_teach.bags.demonstrations import read_domain
+from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands.bag import progress_bar, ProgressCallback
 from humanopts_teach.commands.ending import CommandError

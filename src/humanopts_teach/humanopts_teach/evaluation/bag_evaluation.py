@@ -23,7 +23,7 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.any_domain import AnyPlan, judge_plan, plan_in, PlanRequest
 from humanopts_learner.planning.errors import PlanError
-from humanopts_teach.bags.demonstrations import read_demonstrations, read_domain
+from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, open_bag

@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 from humanopts_learner.demonstrations import Demonstration, each_once
-from humanopts_teach.bags.demonstrations import read_demonstrations
+from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.summary import table
 from humanopts_teach.evaluation.bag_evaluation import (

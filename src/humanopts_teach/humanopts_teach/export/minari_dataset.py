@@ -12,9 +12,14 @@ import warnings
 
 from humanopts_env.domains.base import action_index, Domain, DomainError
 from humanopts_env.gym_env import spec_of
-from humanopts_teach.bags.demonstrations import read_domain
-from humanopts_teach.bags.episodes import Episode, read_episodes
-from humanopts_teach.bags.played import Beginnings, namespace, read_beginnings
+from humanopts_teach.bags.contents import (
+    Beginnings,
+    Episode,
+    namespace,
+    read_beginnings,
+    read_domain,
+    read_episodes,
+)
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.export.files import ExportError
 import numpy as np

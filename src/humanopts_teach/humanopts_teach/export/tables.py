@@ -7,14 +7,17 @@ import math
 from typing import Any
 
 from humanopts_learner.demonstrations import Demonstration, each_once
-from humanopts_teach.bags.demonstrations import (
+from humanopts_teach.bags.contents import (
+    actor_of,
+    Actors,
     DEMONSTRATION,
+    read_actors,
     read_demonstrations,
     read_domain,
+    read_episodes,
+    source_of,
 )
-from humanopts_teach.bags.episodes import read_episodes
 from humanopts_teach.bags.info import option_rows, PLAN_RESULT
-from humanopts_teach.bags.played import actor_of, Actors, read_actors, source_of
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.summary import OptionRow

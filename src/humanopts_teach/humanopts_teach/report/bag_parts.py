@@ -4,9 +4,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from humanopts_learner.library import PRIMITIVE_PREFIX
-from humanopts_teach.bags.episodes import Episode, read_episodes
+from humanopts_teach.bags.contents import (
+    actor_of,
+    Actors,
+    actors_in,
+    Episode,
+    namespace,
+    read_episodes,
+)
 from humanopts_teach.bags.info import summarise
-from humanopts_teach.bags.played import actor_of, Actors, actors_in, namespace
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.summary import BagInfo
 from humanopts_teach.report.data import Frame, TopicRow

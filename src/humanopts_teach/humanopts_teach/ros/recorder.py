@@ -11,10 +11,9 @@ from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.recording import MOST_BYTES, Selection
 from humanopts_teach.bags.errors import BagWriteError, SchemaError
-from humanopts_teach.bags.loss import Ledger
 from humanopts_teach.bags.pace import Pace
 from humanopts_teach.bags.provenance import attachments, software
-from humanopts_teach.bags.stamps import is_stamped, read_stamp
+from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp
 from humanopts_teach.bags.writer import BagWriter, Limits
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
 from humanopts_teach.ros.recording_status import RecordingStatus

@@ -7,8 +7,8 @@ from humanopts_interfaces.msg import RecorderStatus, StreamLoss
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
-from humanopts_teach.bags.loss import Ledger
 from humanopts_teach.bags.pace import LIMIT, Pace
+from humanopts_teach.bags.sequence_numbers import Ledger
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.launching.usage import look
 

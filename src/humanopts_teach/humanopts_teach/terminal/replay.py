@@ -5,8 +5,7 @@ import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_teach.bags.episodes import Episode
-from humanopts_teach.bags.played import actor_of, Actors, source_of
+from humanopts_teach.bags.contents import actor_of, Actors, Episode, source_of
 from humanopts_teach.terminal.board import board_text
 from humanopts_teach.terminal.drawing import Colours, fit, key_bar, lines_of
 from humanopts_teach.terminal.keys import END_OF_FILE, ESCAPE, INTERRUPT, SPACE
