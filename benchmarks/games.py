@@ -9,7 +9,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.sampled.games import batch_domain
+from humanopts_learner.planning.sampled.games import batch_games
 import numpy as np
 
 from benchmarks.measured import compare, Comparison, in_turns, OnMeasured
@@ -58,7 +58,7 @@ def game_rows(
 
 def _many_pacman(domain: PacMan, steps: int, *, features: bool) -> float:
     """Return the seconds of one step of one game among many."""
-    games, rng = batch_domain(domain), generator(SEED, 'benchmark', 'games')
+    games, rng = batch_games(domain), generator(SEED, 'benchmark', 'games')
     moves = rng.integers(len(domain.actions), size=(steps, BATCH))
     batch = games.batch_reset(BATCH, rng)
     began = time.perf_counter()

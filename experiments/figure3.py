@@ -14,7 +14,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.automatic.extract import AutomaticOption, find_options
-from humanopts_learner.automatic.ground import ground_of
+from humanopts_learner.automatic.search_space import search_space
 from humanopts_teach.report.automatic_figure import draw_visits, visit_map, VisitMap
 from humanopts_teach.report.figures import Drawing
 import numpy as np
@@ -54,7 +54,7 @@ def cells(study: Study) -> list[Cell]:
 def extract(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Find the options of a domain; return them in the order of finding, and the cost."""
     found = find_options(make_domain(parameters['domain']), parameters['seed'])
-    reached = found.ground.reached & ~found.ground.over
+    reached = found.space.open
     return {
         'options': [_option(option, reached) for option in found.options],
         'visits': found.visits.tolist(),
@@ -155,7 +155,7 @@ def _coverage(found: Sequence[Mapping[str, Any]]) -> tuple[str, bool]:
     """Compare in how many states one option can start, human ones as an expert means them."""
     domain = Taxi()
     meant = reference_options(domain)
-    reached = ground_of(domain).reached & ~domain.over()
+    reached = search_space(domain).reached & ~domain.over()
     human = [float(meant[name].initiation[reached].mean()) for name in paper.TAUGHT['taxi']]
     automatic = [option['can_start'] for one in found for option in one['options']]
     text = (
@@ -168,7 +168,7 @@ def _coverage(found: Sequence[Mapping[str, Any]]) -> tuple[str, bool]:
 def _picture(name: str, first: Mapping[str, Any]) -> Picture:
     domain = make_domain(name)
     targets = [option['cell'] for option in first['options']]
-    seen = visit_map(domain, ground_of(domain), np.array(first['visits']), targets)
+    seen = visit_map(domain, search_space(domain), np.array(first['visits']), targets)
     options = '; '.join(f'{n}: {o["name"]}' for n, o in enumerate(first['options'], start=1))
     label = f'Visits of greedy runs in {DOMAINS[name]}, with the targets of automatic options'
     caption = f'{DOMAINS[name]}. {options}'

@@ -125,7 +125,7 @@ def _owned(parameters: Mapping[str, Any]) -> list[tuple[Kind, Owned]]:
         return [*((k, taught[-1]) for k in mine), *((k, taught[0]) for k in paper_only)]
     if whose == MACHINE:
         found = find_options(domain, parameters['extraction'], clock=time.process_time)
-        options = found.tabled if domain.name == 'taxi' else found.batched
+        options = found.tabled if is_enumerable(domain) else found.batched
         owned = Owned(options, seconds=found.seconds, game_steps=found.game_steps)
         return [(kind, owned) for kind in mine]
     return [(kind, Owned(())) for kind in mine]

@@ -6,6 +6,8 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.pacman.baselines import INTERRUPTED
+from humanopts_env.domains.pacman.baselines import PRIMITIVE as PRIMITIVE_SETTINGS
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import PRIMITIVE
@@ -14,7 +16,6 @@ from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.sampled.columns import BatchOption
 from humanopts_learner.planning.sampled.curve import Budgets
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
-from humanopts_learner.planning.sampled.tuned import TUNED, TUNED_MOVES
 import numpy as np
 
 from experiments.table2_kinds import Kind, OTHER_WAYS, TO_END
@@ -77,8 +78,8 @@ def settings_to_try(gamma: float, count: int) -> list[Setting]:
     settings = [
         Setting(gamma, **usual),
         *(
-            Setting(tuned.gamma, **_parts(tuned.sampling))
-            for tuned in (TUNED_MOVES, *TUNED.values())
+            Setting(by_hand.gamma, **_parts(Sampling(**by_hand.sampling)))
+            for by_hand in (PRIMITIVE_SETTINGS, *INTERRUPTED.values())
         ),
         Setting(0.985, **usual),
     ]

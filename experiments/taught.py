@@ -73,7 +73,7 @@ def options_of(
 
 
 def _from_lesson(person: Participant, domain: Domain[Any], names: Sequence[str]) -> TaughtOptions:
-    rules, limits = LessonRules(STRATEGY, BUDGET, person.seed), usual_thresholds(domain.name)
+    rules, limits = LessonRules(STRATEGY, BUDGET, person.seed), usual_thresholds(domain)
     taught = teach(
         domain,
         person.teaching(*names),

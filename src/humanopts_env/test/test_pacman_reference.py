@@ -131,16 +131,16 @@ def test_better_players_score_more() -> None:
         by_chance = play_options(options, random_choice, 60, 1000, seed=1)
         by_rule = play_options(options, hand_rule(options), 60, 1000, seed=1)
         every_step = play_options(options, hand_rule(options), 60, 1000, seed=1, to_end=False)
-        scores = random_moves(domain, 60), by_chance.score, by_rule.score, every_step.score
+        scores = random_moves(domain, 60), by_chance.total, by_rule.total, every_step.total
         means = [score.mean() for score in scores]
         assert means == sorted(means)
-        assert max(by_rule.score) <= 2080
-        assert (every_step.lives[every_step.cleared] > 0).all()
+        assert max(by_rule.total) <= 2080
+        assert (every_step.outcomes['lives left'][every_step.outcomes['cleared']] > 0).all()
 
 
 def test_the_same_seed_plays_the_same_baseline_games() -> None:
     """And another seed plays others."""
     options = list(reference_options(PacMan('yard')).values())
-    runs = [play_options(options, random_choice, 20, 200, seed).score for seed in (1, 1, 2)]
+    runs = [play_options(options, random_choice, 20, 200, seed).total for seed in (1, 1, 2)]
     assert np.array_equal(runs[0], runs[1])
     assert not np.array_equal(runs[0], runs[2])

@@ -13,14 +13,14 @@ from humanopts_env.domains.taxi_tables import ABOARD
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
 from humanopts_learner.automatic.extract import AutomaticOptions, find_options
-from humanopts_learner.automatic.ground import ground_of
 from humanopts_learner.automatic.how import Extraction, USUAL
+from humanopts_learner.automatic.search_space import search_space
 from humanopts_learner.automatic.tasks import draw_tasks
 from humanopts_learner.planning.action_sets import HUMAN_AND_PRIMITIVE, PRIMITIVE
 from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
 from humanopts_learner.planning.plan import plan_with_tables
 from humanopts_learner.planning.sampled.columns import Columns
-from humanopts_learner.planning.sampled.games import batch_domain, Watcher
+from humanopts_learner.planning.sampled.games import batch_games, Watcher
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_learner.planning.sampled.runs import Runs
 import numpy as np
@@ -47,7 +47,7 @@ def found(name: str, seed: int = 0) -> AutomaticOptions:
 def bottlenecks(domain: Domain[Any], runs: list[list[int]], most: int = 9) -> list[Bottleneck]:
     """Return the bottlenecks of runs that are given as states."""
     run = np.repeat(np.arange(len(runs)), [len(states) for states in runs])
-    return find_bottlenecks(Visits(ground_of(domain), run, np.concatenate(runs)), most)
+    return find_bottlenecks(Visits(search_space(domain), run, np.concatenate(runs)), most)
 
 
 def test_visits_of_runs_through_a_bottleneck_are_subtracted() -> None:
@@ -59,7 +59,7 @@ def test_visits_of_runs_through_a_bottleneck_are_subtracted() -> None:
 
 def test_runs_that_failed_are_no_bottlenecks() -> None:
     """Of run 1 there is nothing, since it did not come to its goal."""
-    visits = Visits(ground_of(PacMan(maze=CORRIDOR)), np.array([0, 0, 2]), np.array([0, 1, 1]))
+    visits = Visits(search_space(PacMan(maze=CORRIDOR)), np.array([0, 0, 2]), np.array([0, 1, 1]))
     assert [b.visits for b in find_bottlenecks(visits, 9)] == [2]
 
 
@@ -132,9 +132,9 @@ def test_options_end_at_their_target_and_outside_their_initiation_set(name: str)
 
 def test_the_doorways_of_rooms_lie_on_most_runs() -> None:
     """At least two of the first four targets are doorways or next to one, of 104 cells."""
-    rooms, ground = Rooms(), found('rooms').ground
+    rooms, space = Rooms(), found('rooms').space
     doorway = rooms.feature_table()[:, 3] != 0
-    near = doorway | doorway[ground.rules.successor[:, :, 0]].any(axis=1)
+    near = doorway | doorway[space.transitions.successor[:, :, 0]].any(axis=1)
     assert sum(near[option.target.cell] for option in found('rooms').options[:4]) >= 2
 
 
@@ -149,7 +149,7 @@ def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
     """Without ghosts nothing is in their way."""
     domain = PacMan(maze=CROSSING)
     found_here = find_options(domain, 0, QUICK)
-    games = batch_domain(domain)
+    games = batch_games(domain)
     columns = Columns(games, 'human', found_here.batched)
     rng = generator(0, 'test')
     runs = Runs(Watcher(games, fine=False), columns, games.batch_reset(50, rng), rng)
@@ -197,7 +197,7 @@ def test_progress_can_cancel_every_stage(stage: str) -> None:
 
 
 def test_goals_can_be_reached_from_their_starts_and_left_again() -> None:
-    errands = draw_tasks(ground_of(Rooms()), 50, generator(0, 'test'))
+    errands = draw_tasks(search_space(Rooms()), 50, generator(0, 'test'))
     goal = errands.target.argmax(axis=1)
     assert (errands.target.sum(axis=1) == 1).all()
     assert (goal != errands.starts).all()
@@ -205,12 +205,12 @@ def test_goals_can_be_reached_from_their_starts_and_left_again() -> None:
 
 
 def test_a_one_way_world_has_no_tasks() -> None:
-    ground = ground_of(PacMan(maze=CORRIDOR))
+    space = search_space(PacMan(maze=CORRIDOR))
     step = np.minimum(np.arange(1, 6), 4).astype(np.int32)[:, None, None]
     one = np.ones(step.shape)
     rules = Transitions(step, one, one, one < 0)
     with pytest.raises(PlanError, match='no two states'):
-        draw_tasks(replace(ground, rules=rules), 3, generator(0, 'test'))
+        draw_tasks(replace(space, transitions=rules), 3, generator(0, 'test'))
 
 
 def test_parameters_out_of_range_are_refused() -> None:

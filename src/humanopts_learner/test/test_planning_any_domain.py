@@ -159,7 +159,7 @@ def test_what_makes_no_sense_is_refused_before_planning(plain_taxi: Any) -> None
             check_plan_request(domain, [], request(action_set='human'))
     with pytest.raises(PlanError, match='game_steps is 399, and must be at least 400'):
         check_plan_request(YARD, [], request(game_steps=399))
-    with pytest.raises(NotEnumerableError, match=r'no exact models; .* no method batch_domain'):
+    with pytest.raises(NotEnumerableError, match=r'no exact models; .* no method batch_games'):
         check_plan_request(plain_taxi, [], request())
     assert check_plan_request(ROOMS, [], request(game_steps=1)).game_steps == 0
 

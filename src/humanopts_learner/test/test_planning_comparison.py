@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from humanopts_env.domains.pacman.baselines import hand_rule, play_options
+from humanopts_env.domains.pacman.baselines import play_heuristic
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.reference import PacManOption, reference_options
 from humanopts_env.domains.pacman.surroundings import look_around
@@ -16,11 +16,11 @@ from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.errors import ForeignOptionError, PlanCanceled, PlanError
 from humanopts_learner.planning.sampled.comparison import (
     Baseline,
+    baselines_of,
     carried_over,
     CHANCE,
     compare,
     ComparisonRow,
-    has_rule,
     PLAN,
     RULE,
     share_interval,
@@ -132,10 +132,9 @@ def test_a_curve_ends_when_planning_took_long_enough(
 
 
 def test_a_rule_is_that_of_the_baselines(domain: PacMan, rows: list[ComparisonRow]) -> None:
-    known = list(reference_options(domain).values())
-    scores = play_options(known, hand_rule(known), GAMES, domain.max_steps, SEED)
-    assert rows[3].score.mean == scores.score.mean()
-    assert rows[3].outcomes['cleared'].mean == scores.cleared.mean()
+    scores = play_heuristic(domain, GAMES, SEED, to_end=True)
+    assert rows[3].score.mean == scores.total.mean()
+    assert rows[3].outcomes['cleared'].mean == scores.outcomes['cleared'].mean()
     assert rows[3].score != rows[4].score
 
 
@@ -171,8 +170,8 @@ def test_progress_rises_over_all_and_can_cancel(
 
 
 def test_only_a_domain_with_a_rule_plays_by_it(domain: PacMan) -> None:
-    assert has_rule(domain)
-    assert not has_rule(Rooms())
+    assert baselines_of(domain).heuristic is not None
+    assert baselines_of(Rooms()).heuristic is None
     with pytest.raises(PlanError, match='rooms has no rule'):
         compare(Rooms(), [Baseline('rule', RULE)], 1)
 

@@ -3,8 +3,10 @@
 from functools import cache
 from typing import Any
 
+from humanopts_env.domains.capabilities import Abstraction
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options as rooms_options
+from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options as taxi_options
 from humanopts_env.seeding import generator
@@ -22,7 +24,6 @@ from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPl
 import numpy as np
 from numpy.typing import NDArray
 import pytest
-from tabular_games import TabularGames
 
 TAXI_OPTIONS = ('go to passenger', 'go to destination', 'pickup/dropoff')
 MODULAR = (Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST)
@@ -30,13 +31,13 @@ LIMIT = 60
 
 
 class TaxiGames(TabularGames):
-    """Games whose planning states hide where the passenger is."""
+    """Games whose abstract states hide where the passenger is."""
 
-    def planning_sizes(self, *, fine: bool) -> tuple[int, ...]:
+    def abstraction(self, *, fine: bool) -> Abstraction:
         """Tell states apart by where the taxi and the destination are."""
-        return (25, 4)
+        return Abstraction((25, 4))
 
-    def planning_features(
+    def abstract_features(
         self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
     ) -> NDArray[np.int32]:
         """Tell states apart by where the taxi and the destination are."""
@@ -51,7 +52,7 @@ class BatchTaxi(Taxi):
         super().__init__()
         self.max_steps = LIMIT
 
-    def batch_domain(self) -> TaxiGames:
+    def batch_games(self) -> TaxiGames:
         """Return it."""
         return TaxiGames(self)
 

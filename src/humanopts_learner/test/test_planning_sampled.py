@@ -3,8 +3,10 @@
 from dataclasses import replace
 from typing import Any
 
+from humanopts_env.domains.capabilities import Abstraction
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options
+from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
@@ -21,7 +23,7 @@ from humanopts_learner.planning.sampled.curve import (
     planning_curve,
     seconds_to_reach,
 )
-from humanopts_learner.planning.sampled.games import batch_domain, Watcher, watcher_for
+from humanopts_learner.planning.sampled.games import batch_games, Watcher, watcher_for
 from humanopts_learner.planning.sampled.judging import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from humanopts_learner.planning.sampled.policies import UniformPolicy
@@ -32,7 +34,6 @@ from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
 from numpy.typing import NDArray
 import pytest
-from tabular_games import TabularGames
 
 GAMMA = 0.9
 EXACT = Sampling(n_games=2000, game_steps=100, penalty=0.0, explore=0.5, margin=0.0)
@@ -41,7 +42,7 @@ EXACT = Sampling(n_games=2000, game_steps=100, penalty=0.0, explore=0.5, margin=
 class BatchRooms(Rooms):
     """Rooms that brings its batched form."""
 
-    def batch_domain(self) -> TabularGames:
+    def batch_games(self) -> TabularGames:
         """Return it."""
         return TabularGames(self)
 
@@ -288,8 +289,8 @@ def test_an_interval_covers_the_mean_about_as_often_as_it_says() -> None:
 
 def test_what_makes_no_sense_is_refused_by_name() -> None:
     """Domains without a batched form, budgets below one game, and numbers out of range."""
-    with pytest.raises(NotEnumerableError, match='batch_domain'):
-        batch_domain(Taxi())
+    with pytest.raises(NotEnumerableError, match='batch_games'):
+        batch_games(Taxi())
     with pytest.raises(PlanError, match='fewer than'):
         rooms_plan('human', 99)
     with pytest.raises(PlanError, match='two rounds'):
@@ -320,20 +321,17 @@ def test_games_that_begin_again_are_seen_as_they_are() -> None:
 class _Telling(TabularGames):
     """Games whose primitive actions are told nothing, and whose options the state."""
 
-    def planning_sizes(self, *, fine: bool) -> tuple[int, ...]:
-        """One planning state, or one for each state."""
-        return (1,) if fine else super().planning_sizes(fine=False)
+    def abstraction(self, *, fine: bool) -> Abstraction:
+        """One abstract state, or one for each state; plans with both see the latter, too."""
+        sizes = super().abstraction(fine=False).sizes
+        return Abstraction((1,)) if fine else Abstraction(sizes, mixture=tuple(range(len(sizes))))
 
-    def planning_features(
+    def abstract_features(
         self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
     ) -> NDArray[np.int32]:
         """Tell nothing, or the state."""
-        told = super().planning_features(batch, rows, fine=False)
+        told = super().abstract_features(batch, rows, fine=False)
         return np.zeros((len(told), 1), dtype=np.int32) if fine else told
-
-    def planning_mixture(self) -> tuple[int, ...]:
-        """Plans with both get what the options are told."""
-        return tuple(range(len(super().planning_sizes(fine=False))))
 
 
 def test_plans_with_options_and_primitive_actions_see_what_both_are_told() -> None:

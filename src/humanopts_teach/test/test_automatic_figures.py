@@ -6,8 +6,8 @@ from humanopts_env.domains.base import BoardSlice, Domain, DomainError
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.rooms import Rooms
 from humanopts_learner.automatic.extract import find_options
-from humanopts_learner.automatic.ground import ground_of
 from humanopts_learner.automatic.how import Extraction
+from humanopts_learner.automatic.search_space import search_space
 from humanopts_teach.report.automatic_figure import draw_visits, visit_map
 from humanopts_teach.report.figures import Drawing
 import numpy as np
@@ -20,7 +20,7 @@ QUICK = Extraction(tasks=40, train_episodes=60, option_episodes=50)
 def test_every_option_is_numbered_on_the_board(domain: Domain[Any]) -> None:
     found = find_options(domain, 0, QUICK)
     targets = [option.target.cell for option in found.options]
-    seen = visit_map(domain, found.ground, found.visits, targets)
+    seen = visit_map(domain, found.space, found.visits, targets)
     work = Drawing(*seen.size)
     draw_visits(work, seen)
     shown = ', '.join(text.get_text() for text in work.axes.texts).split(', ')
@@ -34,4 +34,4 @@ def test_a_domain_without_a_board_is_refused() -> None:
             return []
 
     with pytest.raises(DomainError, match='no board'):
-        visit_map(Blind(), ground_of(Blind()), np.zeros(3, np.intp), [])
+        visit_map(Blind(), search_space(Blind()), np.zeros(3, np.intp), [])

@@ -5,6 +5,7 @@ import json
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.pacman.baselines import PAPER_OPTIONS
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
@@ -25,7 +26,6 @@ from humanopts_teach.evaluation.games import (
     evaluate_games,
     GamesEvaluation,
     option_sets,
-    PAPER_OPTIONS,
 )
 from humanopts_teach.evaluation.summary import plan_differences, Settings
 from humanopts_teach.evaluation.text import games_text
@@ -84,10 +84,10 @@ def test_plans_of_a_bag_are_sampled_and_judged(evaluation: BagEvaluation) -> Non
 
 
 def test_three_options_are_those_of_the_paper(options: list[LearnedOption]) -> None:
-    three, four = option_sets(options).values()
+    three, four = option_sets(options, PAPER_OPTIONS).values()
     assert [option.name for option in three] == list(PAPER_OPTIONS)
     assert [option.name for option in four] == [*PAPER_OPTIONS, 'eat the ghost']
-    assert list(option_sets(three)) == ['3 options']
+    assert list(option_sets(three, PAPER_OPTIONS)) == ['3 options']
 
 
 def test_every_action_set_and_baseline_plays_in_both_settings(games: GamesEvaluation) -> None:

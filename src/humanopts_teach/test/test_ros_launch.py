@@ -48,7 +48,7 @@ def test_processes_are_those_of_the_table() -> None:
 def test_every_argument_reaches_a_parameter() -> None:
     values = {
         'domain': 'rooms',
-        'domain_parameters': '{"rows": 7}',
+        'domain_parameters': '{"goal": "G2"}',
         'out': '/data/study',
         'seed': '12',
         'strategy': 'coverage',
@@ -63,7 +63,7 @@ def test_every_argument_reaches_a_parameter() -> None:
     assert {*values, 'teach', 'record'} == set(DEFAULTS)
     specs = {spec.name: spec.parameters for spec in launched({**DEFAULTS, **values})}
     assert specs['game']['domain'] == 'rooms'
-    assert specs['game']['domain_parameters'] == '{"rows": 7}'
+    assert specs['game']['domain_parameters'] == '{"goal": "G2"}'
     assert specs['game']['step_period'] == 2.0
     assert isinstance(specs['game']['step_period'], float)
     assert (specs['lesson']['strategy'], specs['lesson']['budget']) == ('coverage', 9)

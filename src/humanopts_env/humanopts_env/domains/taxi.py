@@ -20,6 +20,8 @@ from humanopts_env.domains.base import (
     StateError,
     Transitions,
 )
+from humanopts_env.domains.capabilities import TeachingDefaults
+from humanopts_env.domains.search_space import plain_cell_name, SearchSpace, space_by_features
 from humanopts_env.domains.shared_tables import SharedTables
 from humanopts_env.domains.taxi_board import draw_board, GLYPH_STYLES
 from humanopts_env.domains.taxi_tables import (
@@ -37,6 +39,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 SMALLEST, LARGEST = 4, 1000  # rows and columns
+# What the participants of Subramanian, Isbell and Thomaz (2011) were asked to teach (section 7).
+DEMO_OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 STATE_TEXT = re.compile(
     r'taxi (\d{1,3}),(\d{1,3}) passenger (R|G|Y|B|aboard) destination (R|G|Y|B)'
 )
@@ -84,6 +88,7 @@ class Taxi(SharedTables[TaxiState]):
         self.gamma = 0.99
         self.max_steps = 20 * (rows + cols)  # 200 on the 5 x 5 grid
         self.glyph_styles: Mapping[str, str] = GLYPH_STYLES
+        self.teaching = TeachingDefaults(DEMO_OPTIONS)
 
     @property
     def n_states(self) -> int:
@@ -190,6 +195,24 @@ class Taxi(SharedTables[TaxiState]):
             )
             for where, passenger in (('waiting at R', 0), ('aboard', ABOARD))
         ]
+
+    def search_space(self) -> SearchSpace:
+        """Return the search space whose cells are the taxi's; pickups and dropoffs are events."""
+        landmarks = {c: name for name, c in landmark_cells(self.rows, self.cols).items()}
+
+        def name(values: tuple[int, ...]) -> str:
+            return landmarks.get((values[0], values[1])) or plain_cell_name(values)
+
+        taxi, passenger = ('taxi_row', 'taxi_col'), ('passenger_row', 'passenger_col')
+        return space_by_features(
+            self,
+            cell=taxi,
+            status='passenger_in_taxi',
+            events={'yes': 'pickup', 'no': 'dropoff'},
+            situation=(*taxi, *passenger, 'passenger_in_taxi'),
+            own_goals=True,
+            cell_name=name,
+        )
 
     def _build_over(self) -> NDArray[np.bool_]:
         _, passenger, destination = state_parts(self.rows, self.cols)

@@ -2,18 +2,16 @@
 
 from typing import Any
 
-from humanopts_env.domains.base import Domain, feature_columns, is_enumerable
-from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.search_space import SearchSpace
 from humanopts_learner.automatic.extract import AutomaticOption, AutomaticOptions
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.ready import exact_option
 from humanopts_learner.planning.action_sets import MACHINE
-from humanopts_learner.planning.errors import NotEnumerableError, PlanError
-from humanopts_learner.qlearning.world import Flags, Ints
+from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.qlearning.world import Ints
 import numpy as np
 from numpy.typing import NDArray
-
-PLACE = ('pacman_row', 'pacman_col')  # all that automatic options of Pac-Man see
 
 
 def learned_options(
@@ -27,14 +25,11 @@ def learned_options(
 
     :param found: in this domain.
     :param participant: whose they are said to be; begins with ``MACHINE``.
-    :raises PlanError: the participant has another code, or there are options of such a domain
-        only as tables.
+    :raises PlanError: the participant has another code.
     :raises DomainError: the features do not tell apart all that an option does.
     """
     check_participant(participant)
-    rows, columns = _seen(domain, found)
-    going = found.ground.reached & ~found.ground.over
-    return [_learned(domain, o, participant, rows, columns, going) for o in found.options]
+    return [_learned(domain, option, participant, found.space) for option in found.options]
 
 
 def check_participant(code: str) -> None:
@@ -50,29 +45,15 @@ def check_participant(code: str) -> None:
         )
 
 
-def _seen(domain: Domain[Any], found: AutomaticOptions) -> tuple[NDArray[np.int32], list[int]]:
-    """Return the features of each state of the ground (S, F), and those that may be looked at."""
-    if is_enumerable(domain):
-        return domain.feature_table(), list(range(len(domain.features)))
-    if not isinstance(domain, PacMan):
-        raise NotEnumerableError(f'the states of {domain.name} cannot all be listed')
-    columns = feature_columns(domain, PLACE)
-    rows = np.zeros((len(found.ground.cell), len(domain.features)), dtype=np.int32)
-    rows[:, columns] = domain.rules.maze.cells
-    return rows, columns
-
-
 def _learned(
     domain: Domain[Any],
     option: AutomaticOption,
     participant: str,
-    rows: NDArray[np.int32],
-    columns: list[int],
-    going: Flags,
+    space: SearchSpace,
 ) -> LearnedOption:
-    tables = option.tables
+    tables, rows, going = option.tables, space.rows, space.open
     said = 2 * np.where(tables.initiation, 1 + tables.action, 0) + tables.termination
-    needed = _needed(rows[going], columns, said[going])
+    needed = _needed(rows[going], list(space.columns), said[going])
     return exact_option(
         domain,
         option.name,

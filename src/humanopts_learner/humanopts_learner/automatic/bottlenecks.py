@@ -6,8 +6,8 @@ with most visits is the target of an option; those states from which it is reach
 more visits than the mean on paths through it, completed to a contiguous region, are its
 initiation set; then the visits of all paths through the target are subtracted, and so on.
 
-What is ours: the visited states are cells. A cell in which runs have events (``Ground.status``
-changes) gives one option for each kind of event, not one for being there. Initiation sets count
+What is ours: the visited states are cells. A cell in which runs have events (``status`` changes)
+gives one option for each kind of event, not one for being there. Initiation sets count
 visits between the event before and the target only, since the way on is no way to it. The region
 is completed with what has more than half of its neighbours in it, and what has no way to the
 target within the region is left out.
@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-from humanopts_learner.automatic.ground import Ground
+from humanopts_env.domains.search_space import SearchSpace
 from humanopts_learner.qlearning.world import Flags, Ints
 import numpy as np
 from numpy.typing import NDArray
@@ -40,23 +40,21 @@ class Bottleneck:
 class Visits:
     """What greedy runs visited, run by run, each in the order of its steps."""
 
-    ground: Ground
+    space: SearchSpace
     run: Ints  # (V,)
     state: Ints  # (V,)
 
     @cached_property
     def counts(self) -> NDArray[np.intp]:
         """(runs, K): visits of each run to each cell."""
-        counts = np.zeros(
-            (int(self.run.max(initial=-1)) + 1, len(self.ground.cell_names)), np.intp
-        )
-        np.add.at(counts, (self.run, self.ground.cell[self.state]), 1)
+        counts = np.zeros((int(self.run.max(initial=-1)) + 1, len(self.space.cell_names)), np.intp)
+        np.add.at(counts, (self.run, self.space.cell[self.state]), 1)
         return counts
 
     @cached_property
     def happens(self) -> Flags:
         """(V,): the step to this visit was an event."""
-        status = self.ground.status[self.state]
+        status = self.space.status[self.state]
         changed: Flags = (np.diff(status, prepend=-1) != 0) & ~self.begins
         return changed
 
@@ -95,14 +93,14 @@ def find_bottlenecks(visits: Visits, most: int) -> list[Bottleneck]:
 
 
 def _options_to(visits: Visits, cell: int, total: int) -> Iterator[Bottleneck]:
-    ground = visits.ground
-    name, inside = ground.cell_names[cell], ground.cell == cell
+    space = visits.space
+    name, inside = space.cell_names[cell], space.cell == cell
     here = inside[visits.state]
     happened = here & visits.happens
-    after = ground.status[visits.state]
+    after = space.status[visits.state]
     kinds = np.unique(after[happened]).tolist()
     for status in kinds:
-        event, target = ground.events[status], inside & (ground.status == status)
+        event, target = space.events[status], inside & (space.status == status)
         arrivals = np.flatnonzero(happened & (after == status))
         start = _initiation(visits, arrivals, target)
         yield Bottleneck(f'{event} at {name}', cell, event, total, target, start)
@@ -113,22 +111,22 @@ def _options_to(visits: Visits, cell: int, total: int) -> Iterator[Bottleneck]:
 
 def _initiation(visits: Visits, arrivals: Ints, target: Flags) -> Flags:
     """Return (S,): where an option to a target can start."""
-    ground = visits.ground
-    situations = ground.situation
+    space = visits.space
+    situations = space.situation
     counts = np.bincount(situations[visits.before(arrivals)], minlength=situations.max() + 1)
-    known = np.unique(situations[ground.reached])
+    known = np.unique(situations[space.reached])
     chosen = counts > counts[known].mean()
-    chosen = _completed(chosen, _neighbours(ground))
-    return _with_way(ground, chosen[situations] & ground.reached & ~ground.over & ~target, target)
+    chosen = _completed(chosen, _neighbours(space))
+    return _with_way(space, chosen[situations] & space.open & ~target, target)
 
 
-def _neighbours(ground: Ground) -> csr_array:
+def _neighbours(space: SearchSpace) -> csr_array:
     """Return (M, M): whether a step leads from one situation to another, or back."""
-    here, there = _edges(ground, ground.reached & ~ground.over)
-    here, there = ground.situation[here], ground.situation[there]
+    here, there = _edges(space, space.open)
+    here, there = space.situation[here], space.situation[there]
     apart = here != there
     here, there = here[apart], there[apart]
-    count = int(ground.situation.max()) + 1
+    count = int(space.situation.max()) + 1
     steps = coo_array((np.ones(len(here)), (here, there)), shape=(count, count)).tocsr()
     both = steps + steps.T
     both.data[:] = 1.0
@@ -145,9 +143,9 @@ def _completed(chosen: Flags, neighbours: csr_array) -> Flags:
         chosen = larger
 
 
-def _with_way(ground: Ground, region: Flags, target: Flags) -> Flags:
+def _with_way(space: SearchSpace, region: Flags, target: Flags) -> Flags:
     """Return the part of a region from which the target can be reached within it."""
-    here, there = _edges(ground, region)
+    here, there = _edges(space, region)
     found = target.copy()
     while True:
         fresh = here[found[there] & ~found[here]]
@@ -156,7 +154,7 @@ def _with_way(ground: Ground, region: Flags, target: Flags) -> Flags:
         found[fresh] = True
 
 
-def _edges(ground: Ground, inside: Flags) -> tuple[Ints, Ints]:
+def _edges(space: SearchSpace, inside: Flags) -> tuple[Ints, Ints]:
     """Return all steps (N,), (N,) that can be taken from some states."""
-    possible = (ground.rules.probability > 0) & inside[:, None, None]
-    return np.nonzero(possible)[0], ground.rules.successor[possible].astype(np.intp)
+    possible = (space.transitions.probability > 0) & inside[:, None, None]
+    return np.nonzero(possible)[0], space.transitions.successor[possible].astype(np.intp)

@@ -6,10 +6,9 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.search_space import SearchSpace
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
-from humanopts_learner.automatic.cell_options import CellOption
-from humanopts_learner.automatic.ground import Ground, ground_of
 from humanopts_learner.automatic.how import Extraction, Progress, say_nothing, USUAL
 from humanopts_learner.automatic.reaching import (
     check_tables,
@@ -18,6 +17,8 @@ from humanopts_learner.automatic.reaching import (
     learn_to_reach,
     Values,
 )
+from humanopts_learner.automatic.search_space import search_space
+from humanopts_learner.automatic.tabled import BatchTabledOption
 from humanopts_learner.automatic.tasks import draw_tasks
 from humanopts_learner.options.option import OptionTables
 from humanopts_learner.planning.action_sets import TabledOption
@@ -47,7 +48,7 @@ class AutomaticOptions:
     """What was found, and what it cost."""
 
     options: tuple[AutomaticOption, ...]  # in the order in which they were found
-    ground: Ground
+    space: SearchSpace
     visits: NDArray[np.intp]  # (K,) of all greedy runs that came to their goals, by cell
     seconds: float
     game_steps: int  # primitive steps of learning and of greedy runs
@@ -60,9 +61,11 @@ class AutomaticOptions:
         return tuple(TabledOption(o.name, o.max_steps, o.tables) for o in self.options)
 
     @property
-    def batched(self) -> tuple[CellOption, ...]:
-        """The options for planning from samples, in Pac-Man."""
-        return tuple(CellOption(o.name, o.max_steps, o.tables) for o in self.options)
+    def batched(self) -> tuple[BatchTabledOption, ...]:
+        """The options for planning from samples."""
+        return tuple(
+            BatchTabledOption(o.name, o.max_steps, o.tables, self.space) for o in self.options
+        )
 
 
 def find_options(
@@ -75,21 +78,20 @@ def find_options(
     """
     Find options by the algorithm of Stolle and Precup (2002).
 
-    :param domain: one whose states can be listed, or Pac-Man, where tasks lead from cell to cell
-        of the maze, without ghosts.
+    :param domain: one that has a search space of its own, or whose states can be listed.
     :param progress: told the stages ``tasks`` and ``policies``.
     :raises PlanError: no tasks can be set in the domain; its subclasses say why.
     :raises PlanCanceled: from ``progress``.
     """
-    ground, tell = ground_of(domain), progress or say_nothing
+    space, tell = search_space(domain), progress or say_nothing
     began = clock()
-    work = _Extraction(ground, seed, how, tell)
+    work = _Extraction(space, seed, how, tell)
     visits, solved = work.visit()
     bottlenecks = find_bottlenecks(visits, how.options)
     options = work.learn(bottlenecks, domain.max_steps or how.max_steps)
     return AutomaticOptions(
         options=tuple(options),
-        ground=ground,
+        space=space,
         visits=visits.counts.sum(axis=0),
         seconds=clock() - began,
         game_steps=work.game_steps,
@@ -101,16 +103,16 @@ def find_options(
 class _Extraction:
     """Options while they are looked for."""
 
-    def __init__(self, ground: Ground, seed: int, how: Extraction, tell: Progress) -> None:
-        self._ground, self._seed, self._how, self._tell = ground, seed, how, tell
-        self._world = World(ground.rules, ground.over)
+    def __init__(self, space: SearchSpace, seed: int, how: Extraction, tell: Progress) -> None:
+        self._space, self._seed, self._how, self._tell = space, seed, how, tell
+        self._world = World(space.transitions, space.over)
         self.game_steps, self.episodes = 0, 0
 
     def visit(self) -> tuple[Visits, float]:
         """Learn random tasks; return the visits of greedy runs, and the share that came home."""
         how, rng = self._how, generator(self._seed, 'automatic_options', 'tasks')
         check_tables(self._world, how.tasks)
-        errands = draw_tasks(self._ground, how.tasks, rng)
+        errands = draw_tasks(self._space, how.tasks, rng)
         values = self._learn('tasks', errands, how.train_episodes, rng)
         learner = np.repeat(np.arange(how.tasks), how.test_runs)
         start = errands.draw(learner, rng)
@@ -123,7 +125,7 @@ class _Extraction:
                 f'not one of {how.tasks} tasks was learned in {how.train_episodes} episodes each: '
                 'give more'
             )
-        return Visits(self._ground, run, state), len(np.unique(run)) / len(learner)
+        return Visits(self._space, run, state), len(np.unique(run)) / len(learner)
 
     def learn(self, targets: Sequence[Bottleneck], max_steps: int) -> list[AutomaticOption]:
         """Learn the internal policies, each with reward 1 at its target."""

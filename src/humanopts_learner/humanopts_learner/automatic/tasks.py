@@ -1,6 +1,6 @@
 """Random tasks: from a start to a goal."""
 
-from humanopts_learner.automatic.ground import Ground
+from humanopts_env.domains.search_space import SearchSpace
 from humanopts_learner.automatic.reaching import Errands
 from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.qlearning.world import Flags, Ints
@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 
-def draw_tasks(ground: Ground, count: int, rng: np.random.Generator) -> Errands:
+def draw_tasks(space: SearchSpace, count: int, rng: np.random.Generator) -> Errands:
     """
     Draw tasks (Stolle and Precup 2002, step 1).
 
@@ -19,18 +19,18 @@ def draw_tasks(ground: Ground, count: int, rng: np.random.Generator) -> Errands:
 
     :raises PlanError: no two states can be reached from each other, so there are no goals.
     """
-    if ground.done is not None:
-        start = rng.choice(ground.starts, count)
-        target = np.broadcast_to(ground.done, (count, len(ground.done)))
+    if space.goals is not None:
+        start = rng.choice(space.starts, count)
+        target = np.broadcast_to(space.goals, (count, len(space.goals)))
     else:
-        start, target = _pairs(ground, count, rng)
+        start, target = _pairs(space, count, rng)
     return Errands(start, np.ones(count, dtype=np.intp), target, np.zeros_like(target))
 
 
-def _pairs(ground: Ground, count: int, rng: np.random.Generator) -> tuple[Ints, Flags]:
-    region = _regions(ground)
-    sizes = np.bincount(region[ground.starts])
-    starts = ground.starts[sizes[region[ground.starts]] > 1]
+def _pairs(space: SearchSpace, count: int, rng: np.random.Generator) -> tuple[Ints, Flags]:
+    region = _regions(space)
+    sizes = np.bincount(region[space.starts])
+    starts = space.starts[sizes[region[space.starts]] > 1]
     if not starts.size:
         raise PlanError('no two states can be reached from each other, so no tasks can be set')
     start = rng.choice(starts, count)
@@ -41,10 +41,10 @@ def _pairs(ground: Ground, count: int, rng: np.random.Generator) -> tuple[Ints, 
     return start, target
 
 
-def _regions(ground: Ground) -> Ints:
+def _regions(space: SearchSpace) -> Ints:
     """Return (S,): numbers of the sets of states that can be reached from each other."""
-    rules, count = ground.rules, len(ground.over)
-    possible = (rules.probability > 0) & ~ground.over[:, None, None]
+    rules, count = space.transitions, len(space.over)
+    possible = (rules.probability > 0) & ~space.over[:, None, None]
     here, there = np.nonzero(possible)[0], rules.successor[possible]
     edges = coo_array((np.ones(len(here)), (here, there)), shape=(count, count))
     region: Ints = connected_components(edges.tocsr(), connection='strong')[1].astype(np.intp)

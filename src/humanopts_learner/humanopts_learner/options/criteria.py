@@ -14,6 +14,7 @@ import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.folds import fit_leave_fold_out, fold_of, FOLDS
@@ -76,14 +77,14 @@ class Criterion:
         return self.value is not None and self.value <= self.threshold
 
 
-def usual_thresholds(domain: str) -> Thresholds:
+def usual_thresholds(domain: Domain[Any]) -> Thresholds:
     """
-    Return the thresholds of a domain, by its registered name, where nobody gives others.
+    Return the thresholds of a domain where nobody gives others.
 
-    What a return may fall short by is what one small thing is worth in the game: two steps, or in
-    Pac-Man one dot.
+    :raises ValueError: the domain's own are out of range.
     """
-    return Thresholds(return_delta=10.0) if domain == 'pacman' else Thresholds()
+    own = domain.teaching.thresholds if isinstance(domain, HasTeachingDefaults) else {}
+    return Thresholds(**own)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from humanopts_learner.planning.action_sets import (
 from humanopts_learner.planning.errors import check_limits, NoOptionsError, PlanError
 from humanopts_learner.planning.evaluate import episode_starts, Interval, play
 from humanopts_learner.planning.plan import check_request, Clock, make_plan, Plan
-from humanopts_learner.planning.sampled.games import batch_domain
+from humanopts_learner.planning.sampled.games import batch_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from numpy.typing import NDArray
 
@@ -120,7 +120,7 @@ def check_plan_request(
     check_request(domain, asked.action_set, used, asked.gamma)
     check_limits(asked.tol, asked.max_sweeps)
     if not is_enumerable(domain):
-        batch_domain(domain)
+        batch_games(domain)
         if asked.game_steps < (fewest := Sampling().game_steps):
             raise PlanError(f'game_steps is {asked.game_steps}, and must be at least {fewest}')
     return asked

@@ -16,7 +16,7 @@ from humanopts_learner.planning.errors import ModelError
 from humanopts_learner.planning.interruption import interruptions, winners
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns
 from humanopts_learner.planning.sampled.counts import StateIndex
-from humanopts_learner.planning.sampled.games import batch_domain, watcher_for
+from humanopts_learner.planning.sampled.games import batch_games, watcher_for
 from humanopts_learner.planning.sampled.plan import batch_options
 from humanopts_learner.planning.sampled.policies import executed, GreedyPolicy
 import numpy as np
@@ -111,7 +111,7 @@ class _SampledArbiter:
         domain: Domain[Any],
         options: Sequence[LearnedOption | BatchOption],
     ) -> None:
-        games, self._execution = batch_domain(domain), execution
+        games, self._execution = batch_games(domain), execution
         columns = Columns(games, values.action_set, batch_options(domain, options))
         if columns.names[: columns.first_fallback] != values.names:
             raise ModelError(f'the values are not for the actions of {domain.name}')

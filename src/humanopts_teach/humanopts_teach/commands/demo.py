@@ -7,17 +7,12 @@ import sys
 from typing import Any
 
 from humanopts_env.domains.base import DomainError, is_enumerable
-from humanopts_env.domains.pacman.reference import (
-    AVOID_GHOST,
-    CLOSEST_FOOD,
-    EAT_GHOST,
-    NEAREST_PILL,
-)
+from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.planning.sampled.games import batch_domain
+from humanopts_learner.planning.sampled.games import batch_games
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands.ending import CommandError
@@ -58,11 +53,6 @@ from humanopts_teach.report.bag_parts import bag_parts
 from humanopts_teach.report.data import ReportData, TopicRow
 from humanopts_teach.report.write import write_report
 
-# What the paper's participants were asked to teach (section 7); with Pac-Man, one option more.
-TAUGHT = {
-    'taxi': ('go to passenger and pickup', 'go to destination and dropoff'),
-    'pacman': (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST),
-}
 EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
 _WATCHED = 0.02  # s between steps of the machine, in a terminal
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
@@ -148,7 +138,7 @@ def _evaluate(setup: Setup, amounts: Amounts, progress: DemoProgress) -> tuple[B
 
 
 def _taught_options(domain_name: str, launch: LaunchOptions) -> tuple[str, ...]:
-    """Return what the simulated teacher teaches: all that it knows, where nothing else is said."""
+    """Return what the simulated teacher teaches: all that it knows, or what the domain says."""
     try:
         domain = make_domain(domain_name, domain_parameters(launch))
         known = tuple(reference_options(domain))
@@ -156,7 +146,7 @@ def _taught_options(domain_name: str, launch: LaunchOptions) -> tuple[str, ...]:
         raise CommandError(str(error)) from error
     if not is_enumerable(domain):
         try:
-            batch_domain(domain)
+            batch_games(domain)
         except PlanError as error:
             raise CommandError(
                 f'the demo plans: {error}; teach it yourself: humanopts teach {domain_name}'
@@ -166,7 +156,8 @@ def _taught_options(domain_name: str, launch: LaunchOptions) -> tuple[str, ...]:
             f'{domain_name} has no reference options, which the simulated teacher needs; '
             f'teach it yourself: humanopts teach {domain_name}'
         )
-    return TAUGHT.get(domain_name, known)
+    usual = domain.teaching.options if isinstance(domain, HasTeachingDefaults) else ()
+    return usual or known
 
 
 def _teach_plan_play(

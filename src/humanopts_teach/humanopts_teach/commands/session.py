@@ -80,7 +80,8 @@ def _thresholds(domain: str, launch: LaunchOptions) -> Thresholds:
         if (value := getattr(launch, threshold.name)) is not None
     }
     try:
-        return replace(usual_thresholds(domain), **given)
+        played = make_domain(domain, domain_parameters(launch))
+        return replace(usual_thresholds(played), **given)
     except ValueError as error:
         raise CommandError(str(error)) from error
 

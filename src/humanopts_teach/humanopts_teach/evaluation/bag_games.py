@@ -6,7 +6,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.planning.sampled.comparison import Tell
-from humanopts_learner.planning.sampled.games import batch_domain
+from humanopts_learner.planning.sampled.games import batch_games
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, EvaluationError
 from humanopts_teach.evaluation.games import evaluate_games, GAMES
 
@@ -20,7 +20,7 @@ def check_games(domain: Domain[Any]) -> None:
     if is_enumerable(domain):
         raise EvaluationError(f'plans in {domain.name} are exact: there is nothing to estimate')
     try:
-        batch_domain(domain)
+        batch_games(domain)
     except PlanError as error:
         raise EvaluationError(f'the games cannot be played: {error}') from error
 

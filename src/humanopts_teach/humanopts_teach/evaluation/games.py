@@ -13,9 +13,7 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_env.domains.pacman.reference import AVOID_GHOST, CLOSEST_FOOD, NEAREST_PILL
-from humanopts_env.domains.pacman.rules import GHOST_RULES
+from humanopts_env.domains.capabilities import PlanSettings
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import HUMAN, HUMAN_AND_PRIMITIVE, PRIMITIVE
@@ -23,11 +21,11 @@ from humanopts_learner.planning.any_domain import GAME_STEPS
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.sampled.comparison import (
     Baseline,
+    baselines_of,
     carried_over,
     CHANCE,
     compare,
     ComparisonRow,
-    has_rule,
     PLAN,
     RULE,
     Tell,
@@ -38,12 +36,10 @@ from humanopts_learner.planning.sampled.curve import (
     planning_curve,
     seconds_to_reach,
 )
-from humanopts_learner.planning.sampled.tuned import TUNED, TUNED_BOTH, TUNED_MOVES
+from humanopts_learner.planning.sampled.plan import Sampling
 from humanopts_teach.evaluation.games_progress import CurveTeller, Parts
 
 GAMES = 1000  # that everything is judged by
-PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et al., section 7
-TARGETS = (1800.0, 1850.0)  # mean scores of interest in Pac-Man with its default parameters
 TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
 PATIENCE = 4.0  # s of planning after which options that do not reach the target are given up
 CLOCK = time.process_time  # seconds of the processor, which no other program's work makes longer
@@ -110,12 +106,16 @@ class GamesEvaluation:
         }
 
 
-def option_sets(options: Options) -> dict[str, Options]:
-    """Return what is planned with, by name: all options and, of more, the paper's three."""
-    paper = [option for option in options if option.name in PAPER_OPTIONS]
+def option_sets(options: Options, fewer: Sequence[str]) -> dict[str, Options]:
+    """
+    Return what is planned with, by name: all options and, of more, a few of them apart.
+
+    :param fewer: names of the few.
+    """
+    few = [option for option in options if option.name in fewer]
     sets: dict[str, Options] = {}
-    if len(PAPER_OPTIONS) == len(paper) < len(options):
-        sets[_named(paper)] = paper
+    if 0 < len(fewer) == len(few) < len(options):
+        sets[_named(few)] = few
     return {**sets, _named(options): options}
 
 
@@ -146,7 +146,7 @@ def evaluate_games(
         rows = compare(variant, contenders, seed, games, progress=parts.begin(name), clock=CLOCK)
         settings.append(Setting(name, tuple(rows)))
     name, variant = next(iter(variants.items()))
-    targets = TARGETS if _usual_pacman(variant) else ()
+    targets = baselines_of(variant).targets
     curves = _curves(variant, options, seed, games, budgets, targets, parts)
     return GamesEvaluation(games, tuple(settings), name, curves, targets)
 
@@ -157,28 +157,22 @@ def _named(options: Options) -> str:
 
 def _variants(domain: Domain[Any]) -> dict[str, Domain[Any]]:
     """Return the settings that a domain is judged in, by name."""
-    if not isinstance(domain, PacMan):
-        return {'': domain}
     return {
-        f'ghosts={rule}': make_domain('pacman', {**domain.parameters, 'ghosts': rule})
-        for rule in GHOST_RULES
-    }
-
-
-def _usual_pacman(domain: Domain[Any]) -> bool:
-    return isinstance(domain, PacMan) and domain.parameters == PacMan().parameters
+        name: make_domain(domain.name, {**domain.parameters, **changed})
+        for name, changed in baselines_of(domain).variants.items()
+    } or {'': domain}
 
 
 def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Baseline]:
+    usual = baselines_of(domain)
     sets = {
         name: [carried_over(option, domain) for option in chosen]
-        for name, chosen in option_sets(options).items()
+        for name, chosen in option_sets(options, usual.fewer_options).items()
     }
     found = [
         Baseline(f'human, {name}', PLAN, HUMAN, chosen, steps) for name, chosen in sets.items()
     ]
-    if isinstance(domain, PacMan):
-        found += _interrupted(domain, *list(sets.items())[-1], steps)
+    found += _interrupted(domain, *list(sets.items())[-1], steps)
     found += [
         _moves('primitive', domain, steps),
         _moves(f'primitive, {GENEROUS}-fold steps', domain, GENEROUS * steps),
@@ -187,7 +181,7 @@ def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Basel
     found += [
         Baseline(f'random choice, {name}', CHANCE, HUMAN, chosen) for name, chosen in sets.items()
     ]
-    if has_rule(domain):
+    if usual.heuristic is not None:
         found += [
             Baseline('hand-written rule, options to their end', RULE),
             Baseline('hand-written rule, at every step', RULE, to_end=False),
@@ -197,25 +191,31 @@ def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Basel
 
 def _moves(name: str, domain: Domain[Any], steps: int) -> Baseline:
     """Return a plan with primitive actions, with settings that were found by hand."""
-    usual = Baseline(name, PLAN, PRIMITIVE, (), steps)
-    if not isinstance(domain, PacMan):
-        return usual
-    return replace(usual, gamma=TUNED_MOVES.gamma, how=TUNED_MOVES.sampling)
+    plain = Baseline(name, PLAN, PRIMITIVE, (), steps)
+    return _with_settings(plain, baselines_of(domain).primitive)
 
 
-def _interrupted(domain: PacMan, name: str, options: Options, steps: int) -> list[Baseline]:
-    """Return the plans that stop options, with settings that were found by hand."""
-    alone, mixed = TUNED[str(domain.parameters['ghosts'])], TUNED_BOTH
+def _interrupted(domain: Domain[Any], name: str, options: Options, steps: int) -> list[Baseline]:
+    """Return the plans that interrupt options, for which there are settings found by hand."""
+    usual = baselines_of(domain)
     more = f'human+primitive, {name}, interrupted, {GENEROUS}-fold steps'
+    alone = Baseline(f'human, {name}, interrupted', PLAN, HUMAN, options, steps)
+    mixture = Baseline(more, PLAN, HUMAN_AND_PRIMITIVE, options, GENEROUS * steps)
     return [
-        Baseline(
-            label, PLAN, action_set, options, budget, t.gamma, t.sampling, Execution.INTERRUPTED
+        replace(_with_settings(baseline, settings), execution=Execution.INTERRUPTED)
+        for baseline, settings in (
+            (alone, usual.interrupted),
+            (mixture, usual.interrupted_mixture),
         )
-        for label, action_set, budget, t in (
-            (f'human, {name}, interrupted', HUMAN, steps, alone),
-            (more, HUMAN_AND_PRIMITIVE, GENEROUS * steps, mixed),
-        )
+        if settings is not None
     ]
+
+
+def _with_settings(baseline: Baseline, settings: PlanSettings | None) -> Baseline:
+    """Return a plan with settings that were found by hand, where there are any."""
+    if settings is None:
+        return baseline
+    return replace(baseline, gamma=settings.gamma, how=Sampling(**settings.sampling))
 
 
 def _curves(

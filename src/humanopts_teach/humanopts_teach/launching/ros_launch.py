@@ -7,6 +7,7 @@ from pathlib import Path
 import time
 from typing import Any
 
+from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_teach.launching.processes import processes, ProcessSpec, Recording, Setup
 
@@ -60,12 +61,17 @@ def setup_from_launch(values: Mapping[str, str]) -> Setup:
 
     The keyboard is not among it: ``ros2 launch`` gives no process the terminal.
     """
+    parameters = _parsed(values, 'domain_parameters', dict, 'a JSON object')
+    try:
+        thresholds = usual_thresholds(make_domain(values['domain'], parameters))
+    except ValueError as error:
+        raise LaunchArgumentError(str(error)) from error
     return Setup(
         domain=values['domain'],
         directory=Path(values['out']).absolute(),
-        domain_parameters=_parsed(values, 'domain_parameters', dict, 'a JSON object'),
+        domain_parameters=parameters,
         seed=_parsed(values, 'seed', int, 'a whole number'),
-        thresholds=usual_thresholds(values['domain']),
+        thresholds=thresholds,
         strategy=values['strategy'],
         budget=_parsed(values, 'budget', int, 'a whole number'),
         teach=_parsed(values, 'teach', bool, 'true or false'),

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from humanopts_env.domains.base import BoardSlice, Domain, DomainError, is_enumerable
-from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_learner.automatic.ground import Ground
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.search_space import SearchSpace
 from humanopts_teach.report.board import Board, board_of
 from humanopts_teach.report.board_figure import COLORS, draw_walls
 from humanopts_teach.report.figures import Drawing
@@ -35,7 +34,7 @@ class VisitMap:
 
 
 def visit_map(
-    domain: Domain[Any], ground: Ground, visits: NDArray[np.intp], targets: Sequence[int]
+    domain: Domain[Any], space: SearchSpace, visits: NDArray[np.intp], targets: Sequence[int]
 ) -> VisitMap:
     """
     Return what to draw of a search for options.
@@ -44,7 +43,9 @@ def visit_map(
     :param targets: cell of each option.
     :raises DomainError: the domain has no board.
     """
-    return VisitMap(_board(domain, ground), ground.cell, visits, targets)
+    if space.board is None:
+        raise DomainError(f'{domain.name} has no board to draw visits on')
+    return VisitMap(board_of(space.transitions, space.board), space.cell, visits, targets)
 
 
 def draw_visits(work: Drawing, seen: VisitMap) -> None:
@@ -67,19 +68,6 @@ def draw_visits(work: Drawing, seen: VisitMap) -> None:
     bar = work.figure.colorbar(heat, ax=work.axes, shrink=0.85, pad=0.03)
     bar.set_label('visits')
     bar.outline.set_visible(False)
-
-
-def _board(domain: Domain[Any], ground: Ground) -> Board:
-    """Return the board that visits are drawn on."""
-    if isinstance(domain, PacMan):
-        maze = domain.rules.maze
-        cells = np.full((maze.rows, maze.cols), -1, dtype=np.int32)
-        cells[tuple(np.transpose(maze.cells))] = range(len(maze.cells))
-        return board_of(ground.rules, BoardSlice('the maze', cells))
-    slices = domain.board_slices() if is_enumerable(domain) else []
-    if not slices:
-        raise DomainError(f'{domain.name} has no board to draw visits on')
-    return board_of(ground.rules, slices[0])
 
 
 def _labels(targets: Sequence[int]) -> dict[int, str]:

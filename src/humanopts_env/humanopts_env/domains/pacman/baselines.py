@@ -1,36 +1,73 @@
 """
-A way to play Pac-Man without learning, to compare plans with under the same rules.
+What plans in Pac-Man are compared with, under the same rules.
 
-A short hand-written rule over the reference options. An option that was chosen runs to its end, or
-is chosen again at every step.
+The heuristic is a short hand-written rule over the reference options. An option that was chosen
+runs to its end, or is chosen again at every step. The plan settings were found by hand in the
+default maze, with the reference options.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
 
+from humanopts_env.domains.capabilities import Baselines, PlanSettings, Scores
 from humanopts_env.domains.pacman.batch import Flags, Ints, PacManBatch
+from humanopts_env.domains.pacman.games import batch_outcome
 from humanopts_env.domains.pacman.reference import (
     AVOID_GHOST,
     CLOSEST_FOOD,
     EAT_GHOST,
     NEAREST_PILL,
     PacManOption,
+    reference_options,
 )
+from humanopts_env.domains.pacman.rules import GHOST_RULES
 from humanopts_env.domains.pacman.surroundings import look_around, Surroundings
 from humanopts_env.seeding import generator
 import numpy as np
 
+if TYPE_CHECKING:
+    from humanopts_env.domains.pacman.domain import PacMan
+
 TOO_NEAR = 3  # steps to a dangerous ghost at which the hand-written rule takes to flight
 
 
-@dataclass(frozen=True, slots=True)
-class Scores:
-    """How N games ended."""
+PRIMITIVE = PlanSettings(0.95, {'rounds': 16})  # with either rule of the ghosts
+INTERRUPTED_MIXTURE = PlanSettings(
+    0.95, {'rounds': 16, 'pooling': 30.0, 'reluctance': 15.0, 'margin': 5.0}
+)
+_OPTIONS = {'rounds': 8, 'explore': 0.1, 'min_samples': 2}
+INTERRUPTED = {  # by the rule of the ghosts
+    'random': PlanSettings(0.985, {**_OPTIONS, 'penalty': 30.0, 'pooling': 300.0, 'margin': 30.0}),
+    'chase': PlanSettings(0.985, {**_OPTIONS, 'pooling': 1000.0, 'margin': 5.0}),
+}
+TARGETS = (1800.0, 1850.0)  # mean scores of interest with the default parameters
+PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et al., section 7
 
-    score: Ints  # (N,) points
-    cleared: Flags  # (N,)
-    lives: Ints  # (N,) left
-    steps: Ints  # (N,)
+
+def pacman_baselines(domain: 'PacMan', *, usual: bool) -> Baselines:
+    """
+    Return what plans are compared with in one variant of the game.
+
+    :param usual: it has the default parameters, of which it is known which scores can be reached.
+    """
+    ghosts = domain.rules.ghosts
+    return Baselines(
+        variants={f'ghosts={rule}': {'ghosts': rule} for rule in GHOST_RULES},
+        targets=TARGETS if usual else (),
+        fewer_options=PAPER_OPTIONS,
+        primitive=PRIMITIVE,
+        interrupted=INTERRUPTED[ghosts],
+        interrupted_mixture=INTERRUPTED_MIXTURE,
+        heuristic=partial(play_heuristic, domain),
+    )
+
+
+def play_heuristic(domain: 'PacMan', games: int, seed: int, *, to_end: bool) -> Scores:
+    """Play games by the hand-written rule; the parameters are those of ``Heuristic``."""
+    options = list(reference_options(domain).values())
+    choose = hand_rule(options)
+    return play_options(options, choose, games, domain.max_steps, seed, to_end=to_end)
 
 
 # From games, what is around, which options can start (O, N) and chance, the options' indices (N,).
@@ -82,7 +119,6 @@ def play_options(
     rng = generator(seed, 'baseline', 'options')
     running = np.full(games, -1, dtype=np.intp)
     batch, each = PacManBatch(options[0].rules, games), np.arange(games)
-    steps = np.zeros(games, dtype=np.intp)
     for _ in range(max_steps):
         if batch.over.all():
             break
@@ -92,6 +128,5 @@ def play_options(
         chosen = choose(batch, seen, np.stack([j.initiation for j in said]), rng)
         running = np.where(ended | (running < 0) | (not to_end), chosen, running)
         moves: Ints = np.stack([j.optimal for j in said])[running, each].argmax(axis=1)
-        steps += ~batch.over
         batch.step(moves, batch.draws(rng))
-    return Scores(batch.score, batch.food_left == 0, batch.lives, steps)
+    return Scores(batch.score, batch_outcome(batch))

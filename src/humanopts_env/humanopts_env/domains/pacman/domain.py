@@ -9,24 +9,40 @@ from collections.abc import Collection, Mapping, Sequence
 
 from humanopts_env.domains.base import (
     Action,
+    BoardSlice,
     DomainError,
     Feature,
+    feature_columns,
     Outcome,
     Parameter,
+    Transitions,
 )
+from humanopts_env.domains.capabilities import Baselines, TeachingDefaults
 from humanopts_env.domains.pacman import state as notation
+from humanopts_env.domains.pacman.baselines import pacman_baselines
 from humanopts_env.domains.pacman.board import draw_features, draw_state, GLYPH_STYLES
 from humanopts_env.domains.pacman.features import feature_values, pacman_features
+from humanopts_env.domains.pacman.games import PacManGames
 from humanopts_env.domains.pacman.maze import load_maze, maze_names
-from humanopts_env.domains.pacman.paths import MOVES
+from humanopts_env.domains.pacman.paths import MOVES, STAY
+from humanopts_env.domains.pacman.reference import (
+    AVOID_GHOST,
+    CLOSEST_FOOD,
+    EAT_GHOST,
+    NEAREST_PILL,
+)
 from humanopts_env.domains.pacman.rules import DRAWS, GHOST_RULES, Rules
 from humanopts_env.domains.pacman.sampling import sample_games
 from humanopts_env.domains.pacman.state import PacManState
+from humanopts_env.domains.search_space import plain_cell_name, plain_space, SearchSpace
 import numpy as np
 from numpy.typing import NDArray
 
 KEYS = ('up', 'left', 'right', 'down')  # in the order of MOVES
 MOST_LIVES, MOST_STEPS = 9, 1_000_000
+# What the participants of the paper were asked to teach (section 7), and one option more.
+DEMO_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST)
+ONE_DOT = 10.0  # points
 
 
 class PacMan:
@@ -81,6 +97,7 @@ class PacMan:
         self.gamma = 0.97
         self.max_steps = max_steps
         self.glyph_styles: Mapping[str, str] = GLYPH_STYLES
+        self.teaching = TeachingDefaults(DEMO_OPTIONS, {'return_delta': ONE_DOT})
 
     def reset(self, rng: np.random.Generator) -> PacManState:
         """Return the one start state: everyone where the maze put them."""
@@ -144,3 +161,27 @@ class PacMan:
         values = zip(self.features, self.feature_values(state).tolist())
         visible = [(feature, value) for feature, value in values if feature.name in shown]
         return draw_features(self.rules.maze, visible)
+
+    def batch_games(self) -> PacManGames:
+        """Return what plays many games at once."""
+        return PacManGames(self)
+
+    def search_space(self) -> SearchSpace:
+        """Return the maze without its ghosts: its cells, and the moves between them."""
+        maze, moves = self.rules.maze, self.rules.paths.step[:, :STAY, None].astype(np.int32)
+        transitions = Transitions(
+            moves, np.ones(moves.shape), np.zeros(moves.shape), np.zeros(moves.shape, np.bool_)
+        )
+        columns = feature_columns(self, ('pacman_row', 'pacman_col'))
+        rows = np.zeros((len(maze.cells), len(self.features)), dtype=np.int32)
+        rows[:, columns] = maze.cells
+        cells = np.full((maze.rows, maze.cols), -1, dtype=np.int32)
+        cells[tuple(np.transpose(maze.cells))] = range(len(maze.cells))
+        over = np.zeros(len(maze.cells), dtype=np.bool_)
+        names = [plain_cell_name(cell) for cell in maze.cells]
+        board = BoardSlice('the maze', cells)
+        return plain_space(transitions, over, ~over, rows, columns, names, board)
+
+    def baselines(self) -> Baselines:
+        """Return what plans are compared with in this variant of the game."""
+        return pacman_baselines(self, usual=self.parameters == PacMan().parameters)

@@ -8,17 +8,18 @@ start and all have ended.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import TYPE_CHECKING
 
-from humanopts_env.domains.base import Domain
 from humanopts_env.domains.pacman.batch import Flags, PacManBatch
-from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.paths import HAS_MOVE
 from humanopts_env.domains.pacman.rules import ATE_FOOD, ATE_FRUIT, ATE_GHOST, ATE_PILL, Rules
 from humanopts_env.domains.pacman.state import PacManState
 from humanopts_env.domains.pacman.surroundings import look_around, Surroundings
 from humanopts_env.domains.reference import Judgement
 import numpy as np
+
+if TYPE_CHECKING:
+    from humanopts_env.domains.pacman.domain import PacMan
 
 CLOSEST_FOOD = 'go to the closest food'
 AVOID_GHOST = 'avoid ghost'
@@ -98,9 +99,9 @@ class PacManOption:
         return self.judge(batch, look_around(batch))
 
 
-def reference_options(domain: Domain[PacManState]) -> dict[str, PacManOption]:
+def reference_options(domain: 'PacMan') -> dict[str, PacManOption]:
     """Return every Pac-Man button of the paper's table 1 by name, and the one for the fruit."""
-    rules = cast(PacMan, domain).rules
+    rules = domain.rules
     options = [
         PacManOption(
             rules,

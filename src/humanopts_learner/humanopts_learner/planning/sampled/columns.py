@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from humanopts_env.domains.capabilities import BatchGames
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import OPTIONS_ONLY, PRIMITIVE
-from humanopts_learner.planning.sampled.games import BatchDomain, Flags, Ints, View
+from humanopts_learner.planning.sampled.games import Flags, Ints, View
 import numpy as np
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2**64 by the golden ratio, odd: for hashing
@@ -75,9 +76,7 @@ class Columns:
     Columns from ``first_fallback`` on are run only where no option can start.
     """
 
-    def __init__(
-        self, games: BatchDomain, action_set: str, options: Sequence[BatchOption]
-    ) -> None:
+    def __init__(self, games: BatchGames, action_set: str, options: Sequence[BatchOption]) -> None:
         """Set up an action set; ``options`` are not looked at in the set ``primitive``."""
         self.options = () if action_set == PRIMITIVE else tuple(options)
         actions = games.domain.actions

@@ -11,9 +11,7 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.pacman.baselines import hand_rule, play_options
-from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_env.domains.pacman.reference import reference_options
+from humanopts_env.domains.capabilities import Baselines, HasBaselines
 from humanopts_env.domains.registry import parameters_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.action_sets import HUMAN
@@ -22,7 +20,7 @@ from humanopts_learner.planning.errors import ForeignOptionError, PlanError
 from humanopts_learner.planning.evaluate import Interval, NORMAL_95, Returns
 from humanopts_learner.planning.plan import Clock
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns, LearnedBatchOption
-from humanopts_learner.planning.sampled.games import batch_domain, Watcher
+from humanopts_learner.planning.sampled.games import batch_games, Watcher
 from humanopts_learner.planning.sampled.judging import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, Sampling
 from humanopts_learner.planning.sampled.policies import UniformPolicy
@@ -95,9 +93,9 @@ def compare(
     return rows
 
 
-def has_rule(domain: Domain[Any]) -> bool:
-    """Tell whether there is a rule written by hand for a domain."""
-    return isinstance(domain, PacMan)
+def baselines_of(domain: Domain[Any]) -> Baselines:
+    """Return what plans are compared with in a domain; nothing where it does not say."""
+    return domain.baselines() if isinstance(domain, HasBaselines) else Baselines()
 
 
 def carried_over(option: LearnedOption, domain: Domain[Any]) -> LearnedOption:
@@ -169,7 +167,7 @@ class _Match:
         return replace(row, game_steps=plan.game_steps, seconds=plan.seconds)
 
     def _by_chance(self, contender: Baseline) -> ComparisonRow:
-        batch = batch_domain(self.domain)
+        batch = batch_games(self.domain)
         options = [
             LearnedBatchOption(o) if isinstance(o, LearnedOption) else o for o in contender.options
         ]
@@ -179,20 +177,11 @@ class _Match:
         return _counted(contender, returns)
 
     def _by_rule(self, contender: Baseline) -> ComparisonRow:
-        domain = self.domain
-        if not isinstance(domain, PacMan):
-            raise PlanError(f'{domain.name} has no rule that was written by hand')
-        options = list(reference_options(domain).values())
-        scores = play_options(
-            options,
-            hand_rule(options),
-            self.games,
-            domain.max_steps,
-            self.seed,
-            to_end=contender.to_end,
-        )
-        outcomes = {'cleared': scores.cleared, 'lives left': scores.lives}
-        return _row(contender, scores.score, outcomes)
+        play = baselines_of(self.domain).heuristic
+        if play is None:
+            raise PlanError(f'{self.domain.name} has no rule that was written by hand')
+        scores = play(self.games, self.seed, to_end=contender.to_end)
+        return _row(contender, scores.total, scores.outcomes)
 
 
 def _counted(contender: Baseline, returns: Returns) -> ComparisonRow:

@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.capabilities import BatchGames
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.action_sets import (
@@ -23,8 +24,7 @@ from humanopts_learner.planning.plan import Clock, Decision, SweepProgress
 from humanopts_learner.planning.sampled.columns import BatchOption, Columns, LearnedBatchOption
 from humanopts_learner.planning.sampled.counts import Counts
 from humanopts_learner.planning.sampled.games import (
-    batch_domain,
-    BatchDomain,
+    batch_games,
     Watcher,
     watcher_for,
 )
@@ -194,7 +194,7 @@ def make_sampled_plan(
     check_action_set(action_set, [option.name for option in used])
     if budget_steps < how.game_steps:
         raise PlanError(f'{budget_steps} game steps are fewer than the {how.game_steps} of a game')
-    games = batch_domain(domain)
+    games = batch_games(domain)
     tell = progress or ignore_progress
     work = _Planning(
         games, action_set, used, gamma, how, budget_steps, seed, tell, clock, execution
@@ -210,7 +210,7 @@ class _Planning:
 
     def __init__(
         self,
-        games: BatchDomain,
+        games: BatchGames,
         action_set: str,
         options: Sequence[BatchOption],
         gamma: float,

@@ -1,15 +1,15 @@
 """
-Pac-Man for sampled planning: many games at once, and planning features.
+Many games of Pac-Man for planning from samples, and the state abstractions that it sees.
 
-Options are told the buckets of ``humanopts_env.domains.pacman.planning_features``. Primitive
-actions are told where walls are, and the way to each thing, where it is near enough to matter.
+The one for options is that of ``planning_features``. The finer one, for primitive actions, has
+where walls are, and the way to each thing, where it is near enough to matter.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
+from humanopts_env.domains.capabilities import Abstraction
 from humanopts_env.domains.pacman.batch import PacManBatch
-from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.features import DIRECTIONS, FeatureReader
 from humanopts_env.domains.pacman.planning_features import (
     CONTEXT,
@@ -19,6 +19,9 @@ from humanopts_env.domains.pacman.planning_features import (
 from humanopts_env.domains.pacman.state import PacManState
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from humanopts_env.domains.pacman.domain import PacMan
 
 Ints = NDArray[np.intp]
 N_DIRECTIONS = len(DIRECTIONS)
@@ -30,9 +33,9 @@ NEAR_FOOD = (2, 3, 5, 9)
 
 
 class PacManGames:
-    """A ``BatchDomain`` of Pac-Man."""
+    """The ``BatchGames`` of Pac-Man."""
 
-    def __init__(self, domain: PacMan) -> None:
+    def __init__(self, domain: 'PacMan') -> None:
         """Prepare the tables of a maze."""
         self.domain = domain
         self._rules = domain.rules
@@ -69,29 +72,26 @@ class PacManGames:
 
     def batch_outcome(self, batch: PacManBatch) -> Mapping[str, NDArray[Any]]:
         """Return whether the maze is cleared, and the lives that are left."""
-        return {'cleared': batch.food_left == 0, 'lives left': batch.lives}
+        return batch_outcome(batch)
 
-    def planning_sizes(self, *, fine: bool) -> tuple[int, ...]:
-        """Return how many values each planning feature has, (P,)."""
-        if not fine:
-            return tuple(feature.count for feature in PLANNING_FEATURES)
-        ways = [
-            len(near) * N_DIRECTIONS + 1
-            for near in (NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL)
-        ]
-        return (16, N_DIRECTIONS, len(NEAR_FOOD) + 1, *ways)
+    def abstraction(self, *, fine: bool) -> Abstraction:
+        """
+        Return the abstract features that there are.
 
-    def planning_context(self, *, fine: bool) -> tuple[int, ...]:
-        """Return the columns of what is left to gain, rather than of what is near."""
-        names = () if fine else [feature.name for feature in PLANNING_FEATURES]
-        return tuple(column for column, name in enumerate(names) if name in CONTEXT)
+        For options the context is what is left to gain, and the mixture what is near.
+        """
+        if fine:
+            near = (NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL)
+            ways = [len(edges) * N_DIRECTIONS + 1 for edges in near]
+            return Abstraction((16, N_DIRECTIONS, len(NEAR_FOOD) + 1, *ways))
+        names = [feature.name for feature in PLANNING_FEATURES]
+        return Abstraction(
+            sizes=tuple(feature.count for feature in PLANNING_FEATURES),
+            context=tuple(c for c, name in enumerate(names) if name in CONTEXT),
+            mixture=tuple(c for c, name in enumerate(names) if name not in (*CONTEXT, 'lives')),
+        )
 
-    def planning_mixture(self) -> tuple[int, ...]:
-        """Return the columns of what is near, rather than of what is left."""
-        left = (*CONTEXT, 'lives')
-        return tuple(c for c, feature in enumerate(PLANNING_FEATURES) if feature.name not in left)
-
-    def planning_features(
+    def abstract_features(
         self, batch: PacManBatch, rows: NDArray[np.int32], *, fine: bool
     ) -> NDArray[np.int32]:
         """Return (N, P): the values, from 0."""
@@ -135,6 +135,11 @@ class PacManGames:
             _near(direction[game, first], away[game, first], NEAR_DANGER),
             _near(direction[game, second], away[game, second], NEAR_SECOND),
         )
+
+
+def batch_outcome(batch: PacManBatch) -> Mapping[str, NDArray[Any]]:
+    """Return what is reported of games beside their score."""
+    return {'cleared': batch.food_left == 0, 'lives left': batch.lives}
 
 
 def _near(direction: NDArray[Any], away: NDArray[Any], near: tuple[int, ...]) -> Ints:

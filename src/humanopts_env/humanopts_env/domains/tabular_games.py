@@ -1,16 +1,21 @@
-"""Many games of an enumerable domain at once, for tests of sampled planning."""
+"""Many games at once of a domain whose states can all be listed."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain
+from humanopts_env.domains.capabilities import Abstraction
 from humanopts_env.domains.chance import draw_outcomes, outcome_limits
 import numpy as np
 from numpy.typing import NDArray
 
 
 class TabularGames:
-    """Many games of an enumerable domain: a batch is one row of state indices."""
+    """
+    The ``BatchGames`` of an ``EnumerableDomain``; every state is an abstract state of its own.
+
+    A batch is (1, N): the index of each game's state.
+    """
 
     def __init__(self, domain: EnumerableDomain[Any]) -> None:
         """Lay out the tables."""
@@ -26,19 +31,19 @@ class TabularGames:
         return np.array([[self._listed.index(state) for state in states]], dtype=np.int64)
 
     def batch_take(self, batch: NDArray[np.int64], games: NDArray[np.intp]) -> NDArray[np.int64]:
-        """Return copies of chosen games."""
+        """Return copies of chosen games, by their indices (M,)."""
         return batch[:, games]
 
     def batch_put(
         self, batch: NDArray[np.int64], games: NDArray[np.intp], source: NDArray[np.int64]
     ) -> None:
-        """Set chosen games."""
+        """Set chosen games, by their indices (M,), to the M games of another batch."""
         batch[:, games] = source
 
     def batch_step(
         self, batch: NDArray[np.int64], actions: NDArray[np.intp], rng: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Take one step in every game that is not over."""
+        """Take one step in every game that is not over, in place; return the rewards (N,)."""
         live = ~self.batch_over(batch)
         outcome = draw_outcomes(self._limits, batch[0], actions, rng.random(len(actions)))
         at = batch[0], actions, outcome
@@ -48,25 +53,25 @@ class TabularGames:
         return reward
 
     def batch_over(self, batch: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return where the task is over."""
+        """Return (N,): whether each game is over."""
         found: NDArray[np.bool_] = self._listed.over()[batch[0]]
         return found
 
     def batch_features(self, batch: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Return all features."""
+        """Return (N, F): all features."""
         found: NDArray[np.int32] = self._listed.feature_table()[batch[0]]
         return found
 
     def batch_outcome(self, batch: NDArray[np.int64]) -> Mapping[str, NDArray[Any]]:
-        """Return where each game is."""
+        """Return the state of each game."""
         return {'state': batch[0]}
 
-    def planning_sizes(self, *, fine: bool) -> tuple[int, ...]:
-        """Tell every state apart."""
-        return (self._listed.n_states,)
+    def abstraction(self, *, fine: bool) -> Abstraction:
+        """Return the one abstract feature: the state."""
+        return Abstraction((self._listed.n_states,))
 
-    def planning_features(
+    def abstract_features(
         self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
     ) -> NDArray[np.int32]:
-        """Tell every state apart."""
+        """Return the states, (N, 1)."""
         return batch.T.astype(np.int32)

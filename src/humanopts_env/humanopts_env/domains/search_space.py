@@ -1,0 +1,193 @@
+"""
+Where subgoals are searched for: the states that tasks are set in, and what their visits count for.
+
+S states, K cells, M situations. Visits are counted over the agent's own cell, in every domain.
+Where a run changes something else than the cell (Taxi: whether the passenger is aboard), that is
+an event. Initiation sets are made of situations: states that differ only in what nothing in the
+domain can change (Taxi: which landmark is the destination) are one situation.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from humanopts_env.domains.base import (
+    BoardSlice,
+    DomainError,
+    EnumerableDomain,
+    feature_columns,
+    Transitions,
+)
+from humanopts_env.domains.tabular import reachable
+import numpy as np
+from numpy.typing import NDArray
+
+Flags = NDArray[np.bool_]
+Ints = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class SearchSpace:
+    """The states that tasks are set in, what their visits count for, and how they look."""
+
+    transitions: Transitions
+    over: Flags  # (S,) the domain's own task is over
+    reached: Flags  # (S,) an episode can come there
+    goals: Flags | None  # (S,) goals of the domain's own task; None: goals are drawn
+    cell: Ints  # (S,) 0..K-1
+    cell_names: tuple[str, ...]
+    status: Ints  # (S,) a change of it is an event
+    events: tuple[str, ...]  # name of the event that leads to each status; none: no events
+    situation: Ints  # (S,) 0..M-1
+    rows: NDArray[np.int32]  # (S, F) the domain's features; those not in ``columns`` mean nothing
+    columns: tuple[int, ...]  # features that options found here may depend on
+    board: BoardSlice | None = None  # states laid out for a figure
+
+    @cached_property
+    def open(self) -> Flags:
+        """(S,): an episode can come there and go on."""
+        return self.reached & ~self.over
+
+    @cached_property
+    def starts(self) -> Ints:
+        """The states in which tasks begin."""
+        return np.flatnonzero(self.open)
+
+    def states_of(self, rows: NDArray[np.int32]) -> Ints:
+        """
+        Return the state of this space in which each of N games is, (N,).
+
+        :param rows: (N, F) features of the games.
+        :raises DomainError: features do not tell the states apart, or fit none of them.
+        """
+        known, states = self._by_features
+        values = rows[:, list(self.columns)]
+        keys = np.minimum(values, self._sizes - 1) @ self._radix
+        at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
+        if (values >= self._sizes).any() or (known[at] != keys).any():
+            raise DomainError('the features of a game fit no state of the search space')
+        found: Ints = states[at]
+        return found
+
+    @cached_property
+    def _sizes(self) -> NDArray[np.int64]:
+        sizes: NDArray[np.int64] = self.rows[:, list(self.columns)].max(axis=0).astype(np.int64)
+        return sizes + 1
+
+    @cached_property
+    def _radix(self) -> NDArray[np.int64]:
+        return np.cumprod([1, *self._sizes[:-1]], dtype=np.int64)
+
+    @cached_property
+    def _by_features(self) -> tuple[NDArray[np.int64], Ints]:
+        """Sorted keys of the states' features, and the states in that order."""
+        keys = self.rows[:, list(self.columns)] @ self._radix
+        known, states = np.unique(keys, return_index=True)
+        if len(known) < len(keys):
+            raise DomainError('features do not tell the states of the search space apart')
+        return known, states
+
+
+def space_of_states(domain: EnumerableDomain[Any]) -> SearchSpace:
+    """Return the search space in which every state is a cell of its own, and goals are drawn."""
+    return plain_space(
+        domain.transitions(),
+        domain.over(),
+        reachable(domain),
+        domain.feature_table(),
+        tuple(range(len(domain.features))),
+        [domain.encode(domain.state_at(state)) for state in range(domain.n_states)],
+        next(iter(domain.board_slices()), None),
+    )
+
+
+def plain_space(
+    transitions: Transitions,
+    over: Flags,
+    reached: Flags,
+    rows: NDArray[np.int32],
+    columns: Sequence[int],
+    cell_names: Sequence[str],
+    board: BoardSlice | None,
+) -> SearchSpace:
+    """Return a search space without events: every state is its own cell; goals are drawn."""
+    states = np.arange(len(over))
+    return SearchSpace(
+        transitions=transitions,
+        over=over,
+        reached=reached,
+        goals=None,
+        cell=states,
+        cell_names=tuple(cell_names),
+        status=np.zeros_like(states),
+        events=(),
+        situation=states,
+        rows=rows,
+        columns=tuple(columns),
+        board=board,
+    )
+
+
+def space_by_features(
+    domain: EnumerableDomain[Any],
+    *,
+    cell: Sequence[str],
+    status: str,
+    events: Mapping[str, str],
+    situation: Sequence[str],
+    own_goals: bool,
+    cell_name: Callable[[tuple[int, ...]], str] | None = None,
+) -> SearchSpace:
+    """
+    Return the search space that features of a domain say.
+
+    :param cell: features that are where the agent is.
+    :param status: a feature, each change of which is an event.
+    :param events: what an event is called, by how the value that ``status`` takes reads.
+    :param situation: all features but those that nothing in the domain can change.
+    :param own_goals: whether goals are those of the domain's own task (what the step with the
+        highest reward that ends it leads to), which is right where these are random; else goals
+        are drawn.
+    :param cell_name: names a cell by the values of its features; None: ``cell 2,3``.
+    :raises DomainError: the domain has no such feature.
+    """
+    transitions = domain.transitions()
+    cells, numbers = _groups(domain, cell)
+    column = feature_columns(domain, [status])[0]
+    name = cell_name or plain_cell_name
+    return SearchSpace(
+        transitions=transitions,
+        over=domain.over(),
+        reached=reachable(domain),
+        goals=_best_ends(transitions) if own_goals else None,
+        cell=numbers,
+        cell_names=tuple(name(tuple(values)) for values in cells.tolist()),
+        status=domain.feature_table()[:, column].astype(np.intp),
+        events=tuple(events[value] for value in domain.features[column].values),
+        situation=_groups(domain, situation)[1],
+        rows=domain.feature_table(),
+        columns=tuple(range(len(domain.features))),
+        board=next(iter(domain.board_slices()), None),
+    )
+
+
+def plain_cell_name(values: tuple[int, ...]) -> str:
+    """Return the name of a cell without a name of its own, such as ``cell 2,3``."""
+    return f'cell {",".join(map(str, values))}'
+
+
+def _groups(domain: EnumerableDomain[Any], names: Sequence[str]) -> tuple[NDArray[np.int32], Ints]:
+    """Return the different values of some features, and which of them each state (S,) has."""
+    rows = domain.feature_table()[:, feature_columns(domain, names)]
+    values, group = np.unique(rows, axis=0, return_inverse=True)
+    return values, group.ravel()
+
+
+def _best_ends(transitions: Transitions) -> Flags:
+    """Return (S,): what a step that ends the task with the highest reward leads to."""
+    ending = transitions.terminated & (transitions.probability > 0)
+    best = ending & (transitions.reward == transitions.reward[ending].max())
+    goals = np.zeros(len(transitions.successor), dtype=np.bool_)
+    goals[transitions.successor[best]] = True
+    return goals
