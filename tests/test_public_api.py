@@ -16,7 +16,7 @@ def test_every_name_that_a_package_offers_is_there(name: str) -> None:
     assert all(getattr(package, offered).__name__ for offered in package.__all__)
     assert set(package.__all__) <= set(dir(package))
     assert 9 <= len(package.__all__) <= 20
-    with pytest.raises(AttributeError, match=f"module '{name}' has no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match='nothing'):
         package.nothing  # noqa: B018
 
 

@@ -10,6 +10,7 @@ from catkin_pkg.package import InvalidPackage, parse_package
 KEYS = {
     'gymnasium': 'python3-gymnasium-pip',
     'jinja2': 'python3-jinja2',
+    'lazy_loader': 'python3-lazy-loader',
     'joblib': 'python3-joblib',
     'markupsafe': 'python3-jinja2',
     'matplotlib': 'python3-matplotlib',

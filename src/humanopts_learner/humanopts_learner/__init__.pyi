@@ -1,0 +1,34 @@
+from .automatic.extract import find_options
+from .demonstration_table import (
+    demonstrations_from_table,
+    demonstrations_to_table,
+)
+from .demonstrations import Demonstration, make_demonstration
+from .options.accuracy import classification_accuracy, policy_accuracy
+from .options.criteria import judge, Thresholds
+from .options.files import load_option, save_option
+from .options.learn import learn_option
+from .options.option import LearnedOption
+from .options.start_states import choose_start_state
+from .planning.any_domain import judge_plan, plan
+from .planning.value_iteration import solve_smdp
+
+__all__ = [
+    'Demonstration',
+    'LearnedOption',
+    'Thresholds',
+    'choose_start_state',
+    'classification_accuracy',
+    'demonstrations_from_table',
+    'demonstrations_to_table',
+    'find_options',
+    'judge',
+    'judge_plan',
+    'learn_option',
+    'load_option',
+    'make_demonstration',
+    'plan',
+    'policy_accuracy',
+    'save_option',
+    'solve_smdp',
+]

@@ -1,0 +1,21 @@
+from .bags.contents import read_demonstrations, read_domain
+from .bags.errors import BagError
+from .bags.info import summarise
+from .bags.reader import Bag, open_bag
+from .evaluation.bag_evaluation import BagEvaluation, evaluate_bag
+from .lesson.simulated_teacher import SimulatedTeacher, TeacherSettings
+from .report.write import write_evaluation_report
+
+__all__ = [
+    'Bag',
+    'BagError',
+    'BagEvaluation',
+    'SimulatedTeacher',
+    'TeacherSettings',
+    'evaluate_bag',
+    'open_bag',
+    'read_demonstrations',
+    'read_domain',
+    'summarise',
+    'write_evaluation_report',
+]
