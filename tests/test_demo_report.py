@@ -75,8 +75,8 @@ def test_numbers_of_the_report_are_those_of_the_summary(demo: DemoRun, report: s
             ('n_demonstrations', 'demonstrations'),
             ('mean_return_demonstrations', 'mean return of the demonstrations'),
             ('mean_return_policy', 'mean return of the learned policy, same starts'),
-            ('cv_error_initiation', 'held-out balanced error of I'),
-            ('cv_error_termination', 'held-out balanced error of β'),
+            ('cv_error_initiation', 'initiation: held-out balanced error'),
+            ('cv_error_termination', 'termination: held-out balanced error'),
         ):
             shown = _written(option[key])
             assert [words, shown, shown, 'equal'] in rows

@@ -23,7 +23,7 @@ from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, MOST_NOTES
 from humanopts_teach.bags.sequence_numbers import MOST_GAPS, read_stamp, Stamp, Stream
-from humanopts_teach.report.bag_parts import bag_parts
+from humanopts_teach.report.data import bag_parts
 from hypothesis import given, strategies
 import pytest
 from rclpy.serialization import serialize_message

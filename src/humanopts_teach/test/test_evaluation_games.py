@@ -31,8 +31,7 @@ from humanopts_teach.evaluation.summary import plan_differences, Settings
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.report.data import Frame, ReportData
 from humanopts_teach.report.film import filmstrip, MOST_FRAMES
-from humanopts_teach.report.games_words import games_findings, games_table, reached
-from humanopts_teach.report.words import findings
+from humanopts_teach.report.words import findings, games_findings, games_table, reached
 from humanopts_teach.report.write import render_report
 import pytest
 

@@ -13,8 +13,8 @@ from humanopts_learner.planning.plan import Plan
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
 from humanopts_teach.evaluation.summary import BagFacts, Execution, Settings, Summary, SummaryError
 from humanopts_teach.report import sweeps as sweeps_module
-from humanopts_teach.report.board import read_board
-from humanopts_teach.report.curves import learning_curves
+from humanopts_teach.report.boards import read_board
+from humanopts_teach.report.charts import learning_curves
 from humanopts_teach.report.data import Frame, ReportData, TopicRow
 from humanopts_teach.report.film import board_html, filmstrip, MINUS
 from humanopts_teach.report.rules import option_rules
@@ -143,7 +143,7 @@ def test_numbers_on_the_page_are_those_of_the_data(data: ReportData, page: str) 
     assert '4,321' in page
     assert 'demo/bag' in page
     assert all(option.block.name in page for option in data.evaluation.options)
-    assert 'return shortfall at most 2.25 reward units' in page
+    assert 'return at most 2.25 reward units short' in page
 
 
 def test_the_words_say_what_was_lost_and_what_differs(data: ReportData) -> None:

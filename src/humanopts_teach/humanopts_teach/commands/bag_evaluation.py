@@ -18,7 +18,7 @@ from humanopts_teach.evaluation.bag_games import check_games, with_games
 from humanopts_teach.evaluation.difference import compare, difference_text, read_lesson
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.evaluation.text import evaluation_text
-from humanopts_teach.report.bag_parts import bag_parts
+from humanopts_teach.report.data import bag_parts
 from humanopts_teach.report.write import write_evaluation_report
 
 

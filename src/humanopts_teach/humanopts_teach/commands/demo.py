@@ -49,8 +49,7 @@ from humanopts_teach.evaluation.summary import (
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import Setup
-from humanopts_teach.report.bag_parts import bag_parts
-from humanopts_teach.report.data import ReportData, TopicRow
+from humanopts_teach.report.data import bag_parts, ReportData, TopicRow
 from humanopts_teach.report.write import write_report
 
 EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples

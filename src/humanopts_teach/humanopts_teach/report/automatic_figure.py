@@ -6,8 +6,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.search_space import SearchSpace
-from humanopts_teach.report.board import Board, board_of
-from humanopts_teach.report.board_figure import COLORS, draw_walls
+from humanopts_teach.report.boards import Board, board_of, COLORS, draw_walls
 from humanopts_teach.report.figures import Drawing
 from matplotlib.colors import Normalize
 import numpy as np

@@ -41,6 +41,7 @@ SETTINGS: dict[Any, Any] = {
     'grid.linewidth': 0.8,
     'legend.frameon': False,
     'legend.fontsize': 9,
+    **{f'{axis}tick.{kind}.size': 0 for axis in 'xy' for kind in ('major', 'minor')},
     'xtick.color': MUTED,
     'ytick.color': MUTED,
     'xtick.labelcolor': INK,

@@ -8,14 +8,12 @@ import math
 from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.plan import Plan
 from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
-from humanopts_teach.report.figures import drawing, SERIES
+from humanopts_teach.report.charts import sweep_figure
 from humanopts_teach.report.words import number
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 
 MOST_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for this
 ALL_ROWS, STEP = 30, 1.1  # sweeps that are all in the table; from there on each so many times on
 NEAR = 1e-3  # a value so close to its end, in reward units, is settled
-MARKERS = 'osD^'
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ def sweep_report(plans: Mapping[str, Plan], name: str) -> SweepReport | None:
         (sweep, [text for row in found[sweep] for text in _cells(row, states)])
         for sweep in _shown([len(table) - 1 for table in tables.values()])
     ]
-    return SweepReport(list(tables), NEAR, _figure(tables, f'{name}-residual'), rows)
+    return SweepReport(list(tables), NEAR, sweep_figure(tables, f'{name}-residual'), rows)
 
 
 def _values(plan: Plan) -> int:
@@ -69,29 +67,3 @@ def _cells(row: SweepRow | None, states: int) -> tuple[str, str]:
     if row is None:
         return '', ''
     return (number(row.residual, 3) if row.sweep else '', f'{row.settled / states:.1%}')
-
-
-def _figure(tables: Mapping[str, Sequence[SweepRow]], name: str) -> str:
-    with drawing(name, 'Residual by sweep', 5.0, 2.9) as work:
-        axes = work.axes
-        for place, (called, rows) in enumerate(tables.items()):
-            changed = [row for row in rows[1:] if row.residual > 0]  # the last may change nothing
-            axes.plot(
-                [row.sweep for row in changed],
-                [row.residual for row in changed],
-                color=SERIES[place % len(SERIES)],
-                marker=MARKERS[place % len(MARKERS)],
-                ms=3,
-                label=f'{called}: {len(rows) - 1} sweeps',
-            )
-        axes.set_yscale('log')
-        low, high = axes.get_ylim()
-        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 100 * low else (1,)))
-        axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
-        axes.yaxis.set_minor_locator(NullLocator())
-        axes.set(title='Residual of each sweep', xlabel='sweep', ylabel='reward units')
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.grid(axis='y')
-        axes.tick_params(which='both', length=0)
-        axes.legend(loc='best')
-    return work.svg

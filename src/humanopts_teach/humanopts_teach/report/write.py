@@ -13,21 +13,21 @@ from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvalu
 from humanopts_teach.evaluation.games import Curve
 from humanopts_teach.evaluation.summary import OptionBlock, write_text
 from humanopts_teach.evaluation.text import REPRODUCED
-from humanopts_teach.report.board_figure import board_figures
-from humanopts_teach.report.curves import learning_curves
+from humanopts_teach.report.boards import board_figures
+from humanopts_teach.report.charts import games_figures, learning_curves, planning_figures
 from humanopts_teach.report.data import Frame, ReportData, TopicRow
 from humanopts_teach.report.figures import CaptionedFigure
 from humanopts_teach.report.film import filmstrip
-from humanopts_teach.report.games_figure import games_figures
-from humanopts_teach.report.games_words import games_findings, games_table, GamesTable
 from humanopts_teach.report.pages import template
-from humanopts_teach.report.plan_figure import planning_figures
 from humanopts_teach.report.rules import option_rules, TreeRules
 from humanopts_teach.report.sweeps import sweep_report
 from humanopts_teach.report.words import (
     DASH,
     duration,
     findings,
+    games_findings,
+    games_table,
+    GamesTable,
     number,
     percent,
     planning_rows,
@@ -38,8 +38,8 @@ MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
     ('n_demonstrations', 'demonstrations', False),
     ('mean_return_demonstrations', 'mean return of the demonstrations', False),
     ('mean_return_policy', 'mean return of the learned policy, same starts', False),
-    ('cv_error_initiation', 'held-out balanced error of I', False),
-    ('cv_error_termination', 'held-out balanced error of β', False),
+    ('cv_error_initiation', 'initiation: held-out balanced error', False),
+    ('cv_error_termination', 'termination: held-out balanced error', False),
     ('policy_accuracy', 'policy accuracy', True),
     ('classification_accuracy_initiation', 'classification accuracy of I', True),
     ('classification_accuracy_termination', 'classification accuracy of β', True),
@@ -222,9 +222,9 @@ def _provenance(data: ReportData) -> dict[str, str]:
         'seed': str(settings.seed),
         'start states chosen by': f'{settings.strategy}, at most {settings.budget} for an option',
         'criteria': (
-            f'return shortfall at most {settings.thresholds.return_delta:g} reward units, '
-            f'error of I at most {settings.thresholds.initiation_error:g}, '
-            f'of β at most {settings.thresholds.termination_error:g}'
+            f'return at most {settings.thresholds.return_delta:g} reward units short, '
+            f'initiation at most {settings.thresholds.initiation_error:g}, '
+            f'termination at most {settings.thresholds.termination_error:g}'
         ),
         'teacher': 'a person' if rate is None else f'simulated, {percent(rate)} of steps wrong',
     }
