@@ -1,7 +1,7 @@
 """``humanopts reproduce``: the paper's figures and tables, computed again."""
 
-import argparse
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 import os
 from pathlib import Path
@@ -19,21 +19,29 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 import typer
 
-from experiments.cells import Cell, CellStore, LIBRARIES
-from experiments.figure2_section import EXPERIMENT as FIGURE_2
-from experiments.figure3 import EXPERIMENT as FIGURE_3
-from experiments.figure4_section import EXPERIMENT as FIGURE_4
-from experiments.page import PAGE, Reproduction, write_reproduction
-from experiments.people import Participant
-from experiments.running import ClusterError, Outcome, run_cells
-from experiments.study import Experiment, read_bag_lessons, Study
-from experiments.table2_section import EXPERIMENT as TABLE_2
+from experiments import figure2, figure3, figure4, table2, table2_report
+from experiments.people import BagLesson, Participant, read_bag_lessons, Study
+from experiments.report import Done, PAGE, Reproduction, Section, write_reproduction
+from experiments.trials import ClusterError, LIBRARIES, run_trials, Trial
 
-EXPERIMENTS: dict[str, Experiment] = {
-    one.name: one for one in (FIGURE_2, FIGURE_3, FIGURE_4, TABLE_2)
-}
 _LINE_EVERY = 15.0  # s between lines, where there is no terminal
 app = typer.Typer(**PLAIN)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One figure or table of the paper."""
+
+    trials: Callable[[Study], list[Trial]]
+    present: Callable[[Done], Section]
+
+
+EXPERIMENTS = {  # by name on the command line
+    figure2.NAME: Experiment(figure2.trials, figure2.present),
+    figure3.NAME: Experiment(figure3.trials, figure3.present),
+    figure4.NAME: Experiment(figure4.trials, figure4.present),
+    table2.NAME: Experiment(table2.trials, table2_report.present),
+}
 
 
 @app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
@@ -76,89 +84,52 @@ def reproduce(
         ),
     ] = [],  # noqa: B006
 ) -> int:
-    """Compute the paper's figures and tables again."""
-    return run(argparse.Namespace(**locals()))
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Compute what is missing, and write everything."""
-    wanted = list(EXPERIMENTS) if arguments.what == 'all' else [arguments.what]
-    chosen, study = [EXPERIMENTS[name] for name in wanted], _study(arguments)
-    cells = [cell for experiment in chosen for cell in experiment.cells(study)]
+    """Compute what is missing, and write everything; return the exit status."""
+    study = Study(participants, seeds, seed, _read_bags(bags))
+    wanted = list(EXPERIMENTS) if what == 'all' else [what]
+    trials = {name: EXPERIMENTS[name].trials(study) for name in wanted}
+    every = [trial for name in wanted for trial in trials[name]]
+    jobs = jobs or len(os.sched_getaffinity(0))
     began = time.monotonic()
     try:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        with CellProgress() as progress:
-            store = CellStore(arguments.out / 'cells')
-            outcome = run_cells(cells, store, progress, _jobs(arguments), arguments.dask)
-        _write(arguments, chosen, study, _people(cells), outcome, time.monotonic() - began)
+        out.mkdir(parents=True, exist_ok=True)
+        with TrialProgress() as progress:
+            outcome = run_trials(every, out / 'trials', progress, jobs, dask)
+        where = f'{jobs} processes of this machine' if jobs > 1 else 'one process of this machine'
+        facts = {
+            'asked for': f'{what}, {_who(study)}, {seeds} seeds',
+            'seed': str(seed),
+            'trials': (
+                f'{outcome.computed} computed in {duration(time.monotonic() - began)}, '
+                f'{len(outcome.results) - outcome.computed} from an earlier run into this folder'
+            ),
+            'computed by': f'Dask at {dask}' if dask else where,
+            'versions': ', '.join(
+                [f'Python {platform.python_version()}', *(f'{n} {version(n)}' for n in LIBRARIES)]
+            ),
+        }
+        sections = [EXPERIMENTS[name].present(outcome.done(trials[name])) for name in wanted]
+        missing = list(outcome.failures.values())
+        write_reproduction(out, Reproduction(sections, _people(every), study, missing, facts))
     except (ClusterError, SummaryError) as error:
         raise CommandError(str(error)) from error
     except OSError as error:
-        raise CommandError(f'cannot write in {arguments.out}: {error.strerror}') from error
+        raise CommandError(f'cannot write in {out}: {error.strerror}') from error
     except KeyboardInterrupt:
         text = 'interrupted; the same command goes on from here'
         print(f'humanopts reproduce: {text}', file=sys.stderr)
         return 130
-    return _report(arguments.out, outcome)
-
-
-def _report(folder: Path, outcome: Outcome) -> int:
-    for failure in outcome.failures.values():
+    for failure in missing:
         print(f'humanopts reproduce: not computed: {failure}', file=sys.stderr)
-    print(folder / PAGE)
-    return 1 if outcome.failures else 0
+    print(out / PAGE)
+    return 1 if missing else 0
 
 
-def _study(arguments: argparse.Namespace) -> Study:
+def _read_bags(paths: Sequence[Path]) -> tuple[BagLesson, ...]:
     try:
-        bags = tuple(lesson for path in arguments.bags for lesson in read_bag_lessons(path))
+        return tuple(lesson for path in paths for lesson in read_bag_lessons(path))
     except BagError as error:
         raise CommandError(str(error)) from error
-    return Study(arguments.participants, arguments.seeds, arguments.seed, bags)
-
-
-def _jobs(arguments: argparse.Namespace) -> int:
-    jobs: int = arguments.jobs or len(os.sched_getaffinity(0))
-    return jobs
-
-
-def _write(
-    arguments: argparse.Namespace,
-    chosen: Sequence[Experiment],
-    study: Study,
-    people: Sequence[Participant],
-    outcome: Outcome,
-    seconds: float,
-) -> None:
-    data = Reproduction(
-        [experiment.present(study, outcome.results) for experiment in chosen],
-        people,
-        list(dict.fromkeys(lesson.bag for lesson in study.bags)),
-        list(outcome.failures.values()),
-        {
-            'asked for': f'{arguments.what}, {_who(study)}, {study.seeds} seeds',
-            'seed': str(study.seed),
-            'cells': (
-                f'{outcome.computed} computed in {duration(seconds)}, '
-                f'{len(outcome.results) - outcome.computed} from an earlier run into this folder'
-            ),
-            'computed by': f'Dask at {arguments.dask}'
-            if arguments.dask
-            else _processes(arguments),
-            'versions': ', '.join(
-                [f'Python {platform.python_version()}', *(f'{n} {version(n)}' for n in LIBRARIES)]
-            ),
-        },
-    )
-    write_reproduction(arguments.out, data)
-
-
-def _people(cells: Sequence[Cell]) -> list[Participant]:
-    """Return the simulated people that teach in any of the cells."""
-    sources = [{**cell.parameters, **cell.parameters.get('teacher', {})} for cell in cells]
-    found = {known['person']['code']: known['person'] for known in sources if 'person' in known}
-    return [Participant.from_dict(values) for values in found.values()]
 
 
 def _who(study: Study) -> str:
@@ -167,12 +138,14 @@ def _who(study: Study) -> str:
     return f'{counted(study.participants, "simulated participant")} in each group'
 
 
-def _processes(arguments: argparse.Namespace) -> str:
-    jobs = _jobs(arguments)
-    return f'{jobs} processes of this machine' if jobs > 1 else 'one process of this machine'
+def _people(trials: Sequence[Trial]) -> list[Participant]:
+    """Return the simulated people that teach in any of the trials."""
+    sources = [{**trial.parameters, **trial.parameters.get('teacher', {})} for trial in trials]
+    found = {known['person']['code']: known['person'] for known in sources if 'person' in known}
+    return [Participant(**values) for values in found.values()]
 
 
-class CellProgress:
+class TrialProgress:
     """A bar on a terminal, lines anywhere else, on standard error."""
 
     def __init__(
@@ -189,45 +162,45 @@ class CellProgress:
             disable=not self._console.is_terminal,
         )
         self._task = self._bar.add_task('', total=None, left='')
-        self._began = self._told = clock()
-        self._todo = self._done = 0.0  # costs
-        self._count = self._over = 0
+        self._began = self._last_line = clock()
+        self._cost_of_all = self._cost_so_far = 0.0
+        self._missing = self._finished = 0  # trials
 
-    def __enter__(self) -> 'CellProgress':
+    def __enter__(self) -> 'TrialProgress':
         self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def begin(self, cells: Sequence[Cell], left: Sequence[Cell]) -> None:
-        """Take in all cells, and those that are to be computed."""
-        self._began = self._told = self._clock()
-        self._todo, self._count = sum(cell.cost for cell in left), len(left)
-        self._bar.update(self._task, total=self._todo, description=self._text())
-        self._line(f'{len(cells)} cells, {len(cells) - len(left)} of them done before')
+    def begin(self, trials: Sequence[Trial], missing: Sequence[Trial]) -> None:
+        """Take in all trials, and those that are still to be computed."""
+        self._began = self._last_line = self._clock()
+        self._cost_of_all, self._missing = sum(trial.cost for trial in missing), len(missing)
+        self._bar.update(self._task, total=self._cost_of_all, description=self._text())
+        self._line(f'{len(trials)} trials, {len(trials) - len(missing)} of them done before')
 
-    def done(self, cell: Cell, failed: bool) -> None:
-        """Take in that a cell is over."""
-        self._done, self._over = self._done + cell.cost, self._over + 1
+    def done(self, trial: Trial, failed: bool) -> None:
+        """Take in that a trial has ended."""
+        self._cost_so_far, self._finished = self._cost_so_far + trial.cost, self._finished + 1
         if failed:
-            self._console.print(f'failed: {cell}', markup=False, highlight=False)
+            self._console.print(f'failed: {trial}', markup=False, highlight=False)
         self._bar.update(
-            self._task, completed=self._done, description=self._text(), left=self.left()
+            self._task, completed=self._cost_so_far, description=self._text(), left=self.left()
         )
-        if self._clock() - self._told >= _LINE_EVERY or self._over == self._count:
-            self._told = self._clock()
+        if self._clock() - self._last_line >= _LINE_EVERY or self._finished == self._missing:
+            self._last_line = self._clock()
             self._line(f'{self._text()}, {self.left()}')
 
     def left(self) -> str:
-        """Return about how long it still takes, in words, by what the cells cost so far."""
-        if self._over == self._count:
+        """Return in words about how long it still takes, by what the trials cost so far."""
+        if self._finished == self._missing:
             return 'done'
         spent = self._clock() - self._began
-        return f'about {duration(spent * (self._todo / self._done - 1))} left'
+        return f'about {duration(spent * (self._cost_of_all / self._cost_so_far - 1))} left'
 
     def _text(self) -> str:
-        return f'{self._over} of {self._count} cells'
+        return f'{self._finished} of {self._missing} trials'
 
     def _line(self, text: str) -> None:
         if not self._console.is_terminal:

@@ -1,12 +1,13 @@
 """
 Figure 4: steps per episode of Q-learning in Taxi, by action set (section 7.3).
 
-One cell is one person's options, or those of one extraction, or none, learned with by several
+One trial is one person's options, or those of one extraction, or none, learned with by several
 learners. Every action set has the same budget: as many rates are tried, in as many runs, and the
-best of them learn anew with other chance.
+best of them learn anew with other random draws.
 """
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
@@ -24,13 +25,27 @@ from humanopts_learner.planning.action_sets import (
 from humanopts_learner.qlearning.choices import choices_of
 from humanopts_learner.qlearning.curves import best_rates, drawn_rates
 from humanopts_learner.qlearning.learn import learn, Method
+from humanopts_teach.report.figures import Drawing
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
+import pandas as pd
 
 from experiments import paper
-from experiments.cells import Cell
-from experiments.study import Study
-from experiments.taught import options_of, teachers
+from experiments.people import options_of, Study, teachers
+from experiments.report import (
+    compared,
+    Comparison,
+    Done,
+    draw_band,
+    grouped,
+    mean_intervals,
+    Picture,
+    Section,
+    Table,
+)
+from experiments.trials import code_version, Trial
 
 NAME, DOMAIN = 'fig4', 'taxi'
+TITLE = 'Figure 4: steps per episode of Q-learning'
 SETS = {  # what is learned with: whose options, and the action set
     'primitive': ('nobody', PRIMITIVE),
     'human': ('person', HUMAN),
@@ -38,23 +53,32 @@ SETS = {  # what is learned with: whose options, and the action set
     'human + primitive': ('person', HUMAN_AND_PRIMITIVE),
     'automatic + primitive': ('machine', AUTOMATIC_AND_PRIMITIVE),
 }
-METHODS = tuple(method.value for method in Method)
+STYLES = {  # colour and line of each action set
+    'primitive': ('C0', '-'),
+    'human': ('C1', '--'),
+    'automatic': ('C2', '-.'),
+    'human + primitive': ('C3', ':'),
+    'automatic + primitive': ('C4', (0, (5, 1, 1, 1, 1, 1))),
+}
+METHODS = {'smdp': 'SMDP Q-learning', 'intra-option': 'intra-option Q-learning'}
 LIMIT = 1000  # steps of an episode at most; the domain's own 200 would hide how long they get
 TRIED, TRIALS = 10, 3  # rates that are tried, and learners for each
-COSTS = {'nobody': 2.0, 'person': 2.0, 'machine': 2.0}
+COST = 2.0
+SIZE = (6.4, 3.8)  # inches
+KEYS = ['method', 'action set']
 
 
-def cells(study: Study) -> list[Cell]:
-    """Return one cell for each method, action set, and person, extraction or repetition."""
-    people = [teacher.parameters for teacher in teachers(study, DOMAIN)]
+def trials(study: Study) -> list[Trial]:
+    """Return one trial for each method, action set, and person, extraction or repetition."""
+    people = teachers(study, DOMAIN)
     numbers = range(1, (len(people) or study.participants) + 1)
     sources: dict[str, list[dict[str, Any]]] = {
         'nobody': [{'number': number} for number in numbers],
-        'person': [{'teacher': dict(known)} for known in people],
+        'person': [{'teacher': teacher} for teacher in people],
         'machine': [{'extraction': study.seed + number - 1} for number in numbers],
     }
     return [
-        Cell(
+        Trial(
             NAME,
             {
                 'set': name,
@@ -64,8 +88,8 @@ def cells(study: Study) -> list[Cell]:
                 'seed': study.seed,
                 **source,
             },
-            compute,
-            COSTS[whose],
+            learn_curve,
+            COST,
         )
         for method in METHODS
         for name, (whose, _) in SETS.items()
@@ -73,7 +97,7 @@ def cells(study: Study) -> list[Cell]:
     ]
 
 
-def compute(parameters: Mapping[str, Any]) -> dict[str, Any]:
+def learn_curve(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """
     Learn with one action set.
 
@@ -106,7 +130,134 @@ def _options(parameters: Mapping[str, Any], domain: Taxi) -> list[TabledOption]:
 
 
 def _seed(parameters: Mapping[str, Any], purpose: str) -> int:
-    """Return a seed that differs between cells that differ in whose options they have."""
+    """Return a seed that differs between trials that differ in whose options they have."""
     source = [str(parameters.get(name)) for name in ('number', 'teacher', 'extraction')]
     rng = generator(parameters['seed'], 'figure 4', purpose, *source)
     return int(rng.integers(2**31))
+
+
+def episode_table(done: Done) -> pd.DataFrame:
+    """
+    Return a row for each episode of each trial.
+
+    :return: method, action set, member (number of the trial), episode, steps, and of the trial:
+        options (how many), learning rate, exploring (share of decisions).
+    """
+    columns = [*KEYS, 'member', 'episode', 'steps', 'options', 'learning rate', 'exploring']
+    rows = [
+        [
+            METHODS[parameters['method']],
+            parameters['set'],
+            member,
+            episode,
+            steps,
+            len(result['options']),
+            result['learning_rate'],
+            result['explore'],
+        ]
+        for member, (parameters, result) in enumerate(done)
+        for episode, steps in enumerate(result['steps'], start=1)
+    ]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def summary_table(episodes: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each method and action set: steps while learning, and the best rates."""
+    rates = ['learning rate', 'exploring']
+    members = episodes.groupby([*KEYS, 'member'], sort=False)
+    totals = members.agg({'steps': 'sum', **dict.fromkeys(['options', *rates], 'first')})
+    found = mean_intervals(totals.reset_index(), KEYS, 'steps', least=0.0).set_index(KEYS)
+    found = found.rename(columns={'mean': 'steps in all'})
+    means = totals.groupby(KEYS, sort=False)[['options', *rates]].mean()
+    found.insert(1, 'options', means['options'])
+    last = episodes['episode'].max()
+    for name, part in (
+        ('first 10 episodes', episodes[episodes['episode'] <= 10]),
+        ('last 10', episodes[episodes['episode'] > last - 10]),
+    ):
+        found[name] = part.groupby(KEYS, sort=False)['steps'].mean()
+    return found.join(means[rates]).reset_index()
+
+
+def present(done: Done) -> Section:
+    """Return what the report shows."""
+    episodes = episode_table(done)
+    summary = summary_table(episodes)
+    curves = mean_intervals(episodes, [*KEYS, 'episode'], 'steps', least=1.0)
+    return Section(
+        NAME,
+        TITLE,
+        _comparisons(summary, curves),
+        _pictures(curves),
+        [
+            Table('fig4-summary', 'Steps while learning', summary),
+            Table('fig4-curves', 'The curves', curves, shown=False),
+        ],
+        {'code': code_version(), 'episodes': paper.EPISODES, 'limit': LIMIT, 'rates tried': TRIED},
+    )
+
+
+def _comparisons(summary: pd.DataFrame, curves: pd.DataFrame) -> list[Comparison]:
+    found = []
+    for (method,), rows in grouped(summary, ['method']):
+        totals = dict(zip(rows['action set'], rows['steps in all']))
+        if {'human', 'automatic'} <= set(totals):
+            text = '; '.join(f'{name} {total:,.0f}' for name, total in totals.items())
+            faster = bool(totals['human'] < totals['automatic'])
+            text = f'{method}, steps in all {paper.EPISODES} episodes: {text}'
+            found.append(compared(paper.FIGURE_4['faster'], text, faster))
+    for mixture in ('human + primitive', 'automatic + primitive'):
+        mixed = summary[summary['action set'] == mixture]
+        if len(mixed):
+            text = '; '.join(
+                f'{row["method"]} {row["first 10 episodes"]:.0f} in the first 10, '
+                f'{row["last 10"]:.0f} in the last 10'
+                for _, row in mixed.iterrows()
+            )
+            text = f'{mixture}, steps per episode: {text}'
+            found.append(compared(paper.FIGURE_4['mixtures'], text, None))
+    first = curves[(curves['episode'] == 1) & (curves['method'] == METHODS['smdp'])]
+    if len(first):
+        text = '; '.join(f'{row["action set"]} {row["mean"]:.0f}' for _, row in first.iterrows())
+        text = f'{METHODS["smdp"]}, steps of the first episode: {text}'
+        found.append(compared(paper.FIGURE_4['axis'], text, None))
+    return found
+
+
+def _pictures(curves: pd.DataFrame) -> list[Picture]:
+    """Return two figures for each method: the paper's action sets on its axis, and all sets."""
+    names = {called: method for method, called in METHODS.items()}
+    return [
+        Picture(
+            f'fig4-{names[called]}{suffix}',
+            f'Steps per episode of {called} in Taxi by action set, {axis}',
+            SIZE,
+            partial(_draw, mine, called, as_in_paper),
+            f'Taxi, {called}, {axis}',
+        )
+        for (called,), mine in grouped(curves, ['method'])
+        for suffix, axis, as_in_paper in (
+            ('-paper', "on the paper's axis", True),
+            ('', 'all action sets', False),
+        )
+    ]
+
+
+def _draw(curves: pd.DataFrame, title: str, as_in_paper: bool, work: Drawing) -> None:
+    axes = work.axes
+    for (name,), curve in grouped(curves, ['action set']):
+        if name in paper.CURVES or not as_in_paper:
+            color, line = STYLES[name]
+            draw_band(axes, curve['episode'], curve, color, ls=line, lw=1.4, label=name)
+    axes.set(title=title, xlabel='episode', ylabel='steps per episode')
+    if as_in_paper:
+        axes.set_ylim(0, paper.MOST_STEPS)
+    else:
+        axes.set_yscale('log')
+        axes.set_ylim(0.8 * curves['mean'].min(), 1.25 * curves['mean'].max())
+        axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
+    axes.margins(x=0.01)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
+    axes.grid(axis='y')
+    axes.tick_params(length=0)
+    work.figure.legend(loc='outside lower center', ncols=3)

@@ -1,27 +1,51 @@
 """
-The simulated participants of a study: a table drawn from its seed.
+Who teaches: simulated participants, a table drawn from a seed, or the people recorded in bags.
 
-Two groups, since the paper's claims are of two kinds. *Careful* people make no error; they differ
-only in which of several equally good actions they prefer. *Varied* people differ in that too, and
-each has an error rate of their own (share of steps that are wrong, from 0 to ``MOST_ERRORS``) and
-a rate of needless answers (probability of yes to a question about a feature that does not matter,
-from 0 to ``MOST_NEEDLESS``). So that a handful of people covers both ranges, their rates are not
-drawn one by one: they go on from an offset that is drawn, by steps that fill a square evenly
-(Roberts 2018, The unreasonable effectiveness of quasirandom sequences: R2).
+There are two groups of simulated participants, since the paper's claims are of two kinds.
+*Careful* people make no error; they differ only in which of several equally good actions they
+prefer. *Varied* people differ in that too, and each has an error rate of their own (share of steps
+that are wrong, from 0 to ``MOST_ERRORS``) and a rate of needless answers (probability of yes to a
+question about a feature that does not matter, from 0 to ``MOST_NEEDLESS``). So that a handful of
+people covers both ranges, their rates are not drawn one by one: they go on from an offset that is
+drawn, by steps that fill a square evenly (Roberts 2018, The unreasonable effectiveness of
+quasirandom sequences: R2).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+import hashlib
+from pathlib import Path
 from typing import Any
 
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.registry import parameters_json
 from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import (
+    check_demonstration,
+    Demonstration,
+    DemonstrationError,
+    group_by_option,
+    Kind,
+)
+from humanopts_learner.options.criteria import judge, usual_thresholds
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption
+from humanopts_teach.bags.contents import read_demonstrations, read_domain
+from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.evaluation.bag_evaluation import FACTS
+from humanopts_teach.evaluation.summary import settings_from_facts
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
+from humanopts_teach.lesson.start_states import LessonRules
+
+from experiments import paper
+from experiments.lessons import teach
 
 CAREFUL, VARIED = 'careful', 'varied'
-GROUPS = (CAREFUL, VARIED)
 MOST_ERRORS = 0.05
 MOST_NEEDLESS = 0.2
 STEPS = (0.7548776662466927, 0.5698402909980532)  # 1 / g, 1 / g**2, where g**3 = g + 1
+STRATEGY, BUDGET = 'failures', 150  # of a lesson: those that a launch has
 
 
 @dataclass(frozen=True)
@@ -33,15 +57,6 @@ class Participant:
     error_rate: float  # share of steps that are wrong
     needless_rate: float  # probability of a needless yes for each feature
     seed: int  # of the study
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the person as JSON data."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> 'Participant':
-        """Read what ``to_dict`` wrote."""
-        return cls(**values)
 
     def teaching(self, *options: str) -> TeacherSettings:
         """Return the person as a teacher of some options."""
@@ -58,17 +73,150 @@ class Participant:
 
 def participants(group: str, count: int, seed: int) -> list[Participant]:
     """Draw the first people of a group; more of them leave the first as they are."""
-    return [_participant(group, number, seed) for number in range(1, count + 1)]
-
-
-def _participant(group: str, number: int, seed: int) -> Participant:
     offsets = generator(seed, 'participants', group).uniform(size=2).tolist()
-    errors, needless = ((x + number * step) % 1.0 for x, step in zip(offsets, STEPS))
-    varied = group == VARIED
-    return Participant(
-        group,
-        f'{group}{number}',
-        error_rate=round(errors * MOST_ERRORS, 4) if varied else 0.0,
-        needless_rate=round(needless * MOST_NEEDLESS, 4) if varied else 0.0,
-        seed=seed,
+    found = []
+    for number in range(1, count + 1):
+        errors, needless = ((x + number * step) % 1.0 for x, step in zip(offsets, STEPS))
+        rates = (errors * MOST_ERRORS, needless * MOST_NEEDLESS) if group == VARIED else (0.0, 0.0)
+        error_rate, needless_rate = (round(rate, 4) for rate in rates)
+        found.append(Participant(group, f'{group}{number}', error_rate, needless_rate, seed))
+    return found
+
+
+@dataclass(frozen=True)
+class BagLesson:
+    """One option that one person taught, in a bag."""
+
+    bag: str  # absolute path
+    participant: str
+    option: str
+    domain: str
+    domain_parameters: str  # JSON object
+    strategy: str  # of start states
+    seed: int  # of the lesson
+    digest: str  # of the uuids of the demonstrations
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is to be reproduced, and with whom."""
+
+    participants: int = 6  # simulated, in each group
+    seeds: int = 10  # runs of what depends on chance
+    seed: int = 1  # of every random draw
+    bags: tuple[BagLesson, ...] = ()  # of people; where there are any, nobody is simulated
+
+
+def read_bag_lessons(path: Path) -> list[BagLesson]:
+    """
+    Return every option that was taught in a bag.
+
+    :raises BagError: it cannot be read, or nothing was taught in it.
+    """
+    bag = open_bag(path)
+    domain = read_domain(bag)
+    settings, _ = settings_from_facts(bag.metadata.get(FACTS, {}))
+    lessons = [
+        BagLesson(
+            str(path.resolve()),
+            participant,
+            option,
+            domain.name,
+            parameters_json(domain),
+            settings.strategy,
+            settings.seed,
+            hashlib.sha256(''.join(demo.uuid for demo in demos).encode()).hexdigest()[:20],
+        )
+        for (participant, option), demos in taught_in(bag, domain).items()
+        if _trajectories(demos)
+    ]
+    if not lessons:
+        raise BagError(f'{path} holds no demonstration to learn from')
+    return lessons
+
+
+def taught_in(bag: Bag, domain: Domain[Any]) -> dict[tuple[str, str], list[Demonstration]]:
+    """Return the valid demonstrations in a bag by participant and option, as ``bag eval`` does."""
+    valid = []
+    for demo in read_demonstrations(bag):
+        try:
+            check_demonstration(demo, domain)
+        except DemonstrationError:
+            continue  # ``bag eval`` names those
+        valid.append(demo)
+    return group_by_option(valid)
+
+
+@dataclass(frozen=True)
+class TaughtOptions:
+    """The options of one person, and what they cost."""
+
+    options: tuple[LearnedOption, ...]
+    demonstrations: int  # trajectories
+    minutes: float  # of teaching: by the clock for people, at an assumed pace for simulated ones
+
+
+def teachers(study: Study, domain: str) -> list[dict[str, Any]]:
+    """
+    Return who teaches in a domain: the people in bags, else the varied simulated ones.
+
+    :return: parameters of ``options_of`` for each of them, JSON data.
+    """
+    if not study.bags:
+        people = participants(VARIED, study.participants, study.seed)
+        return [{'person': asdict(person)} for person in people]
+    digests: dict[tuple[str, str, int], list[str]] = {}
+    for lesson in study.bags:
+        if lesson.domain == domain:
+            key = lesson.bag, lesson.participant, lesson.seed
+            digests.setdefault(key, []).append(lesson.digest)
+    return [
+        {'bag': bag, 'participant': code, 'seed': seed, 'digests': found}
+        for (bag, code, seed), found in digests.items()
+    ]
+
+
+def options_of(
+    teacher: Mapping[str, Any], domain: Domain[Any], names: Sequence[str] = ()
+) -> TaughtOptions:
+    """
+    Return all that one person taught, in lessons that end when the criteria hold.
+
+    :param teacher: one of ``teachers``.
+    :param names: what a simulated one teaches; empty: what the paper's participants did.
+    """
+    if 'person' in teacher:
+        person = Participant(**teacher['person'])
+        return _from_lesson(person, domain, names or paper.TAUGHT[domain.name])
+    return _from_bag(teacher)
+
+
+def _from_lesson(person: Participant, domain: Domain[Any], names: Sequence[str]) -> TaughtOptions:
+    rules, limits = LessonRules(STRATEGY, BUDGET, person.seed), usual_thresholds(domain)
+    taught = teach(
+        domain,
+        person.teaching(*names),
+        rules,
+        lambda shown, option: judge(shown, domain, limits, person.seed, option).criteria_met,
+        until_no_failures=True,
     )
+    shown = _trajectories(taught.demonstrations)
+    return TaughtOptions(taught.options, shown, taught.seconds / 60)
+
+
+def _from_bag(teacher: Mapping[str, Any]) -> TaughtOptions:
+    bag = open_bag(Path(teacher['bag']))
+    domain = read_domain(bag)
+    groups = [
+        demos
+        for (person, _), demos in taught_in(bag, domain).items()
+        if person == teacher['participant'] and _trajectories(demos)
+    ]
+    options = tuple(learn_option(demos, domain, teacher['seed']) for demos in groups)
+    shown = [demo for demos in groups for demo in demos]
+    return TaughtOptions(options, _trajectories(shown), sum(d.seconds for d in shown) / 60)
+
+
+def _trajectories(demonstrations: Sequence[Demonstration]) -> int:
+    """Return how many are trajectories; the others are "not here" answers."""
+    return sum(demo.kind is Kind.TRAJECTORY for demo in demonstrations)

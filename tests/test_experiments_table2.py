@@ -1,9 +1,7 @@
-"""Table 2 again: real cells of small numbers, and what is said of results that are known."""
+"""Table 2 again: real trials of small numbers, and what is said of results that are known."""
 
 from collections.abc import Mapping
-import csv
 from dataclasses import asdict, replace
-import io
 import json
 from typing import Any
 
@@ -15,23 +13,25 @@ import numpy as np
 import pytest
 
 from experiments import table2
-from experiments.cells import Cell
-from experiments.page import csv_text
-from experiments.sections import Comparison, Section, Verdict
-from experiments.study import BagLesson, Study
-from experiments.table2_kinds import (
+from experiments.people import BagLesson, Study
+from experiments.report import Comparison, Done, Mark, Section
+from experiments.table2 import (
     CHASE,
+    Effort,
     GAMES,
-    KINDS,
+    INTERRUPTING,
     NOBODY,
-    OTHER_WAYS,
     PERSON,
+    plan_from_samples,
+    SECONDS,
+    settings_to_try,
     TAXI,
     TO_END,
     UNIFORM,
+    VARIANTS,
 )
-from experiments.table2_sampled import Effort, plan_from_samples, settings_to_try
-from experiments.table2_section import present, STYLES
+from experiments.table2_report import present, STYLES
+from experiments.trials import Trial
 
 TINY = Effort(
     tried=2,
@@ -43,7 +43,6 @@ TINY = Effort(
     first=800,
     games=4,
 )
-SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds', 'seconds')
 
 
 def without_seconds(value: Any) -> Any:
@@ -53,30 +52,30 @@ def without_seconds(value: Any) -> Any:
     return [without_seconds(v) for v in value] if isinstance(value, list) else value
 
 
-def cell_of(domain: str, whose: str, study: Study = Study(participants=1, seeds=2)) -> Cell:  # noqa: B008
+def trial_of(domain: str, whose: str, seeds: int = 2) -> Trial:
     return next(
-        cell
-        for cell in table2.cells(study)
-        if (cell.parameters['domain'], cell.parameters['whose']) == (domain, whose)
+        trial
+        for trial in table2.trials(Study(participants=1, seeds=seeds))
+        if (trial.parameters['domain'], trial.parameters['whose']) == (domain, whose)
     )
 
 
-def test_every_kind_of_plan_is_made_with_at_least_as_many_plans_as_seeds() -> None:
-    cells = table2.cells(Study(participants=4, seeds=10))
+def test_every_variant_is_planned_with_at_least_as_many_plans_as_seeds() -> None:
+    trials = table2.trials(Study(participants=4, seeds=10))
     for game in GAMES:
-        for kind in KINDS:
+        for variant in VARIANTS:
             mine = [
-                c.parameters['plans']
-                for c in cells
-                if (c.parameters['domain'], c.parameters['whose']) == (game.domain, kind.whose)
+                t.parameters['plans']
+                for t in trials
+                if (t.parameters['domain'], t.parameters['whose']) == (game.domain, variant.whose)
             ]
             assert mine == [3] * 4
-    assert len({c.key for c in cells}) == len(cells)
+    assert len({trial.key for trial in trials}) == len(trials)
 
 
 def test_domains_that_nobody_in_the_bags_taught_are_left_out() -> None:
     lesson = BagLesson('/bag', 'p1', 'avoid ghost', 'pacman', '{}', 'failures', 1, 'x')
-    domains = {c.parameters['domain'] for c in table2.cells(Study(bags=(lesson,)))}
+    domains = {trial.parameters['domain'] for trial in table2.trials(Study(bags=(lesson,)))}
     assert domains == {'pacman'}
 
 
@@ -89,37 +88,40 @@ def test_all_action_sets_try_the_same_settings_and_the_first_is_the_usual_one() 
 
 def test_person_plans_taxi_as_well_as_primitive_actions_do() -> None:
     human, primitive = (
-        (cell := cell_of('taxi', whose)).compute(cell.parameters) for whose in (PERSON, NOBODY)
+        (trial := trial_of('taxi', whose)).compute(trial.parameters) for whose in (PERSON, NOBODY)
     )
-    found = human['games'][TAXI.name]
-    best = primitive['games'][TAXI.name]['kinds']['primitive']['plans'][0]
+    (best, _) = primitive['plans']
     assert json.loads(json.dumps(human)) == human
-    assert human['costs']['human']['demonstrations'] > 2
+    costs = {row['action set']: row for row in human['costs']}
+    assert costs['human']['demonstrations'] > 2
     for name in ('human', 'human, interrupted', 'human + primitive'):
-        plans = found['kinds'][name]['plans']
+        plans, curve = (
+            [row for row in human[table] if row['action set'] == name]
+            for table in ('plans', 'curve')
+        )
         assert len(plans) == 2
         assert plans[0]['done'] == best['done'] == 1.0
         assert plans[0]['mean'] == pytest.approx(best['mean'], abs=0.5)
-        assert found['kinds'][name]['curve'][-1]['mean'] == plans[0]['mean']
-    assert found['gains']['human, interrupted']['least'] > -1e-9
-    assert found['gains']['human, modular (strongest)']['least'] > -1e-9
+        assert curve[-1]['mean'] == plans[0]['mean']
+    gains = {row['carried out as']: row for row in human['gains']}
+    assert gains['human, interrupted']['least'] > -1e-9
+    assert gains['human, modular (strongest)']['least'] > -1e-9
 
 
 def test_both_games_of_pacman_are_planned_with_budgets_that_double() -> None:
     effort = replace(TINY, tried=1, games=2, primitive_largest=1600)
-    cell = cell_of('pacman', NOBODY, Study(participants=1, seeds=1))
-    found = table2.compute({**cell.parameters, 'effort': asdict(effort)})
-    assert list(found['games']) == [UNIFORM.name, CHASE.name]
-    for game in found['games'].values():
-        curve = game['kinds']['primitive']['curve']
-        assert [point['budget'] for point in curve] == [800, 1600]
-        assert all(point['game_steps'] >= point['budget'] for point in curve)
+    trial = trial_of('pacman', NOBODY, seeds=1)
+    found = table2.plan_all_games({**trial.parameters, 'effort': asdict(effort)})
+    assert [(row['game'], row['budget']) for row in found['curve']] == [
+        (game.name, budget) for game in (UNIFORM, CHASE) for budget in (800, 1600)
+    ]
+    assert all(row['game_steps'] >= row['budget'] for row in found['curve'])
 
 
 def test_same_seed_gives_the_same_numbers_and_another_one_others() -> None:
-    domain, kind = PacMan(maze='yard', max_steps=50), KINDS[0]
+    domain, variant = PacMan(maze='yard', max_steps=50), VARIANTS[0]
     first, again, other = (
-        without_seconds(plan_from_samples(domain, [(kind, ())], 1, TINY, seed))
+        without_seconds(plan_from_samples(domain, [(variant, ())], 1, TINY, seed))
         for seed in (1, 1, 2)
     )
     assert first == again
@@ -130,12 +132,12 @@ def test_gains_are_of_every_plan_that_runs_to_the_end() -> None:
     domain = PacMan(maze='yard', max_steps=50)
     small = Extraction(options=2, tasks=30, train_episodes=50, option_episodes=50)
     options = find_options(domain, 1, small).batched
-    asked = [(kind, options) for kind in (TO_END, OTHER_WAYS[0])]
+    asked = [(variant, options) for variant in (TO_END, INTERRUPTING[0])]
     found = plan_from_samples(domain, asked, 2, TINY, seed=1)
-    assert list(found['kinds']) == ['human', 'human, interrupted']
-    assert {name: len(gains) for name, gains in found['gains'].items()} == {
-        kind.name: 2 for kind in OTHER_WAYS
-    }
+    planned = [row['action set'] for row in found['plans']]
+    assert planned == ['human'] * 2 + ['human, interrupted'] * 2
+    gains = [row['carried out as'] for row in found['gains']]
+    assert gains == [variant.name for variant in INTERRUPTING for _ in range(2)]
 
 
 def plan(mean: float, seconds: float, budget: int) -> dict[str, Any]:
@@ -169,31 +171,36 @@ def section_of(
 ) -> Section:
     """Return the section of results that are the same in all games."""
 
-    def kinds(whose: str) -> dict[str, Any]:
-        made = {}
-        for kind in KINDS:
-            if kind.whose == whose and kind.name in level:
-                seconds, mean = level[kind.name]
-                curve = [plan(mean / 2, seconds / 2, 1), plan(mean, seconds, 2)]
-                made[kind.name] = {'curve': curve, 'plans': curve[1:], 'tried': [], 'chosen': None}
-        return made
-
-    def result(cell: Cell) -> dict[str, Any]:
-        whose, domain = cell.parameters['whose'], cell.parameters['domain']
-        names = ('options', 'demonstrations', 'minutes', 'seconds', 'game_steps')
+    def result(trial: Trial) -> dict[str, Any]:
+        whose, domain = trial.parameters['whose'], trial.parameters['domain']
+        games = [game.name for game in GAMES if game.domain == domain]
+        named = [v.name for v in VARIANTS if v.whose == whose and v.name in level]
+        curve = [
+            {'game': game, 'action set': name, **plan(mean / part, seconds / part, 3 - part)}
+            for game in games
+            for name, (seconds, mean) in level.items()
+            for part in (2, 1)
+            if name in named
+        ]
         exact = {'least': least, 'mean': 1.0, 'most': 2.0}
-        gains = {kind.name: exact if domain == 'taxi' else [gain] for kind in OTHER_WAYS}
+        names = ('options', 'demonstrations', 'minutes', 'seconds', 'game_steps')
         return {
-            'costs': {name: dict.fromkeys(names, 4) for name in level},
-            'games': {
-                game.name: {'kinds': kinds(whose), 'gains': gains if whose == PERSON else {}}
-                for game in GAMES
-                if game.domain == domain
-            },
+            'curve': curve,
+            'plans': [row for row in curve if row['budget'] == 2],
+            'settings': [],
+            'costs': [{'action set': name, **dict.fromkeys(names, 4)} for name in named],
+            'gains': [
+                {'game': game, 'carried out as': variant.name}
+                | (exact if game == TAXI.name else {'mean': gain})
+                for game in games
+                for variant in INTERRUPTING
+                if whose == PERSON
+            ],
         }
 
-    study = Study(participants=2, seeds=2)
-    return present(study, {cell.key: result(cell) for cell in table2.cells(study)})
+    trials = table2.trials(Study(participants=2, seeds=2))
+    done: Done = [(trial.parameters, result(trial)) for trial in trials]
+    return present(done)
 
 
 def about(section: Section, said: str) -> list[Comparison]:
@@ -203,86 +210,85 @@ def about(section: Section, said: str) -> list[Comparison]:
 def test_what_is_as_in_the_paper_agrees() -> None:
     section = section_of(GOOD)
     for said in ('more efficient', 'with human options is faster', 'never as good'):
-        assert [c.verdict for c in about(section, said)] == [Verdict.AGREES] * 3
-    assert 'Human options are ahead in both' in about(section, 'more efficient')[0].found
+        assert [c.mark for c in about(section, said)] == [Mark.AGREES] * 3
     exact, sampled, _ = (c.found for c in about(section, 'with human options is faster'))
-    assert exact == 'Taxi, planning: human 2 s, primitive 50 s.'
-    assert sampled.endswith('until 1,400 points: human 2 s, primitive 50 s.')
-    assert 'until 700 points: human 1 s, automatic 4 s.' in about(section, 'efficient')[1].found
+    assert exact == 'Taxi, planning: human 2 s; primitive 50 s'
+    assert sampled.endswith('until 1,400 points: human 2 s; primitive 50 s')
+    assert 'until 700 points: human 1 s; automatic 4 s' in about(section, 'efficient')[1].found
 
 
-@pytest.mark.parametrize(
-    ('human', 'words'),
-    [
-        ((9.0, 1400.0), 'in return, and not in time'),
-        ((2.0, 600.0), 'in time, and not in return'),
-        ((9.0, 600.0), 'in neither'),
-    ],
-)
-def test_human_options_that_are_behind_are_said_to_be(
-    human: tuple[float, float], words: str
+@pytest.mark.parametrize('human', [(9.0, 1400.0), (2.0, 600.0), (9.0, 600.0)])
+def test_human_options_that_are_behind_in_time_or_return_do_not_agree(
+    human: tuple[float, float],
 ) -> None:
     found = about(section_of({**GOOD, 'human': human}), 'more efficient')
-    assert [c.verdict for c in found] == [Verdict.DIFFERS] * 3
-    assert all(words in c.found for c in found)
+    assert [c.mark for c in found] == [Mark.DIFFERS] * 3
 
 
 def test_numbers_of_the_paper_that_do_not_compare_stand_beside_ours() -> None:
     section = section_of(GOOD)
     seconds, rewards = about(section, '60.45 s'), about(section, '1890')
-    assert [c.verdict for c in (*seconds, *rewards)] == [Verdict.NOT_COMPARABLE] * 2
+    assert [c.mark for c in (*seconds, *rewards)] == [Mark.NOT_COMPARABLE] * 2
     table = next(t for t in section.tables if t.name == 'table2-paper')
-    assert table.records()[1]["paper's average reward"] == -4.294
-    assert table.records()[1]['mean return'] == 1400.0
+    assert table.rows[1]["paper's average reward"] == -4.294
+    assert table.rows[1]['mean return'] == 1400.0
 
 
 @pytest.mark.parametrize(
     ('interrupted', 'uniform', 'chase'),
     [
-        ((3.0, 1950.0), Verdict.MET, Verdict.MET),
-        ((6.0, 1950.0), Verdict.MISSED, Verdict.MET),  # not in a tenth of the time
-        ((3.0, 1890.0), Verdict.MISSED, Verdict.MET),
-        ((3.0, 1650.0), Verdict.MISSED, Verdict.MISSED),
+        ((3.0, 1950.0), Mark.MET, Mark.MET),
+        ((6.0, 1950.0), Mark.MISSED, Mark.MET),  # not in a tenth of the time
+        ((3.0, 1890.0), Mark.MISSED, Mark.MET),
+        ((3.0, 1650.0), Mark.MISSED, Mark.MISSED),
     ],
 )
 def test_goals_of_interruption(
-    interrupted: tuple[float, float], uniform: Verdict, chase: Verdict
+    interrupted: tuple[float, float], uniform: Mark, chase: Mark
 ) -> None:
     section = section_of({**GOOD, 'human, interrupted': interrupted})
-    assert [c.verdict for c in about(section, 'Random ghosts:')] == [uniform]
-    assert [c.verdict for c in about(section, 'Chasing ghosts:')] == [chase]
+    assert [c.mark for c in about(section, 'Random ghosts:')] == [uniform]
+    assert [c.mark for c in about(section, 'Chasing ghosts:')] == [chase]
 
 
 def test_state_that_interruption_makes_worse_misses_the_goal() -> None:
-    assert about(section_of(GOOD), 'Exact models')[0].verdict is Verdict.MET
-    assert about(section_of(GOOD, least=-0.1), 'Exact models')[0].verdict is Verdict.MISSED
+    assert about(section_of(GOOD), 'Exact models')[0].mark is Mark.MET
+    assert about(section_of(GOOD, least=-0.1), 'Exact models')[0].mark is Mark.MISSED
 
 
-def test_gain_of_stopping_options_is_told_by_game() -> None:
+def test_gain_of_stopping_options_is_shown_by_game() -> None:
     more, less = (about(section_of(GOOD, gain=g), 'rarely') for g in (100.0, -5.0))
-    assert [c.verdict for c in more] == [Verdict.AGREES] * 2
-    assert [c.verdict for c in less] == [Verdict.DIFFERS] * 2
+    assert [c.mark for c in more] == [Mark.AGREES] * 2
+    assert [c.mark for c in less] == [Mark.DIFFERS] * 2
     assert CHASE.name in more[1].found
 
 
-def test_curves_in_csv_are_those_that_are_drawn() -> None:
+def test_curves_in_the_table_are_those_that_are_drawn() -> None:
     section = section_of(GOOD)
-    curves = next(t for t in section.tables if t.name == 'table2-curves')
-    rows = list(csv.DictReader(io.StringIO(csv_text(curves))))
+    rows = next(t for t in section.tables if t.name == 'table2-curves').rows
     assert len(section.pictures) == len(GAMES)
     for game, picture in zip(GAMES, section.pictures, strict=True):
         work = Drawing(*picture.size)
-        picture.draw(work, str)
-        for line in work.axes.get_lines():
+        picture.draw(work)
+        lines = work.axes.get_lines()
+        assert {line.get_label() for line in lines} == set(GOOD)
+        for line in lines:
             mine = [
-                (float(row['seconds']) * (1e3 if game.exact else 1.0), float(row['mean return']))
+                [row['seconds'] * (1e3 if game.exact else 1.0), row['mean return']]
                 for row in rows
                 if (row['game'], row['action set']) == (game.name, line.get_label())
             ]
-            assert np.asarray(line.get_xydata()).tolist() == [list(pair) for pair in mine]
+            assert np.asarray(line.get_xydata()).tolist() == mine
             assert len(mine) == 2
 
 
-def test_every_kind_has_a_line_of_its_own() -> None:
-    assert set(STYLES) == {kind.name for kind in KINDS}
-    assert len(set(STYLES.values())) == len(KINDS)
+def test_nothing_is_said_of_trials_that_failed() -> None:
+    section = present([])
+    assert not section.comparisons
+    assert not section.pictures
+    assert all(not table.rows for table in section.tables)
+
+
+def test_every_variant_has_a_line_of_its_own() -> None:
+    assert set(STYLES) == {variant.name for variant in VARIANTS}
+    assert len(set(STYLES.values())) == len(VARIANTS)

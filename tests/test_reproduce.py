@@ -18,8 +18,7 @@ from humanopts_teach.lesson.start_states import LessonRules
 import pytest
 
 from experiments.lessons import teach
-from experiments.study import read_bag_lessons, Study
-from experiments.taught import options_of, teachers
+from experiments.people import options_of, read_bag_lessons, Study, teachers
 
 
 def without_time(demonstrations: list[Demonstration]) -> list[dict[str, Any]]:
@@ -70,7 +69,7 @@ def test_bags_stand_in_for_simulated_people(demo: DemoRun, tmp_path: Path) -> No
 
 def test_options_from_a_bag_are_those_that_were_taught(demo: DemoRun) -> None:
     (person,) = teachers(Study(bags=tuple(read_bag_lessons(demo.bag))), 'taxi')
-    taught = options_of(person.parameters, make_domain('taxi'))
+    taught = options_of(person, make_domain('taxi'))
     blocks = demo.summary['options']
     assert [option.name for option in taught.options] == [block['name'] for block in blocks]
     assert taught.demonstrations == sum(block['n_demonstrations'] for block in blocks)

@@ -1,6 +1,7 @@
-"""The frame of reproductions: what is computed, what is not computed again, what fails."""
+"""Trials of a reproduction: what is computed, what is not computed again, what fails."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 import io
 from pathlib import Path
 import subprocess
@@ -10,29 +11,23 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from experiments import cells as experiment_cells
 from experiments import figure2
-from experiments.cells import Cell, CellStore, digest
-from experiments.command import CellProgress
-from experiments.people import CAREFUL, participants, VARIED
-from experiments.running import ClusterError, Outcome, run_cells
-from experiments.study import Study
+from experiments import trials as experiment_trials
+from experiments.command import TrialProgress
+from experiments.people import CAREFUL, participants, Study, VARIED
+from experiments.trials import ClusterError, digest, Outcome, run_trials, Trial
 
 PICKUP = 'go to passenger and pickup'
 
 
 class Quiet:
-    """A watcher that keeps what it is told."""
+    """A progress that shows nothing."""
 
-    def __init__(self) -> None:
-        self.left: list[Cell] = []
-        self.over: list[tuple[Cell, bool]] = []
+    def begin(self, trials: Sequence[Trial], missing: Sequence[Trial]) -> None:
+        pass
 
-    def begin(self, cells: Sequence[Cell], left: Sequence[Cell]) -> None:
-        self.left = list(left)
-
-    def done(self, cell: Cell, failed: bool) -> None:
-        self.over.append((cell, failed))
+    def done(self, trial: Trial, failed: bool) -> None:
+        pass
 
 
 class Work:
@@ -49,27 +44,30 @@ class Work:
             raise self.broken[number]
         return number**2
 
-    def cells(self, numbers: Sequence[int]) -> list[Cell]:
-        return [Cell('squares', {'number': n}, self.square) for n in numbers]
+    def trials(self, numbers: Sequence[int]) -> list[Trial]:
+        return [Trial('squares', {'number': n}, self.square) for n in numbers]
 
-    def run(self, cells: Sequence[Cell]) -> Outcome:
-        return run_cells(cells, CellStore(self.folder), Quiet(), jobs=1)
+    def run(self, trials: Sequence[Trial]) -> Outcome:
+        return run_trials(trials, self.folder, Quiet(), jobs=1)
 
 
-def tiny(*strategies: str) -> list[Cell]:
-    """Return real cells of figure 2 that take no time."""
-    person = participants(CAREFUL, 1, seed=3)[0].to_dict()
+def tiny(*strategies: str) -> list[Trial]:
+    """Return real trials of figure 2 that take no time."""
+    person = asdict(participants(CAREFUL, 1, seed=3)[0])
     known = {'domain': 'taxi', 'option': PICKUP, 'demonstrations': 2, 'person': person}
-    return [Cell('fig2', {**known, 'strategy': name}, figure2.simulated) for name in strategies]
+    return [
+        Trial('fig2', {**known, 'strategy': name}, figure2.learn_from_simulated)
+        for name in strategies
+    ]
 
 
 def test_what_is_done_is_not_computed_again(tmp_path: Path) -> None:
     work = Work(tmp_path)
-    cells = work.cells([2, 3])
-    first, again = work.run(cells), work.run([*cells, *work.cells([5])])
+    trials = work.trials([2, 3])
+    first, again = work.run(trials), work.run([*trials, *work.trials([5])])
     assert sorted(work.asked) == [2, 3, 5]
     assert (first.computed, again.computed) == (2, 1)
-    assert [again.results[cell.key] for cell in cells] == [4, 9]
+    assert [again.results[trial.key] for trial in trials] == [4, 9]
 
 
 def test_other_parameters_or_other_code_are_computed_anew(
@@ -77,10 +75,10 @@ def test_other_parameters_or_other_code_are_computed_anew(
 ) -> None:
     work = Work(tmp_path)
     for numbers in ([2], [3], [2]):
-        work.run(work.cells(numbers))
+        work.run(work.trials(numbers))
     assert work.asked == [2, 3]
-    monkeypatch.setattr(experiment_cells, 'code_version', lambda: 'other')
-    work.run(work.cells([2]))
+    monkeypatch.setattr(experiment_trials, 'code_version', lambda: 'other')
+    work.run(work.trials([2]))
     assert work.asked == [2, 3, 2]
 
 
@@ -95,66 +93,64 @@ def test_code_is_another_when_a_file_changes_that_is_not_of_a_node(tmp_path: Pat
     assert digest([tmp_path]) != before
 
 
-def test_failing_cell_is_named_the_others_are_kept_and_it_is_tried_again(tmp_path: Path) -> None:
+def test_failing_trial_is_named_the_others_are_kept_and_it_is_tried_again(tmp_path: Path) -> None:
     work = Work(tmp_path, {3: ValueError('no threes')})
-    cells = work.cells([2, 3, 4])
-    outcome = work.run(cells)
-    assert outcome.failures == {cells[1].key: 'squares (number 3): ValueError: no threes'}
+    trials = work.trials([2, 3, 4])
+    outcome = work.run(trials)
+    assert outcome.failures == {trials[1].key: 'squares (number 3): ValueError: no threes'}
     assert sorted(outcome.results.values()) == [4, 16]
     work.broken.clear()
-    assert sorted(work.run(cells).results.values()) == [4, 9, 16]
+    assert sorted(work.run(trials).results.values()) == [4, 9, 16]
     assert sorted(work.asked) == [2, 3, 3, 4]
 
 
 def test_interrupted_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     work = Work(tmp_path, {4: KeyboardInterrupt()})
-    cells = work.cells([2, 3, 4, 5])
+    trials = work.trials([2, 3, 4, 5])
     with pytest.raises(KeyboardInterrupt):
-        work.run(cells)
+        work.run(trials)
     assert work.asked == [2, 3, 4]
     work.broken.clear()
-    assert work.run(cells).computed == 2
+    assert work.run(trials).computed == 2
     assert work.asked == [2, 3, 4, 4, 5]
 
 
-@pytest.mark.parametrize('damage', ['', '{"cell": ', '[]', '{"cell": {}, "result": 99}'])
-def test_file_that_is_not_the_cell_counts_as_not_there(tmp_path: Path, damage: str) -> None:
+@pytest.mark.parametrize('damage', ['', '{"trial": ', '[]', '{"trial": {}, "result": 99}'])
+def test_file_that_is_not_the_trial_counts_as_not_there(tmp_path: Path, damage: str) -> None:
     work = Work(tmp_path)
-    work.run(work.cells([2]))
+    work.run(work.trials([2]))
     next(tmp_path.glob('*.json')).write_text(damage, 'utf-8')
-    assert list(work.run(work.cells([2])).results.values()) == [4]
+    assert list(work.run(work.trials([2])).results.values()) == [4]
     assert work.asked == [2, 2]
 
 
-def test_costliest_cells_are_begun_first(tmp_path: Path) -> None:
+def test_costliest_trials_are_begun_first(tmp_path: Path) -> None:
     work = Work(tmp_path)
     costs = {2: 1.0, 3: 9.0, 4: 5.0}
-    work.run([Cell('squares', {'number': n}, work.square, c) for n, c in costs.items()])
+    work.run([Trial('squares', {'number': n}, work.square, c) for n, c in costs.items()])
     assert work.asked == [3, 4, 2]
 
 
 def test_two_processes_compute_what_one_does(tmp_path: Path) -> None:
-    cells = tiny('random', 'coverage')
-    one, two = (
-        run_cells(cells, CellStore(tmp_path / str(jobs)), Quiet(), jobs) for jobs in (1, 2)
-    )
+    trials = tiny('random', 'coverage')
+    one, two = (run_trials(trials, tmp_path / str(jobs), Quiet(), jobs) for jobs in (1, 2))
     assert one.results == two.results
     assert len(one.results) == 2
 
 
 def test_time_left_is_estimated_by_the_cost_of_what_is_done() -> None:
     now, out = [0.0], io.StringIO()
-    cells = [Cell('squares', {'number': n}, len, cost) for n, cost in enumerate((3.0, 1.0))]
-    with CellProgress(Console(file=out), clock=lambda: now[0]) as progress:
-        progress.begin(cells, cells)
+    trials = [Trial('squares', {'number': n}, len, cost) for n, cost in enumerate((3.0, 1.0))]
+    with TrialProgress(Console(file=out), clock=lambda: now[0]) as progress:
+        progress.begin(trials, trials)
         now[0] = 60.0
-        progress.done(cells[0], failed=False)
-        progress.done(cells[1], failed=True)
+        progress.done(trials[0], failed=False)
+        progress.done(trials[1], failed=True)
     assert out.getvalue().splitlines() == [
-        '2 cells, 0 of them done before',
-        '1 of 2 cells, about 20.0 s left',
+        '2 trials, 0 of them done before',
+        '1 of 2 trials, about 20.0 s left',
         'failed: squares (number 1)',
-        '2 of 2 cells, done',
+        '2 of 2 trials, done',
     ]
 
 
@@ -167,8 +163,8 @@ def test_more_participants_leave_the_first_as_they_are() -> None:
     assert all(p.error_rate == p.needless_rate == 0 for p in participants(CAREFUL, 3, seed=1))
 
 
-def test_cells_of_a_study_differ() -> None:
-    keys = [cell.key for cell in figure2.cells(Study(participants=2))]
+def test_trials_of_a_study_differ() -> None:
+    keys = [trial.key for trial in figure2.trials(Study(participants=2))]
     assert len(set(keys)) == len(keys) == 2 * (2 * 2 + 3) * 3  # people, options, strategies
 
 
@@ -177,7 +173,7 @@ def test_without_dask_it_is_said_what_is_missing(tmp_path: Path) -> None:
         import distributed  # noqa: F401
     except ImportError:
         with pytest.raises(ClusterError, match='dask and distributed'):
-            run_cells(tiny('random'), CellStore(tmp_path), Quiet(), 1, 'tcp://127.0.0.1:1')
+            run_trials(tiny('random'), tmp_path, Quiet(), 1, 'tcp://127.0.0.1:1')
 
 
 @pytest.fixture
@@ -215,9 +211,9 @@ def cluster() -> Iterator[str]:
 
 
 def test_dask_cluster_computes_what_this_machine_does(tmp_path: Path, cluster: str) -> None:
-    cells = tiny('random', 'coverage', 'failures')
+    trials = tiny('random', 'coverage', 'failures')
     here, there = (
-        run_cells(cells, CellStore(tmp_path / name), Quiet(), 1, address)
+        run_trials(trials, tmp_path / name, Quiet(), 1, address)
         for name, address in (('here', ''), ('there', cluster))
     )
     assert there.failures == {}
@@ -227,4 +223,4 @@ def test_dask_cluster_computes_what_this_machine_does(tmp_path: Path, cluster: s
 def test_scheduler_that_does_not_answer_is_named(tmp_path: Path) -> None:
     pytest.importorskip('distributed')
     with pytest.raises(ClusterError, match='answers at tcp:'):
-        run_cells(tiny('random'), CellStore(tmp_path), Quiet(), 1, 'tcp://127.0.0.1:1')
+        run_trials(tiny('random'), tmp_path, Quiet(), 1, 'tcp://127.0.0.1:1')

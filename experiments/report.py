@@ -1,0 +1,278 @@
+"""The report of a reproduction: the paper's claims beside what was found, tables, figures."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cache
+import json
+from pathlib import Path
+import re
+from typing import Any
+
+from cycler import cycler
+from humanopts_teach.evaluation.summary import write_text
+from humanopts_teach.report.figures import Drawing, drawing, SERIES, SETTINGS, VARIABLES
+from humanopts_teach.report.pages import page_style, template
+from humanopts_teach.report.words import Finding, number, percent
+from markupsafe import Markup
+import matplotlib
+from matplotlib.axes import Axes
+import numpy as np
+import pandas as pd
+from scipy.stats import t
+
+from experiments import paper
+from experiments.paper import Statement
+from experiments.people import Participant, Study
+
+PAGE = 'report.html'
+DPI = 160
+OURS = 'goal of this project'
+
+
+# Parameters and results of the trials that have one.
+Done = Sequence[tuple[Mapping[str, Any], Any]]
+
+
+class Mark(Enum):
+    """How what was found compares with what was claimed."""
+
+    AGREES = 'agrees'
+    DIFFERS = 'does not agree'
+    NOT_COMPARABLE = 'not comparable'
+    MET = 'met'  # a goal of this project, not of the paper
+    MISSED = 'missed'
+
+    @property
+    def good(self) -> bool | None:
+        """Whether it is as one would wish; None: neither."""
+        known = {Mark.AGREES: True, Mark.MET: True, Mark.NOT_COMPARABLE: None}
+        return known.get(self, False)
+
+
+SUMMARY = {  # what the top of the page says of the number of each mark
+    Mark.AGREES: 'statements of the paper agree with what was found here',
+    Mark.DIFFERS: 'do not agree',
+    Mark.NOT_COMPARABLE: 'cannot be compared',
+    Mark.MET: 'of our own goals are met',
+    Mark.MISSED: 'of our own goals are missed',
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One claim, beside the numbers that were found."""
+
+    said: str
+    where: str  # section, figure or table of the paper; or whose goal it is
+    found: str
+    mark: Mark
+
+
+def compared(statement: Statement, found: str, agrees: bool | None) -> Comparison:
+    """Return a statement of the paper beside what was found; None: it cannot be compared."""
+    mark = {True: Mark.AGREES, False: Mark.DIFFERS, None: Mark.NOT_COMPARABLE}[agrees]
+    return Comparison(statement.text, statement.where, found, mark)
+
+
+def goal(said: str, found: str, met: bool) -> Comparison:
+    """Return a goal of this project beside what was found."""
+    return Comparison(said, OURS, found, Mark.MET if met else Mark.MISSED)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One figure; it is drawn for the page and for files."""
+
+    name: str  # of the files, without suffix
+    label: str  # what it shows, for people who do not see it
+    size: tuple[float, float]  # inches
+    draw: Callable[[Drawing], None]  # series have the colours C0, C1, ...
+    caption: str = ''
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the page and a CSV file; a missing value is an empty field."""
+
+    name: str  # of the file, without suffix
+    title: str
+    frame: pd.DataFrame
+    shown: bool = True  # on the page; all are in files
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows as JSON data: a missing value is None."""
+        plain = self.frame.astype(object)
+        rows: Any = plain.where(plain.notna(), None).to_dict('records')
+        return list(rows)
+
+
+@dataclass(frozen=True)
+class Section:
+    """What the report says of one figure or table of the paper."""
+
+    name: str
+    title: str
+    comparisons: Sequence[Comparison]
+    pictures: Sequence[Picture] = ()
+    tables: Sequence[Table] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)  # parameters of the method, for JSON
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Everything that the page says."""
+
+    sections: Sequence[Section]
+    people: Sequence[Participant]  # empty: those in bags taught
+    study: Study
+    missing: Sequence[str]  # trials that failed, in words
+    provenance: Mapping[str, str]
+
+
+def mean_intervals(
+    frame: pd.DataFrame,
+    by: Sequence[str],
+    value: str,
+    least: float = -np.inf,
+    most: float = np.inf,
+) -> pd.DataFrame:
+    """
+    Return means over independent people or runs, with 95 % intervals by Student's t.
+
+    :param by: columns that tell the means apart; the other rows of a group are averaged.
+    :param least: what a value can be at least; limits are cut off there, and at ``most``.
+    :return: ``by``, count (of values that are not NaN), mean, low, high; NaN where there is none,
+        as the limits of a single value.
+    """
+    groups = frame.groupby(list(by), sort=False)[value]
+    found = groups.agg(['count', 'mean', 'sem']).astype({'count': int, 'mean': float})
+    half = t.ppf(0.975, np.maximum(found['count'] - 1, 1)) * found.pop('sem')
+    found['low'] = (found['mean'] - half).clip(lower=least)
+    found['high'] = (found['mean'] + half).clip(upper=most)
+    return found.reset_index()
+
+
+def grouped(
+    frame: pd.DataFrame, by: Sequence[str]
+) -> Iterator[tuple[tuple[str, ...], pd.DataFrame]]:
+    """Yield the rows that agree in some columns of text, in the order of their first rows."""
+    groups: Any = frame.groupby(list(by), sort=False)
+    yield from groups
+
+
+def draw_band(axes: Axes, x: Any, curve: pd.DataFrame, color: str, **style: Any) -> None:
+    """
+    Draw a mean and, where there are any, its limits.
+
+    :param curve: columns mean, low, high.
+    """
+    axes.plot(x, curve['mean'], color=color, **style)
+    if curve['low'].notna().any():
+        axes.fill_between(x, curve['low'], curve['high'], color=color, alpha=0.15, lw=0)
+
+
+def write_reproduction(folder: Path, data: Reproduction) -> None:
+    """
+    Write page, figures (PNG, SVG) and tables (CSV, and JSON for each section).
+
+    :raises SummaryError: the folder cannot be written.
+    :raises OSError: a figure cannot be written.
+    """
+    for section in data.sections:
+        for picture in section.pictures:
+            _write_picture(folder, picture)
+        for table in section.tables:
+            write_text(folder / f'{table.name}.csv', table.frame.to_csv(index=False))
+        write_text(folder / f'{section.name}.json', section_json(section))
+    write_text(folder / PAGE, render(data))
+
+
+def section_json(section: Section) -> str:
+    """Return comparisons and tables of a section as JSON; null is a missing number."""
+    values: dict[str, Any] = {
+        'title': section.title,
+        **section.facts,
+        'comparisons': [
+            {'said': c.said, 'where': c.where, 'found': c.found, 'verdict': c.mark.value}
+            for c in section.comparisons
+        ],
+        'tables': {table.name: table.rows for table in section.tables},
+    }
+    return json.dumps(values, indent=1, allow_nan=False) + '\n'
+
+
+def render(data: Reproduction) -> str:
+    """Return the page."""
+    marks = [c.mark for section in data.sections for c in section.comparisons]
+    findings = [
+        Finding(mark.good, f'{marks.count(mark)} {text}.')
+        for mark, text in SUMMARY.items()
+        if mark in marks
+    ]
+    values: dict[str, Any] = {
+        'paper': paper.TITLE,
+        'sections': data.sections,
+        'people': data.people,
+        'study': data.study,
+        'bags': list(dict.fromkeys(lesson.bag for lesson in data.study.bags)),
+        'findings': findings + [Finding(False, f'Not computed: {x}') for x in data.missing],
+        'svg': _svg_for_page,
+        'written': _written,
+        'percent': percent,
+        'provenance': data.provenance,
+    }
+    return template('experiments', 'page.html').render(values)
+
+
+def _written(value: Any) -> str:
+    """Return a value of a table for people."""
+    if isinstance(value, float) and abs(value) >= 1000:
+        return f'{value:,.0f}'
+    if isinstance(value, float) or value is None:
+        return number(value)
+    return str(value)
+
+
+def _svg_for_page(picture: Picture) -> Markup:
+    """Return an ``<svg>`` element that is coloured by the page."""
+    with (
+        _series_colours(SERIES),
+        drawing(picture.name, picture.label, *picture.size) as work,
+    ):
+        picture.draw(work)
+    return Markup(work.svg)
+
+
+def _write_picture(folder: Path, picture: Picture) -> None:
+    """
+    Write a figure as PNG and SVG, in the colours of a light page.
+
+    :raises OSError: they cannot be written.
+    """
+    colours = light_colours()
+    settings: dict[Any, Any] = {
+        **{name: colours.get(str(value), value) for name, value in SETTINGS.items()},
+        'figure.facecolor': 'white',
+        'svg.fonttype': 'path',
+        'svg.hashsalt': picture.name,
+    }
+    with matplotlib.rc_context(settings), _series_colours([colours[name] for name in SERIES]):
+        work = Drawing(*picture.size)
+        picture.draw(work)
+        work.figure.savefig(folder / f'{picture.name}.png', dpi=DPI)
+        work.figure.savefig(folder / f'{picture.name}.svg', metadata={'Date': None})
+
+
+def _series_colours(colours: Sequence[str]) -> AbstractContextManager[None]:
+    return matplotlib.rc_context({'axes.prop_cycle': cycler(color=colours)})
+
+
+@cache
+def light_colours() -> dict[str, str]:
+    """Return what stands for each colour of ``report.figures`` on a light page."""
+    first = page_style().split('@media')[0]
+    values = dict(re.findall(r'(--[a-z0-9]+): (#[0-9a-f]{6})', first))
+    return {colour: values[variable] for colour, variable in VARIABLES.items()}

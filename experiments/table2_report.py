@@ -1,0 +1,425 @@
+"""Table 2 in the report: what the trials came to as tables, beside the paper's, and curves."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+import re
+from typing import Any
+
+from humanopts_teach.report.figures import Drawing
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+import numpy as np
+import pandas as pd
+
+from experiments import paper, table2
+from experiments.report import (
+    compared,
+    Comparison,
+    Done,
+    draw_band,
+    goal,
+    grouped,
+    mean_intervals,
+    Picture,
+    Section,
+    Table,
+)
+from experiments.table2 import (
+    AS_IN_PAPER,
+    CHASE,
+    ComparedGame,
+    GAMES,
+    INTERRUPTING,
+    SECONDS,
+    TAXI,
+    UNIFORM,
+    VARIANTS,
+)
+from experiments.trials import code_version
+
+TITLE = 'Table 2: planning time and return'
+KEYS = ['game', 'action set']
+ROUNDING = 1e-9  # reward units
+WANTED_UNIFORM, WANTED_MORE = 1900.0, 300.0  # points
+TENTH = 10.0
+STYLES = {  # colour, line, marker by variant
+    'primitive': ('C0', '-', 'o'),
+    'human': ('C1', '-', 's'),
+    AS_IN_PAPER: ('C1', ':', 'x'),
+    'automatic': ('C2', '-', '^'),
+    'human + primitive': ('C1', '--', 'D'),
+    'automatic + primitive': ('C2', '--', 'v'),
+    'human, interrupted': ('C3', '-', 'P'),
+    'human, modular (greatest mass)': ('C4', '-.', '<'),
+    'human, modular (strongest)': ('C5', '-.', '>'),
+}
+
+
+def rows_of(done: Done, name: str, by: Sequence[str]) -> pd.DataFrame:
+    """
+    Return the rows of one table of all trials, with the number of the trial as ``member``.
+
+    :param by: columns to order the rows by: games and variants stand as in ``table2``.
+    """
+    order = [one.name for one in (*GAMES, *VARIANTS)]
+    rows = [
+        {'domain': parameters['domain'], 'member': member, **row}
+        for member, (parameters, result) in enumerate(done)
+        for row in result[name]
+    ]
+    frame = pd.DataFrame(rows, columns=None if rows else ['domain', 'member', *by])
+    return frame.sort_values(
+        list(by), key=lambda names: names.map(order.index), kind='stable', ignore_index=True
+    )
+
+
+def summary_table(done: Done) -> pd.DataFrame:
+    """Return a row for each game and variant, indexed by both; each member counts once."""
+    plans = rows_of(done, 'plans', KEYS)
+    if plans.empty:
+        return pd.DataFrame(index=pd.MultiIndex.from_tuples([], names=KEYS))
+    plans['seconds'] = plans[list(SECONDS)].sum(axis=1)
+    members = plans.groupby([*KEYS, 'member'], sort=False).mean(numeric_only=True)
+    means = members.groupby(KEYS, sort=False).mean()
+    returns = mean_intervals(members.reset_index(), KEYS, 'mean').set_index(KEYS)
+    exact = means.index.get_level_values('game') == TAXI.name
+    parts = {
+        'count': returns['count'],
+        'tables, s': means['table_seconds'].round(6),
+        'models, s': means['model_seconds'].round(6),
+        'sweeps, s': means['sweep_seconds'].round(6),
+        'total, s': means['seconds'].round(6),
+        'sweeps': means['sweeps'].round(1),
+        'states': means['states'].round().astype(int),
+        'game steps': means['game_steps'].round().astype(int),
+        'mean return': returns['mean'],
+        'low': returns['low'],
+        'high': returns['high'],
+        'discounted': means['discounted'].where(exact),  # elsewhere gamma is searched for
+        'done': means['done'],
+        'fallbacks in a game': means['fallbacks'],
+    }
+    return pd.DataFrame(parts)
+
+
+def curve_table(done: Done) -> pd.DataFrame:
+    """Return mean return by budget; members that have come to an end stay as they are."""
+    points = rows_of(done, 'curve', KEYS)
+    found = []
+    for key, mine in grouped(points, KEYS):
+        mine['seconds'] = mine[list(SECONDS)].sum(axis=1)
+        wide = mine.set_index(['budget', 'member'])[['seconds', 'mean']].unstack('member').ffill()
+        every = wide.stack('member', future_stack=True).reset_index()
+        curve = mean_intervals(every, ['budget'], 'mean')
+        curve['seconds'] = every.groupby('budget')['seconds'].mean().to_numpy()
+        found.append(curve.assign(**dict(zip(KEYS, key))))
+    columns = [*KEYS, 'budget', 'seconds', 'mean', 'low', 'high']
+    every = pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=columns)
+    return every[columns].rename(columns={'mean': 'mean return'})
+
+
+def cost_table(done: Done) -> pd.DataFrame:
+    """Return what it cost to get the options, mean of their owners."""
+    names = {
+        'options': 'options',
+        'demonstrations': 'demonstrations',
+        'minutes': 'teaching minutes',
+        'seconds': 'extraction seconds',
+        'game_steps': 'extraction game steps',
+    }
+    keys = ['domain', 'action set']
+    owned = rows_of(done, 'costs', keys[1:]).reindex(columns=[*keys, *names])
+    owned = owned[owned['options'] > 0].sort_values(
+        'domain', key=lambda domains: domains.map(['taxi', 'pacman'].index), kind='stable'
+    )
+    groups = owned.astype(dict.fromkeys(names, float)).groupby(keys, sort=False)
+    found = groups.mean().rename(columns=names)
+    found.insert(0, 'count', groups.size())
+    return found.reset_index()
+
+
+def gain_table(done: Done) -> pd.DataFrame:
+    """Return what the same plan gains over running each option to its end, by execution."""
+    keys = ['game', 'carried out as']
+    gains = rows_of(done, 'gains', keys).reindex(
+        columns=[*keys, 'member', 'least', 'mean', 'most']
+    )
+    means = {'least': 'min', 'mean': 'mean', 'most': 'max'}
+    members = gains.groupby([*keys, 'member'], sort=False).agg(means).astype(float)
+    found = mean_intervals(members.reset_index(), keys, 'mean')
+    extremes = members.groupby(keys, sort=False)
+    found['least of all states'] = extremes['least'].min().to_numpy()
+    found['most of all states'] = extremes['most'].max().to_numpy()
+    exact = found['game'] == TAXI.name
+    found[['low', 'high']] = found[['low', 'high']].mask(exact)
+    found.insert(3, 'of', np.where(exact, 'value of a state', 'return of games'))
+    return found
+
+
+def paper_table(summary: pd.DataFrame) -> pd.DataFrame:
+    """Set the paper's numbers beside ours; in Pac-Man, beside the game with random ghosts."""
+    rows = []
+    for game in (TAXI, UNIFORM):
+        known = paper.TABLE_2[game.domain]
+        for name, row in {**known, AS_IN_PAPER: known['human']}.items():
+            if (game.name, name) in summary.index:
+                ours = summary.loc[(game.name, name), ['total, s', 'mean return', 'low', 'high']]
+                rows.append([game.name, name, row.seconds, row.mean_return, *ours])
+    columns = [*KEYS, "paper's seconds", "paper's average reward", 'seconds', 'mean return']
+    return pd.DataFrame(rows, columns=[*columns, 'low', 'high'])
+
+
+def setting_table(done: Done) -> pd.DataFrame:
+    """Return the settings that were chosen, for each game, variant and member."""
+    settings = rows_of(done, 'settings', KEYS)
+    number = settings.groupby(KEYS, sort=False).cumcount() + 1
+    settings.insert(4, 'number', number)
+    return settings.drop(columns=['domain', 'member'])
+
+
+def present(done: Done) -> Section:
+    """Return what the report shows."""
+    summary, curves, gains = summary_table(done), curve_table(done), gain_table(done)
+    costs = cost_table(done)
+    games = [game for game in GAMES if game.name in summary.index]
+    return Section(
+        table2.NAME,
+        TITLE,
+        [*_comparisons(summary, curves, costs), *_compare_gains(gains)],
+        [_picture(game, curves[curves['game'] == game.name]) for game in games],
+        [
+            *(
+                Table(f'table2-{_slug(game)}', game.name, summary.loc[game.name].reset_index())
+                for game in games
+            ),
+            Table('table2-acquisition', 'What it cost to get the options, mean of each', costs),
+            Table(
+                'table2-executions',
+                'What the same plan gains over running each option to its end',
+                gains,
+            ),
+            Table('table2-paper', "The paper's table, and ours", paper_table(summary)),
+            Table(
+                'table2-curves',
+                'The curves; budgets are sweeps in Taxi, game steps in Pac-Man',
+                curves,
+                shown=False,
+            ),
+            Table(
+                'table2-settings', 'Settings that were chosen', setting_table(done), shown=False
+            ),
+        ],
+        {'code': code_version(), 'effort': asdict(table2.EFFORT)},
+    )
+
+
+def _slug(game: ComparedGame) -> str:
+    return re.sub(r'[^a-z]+', '-', game.name.lower())
+
+
+Rows = Mapping[str, 'pd.Series[Any]']  # of ``summary_table`` in one game, by variant
+
+
+def _comparisons(
+    summary: pd.DataFrame, curves: pd.DataFrame, costs: pd.DataFrame
+) -> list[Comparison]:
+    """Return what can be compared with the variants that there are."""
+    known = summary.reset_index()
+    by_game: dict[str, Rows] = {
+        game.name: {
+            str(row['action set']): row for _, row in known[known['game'] == game.name].iterrows()
+        }
+        for game in GAMES
+    }
+    found: list[Comparison] = []
+    for game in GAMES:
+        rows, mine = by_game[game.name], curves[curves['game'] == game.name]
+        curve = {name: points for (name,), points in grouped(mine, ['action set'])}
+        if 'primitive' in rows:
+            found += _compare_with_primitive(game, rows, curve)
+        if {'human', 'automatic'} <= set(rows):
+            faster, text = _race(game, rows, curve, 'human', 'automatic')
+            better = rows['human']['mean return'] > rows['automatic']['mean return']
+            text += f'; {_returns(rows, ["human", "automatic"])}; {_not_counted(game, costs)}'
+            agrees = bool(faster and better)
+            found.append(compared(paper.TABLE_2_SAID['efficient'], text, agrees))
+    return [*found, *_compare_goals(by_game[UNIFORM.name], by_game[CHASE.name])]
+
+
+def _race(
+    game: ComparedGame, rows: Rows, curve: Mapping[str, pd.DataFrame], first: str, second: str
+) -> tuple[bool, str]:
+    """
+    Return whether planning with one variant takes less time than with another, and both times.
+
+    Plans with exact models end by themselves. Sampled ones take as long as they are let, so they
+    are compared by when they come to what the worse of the two comes to.
+    """
+    if game.exact:
+        times = [float(rows[name]['total, s']) for name in (first, second)]
+        until = ''
+    else:
+        level = min(float(curve[name]['mean return'].max()) for name in (first, second))
+        reached = [curve[name][curve[name]['mean return'] >= level] for name in (first, second)]
+        times = [float(points['seconds'].iloc[0]) for points in reached]
+        until = f' until {level:,.0f} points'
+    text = f'{first} {_duration(times[0])}; {second} {_duration(times[1])}'
+    return times[0] < times[1], f'{game.name}, planning{until}: {text}'
+
+
+def _compare_with_primitive(
+    game: ComparedGame, rows: Rows, curve: Mapping[str, pd.DataFrame]
+) -> list[Comparison]:
+    found = []
+    options = [name for name in ('human', 'automatic') if name in rows]
+    for name in options:
+        faster, text = _race(game, rows, curve, name, 'primitive')
+        found.append(compared(paper.TABLE_2_SAID[f'{name} faster'], text, faster))
+    if options:
+        best = max(float(rows[name]['mean return']) for name in options)
+        text = f'{game.name}, {_returns(rows, ["primitive", *options])}'
+        if not game.exact and len(curve['primitive']) > 1:
+            before, last = curve['primitive']['mean return'].iloc[-2:]
+            text += f'; the last doubling of game steps brought primitive {last - before:+,.0f}'
+        agrees = best < float(rows['primitive']['mean return']) - ROUNDING
+        found.append(compared(paper.TABLE_2_SAID['never as good'], text, agrees))
+    if game in (TAXI, UNIFORM):
+        shown = ['primitive', *options, *([AS_IN_PAPER] if AS_IN_PAPER in rows else [])]
+        known = paper.TABLE_2[game.domain].items()
+        seconds = '; '.join(f'{name} {row.seconds:g} s' for name, row in known)
+        returns = '; '.join(f'{name} {row.mean_return:g}' for name, row in known)
+        for what, theirs, ours in (
+            ('seconds', seconds, _times(rows, shown)),
+            ('returns', returns, _returns(rows, shown)),
+        ):
+            said = paper.TABLE_2_SAID[what]
+            statement = paper.Statement(f'{said.text[:-1]}: {theirs}.', said.where)
+            found.append(compared(statement, f'{game.name}, {ours}', None))
+    return found
+
+
+def _not_counted(game: ComparedGame, costs: pd.DataFrame) -> str:
+    """Return what planning times leave out: the cost of getting the options."""
+    mine = costs[costs['domain'] == game.domain].set_index('action set')
+    minutes = mine['teaching minutes'].get('human', 0.0)
+    seconds = mine['extraction seconds'].get('automatic', 0.0)
+    return f'not counted: {minutes:.1f} min of teaching, {_duration(seconds)} of extraction'
+
+
+def _compare_goals(uniform: Rows, chase: Rows) -> list[Comparison]:
+    found = []
+    names = [variant.name for variant in INTERRUPTING]
+    if mine := [name for name in names if name in uniform and 'primitive' in uniform]:
+        best = max(mine, key=lambda name: uniform[name]['mean return'])
+        value, primitive = uniform[best]['mean return'], uniform['primitive']['mean return']
+        quick = TENTH * uniform[best]['total, s'] <= uniform['primitive']['total, s']
+        shown = [best, 'primitive']
+        found.append(
+            goal(
+                'Random ghosts: interrupted or as modules, human options come to '
+                f'{WANTED_UNIFORM:,.0f} points and to no less than primitive actions, in a tenth '
+                'of the planning time.',
+                f'{UNIFORM.name}, {_returns(uniform, shown)}; {_times(uniform, shown)}',
+                bool(value >= max(WANTED_UNIFORM, primitive) and quick),
+            )
+        )
+    if mine := [name for name in names if name in chase and {'primitive', 'human'} <= set(chase)]:
+        best = max(mine, key=lambda name: chase[name]['mean return'])
+        value, primitive = chase[best]['mean return'], chase['primitive']['mean return']
+        wanted = chase['human']['mean return'] + WANTED_MORE
+        found.append(
+            goal(
+                f'Chasing ghosts: interrupted or as modules, human options come to '
+                f'{WANTED_MORE:.0f} points more than run to their end, and to no less than '
+                'primitive actions.',
+                f'{CHASE.name}, {_returns(chase, [best, "human", "primitive"])}',
+                bool(value >= max(wanted, primitive)),
+            )
+        )
+    return found
+
+
+def _compare_gains(gains: pd.DataFrame) -> list[Comparison]:
+    """Compare what it gains to stop the options of the same plan."""
+    found = []
+    theorem = gains[gains['game'] == TAXI.name]
+    theorem = theorem[~theorem['carried out as'].str.contains('greatest mass')]  # it has none
+    if len(theorem):
+        least = dict(zip(theorem['carried out as'], theorem['least of all states']))
+        found.append(
+            goal(
+                'Exact models: interrupted, or with the strongest module, no state is worth less '
+                'than run to the end.',
+                'least of all states and people: '
+                + '; '.join(f'{name} {value:+.2g}' for name, value in least.items()),
+                min(least.values()) >= -ROUNDING,
+            )
+        )
+    for game in (UNIFORM, CHASE):
+        mine = gains[gains['game'] == game.name]
+        if len(mine):
+            text = '; '.join(
+                f'{row["carried out as"]} {_interval(row, "mean")}' for _, row in mine.iterrows()
+            )
+            least_gains = mine['low'].fillna(mine['mean'])
+            found.append(
+                compared(
+                    paper.TABLE_2_SAID['interrupted'],
+                    f'{game.name}, points gained by the same plan over running to the end: {text}',
+                    bool((least_gains > 0.0).any()),
+                )
+            )
+    return found
+
+
+def _times(rows: Rows, names: Sequence[str]) -> str:
+    times = (f'{name} {_duration(rows[name]["total, s"])}' for name in names)
+    return f'planning: {"; ".join(times)}'
+
+
+def _returns(rows: Rows, names: Sequence[str]) -> str:
+    means = (f'{name} {_interval(rows[name], "mean return")}' for name in names)
+    return f'return: {"; ".join(means)}'
+
+
+def _interval(row: 'pd.Series[Any]', name: str) -> str:
+    """Return a mean with its limits; of one member, the mean alone."""
+    mean = float(row[name])
+    if pd.isna(row['low']):
+        return f'{mean:,.2f}'
+    digits = 0 if abs(mean) >= 100 else 2
+    return f'{mean:,.{digits}f} ({row["low"]:,.{digits}f} to {row["high"]:,.{digits}f})'
+
+
+def _duration(seconds: float) -> str:
+    return f'{1e3 * seconds:.3g} ms' if seconds < 0.1 else f'{seconds:.3g} s'
+
+
+def _picture(game: ComparedGame, curves: pd.DataFrame) -> Picture:
+    return Picture(
+        f'table2-{_slug(game)}',
+        f'Mean return in {game.name} by planning seconds and action set',
+        (8.2, 4.2),
+        partial(_draw, game, curves),
+        f'{game.name}: mean return against planning time, '
+        + ('sweeps' if game.exact else 'game steps')
+        + ' doubled from point to point. Shaded: 95 % interval.',
+    )
+
+
+def _draw(game: ComparedGame, curves: pd.DataFrame, work: Drawing) -> None:
+    axes, unit, scale = work.axes, 's', 1.0
+    if game.exact:
+        unit, scale = 'ms', 1e3
+    for (name,), curve in grouped(curves, ['action set']):
+        color, line, marker = STYLES[name]
+        drawn = curve.rename(columns={'mean return': 'mean'})
+        style: dict[str, Any] = {'ls': line, 'marker': marker, 'ms': 4, 'lw': 1.3, 'label': name}
+        draw_band(axes, scale * curve['seconds'], drawn, color, **style)
+    axes.set(title=game.name, xlabel=f'planning time of a processor, {unit}', ylabel='mean return')
+    axes.set_xscale('log')
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.grid(axis='y')
+    axes.legend(loc='center left', bbox_to_anchor=(1.01, 0.5))

@@ -1,0 +1,254 @@
+"""
+Trials: the computations that an experiment consists of, and how they are run.
+
+A finished trial is one JSON file, named by what its result depends on: the experiment, its
+parameters, the code and the numeric libraries. So a run that was interrupted goes on where it
+stopped, and what was computed by other code is computed anew.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, ExitStack
+from dataclasses import dataclass, field
+from functools import cache
+import hashlib
+from importlib.metadata import version
+from importlib.util import find_spec
+import json
+from multiprocessing import resource_tracker
+from pathlib import Path
+import signal
+import threading
+import time
+from typing import Any, Protocol
+
+from humanopts_teach.evaluation.summary import write_text
+from joblib import delayed, Parallel, parallel_config
+from joblib.externals.loky.backend import resource_tracker as loky_tracker
+
+PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach', 'experiments')
+LIBRARIES = ('numpy', 'scipy', 'scikit-learn')  # that results may depend on to the last digit
+Compute = Callable[[Mapping[str, Any]], Any]  # parameters -> result, both JSON data
+
+
+class ClusterError(RuntimeError):
+    """The Dask cluster cannot be used; the text says why."""
+
+
+def digest(folders: Iterable[Path]) -> str:
+    """Return a short text that changes with the Python code in folders, nodes left out."""
+    found = hashlib.sha256()
+    for folder in folders:
+        for path in sorted(folder.rglob('*.py')):
+            if 'ros' not in path.relative_to(folder).parts:
+                found.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    return found.hexdigest()[:12]
+
+
+@cache
+def code_version() -> str:
+    """Return the digest of the code that results depend on."""
+    specs = [find_spec(package) for package in PACKAGES]
+    return digest(Path(place) for s in specs if s for place in s.submodule_search_locations or ())
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One computation: the same experiment, code and parameters give the same result."""
+
+    experiment: str  # such as fig2
+    parameters: Mapping[str, Any]  # JSON data
+    compute: Compute  # a function of a module, so that it can be sent to another process
+    cost: float = 1.0  # expected, relative to other trials; for the estimate of the time left
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What the result depends on, as JSON data."""
+        known = {
+            'experiment': self.experiment,
+            'code': code_version(),
+            'parameters': dict(self.parameters),
+            'libraries': {name: version(name) for name in LIBRARIES},
+        }
+        plain: dict[str, Any] = json.loads(json.dumps(known))
+        return plain
+
+    @property
+    def key(self) -> str:
+        """A short name that no other trial has."""
+        text = json.dumps(self.identity, sort_keys=True)
+        return f'{self.experiment}-{hashlib.sha256(text.encode()).hexdigest()[:20]}'
+
+    def __str__(self) -> str:
+        """Return the trial in words."""
+        said = ', '.join(f'{name} {value}' for name, value in self.parameters.items())
+        return f'{self.experiment} ({said})'
+
+
+def load_result(folder: Path, trial: Trial) -> Any:
+    """Return a finished trial's result; None: it is not finished, or its file is damaged."""
+    try:
+        kept = json.loads((folder / f'{trial.key}.json').read_text('utf-8'))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(kept, dict) or kept.get('trial') != trial.identity:
+        return None
+    return kept.get('result')
+
+
+def save_result(folder: Path, trial: Trial, result: Any, seconds: float) -> None:
+    """
+    Keep a result; a reader sees none or all of it.
+
+    :param seconds: what the trial took.
+    :raises SummaryError: the file cannot be written.
+    """
+    kept = {'trial': trial.identity, 'seconds': round(seconds, 3), 'result': result}
+    text = json.dumps(kept, indent=1, allow_nan=False)
+    write_text(folder / f'{trial.key}.json', text + '\n')
+
+
+class Progress(Protocol):
+    """Shows how far the work is."""
+
+    def begin(self, trials: Sequence[Trial], missing: Sequence[Trial]) -> None:
+        """Take in all trials, and those that are still to be computed."""
+        ...
+
+    def done(self, trial: Trial, failed: bool) -> None:
+        """Take in that a trial has ended."""
+        ...
+
+
+@dataclass
+class Outcome:
+    """What the trials of a run came to."""
+
+    results: dict[str, Any] = field(default_factory=dict)  # by key of the trial
+    computed: int = 0  # in this run; the other results were there before
+    failures: dict[str, str] = field(default_factory=dict)  # by key: the trial, and what happened
+
+    def done(self, trials: Iterable[Trial]) -> list[tuple[Mapping[str, Any], Any]]:
+        """Return parameters and result of those trials that have one."""
+        return [(t.parameters, self.results[t.key]) for t in trials if t.key in self.results]
+
+
+@dataclass(frozen=True)
+class _Reply:
+    """What came back for one trial; only plain values travel between processes."""
+
+    number: int
+    result: Any
+    seconds: float
+    error: str  # empty: none
+
+
+def run_trials(
+    trials: Sequence[Trial], folder: Path, progress: Progress, jobs: int, dask: str = ''
+) -> Outcome:
+    """
+    Compute what is not done yet; each result is on disk as soon as it is there.
+
+    A trial that fails is named in the outcome, and the others go on.
+
+    :param folder: of the finished trials; it is made where it is missing.
+    :param jobs: processes on this machine, 1 or more; 1: in this process.
+    :param dask: address of a Dask scheduler that does the work instead; empty: none.
+    :raises ClusterError: the cluster does not answer, or Dask is not installed.
+    :raises SummaryError: a result cannot be written.
+    :raises OSError: the folder cannot be made.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    outcome = Outcome()
+    missing = []
+    for trial in {trial.key: trial for trial in trials}.values():
+        if (result := load_result(folder, trial)) is None:
+            missing.append(trial)
+        else:
+            outcome.results[trial.key] = result
+    progress.begin(trials, missing)
+    for reply in _replies(missing, jobs, dask):
+        trial = missing[reply.number]
+        if reply.error:
+            outcome.failures[trial.key] = f'{trial}: {reply.error}'
+        else:
+            save_result(folder, trial, reply.result, reply.seconds)
+            outcome.results[trial.key] = reply.result
+            outcome.computed += 1
+        progress.done(trial, bool(reply.error))
+    return outcome
+
+
+def _replies(trials: Sequence[Trial], jobs: int, dask: str) -> Iterator[_Reply]:
+    """Yield what comes back, as it comes; the costliest trials are begun first."""
+    if not trials:
+        return
+    order = sorted(range(len(trials)), key=lambda number: -trials[number].cost)
+    with _backend(jobs, dask):
+        work = Parallel(return_as='generator_unordered', pre_dispatch='all', batch_size=1)
+        tasks = (
+            delayed(_compute)(number, trials[number].compute, dict(trials[number].parameters))
+            for number in order
+        )
+        with ExitStack() as stack:
+            with _started_without_interrupts():
+                replies = stack.enter_context(closing(work(tasks)))
+            yield from replies
+
+
+def _compute(number: int, compute: Compute, parameters: dict[str, Any]) -> _Reply:
+    """Compute one trial in the process that has it; an error is caught there."""
+    began = time.perf_counter()
+    try:
+        result, error = compute(parameters), ''
+    except Exception as problem:  # whatever happens to one trial, the others go on
+        result, error = None, f'{type(problem).__name__}: {problem}'
+    return _Reply(number, result, time.perf_counter() - began, error)
+
+
+@contextmanager
+def _backend(jobs: int, dask: str) -> Iterator[None]:
+    if not dask:
+        with parallel_config(backend='loky', n_jobs=jobs), _quiet_thread():
+            yield
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ClusterError(
+            '--dask needs the packages dask and distributed, which are not installed'
+        ) from None
+    try:
+        client = Client(dask, timeout=10)
+    except (OSError, ValueError) as error:
+        raise ClusterError(f'no Dask scheduler answers at {dask}: {error}') from error
+    with client, parallel_config(backend='dask', client=client):
+        yield
+
+
+@contextmanager
+def _started_without_interrupts() -> Iterator[None]:
+    """Have processes that are started meanwhile not hear Ctrl-C; this process ends them."""
+    for tracker in (resource_tracker, loky_tracker):  # each hears it again once it has started
+        tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _quiet_thread() -> Iterator[None]:
+    """Silence joblib's manager thread, which raises KeyError when its work is given up."""
+    before = threading.excepthook
+
+    def hook(error: threading.ExceptHookArgs) -> None:
+        name = error.thread.name if error.thread is not None else ''
+        if error.exc_type is not KeyError or name != 'ExecutorManagerThread':
+            before(error)
+
+    threading.excepthook = hook
+    try:
+        yield
+    finally:
+        threading.excepthook = before

@@ -1,0 +1,376 @@
+"""Figures 2, 3 and 4 again: trials of small size, results that are known, files and page."""
+
+from collections.abc import Mapping
+import csv
+from dataclasses import asdict, replace
+import json
+from pathlib import Path
+import re
+from typing import Any
+
+from humanopts_env.domains.registry import make_domain
+from humanopts_teach.cli import main
+from humanopts_teach.report.figures import Drawing
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments import figure2, figure3, figure4, paper
+from experiments.people import BagLesson, CAREFUL, participants, Study, VARIED
+from experiments.report import (
+    Comparison,
+    Done,
+    Mark,
+    mean_intervals,
+    Picture,
+    Reproduction,
+    Section,
+    write_reproduction,
+)
+
+PICKUP = 'go to passenger and pickup'
+SEED = 4
+
+
+def about(section: Section, said: str) -> list[Comparison]:
+    return [c for c in section.comparisons if said in c.said]
+
+
+def marks(section: Section) -> list[Mark]:
+    return [c.mark for c in section.comparisons]
+
+
+def draw(picture: Picture) -> Drawing:
+    work = Drawing(*picture.size)
+    picture.draw(work)
+    return work
+
+
+# What all experiments share.
+
+
+def test_interval_is_that_of_students_t() -> None:
+    frame = pd.DataFrame({'of': ['a', 'a', 'b', 'b'], 'x': [1.0, 3.0, 4.0, np.nan]})
+    found = mean_intervals(frame, ['of'], 'x')
+    assert found['count'].tolist() == [2, 1]
+    assert found['mean'].tolist() == [2.0, 4.0]
+    assert found['high'][0] - 2.0 == pytest.approx(12.706204736)  # t(0.975, 1) * 1
+    assert np.isnan(found['low'][1])
+    assert mean_intervals(frame, ['of'], 'x', 0.0, 5.0)[['low', 'high']].iloc[0].tolist() == [0, 5]
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'said'),
+    [
+        (['fig9'], "'fig9'"),
+        (['fig2', '--participants', '0'], 'not from 1'),
+        (['fig2', '--bags', 'nowhere'], 'nowhere'),
+        (['fig2', '--out', '/proc/x'], '/proc/x'),
+    ],
+)
+def test_bad_input_is_one_line(
+    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = [] if '--out' in arguments else ['--out', str(tmp_path / 'out')]
+    try:
+        status = main(['reproduce', *arguments, *out])
+    except SystemExit as end:
+        status = int(end.code or 0)
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert status == 2
+    assert len(errors) == 1
+    assert said in errors[0]
+
+
+@pytest.mark.parametrize('present', [figure2.present, figure3.present, figure4.present])
+def test_nothing_is_said_of_trials_that_failed(present: Any) -> None:
+    section = present([])
+    assert not section.comparisons
+    assert not section.pictures
+    assert all(not table.rows for table in section.tables)
+
+
+# Figure 2.
+
+
+def lesson_of(*policy: float, not_here: int = 0) -> dict[str, Any]:
+    """Return what a trial came to: policy accuracies after 1, 2, 3 ... demonstrations."""
+    points = [[n, not_here, value, 1.0, 0.5] for n, value in enumerate(policy, start=1)]
+    return {'points': points, 'seconds': 90.0, 'cut_short': ''}
+
+
+def as_wished(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return results as one would wish: failures best, random as in the paper."""
+    levels = {'failures': (9, 19), 'coverage': (19, 49), 'random': (39, 58)}
+    good, perfect = levels[parameters['strategy']]
+    return lesson_of(*[0.5] * good, *[0.96] * (perfect - good), *[1.0] * (60 - perfect))
+
+
+def figure_2(result: Any) -> Section:
+    trials = figure2.trials(Study(participants=2, seed=5))
+    return figure2.present([(trial.parameters, result(trial.parameters)) for trial in trials])
+
+
+@pytest.fixture(scope='module')
+def section() -> Section:
+    return figure_2(as_wished)
+
+
+@pytest.fixture(scope='module')
+def written(section: Section, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a reproduction with results that are known."""
+    folder = tmp_path_factory.mktemp('reproduction')
+    people = [replace(participants(VARIED, 1, 5)[0], code='<p&1>')]
+    data = Reproduction([section], people, Study(seed=5), ['fig2 (x): why'], {'s': '5'})
+    write_reproduction(folder, data)
+    return folder
+
+
+def careful(number: int, **others: Any) -> dict[str, Any]:
+    person = asdict(participants(CAREFUL, 2, seed=1)[number])
+    known = {'domain': 'taxi', 'option': PICKUP, 'strategy': 'random', 'demonstrations': 4}
+    return {**known, 'person': person, **others}
+
+
+def test_demonstrations_needed_are_those_until_the_level_is_first_reached() -> None:
+    done: Done = [
+        (careful(0), lesson_of(0.5, 0.95, 0.9, 1.0, not_here=3)),
+        (careful(1), lesson_of(0.5, 0.6, 0.7, 0.96)),
+    ]
+    people = figure2.person_table(figure2.accuracy_table(done))
+    (needed,) = figure2.needed_table(people).to_dict('records')
+    assert people['demonstrations for 95%'].tolist() == [2, 4]
+    assert people['start states for 95%'].tolist() == [5, 4]
+    assert people['demonstrations for 100%'].tolist() == [4, pd.NA]
+    assert needed['demonstrations for 95%'] == '3.0'
+    assert needed['demonstrations for 100%'] == 'over 4.0 (1 of 2 people)'
+    never = figure2.present([(careful(0), lesson_of(0.5, 0.6))]).tables[0].rows[0]
+    assert never['demonstrations for 95%'] == 'not within 2'
+
+
+def test_answer_not_here_changes_the_point_of_the_demonstrations_so_far() -> None:
+    points = [[1, 0, 0.5, 0.6, 0.7], [1, 1, 0.5, 0.8, 0.9], [2, 1, 0.6, 0.8, 0.9]]
+    done: Done = [(careful(0), {**lesson_of(), 'points': points})]
+    found = figure2.accuracy_table(done)
+    assert found['initiation'].tolist() == [0.8, 0.8]
+    assert found['not here'].tolist() == [1, 1]
+
+
+def test_lesson_of_a_trial_has_the_demonstrations_asked_for() -> None:
+    person = asdict(participants(VARIED, 1, seed=2)[0])
+    parameters = careful(0, strategy='failures', person=person)
+    found = figure2.learn_from_simulated(parameters)
+    assert found['points'][-1][0] == 4
+    assert found['cut_short'] == ''
+    assert found['seconds'] > 20  # ten questions and four drives, by the assumed pace
+    assert all(0 <= value <= 1 for point in found['points'] for value in point[2:])
+    assert figure2.learn_from_simulated(parameters) == found
+
+
+def test_goals_that_are_reached_are_met_and_the_papers_forty_agrees(section: Section) -> None:
+    goals = about(section, 'at most 15') + about(section, 'at most 30')
+    assert [c.mark for c in goals] == [Mark.MET] * 4
+    assert goals[0].found.endswith(' 10.0')
+    assert [c.mark for c in about(section, 'about 40')] == [Mark.AGREES] * 2
+    minutes = about(section, 'minutes to show')
+    assert [c.mark for c in minutes] == [Mark.NOT_COMPARABLE] * 2
+    assert all('assumed pace' in c.found for c in minutes)
+
+
+def test_goals_that_are_missed_are_marked() -> None:
+    section = figure_2(lambda _: lesson_of(*[0.5] * 60))
+    assert len(about(section, 'at most')) == 4
+    assert marks(section).count(Mark.MISSED) == 4
+    assert marks(section).count(Mark.DIFFERS) == 2 + 2  # about 40; no rise in either domain
+    assert all('not within 60' in c.found for c in about(section, '% policy accuracy'))
+
+
+def test_csv_json_and_figure_hold_the_same_numbers(section: Section, written: Path) -> None:
+    with (written / 'fig2-curves.csv').open(encoding='utf-8') as file:
+        rows = list(csv.DictReader(file))
+    kept = json.loads((written / 'fig2.json').read_text('utf-8'))['tables']['fig2-curves']
+    assert [float(row['mean']) for row in rows] == [record['mean'] for record in kept]
+    plots = draw(section.pictures[0]).figure.axes
+    for axes, measure in zip(plots, ('policy', 'initiation', 'termination'), strict=True):
+        lines = {line.get_label(): line for line in axes.get_lines()}
+        for strategy in ('random', 'coverage', 'failures'):
+            named = {
+                'domain': 'taxi',
+                'option': PICKUP,
+                'people': CAREFUL,
+                'start states by': strategy,
+                'measure': measure,
+            }
+            mine = [r for r in rows if {**r, **named} == r]
+            x, y = lines[strategy].get_data()
+            assert [int(r['demonstrations']) for r in mine] == np.asarray(x).tolist()
+            assert [float(r['mean']) for r in mine] == np.asarray(y).tolist()
+
+
+def test_every_figure_is_there_as_png_and_svg(section: Section, written: Path) -> None:
+    for picture in section.pictures:
+        assert (written / f'{picture.name}.png').read_bytes().startswith(b'\x89PNG')
+        text = (written / f'{picture.name}.svg').read_text('utf-8')
+        assert '<svg' in text
+        assert 'var(--' not in text  # colours of its own
+        assert '#0101a' not in text
+
+
+def test_page_needs_nothing_from_outside_and_is_escaped(written: Path) -> None:
+    page = (written / 'report.html').read_text('utf-8')
+    assert not re.search(r'(?:src|href|action)\s*=\s*["\']?\s*(?!#)(?:https?:|//|[a-z])', page)
+    assert not re.search(r'url\((?!#)', page)
+    assert '@import' not in page
+    assert '&lt;p&amp;1&gt;' in page
+    assert 'simulated' in page
+    assert 'Not computed: fig2 (x): why' in page
+    assert page.count('<svg') == 7  # options in groups
+    assert page.count('var(--c1)') > 7  # colours of the page
+
+
+def test_paper_and_trials_name_the_same_options() -> None:
+    trials = figure2.trials(Study(participants=1))
+    taught = {(trial.parameters['domain'], trial.parameters['option']) for trial in trials}
+    assert taught == {(d, option) for d, options in paper.TAUGHT.items() for option in options}
+    assert all(paper.FIGURE_2_OPTIONS[d] in paper.TAUGHT[d] for d in paper.TAUGHT)
+
+
+# Figure 3.
+
+
+@pytest.fixture(scope='module')
+def extraction() -> dict[str, Any]:
+    return figure3.extract({'domain': 'taxi', 'seed': SEED})
+
+
+def figure_3(*found: Mapping[str, Any], domain: str = 'taxi') -> Section:
+    return figure3.present(
+        [({'domain': domain, 'seed': SEED + n}, x) for n, x in enumerate(found)]
+    )
+
+
+def test_extraction_is_shown_with_its_cost(extraction: dict[str, Any]) -> None:
+    assert {o['event'] for o in extraction['options']} >= {'pickup', 'dropoff'}
+    assert extraction['game_steps'] > 1_000_000
+    assert 0 < min(o['can_start'] for o in extraction['options']) < 1
+    row = figure_3(extraction).tables[2].rows[0]
+    assert (row['domain'], row['seed']) == ('Taxi', SEED)
+    assert row['options'] == len(extraction['options'])
+
+
+@pytest.mark.parametrize(('name', 'agrees'), [('go to cell 2,2', True), ('go to cell 0,0', False)])
+def test_the_cell_agrees_when_it_is_the_centre(
+    extraction: dict[str, Any], name: str, agrees: bool
+) -> None:
+    options = [{**o, 'name': o['name'] if o['event'] else name} for o in extraction['options']]
+    section = figure_3({**extraction, 'options': options})
+    assert marks(section)[1] is (Mark.AGREES if agrees else Mark.DIFFERS)
+
+
+def test_it_is_counted_how_often_each_option_of_the_paper_was_found(
+    extraction: dict[str, Any],
+) -> None:
+    fewer = {**extraction, 'options': [{**extraction['options'][0], 'name': 'pickup at R'}]}
+    section = figure_3(extraction, fewer)
+    rows = {row['option']: list(row.values())[1:] for row in section.tables[0].rows}
+    assert rows['pickup at R'] == ['yes', 2, 2]
+    assert rows['dropoff at Y'] == ['yes', 1, 2]
+    assert rows[figure3.CENTRE][0] == 'yes'
+    assert [name for name, row in rows.items() if row[0] == 'yes'] == list(figure3.PAPERS)
+    assert 'the rarest pickup or dropoff in 1' in section.comparisons[0].found
+
+
+def test_pacman_has_a_map_of_its_maze_and_is_not_compared() -> None:
+    option = {'cell': 3, 'name': 'go to cell 0,3', 'event': '', 'visits': 5}
+    option |= {'can_start': 0.5, 'reaches': 1.0}
+    cost = {'seconds': 1.0, 'game_steps': 9, 'episodes': 2, 'solved': 1.0}
+    places = len(make_domain('pacman').rules.maze.cells)  # type: ignore[attr-defined]
+    known = {'options': [option], 'visits': list(range(places)), **cost}
+    section = figure_3(known, domain='pacman')
+    assert not section.comparisons
+    (row,) = section.tables[0].rows
+    assert list(row.values()) == ['go to cell 0,3', None, 1, 1]
+    assert [text.get_text() for text in draw(section.pictures[0]).axes.texts] == ['1']
+
+
+def test_every_option_is_numbered_on_the_map(extraction: dict[str, Any]) -> None:
+    work = draw(figure_3(extraction).pictures[0])
+    numbers = ', '.join(text.get_text() for text in work.axes.texts).split(', ')
+    assert sorted(map(int, numbers)) == list(range(1, len(extraction['options']) + 1))
+
+
+# Figure 4.
+
+
+def test_trial_of_figure_4_has_the_mean_steps_of_its_learners() -> None:
+    trials = figure4.trials(Study(participants=1, seeds=2))
+    human = next(trial for trial in trials if trial.parameters['set'] == 'human')
+    found = figure4.learn_curve({**human.parameters, 'episodes': 5})
+    assert len(found['steps']) == 5
+    assert found['options'] == ['go to passenger and pickup', 'go to destination and dropoff']
+    assert all(2 <= steps <= figure4.LIMIT for steps in found['steps'])
+    assert figure4.learn_curve({**human.parameters, 'episodes': 5}) == found
+
+
+def test_every_action_set_has_as_many_trials() -> None:
+    trials = figure4.trials(Study(participants=3))
+    sets = [trial.parameters['set'] for trial in trials]
+    assert {name: sets.count(name) for name in figure4.SETS} == dict.fromkeys(figure4.SETS, 6)
+    assert len({trial.key for trial in trials}) == len(trials)
+
+
+def test_people_in_bags_of_another_domain_teach_nothing_here() -> None:
+    lesson = BagLesson('/bag', 'p1', 'avoid ghost', 'pacman', '{}', 'failures', 1, 'x')
+    sets = {trial.parameters['set'] for trial in figure4.trials(Study(bags=(lesson,)))}
+    assert sets == {'primitive', 'automatic', 'automatic + primitive'}
+
+
+def figure_4(level: Mapping[str, float]) -> Section:
+    """Return the section of episodes that all take as many steps, by action set."""
+    known = {'learning_rate': 0.1, 'explore': 0.1, 'options': ['a']}
+    return figure4.present(
+        [
+            (
+                trial.parameters,
+                {'steps': [level[trial.parameters['set']]] * paper.EPISODES, **known},
+            )
+            for trial in figure4.trials(Study(participants=2))
+            if trial.parameters['set'] in level
+        ]
+    )
+
+
+def test_human_options_that_learn_slower_do_not_agree() -> None:
+    faster = figure_4({'human': 10.0, 'automatic': 20.0})
+    slower = figure_4({'human': 30.0, 'automatic': 20.0})
+    assert marks(faster)[:2] == [Mark.AGREES] * 2
+    assert marks(slower)[:2] == [Mark.DIFFERS] * 2
+    assert 'human 1,200' in faster.comparisons[0].found
+
+
+def test_curves_of_figure_4_in_csv_are_those_that_are_drawn() -> None:
+    section = figure_4({'human': 10.0, 'automatic': 20.0})
+    drawn = {picture.name: picture for picture in section.pictures}
+    for line in draw(drawn['fig4-smdp']).axes.get_lines():
+        mine = [
+            row['mean']
+            for row in section.tables[1].rows
+            if (row['method'], row['action set']) == ('SMDP Q-learning', line.get_label())
+        ]
+        assert np.asarray(line.get_ydata()).tolist() == mine
+        assert len(mine) == 120
+
+
+def test_the_papers_axis_ends_where_it_ends_in_the_paper_and_has_no_mixtures() -> None:
+    section = figure_4({'human': 10.0, 'primitive': 900.0, 'human + primitive': 5.0})
+    drawn = {picture.name: picture for picture in section.pictures}
+    axes = draw(drawn['fig4-smdp-paper']).axes
+    assert axes.get_ylim() == (0, 300)
+    assert [line.get_label() for line in axes.get_lines()] == ['primitive', 'human']
+
+
+def test_mixtures_are_shown_and_not_compared() -> None:
+    section = figure_4({'human': 10.0, 'automatic': 20.0, 'human + primitive': 30.0})
+    (shown,) = about(section, 'options and primitive actions')
+    assert shown.mark is Mark.NOT_COMPARABLE
+    assert 'SMDP Q-learning 30 in the first 10, 30 in the last 10' in shown.found
