@@ -13,8 +13,8 @@ from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.learn import learn_option, make_dataset
-from humanopts_learner.trees.encoding import encode_rows
 import numpy as np
 
 from benchmarks.measured import compare, Comparison, in_turns, OnMeasured
@@ -89,7 +89,7 @@ def _rows(shown: Sequence[Demonstration], domain: Taxi, repeats: int) -> list[Co
     from sklearn.tree import DecisionTreeClassifier
 
     data = make_dataset(shown, domain)
-    X, y = encode_rows(data.columns, data.policy.rows), data.policy.labels
+    X, y = encode_rows(data.encoding, data.policy.rows), data.policy.labels
     option = learn_option(shown, domain, SEED)
     works = {
         'three trees fitted': partial(learn_option, shown, domain, SEED),

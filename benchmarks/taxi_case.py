@@ -18,11 +18,9 @@ from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.tabular import read_only
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree, Tree
 from humanopts_learner.options.option import LearnedOption, MEMBERSHIP, OptionTables
 from humanopts_learner.planning.action_sets import TabledOption
-from humanopts_learner.trees.encoding import encode_rows, encoding
-from humanopts_learner.trees.fitting import fit_tree
-from humanopts_learner.trees.tree import Tree
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,13 +83,13 @@ class TaxiCase:
         return learned, time.perf_counter() - began
 
     def _learn(self, option: TabularReferenceOption) -> LearnedOption:
-        domain, columns = self.domain, encoding(self.domain, option.features)
+        domain, encoding = self.domain, feature_encoding(self.domain, option.features)
 
         def fit(
             where: NDArray[np.bool_], labels: NDArray[np.integer], classes: tuple[int, ...]
         ) -> Tree:
             rows = domain.feature_table()[where]
-            return fit_tree(encode_rows(columns, rows), labels[where], classes, seed=0)
+            return fit_tree(encode_rows(encoding, rows), labels[where], classes, seed=0)
 
         actions = tuple(action.name for action in domain.actions)
         policy = option.optimal.argmax(axis=1)
@@ -102,7 +100,7 @@ class TaxiCase:
             domain_parameters=parameters_json(domain),
             actions=actions,
             features=option.features,
-            columns=columns,
+            encoding=encoding,
             policy=fit(option.initiation, policy, tuple(range(len(actions)))),
             initiation=fit(~domain.over(), option.initiation.astype(np.intp), MEMBERSHIP),
             termination=fit(option.judged, option.termination.astype(np.intp), MEMBERSHIP),

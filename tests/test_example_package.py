@@ -7,7 +7,7 @@ import tomllib
 
 from humanopts_env.domains.base import is_enumerable
 from humanopts_env.domains.registry import make_domain, reference_options
-from humanopts_learner.options.ready import ready_options
+from humanopts_learner.options.option import options_from_references
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.plan import make_plan
 import pytest
@@ -49,7 +49,7 @@ def test_it_is_planned_in_by_its_name(size: int) -> None:
     """Its two options are enough to water everything, and never better than all actions."""
     domain = make_domain('greenhouse', {'size': size})
     assert is_enumerable(domain)
-    options = ready_options(domain, reference_options(domain).values())
+    options = options_from_references(domain, reference_options(domain).values())
     starts = domain.start_states()
     human, primitive = (make_plan(domain, name, options) for name in ('human', 'primitive'))
     returns = play(human, starts)

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.options.ready import ready_options
+from humanopts_learner.options.option import LearnedOption, options_from_references
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.interruption import action_table, as_executed
 from humanopts_learner.planning.plan import Plan
@@ -31,7 +30,7 @@ def touring() -> list[LearnedOption]:
         for cell, way in WAYS.items()
     ]
     known = reference_options(TAXI)
-    ready = ready_options(TAXI, [known[USE], known[DELIVER]])
+    ready = options_from_references(TAXI, [known[USE], known[DELIVER]])
     return [learn_option(demos, TAXI, 0), *(replace(o, participant='p1') for o in ready)]
 
 

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_learner.append_only_log import AppendOnlyLog
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
     DemonstrationError,
     group_by_option,
 )
-from humanopts_learner.journal import Journal
 from humanopts_learner.options.criteria import judge, Judgement, Thresholds
 from humanopts_learner.options.files import option_to_json, remove_option, save_option
 from humanopts_learner.options.learn import learn_option, NotLearnableError
@@ -52,7 +52,7 @@ class OptionTrainer:
         self._progress: dict[tuple[str, str], OptionProgress] = {}
         try:
             directory.mkdir(parents=True, exist_ok=True)
-            self._journal = Journal(directory / DATA_SET)
+            self._journal = AppendOnlyLog(directory / DATA_SET)
         except OSError as error:
             raise CourseError(f'cannot use the folder {directory}: {error.strerror}') from error
         self._load()

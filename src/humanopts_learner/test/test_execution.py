@@ -23,10 +23,9 @@ from humanopts_learner.library import (
     PrimitiveOption,
     UnknownOptionError,
 )
+from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.trees.encoding import encode_rows, encoding
-from humanopts_learner.trees.fitting import fit_tree
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -46,8 +45,8 @@ def option(
     max_steps: int = 50,
 ) -> LearnedOption:
     """Return an option that starts where nobody is aboard; its trees say what is given, (S,)."""
-    columns = encoding(domain, [feature.name for feature in domain.features])
-    X = encode_rows(columns, domain.feature_table())
+    encoding = feature_encoding(domain, [feature.name for feature in domain.features])
+    X = encode_rows(encoding, domain.feature_table())
     column = [feature.name for feature in domain.features].index('passenger_in_taxi')
     waits = domain.feature_table()[:, column] == 0
 
@@ -61,7 +60,7 @@ def option(
         domain_parameters=parameters_json(domain),
         actions=tuple(a.name for a in domain.actions),
         features=('taxi_row',),
-        columns=columns,
+        encoding=encoding,
         policy=tree(action, tuple(range(6))),
         initiation=tree(waits, (0, 1)),
         termination=tree(ends, (0, 1)),

@@ -12,11 +12,14 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
+from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption, MEMBERSHIP, OptionError
-from humanopts_learner.options.ready import ready_options
-from humanopts_learner.trees.encoding import encode_rows, encoding
-from humanopts_learner.trees.fitting import fit_tree
+from humanopts_learner.options.option import (
+    LearnedOption,
+    MEMBERSHIP,
+    OptionError,
+    options_from_references,
+)
 import numpy as np
 import pytest
 
@@ -28,8 +31,8 @@ def fitted(domain: Domain[Any], reference: ReferenceOption, count: int = 3000) -
     """Return an option whose trees are fitted to what the reference says of sampled states."""
     states = domain.sample_states(generator(9, 'fitted'), count)
     said = judge_states(reference, states, len(domain.actions))
-    columns = encoding(domain, reference.features)
-    X = encode_rows(columns, np.array([domain.feature_values(state) for state in states]))
+    encoding = feature_encoding(domain, reference.features)
+    X = encode_rows(encoding, np.array([domain.feature_values(state) for state in states]))
     acts = said.initiation
     return LearnedOption(
         name=reference.name,
@@ -38,7 +41,7 @@ def fitted(domain: Domain[Any], reference: ReferenceOption, count: int = 3000) -
         domain_parameters=parameters_json(domain),
         actions=tuple(action.name for action in domain.actions),
         features=tuple(reference.features),
-        columns=columns,
+        encoding=encoding,
         policy=fit_tree(X[acts], said.optimal[acts].argmax(axis=1), range(4), 0),
         initiation=fit_tree(X, said.initiation.astype(np.intp), MEMBERSHIP, 0),
         termination=fit_tree(X, said.termination.astype(np.intp), MEMBERSHIP, 0),
@@ -72,9 +75,9 @@ def test_where_an_option_ends_is_judged_only_where_it_can_be() -> None:
     """
     name = 'north-west room to north doorway'
     reference = reference_options(ROOMS)[name]
-    (option,) = ready_options(ROOMS, [reference])
+    (option,) = options_from_references(ROOMS, [reference])
     assert classification_accuracy(option, ROOMS, reference) == (1.0, 1.0)
-    X = encode_rows(option.columns, ROOMS.feature_table())
+    X = encode_rows(option.encoding, ROOMS.feature_table())
     endless = replace(
         option, termination=fit_tree(X, np.zeros(len(X), dtype=np.intp), MEMBERSHIP, 0)
     )

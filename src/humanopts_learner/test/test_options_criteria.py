@@ -19,7 +19,7 @@ from humanopts_learner.options.criteria import (
     TERMINATION,
     Thresholds,
 )
-from humanopts_learner.options.folds import fold_of
+from humanopts_learner.options.cross_validation import fold_of
 from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -106,7 +106,7 @@ def test_only_chosen_features_are_learned_from_and_the_newest_choice_counts(
     ann.features = ('passenger_in_taxi', 'taxi_row')
     option = learn_option([first, ann.show(NEAR)], TAXI, 0)
     assert option.features == ('taxi_row', 'passenger_in_taxi')  # the domain's order
-    assert {column.feature for column in option.columns} == set(option.features)
+    assert {encoded.feature for encoded in option.encoding} == set(option.features)
 
 
 def test_order_and_repeats_of_demonstrations_do_not_matter(fetching: Shown) -> None:
@@ -216,7 +216,7 @@ def test_trees_that_do_not_fit_make_no_option(fetching: Shown) -> None:
     for change, message in [
         ({'policy': option.initiation}, 'among its actions'),
         ({'initiation': option.policy}, 'not yes or no'),
-        ({'columns': option.columns[:2]}, 'other columns'),
+        ({'encoding': option.encoding[:2]}, 'other features'),
         ({'max_steps': 0}, 'max_steps 0'),
     ]:
         with pytest.raises(OptionError, match=message):

@@ -8,8 +8,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.options.ready import ready_options
+from humanopts_learner.options.option import LearnedOption, options_from_references
 from humanopts_learner.planning.any_domain import (
     check_plan_request,
     judge_plan,
@@ -39,7 +38,7 @@ import pytest
 
 ROOMS, YARD = Rooms(), PacMan('yard', max_steps=60)
 BOTH: list[Any] = [ROOMS, YARD]
-OPTIONS = ready_options(ROOMS, reference_options(ROOMS).values())
+OPTIONS = options_from_references(ROOMS, reference_options(ROOMS).values())
 STEPS, SEED = 4_000, 3
 
 

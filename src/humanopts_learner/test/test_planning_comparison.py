@@ -11,7 +11,7 @@ from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options as rooms_references
 from humanopts_env.seeding import generator
-from humanopts_learner.options.ready import ready_options
+from humanopts_learner.options.option import options_from_references
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.errors import ForeignOptionError, PlanCanceled, PlanError
 from humanopts_learner.planning.sampled.comparison import (
@@ -177,7 +177,7 @@ def test_only_a_domain_with_a_rule_plays_by_it(domain: PacMan) -> None:
 
 
 def test_options_go_along_to_other_parameters_but_not_to_other_features() -> None:
-    option = ready_options(Rooms(), rooms_references(Rooms()).values())[0]
+    option = options_from_references(Rooms(), rooms_references(Rooms()).values())[0]
     other = Rooms(goal='G2')
     assert option.domain_parameters != parameters_json(other)
     carried_over(option, other).check_domain(other)

@@ -12,8 +12,7 @@ from humanopts_env.domains.taxi_reference import reference_options as taxi_optio
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import OptionRun
 from humanopts_learner.library import OptionLibrary
-from humanopts_learner.options.option import LearnedOption, Mode
-from humanopts_learner.options.ready import ready_options
+from humanopts_learner.options.option import LearnedOption, Mode, options_from_references
 from humanopts_learner.planning.arbiter import Arbiter, make_arbiter
 from humanopts_learner.planning.arbitration import Execution, OptionValues
 from humanopts_learner.planning.errors import ModelError
@@ -61,8 +60,8 @@ class BatchTaxi(Taxi):
 def options_of(domain: Any) -> list[LearnedOption]:
     """Return ready options of Taxi or the rooms."""
     if isinstance(domain, Rooms):
-        return ready_options(domain, rooms_options(domain).values())
-    return ready_options(domain, [taxi_options(domain)[name] for name in TAXI_OPTIONS])
+        return options_from_references(domain, rooms_options(domain).values())
+    return options_from_references(domain, [taxi_options(domain)[name] for name in TAXI_OPTIONS])
 
 
 TAXI, BATCH_TAXI, ROOMS = Taxi(), BatchTaxi(), Rooms('G2')

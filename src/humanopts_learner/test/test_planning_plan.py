@@ -10,6 +10,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
 from humanopts_learner.options.option import LearnedOption, option_tables, OptionTables
 from humanopts_learner.planning.action_sets import TabledOption
 from humanopts_learner.planning.errors import (
@@ -25,8 +26,6 @@ from humanopts_learner.planning.errors import (
 )
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.plan import make_plan, Plan, plan_with_tables
-from humanopts_learner.trees.encoding import encode_rows, encoding
-from humanopts_learner.trees.fitting import fit_tree
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -49,8 +48,8 @@ def learned(name: str, domain: Taxi = TAXI) -> LearnedOption:
     """Return a reference option as trees that say the same in every state."""
     option = reference_options(domain)[name]
     features = tuple(feature.name for feature in domain.features)
-    columns = encoding(domain, features)
-    X = encode_rows(columns, domain.feature_table())
+    encoding = feature_encoding(domain, features)
+    X = encode_rows(encoding, domain.feature_table())
     return LearnedOption(
         name=name,
         participant='someone',
@@ -58,7 +57,7 @@ def learned(name: str, domain: Taxi = TAXI) -> LearnedOption:
         domain_parameters=parameters_json(domain),
         actions=tuple(action.name for action in domain.actions),
         features=features,
-        columns=columns,
+        encoding=encoding,
         policy=fit_tree(X, option.optimal.argmax(axis=1), range(len(domain.actions)), 0),
         initiation=fit_tree(X, option.initiation.astype(int), (0, 1), 0),
         termination=fit_tree(X, option.termination.astype(int), (0, 1), 0),

@@ -6,8 +6,7 @@ from humanopts_env.domains.chance import draw_outcomes, outcome_limits
 from humanopts_env.domains.rooms import Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import LearnedOption, option_tables
-from humanopts_learner.options.ready import ready_options
+from humanopts_learner.options.option import LearnedOption, option_tables, options_from_references
 from humanopts_learner.planning.action_sets import build_model, TabledOption
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.multi_time_models import SparseMultiTimeModel
@@ -24,7 +23,7 @@ ROOMS = Rooms()
 
 def hallway_options(domain: Rooms) -> list[LearnedOption]:
     """Return the ready set."""
-    return ready_options(domain, reference_options(domain).values())
+    return options_from_references(domain, reference_options(domain).values())
 
 
 @cache

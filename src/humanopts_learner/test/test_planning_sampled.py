@@ -9,8 +9,7 @@ from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.options.ready import ready_options
+from humanopts_learner.options.option import LearnedOption, options_from_references
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
 from humanopts_learner.planning.evaluate import Interval
@@ -49,7 +48,7 @@ class BatchRooms(Rooms):
 
 def rooms_options(domain: Rooms) -> list[LearnedOption]:
     """Return the eight hallway options."""
-    return ready_options(domain, reference_options(domain).values())
+    return options_from_references(domain, reference_options(domain).values())
 
 
 def rooms_plan(action_set: str, steps: int = 200_000, **kwargs: Any) -> SampledPlan:

@@ -5,8 +5,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.search_space import SearchSpace
 from humanopts_learner.automatic.extract import AutomaticOption, AutomaticOptions
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.options.ready import exact_option
+from humanopts_learner.options.option import LearnedOption, option_from_tables
 from humanopts_learner.planning.action_sets import MACHINE
 from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.qlearning.world import Ints
@@ -54,7 +53,7 @@ def _learned(
     tables, rows, going = option.tables, space.rows, space.open
     said = 2 * np.where(tables.initiation, 1 + tables.action, 0) + tables.termination
     needed = _needed(rows[going], list(space.columns), said[going])
-    return exact_option(
+    return option_from_tables(
         domain,
         option.name,
         participant,

@@ -1,7 +1,7 @@
 """
 Situations that the chosen features cannot tell apart, and the feature that could.
 
-Rows that are alike in the chosen features but carry different labels put a bound on what any
+Examples that are alike in the chosen features but carry different labels put a bound on what any
 policy, initiation set or termination condition over these features can learn.
 """
 
@@ -29,7 +29,7 @@ class Conflicts:
 
 
 @dataclass(frozen=True)
-class _Clash:
+class _Conflict:
     """One situation with different labels."""
 
     rows: NDArray[np.int32]  # (N, F) its examples, alike in the chosen features
@@ -37,9 +37,9 @@ class _Clash:
     text: str
     structural: bool  # False: it may be a slip
 
-    def told_apart_by(self, column: int) -> bool:
+    def told_apart_by(self, index: int) -> bool:
         """Tell whether no two examples alike in one more feature have different labels."""
-        pairs = set(zip(self.rows[:, column].tolist(), self.labels.tolist()))
+        pairs = set(zip(self.rows[:, index].tolist(), self.labels.tolist()))
         return len(pairs) == len({value for value, _ in pairs})
 
 
@@ -49,37 +49,37 @@ def find_conflicts(data: Dataset, domain: Domain[Any]) -> Conflicts:
 
     A feature is suggested when it tells apart more than half of the situations, slips aside.
     """
-    columns = sorted({column.index for column in data.columns})
+    chosen = sorted({encoded.index for encoded in data.encoding})
     actions = [action.name for action in domain.actions]
     parts: list[tuple[Examples, Callable[[int], str], bool]] = [
         (data.termination, lambda label: ('not the end', 'the end')[label], False),
         (data.initiation, lambda label: (NO_START, 'can start here')[label], False),
         (data.policy, lambda label: actions[label], True),
     ]
-    clashes = [
-        clash
+    found = [
+        conflict
         for examples, word, may_slip in parts
-        for clash in _clashes(examples, columns, domain, word, may_slip)
+        for conflict in _conflicts(examples, chosen, domain, word, may_slip)
     ]
-    clashes.sort(key=lambda clash: -len(clash.labels))
-    structural = [clash for clash in clashes if clash.structural]
-    others = [c for c in range(len(domain.features)) if c not in columns]
-    told = {c: sum(clash.told_apart_by(c) for clash in structural) for c in others}
-    best = max(told, key=lambda c: told[c], default=None)
+    found.sort(key=lambda conflict: -len(conflict.labels))
+    structural = [conflict for conflict in found if conflict.structural]
+    others = [index for index in range(len(domain.features)) if index not in chosen]
+    told = {i: sum(conflict.told_apart_by(i) for conflict in structural) for i in others}
+    best = max(told, key=lambda index: told[index], default=None)
     suggested = None
     if best is not None and 2 * told[best] > len(structural):
         suggested = domain.features[best].name
-    return Conflicts(tuple(clash.text for clash in clashes[:MOST_TEXTS]), suggested)
+    return Conflicts(tuple(conflict.text for conflict in found[:MOST_TEXTS]), suggested)
 
 
-def _clashes(
+def _conflicts(
     examples: Examples,
-    columns: Sequence[int],
+    chosen: Sequence[int],
     domain: Domain[Any],
     word: Callable[[int], str],
     may_slip: bool,
-) -> list[_Clash]:
-    _, group = np.unique(examples.rows[:, columns], axis=0, return_inverse=True)
+) -> list[_Conflict]:
+    _, group = np.unique(examples.rows[:, chosen], axis=0, return_inverse=True)
     pairs = np.unique(np.stack([group.ravel(), examples.labels]), axis=1)[0]
     found = []
     for number in np.flatnonzero(np.bincount(pairs) > 1):
@@ -87,14 +87,14 @@ def _clashes(
         rows, labels = examples.rows[alike], examples.labels[alike]
         counts = Counter(labels.tolist()).most_common()
         answers = ', '.join(f'{word(label)} ({count}x)' for label, count in counts)
-        text = f'{_situation(rows[0], columns, domain)}: {answers}'
-        found.append(_Clash(rows, labels, text, not may_slip or counts[1][1] > SLIP))
+        text = f'{_situation(rows[0], chosen, domain)}: {answers}'
+        found.append(_Conflict(rows, labels, text, not may_slip or counts[1][1] > SLIP))
     return found
 
 
-def _situation(row: NDArray[np.int32], columns: Sequence[int], domain: Domain[Any]) -> str:
-    features = [domain.features[column] for column in columns]
+def _situation(row: NDArray[np.int32], chosen: Sequence[int], domain: Domain[Any]) -> str:
+    features = [domain.features[index] for index in chosen]
     return ', '.join(
-        f'{feature.name.replace("_", " ")} {feature.values[row[column]]}'
-        for column, feature in zip(columns, features)
+        f'{feature.name.replace("_", " ")} {feature.values[row[index]]}'
+        for index, feature in zip(chosen, features)
     )

@@ -8,31 +8,28 @@ nothing, and the return is held out as well. Where chance plays a part, returns 
 shortfall counts as far as luck does not explain it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasTeachingDefaults
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.conflicts import find_conflicts
-from humanopts_learner.options.folds import fit_leave_fold_out, fold_of, FOLDS
-from humanopts_learner.options.learn import assemble, Dataset, Examples, fit_trees, make_dataset
-from humanopts_learner.options.option import LearnedOption, MEMBER, option_tables
-from humanopts_learner.options.rollout import (
-    follow,
-    is_certain,
-    Rollouts,
-    rollouts,
-    rollouts_of,
+from humanopts_learner.options.cross_validation import (
+    balanced_error,
+    fit_leave_fold_out,
+    fold_of,
+    FOLDS,
+    held_out_shortfall,
 )
+from humanopts_learner.options.learn import Dataset, fit_option, make_dataset
+from humanopts_learner.options.option import LearnedOption, MEMBER
+from humanopts_learner.options.rollout import rollouts
 import numpy as np
-from numpy.typing import NDArray
 
-LUCK = 1.645  # standard errors; chance alone makes a larger shortfall in 5 of 100 cases
 FEWEST = FOLDS  # trajectories without which nothing is measurable
-CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstration
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 
 
@@ -119,7 +116,7 @@ def judge(
     :raises NotLearnableError: as ``learn_option``.
     """
     data = make_dataset(demonstrations, domain)
-    option = option or assemble(data, fit_trees(data, domain, seed), domain)
+    option = option or fit_option(data, domain, seed)
     shown = np.array([demo.total_reward for demo in data.trajectories])
     starts = [domain.decode(demo.states[0]) for demo in data.trajectories]
     uuids = [demo.uuid for demo in data.trajectories]
@@ -167,9 +164,9 @@ def _criteria(
         initiation = [option.can_start for option in options]
         termination = [option.ends for option in options]
         values = (
-            _shortfall(data, domain, options, folds, seed),
-            _balanced_error(data.initiation, initiation, folds, starts_anywhere(data)),
-            _balanced_error(data.termination, termination, folds),
+            held_out_shortfall(data, domain, options, folds, seed),
+            balanced_error(data.initiation, initiation, folds, starts_anywhere(data)),
+            balanced_error(data.termination, termination, folds),
         )
     limits = thresholds.return_delta, thresholds.initiation_error, thresholds.termination_error
     names = RETURN, INITIATION, TERMINATION
@@ -180,76 +177,3 @@ def starts_anywhere(data: Dataset) -> bool:
     """Tell whether the person said, whenever asked, that it could start again where it ended."""
     asked = [demo.can_start_at_end for demo in data.trajectories if not demo.terminated]
     return bool(asked) and all(asked) and bool((data.initiation.labels == MEMBER).all())
-
-
-def _shortfall(
-    data: Dataset,
-    domain: Domain[Any],
-    options: Sequence[LearnedOption],
-    folds: NDArray[np.int64],
-    seed: int,
-) -> float:
-    """
-    Return the mean of demonstrated return - return of the policy that did not see it.
-
-    A run that ends with the task over where the demonstration did not, or the other way round, has
-    come to another end: the steps that it has left then cost what the demonstration's worst did.
-    In domains with chance, ``LUCK`` standard errors of the mean are taken off.
-    """
-    demos = data.trajectories
-    fold = folds[[demo.kind is Kind.TRAJECTORY for demo in data.demonstrations]]
-    limit = np.array([min(options[0].max_steps, CUT_OFF * len(demo.actions)) for demo in demos])
-    runs = _held_out_runs(demos, domain, [options[f] for f in fold.tolist()], limit, seed)
-    other_end = runs.reached & (runs.over != np.array([demo.terminated for demo in demos]))
-    worst = np.array([min(0.0, *demo.rewards) for demo in demos])
-    returns = runs.total_reward + other_end * (limit - runs.steps) * worst
-    missing = [demo.total_reward for demo in demos] - returns
-    luck = 0.0 if is_certain(domain) else LUCK * missing.std(ddof=1) / math.sqrt(len(missing))
-    return float(missing.mean() - luck)
-
-
-def _held_out_runs(
-    demos: Sequence[Demonstration],
-    domain: Domain[Any],
-    options: Sequence[LearnedOption],
-    limit: NDArray[np.int64],
-    seed: int,
-) -> Rollouts:
-    """Run each option from the start of its demonstration."""
-    starts = [domain.decode(demo.states[0]) for demo in demos]
-    if is_certain(domain):
-        several = {id(option): option_tables(option, domain) for option in options}
-        which = {key: number for number, key in enumerate(several)}
-        return follow(
-            domain,
-            np.stack([tables.action for tables in several.values()]),
-            np.stack([tables.termination for tables in several.values()]),
-            np.array([which[id(option)] for option in options]),
-            np.array([domain.index(state) for state in starts]),
-            limit,
-        )
-    keys = [f'held-out {demo.uuid}' for demo in demos]
-    return rollouts_of(options, domain, starts, seed, keys, limit)
-
-
-def _balanced_error(
-    examples: Examples,
-    predict: Sequence[Callable[..., NDArray[np.bool_]]],
-    folds: NDArray[np.int64],
-    members_only: bool = False,
-) -> float | None:
-    """
-    Return the mean of the error among members and among others; None: one class only.
-
-    :param members_only: there are no others to be shown; the error is that among members.
-    """
-    said = np.empty(len(examples.labels), dtype=np.bool_)
-    of_fold = folds[examples.source]
-    for fold, answer in enumerate(predict):
-        said[of_fold == fold] = answer(examples.rows[of_fold == fold])
-    member = examples.labels == MEMBER
-    if members_only:
-        return float((~said).mean())
-    if member.all() or not member.any():
-        return None
-    return float(((~said[member]).mean() + said[~member].mean()) / 2)

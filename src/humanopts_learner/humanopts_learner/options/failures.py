@@ -7,11 +7,11 @@ from typing import Any
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.tabular import distance_to, reachable
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_learner.options.folds import fit_leave_fold_out, fold_of
+from humanopts_learner.options.cross_validation import fit_leave_fold_out, fold_of
+from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.learn import make_dataset
 from humanopts_learner.options.option import LearnedOption, option_tables
 from humanopts_learner.options.rollout import follow, is_certain, rollouts
-from humanopts_learner.trees.encoding import encode_rows
 import numpy as np
 from numpy.typing import NDArray
 
@@ -110,7 +110,7 @@ def in_doubt(
 
 
 def _encoded(option: LearnedOption, parts: Sequence[NDArray[np.int32]]) -> NDArray[np.float32]:
-    return encode_rows(option.columns, np.concatenate(parts))
+    return encode_rows(option.encoding, np.concatenate(parts))
 
 
 @dataclass(frozen=True)
@@ -196,9 +196,9 @@ def _shown(
     demonstrations: Sequence[Demonstration],
 ) -> tuple[NDArray[np.int64], Mask]:
     """Return how many demonstrations show each state, and which states are ends shown, (S,)."""
-    columns = sorted({column.index for column in option.columns})
-    table = domain.feature_table()[:, columns]
-    rows = np.concatenate([demo.feature_rows[:, columns] for demo in demonstrations])
+    chosen = sorted({encoded.index for encoded in option.encoding})
+    table = domain.feature_table()[:, chosen]
+    rows = np.concatenate([demo.feature_rows[:, chosen] for demo in demonstrations])
     lengths = [len(demo.states) for demo in demonstrations]
     source = np.repeat(np.arange(len(demonstrations)), lengths)
     _, inverse = np.unique(np.concatenate([table, rows]), axis=0, return_inverse=True)

@@ -9,9 +9,8 @@ import re
 from typing import Any
 
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError
+from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_learner.trees.encoding import Column
-from humanopts_learner.trees.tree import Tree, TreeError
 
 FORMAT = 'humanopts-option'
 VERSION = 1
@@ -32,7 +31,6 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
 
     :param demonstrations: those that it was learned from, or none.
     """
-    columns = [column.to_dict() for column in option.columns]
     trees = {part: getattr(option, part).to_dict() for part in TREES}
     data = {
         'format': FORMAT,
@@ -41,7 +39,7 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
         'domain_parameters': json.loads(option.domain_parameters),
         **{key: getattr(option, key) for key in COUNTS},
         **{key: list(getattr(option, key)) for key in NAMES},
-        'columns': columns,
+        'columns': [encoded.to_dict() for encoded in option.encoding],
         **trees,
         'demonstrations': [json.loads(demo.to_json()) for demo in demonstrations],
     }
@@ -60,7 +58,7 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
         values: dict[str, Any] = {key: data[key] for key in (*TEXTS, *COUNTS)}
         values |= {key: tuple(data[key]) for key in NAMES}
         values |= {part: Tree.from_dict(data[part]) for part in TREES}
-        values['columns'] = tuple(Column.from_dict(column) for column in data['columns'])
+        values['encoding'] = tuple(map(EncodedFeature.from_dict, data['columns']))
         values['domain_parameters'] = json.dumps(data['domain_parameters'], sort_keys=True)
         option = LearnedOption(**values)
         demonstrations = [Demonstration.from_fields(demo) for demo in data['demonstrations']]
@@ -74,8 +72,8 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
         raise OptionFileError(str(error)) from error
     except RecursionError:
         raise OptionFileError('its values are nested too deeply') from None
-    if tuple(dict.fromkeys(column.feature for column in option.columns)) != option.features:
-        raise OptionFileError('its tree columns are not of its features')
+    if tuple(dict.fromkeys(encoded.feature for encoded in option.encoding)) != option.features:
+        raise OptionFileError('its encoded features are not those that it names')
     if demonstrations and {demo.uuid for demo in demonstrations} != set(option.uuids):
         raise OptionFileError('its demonstrations are not those that it was learned from')
     return option, demonstrations

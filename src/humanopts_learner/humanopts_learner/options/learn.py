@@ -8,17 +8,21 @@ start (Sutton, Precup and Singh 1999, section 2), and negative in the other stat
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from humanopts_env.domains.base import action_index, Domain
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, group_by_option, Kind
+from humanopts_learner.options.decision_tree import (
+    encode_rows,
+    EncodedFeature,
+    feature_encoding,
+    fit_tree,
+    Tree,
+)
 from humanopts_learner.options.option import LearnedOption, MEMBERSHIP
-from humanopts_learner.trees.encoding import Column, encode_rows, encoding
-from humanopts_learner.trees.fitting import fit_tree
-from humanopts_learner.trees.tree import Tree
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,7 +53,7 @@ class Dataset:
 
     demonstrations: tuple[Demonstration, ...]  # (D,) by number, each once
     features: tuple[str, ...]  # chosen with the newest demonstration
-    columns: tuple[Column, ...]
+    encoding: tuple[EncodedFeature, ...]  # of the chosen features
     policy: Examples
     initiation: Examples
     termination: Examples
@@ -60,18 +64,13 @@ class Dataset:
         return [demo for demo in self.demonstrations if demo.kind is Kind.TRAJECTORY]
 
     def of(self, chosen: NDArray[np.bool_]) -> 'Dataset':
-        """Return the data set with the examples of chosen demonstrations (D,) only."""
-        parts = [part.of(chosen) for part in (self.policy, self.initiation, self.termination)]
-        return Dataset(self.demonstrations, self.features, self.columns, *parts)
-
-
-@dataclass(frozen=True)
-class Trees:
-    """The three parts of an option."""
-
-    policy: Tree
-    initiation: Tree
-    termination: Tree
+        """Return the data set with the examples of chosen demonstrations (D,) alone."""
+        return replace(
+            self,
+            policy=self.policy.of(chosen),
+            initiation=self.initiation.of(chosen),
+            termination=self.termination.of(chosen),
+        )
 
 
 def make_dataset(demonstrations: Sequence[Demonstration], domain: Domain[Any]) -> Dataset:
@@ -95,59 +94,21 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: Domain[Any]) -
         )
     chosen = set(demos[-1].chosen_features)
     features = tuple(f.name for f in domain.features if f.name in chosen)
-    columns = encoding(domain, demos[-1].chosen_features)
+    encoding = feature_encoding(domain, demos[-1].chosen_features)
     again = any(demo.can_start_at_end for demo in demos)
-    picked = sorted({column.index for column in columns})
+    picked = sorted({encoded.index for encoded in encoding})
     ends = {
-        tuple(demo.features[-1][column] for column in picked)
+        tuple(demo.features[-1][index] for index in picked)
         for demo in demos
         if demo.kind is Kind.TRAJECTORY
     }
     return Dataset(
         tuple(demos),
         features,
-        columns,
+        encoding,
         _examples(demos, [_policy_labels(demo, domain) for demo in demos]),
         _examples(demos, [_initiation_labels(demo, again) for demo in demos]),
         _examples(demos, [_termination_labels(demo, picked, ends) for demo in demos]),
-    )
-
-
-def fit_trees(data: Dataset, domain: Domain[Any], seed: int) -> Trees:
-    """Fit the three trees to a data set that has at least one trajectory."""
-    return Trees(
-        _fit(data, data.policy, range(len(domain.actions)), seed),
-        _fit(data, data.initiation, MEMBERSHIP, seed),
-        _fit(data, data.termination, MEMBERSHIP, seed),
-    )
-
-
-def _fit(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -> Tree:
-    """Fit one of the three trees to its examples; ties are broken alike for one option."""
-    demo = data.demonstrations[0]
-    rng = generator(seed, 'tree', demo.participant, demo.option_name)
-    X = encode_rows(data.columns, examples.rows)
-    return fit_tree(X, examples.labels, classes, int(rng.integers(2**31)))
-
-
-def assemble(data: Dataset, trees: Trees, domain: Domain[Any]) -> LearnedOption:
-    """Return the option that has these trees."""
-    first, trajectories = data.demonstrations[0], len(data.trajectories)
-    return LearnedOption(
-        name=first.option_name,
-        participant=first.participant,
-        domain=domain.name,
-        domain_parameters=parameters_json(domain),
-        actions=tuple(action.name for action in domain.actions),
-        features=data.features,
-        columns=data.columns,
-        policy=trees.policy,
-        initiation=trees.initiation,
-        termination=trees.termination,
-        n_demonstrations=trajectories,
-        n_not_here=len(data.demonstrations) - trajectories,
-        max_steps=domain.max_steps or MAX_STEPS,
-        uuids=tuple(demo.uuid for demo in data.demonstrations),
     )
 
 
@@ -160,8 +121,44 @@ def learn_option(
     :param demonstrations: of one participant and option, checked.
     :raises NotLearnableError: there is no trajectory among them, or they are of several options.
     """
-    data = make_dataset(demonstrations, domain)
-    return assemble(data, fit_trees(data, domain, seed), domain)
+    return fit_option(make_dataset(demonstrations, domain), domain, seed)
+
+
+def fit_option(
+    data: Dataset, domain: Domain[Any], seed: int, used: NDArray[np.bool_] | None = None
+) -> LearnedOption:
+    """
+    Fit the three trees to the examples of a data set.
+
+    :param used: (D,) the demonstrations whose examples are used, a trajectory among them; None:
+        all. The option is said to be learned from all of them.
+    """
+    examples = data if used is None else data.of(used)
+    first, trajectories = data.demonstrations[0], len(data.trajectories)
+    return LearnedOption(
+        name=first.option_name,
+        participant=first.participant,
+        domain=domain.name,
+        domain_parameters=parameters_json(domain),
+        actions=tuple(action.name for action in domain.actions),
+        features=data.features,
+        encoding=data.encoding,
+        policy=_fit(data, examples.policy, range(len(domain.actions)), seed),
+        initiation=_fit(data, examples.initiation, MEMBERSHIP, seed),
+        termination=_fit(data, examples.termination, MEMBERSHIP, seed),
+        n_demonstrations=trajectories,
+        n_not_here=len(data.demonstrations) - trajectories,
+        max_steps=domain.max_steps or MAX_STEPS,
+        uuids=tuple(demo.uuid for demo in data.demonstrations),
+    )
+
+
+def _fit(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -> Tree:
+    """Fit one of the three trees to its examples; ties are broken alike for one option."""
+    demo = data.demonstrations[0]
+    rng = generator(seed, 'tree', demo.participant, demo.option_name)
+    X = encode_rows(data.encoding, examples.rows)
+    return fit_tree(X, examples.labels, classes, int(rng.integers(2**31)))
 
 
 def _examples(
@@ -200,9 +197,9 @@ def _termination_labels(
     Whether an option ends is asked only after a step, so a start is no example against an end
     that looks the same.
 
-    :param picked: columns of the chosen features.
+    :param picked: indices of the chosen features.
     :param ends: the values of these in which demonstrations ended.
     """
     labels = [0] * len(demo.actions) + [1]
-    first = int(tuple(demo.features[0][column] for column in picked) in ends and len(labels) > 1)
+    first = int(tuple(demo.features[0][index] for index in picked) in ends and len(labels) > 1)
     return demo.feature_rows[first:], labels[first:]

@@ -1,20 +1,29 @@
 """A learned option: its policy, initiation set and termination condition as decision trees."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain
+from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOption
 from humanopts_env.domains.registry import parameters_json
-from humanopts_learner.trees.encoding import Column, encode_rows, encoding
-from humanopts_learner.trees.tree import Tree
+from humanopts_learner.options.decision_tree import (
+    encode_rows,
+    EncodedFeature,
+    feature_encoding,
+    fit_tree,
+    Tree,
+)
 import numpy as np
 from numpy.typing import NDArray
 
 HALF = 0.5  # from this probability on a state belongs to I, and the option ends
 MEMBER = 1  # class of I and beta
 MEMBERSHIP = (0, MEMBER)
+REFERENCE = 'reference'  # participant of options that are made from reference options
+REFERENCE_MAX_STEPS = 200
+Known = tuple[NDArray[np.bool_], NDArray[Any]]  # (S,) for which states, and the values
 
 
 class OptionError(ValueError):
@@ -43,7 +52,7 @@ class LearnedOption:
     domain_parameters: str  # JSON object, keys sorted
     actions: tuple[str, ...]  # what the classes of the policy index
     features: tuple[str, ...]  # chosen, in the domain's order
-    columns: tuple[Column, ...]  # what the columns of the trees are
+    encoding: tuple[EncodedFeature, ...]  # of these features, for the trees
     policy: Tree
     initiation: Tree
     termination: Tree
@@ -53,13 +62,13 @@ class LearnedOption:
     uuids: tuple[str, ...]  # demonstrations and "not here" answers that it was learned from
 
     def __post_init__(self) -> None:
-        """Check that the trees fit the actions and the columns."""
+        """Check that the trees fit the actions and the features."""
         if self.policy.classes != tuple(range(len(self.actions))):
             raise OptionError(f'the policy of {self.name!r} does not choose among its actions')
         trees = {'policy': self.policy, 'I': self.initiation, 'beta': self.termination}
         for part, tree in trees.items():
-            if tree.n_columns != len(self.columns):
-                raise OptionError(f'the tree of {part} of {self.name!r} has other columns')
+            if tree.n_features != len(self.encoding):
+                raise OptionError(f'the tree of {part} of {self.name!r} has other features')
             if part != 'policy' and tree.classes != MEMBERSHIP:
                 raise OptionError(f'the tree of {part} of {self.name!r} is not yes or no')
         if self.max_steps < 1:
@@ -77,30 +86,30 @@ class LearnedOption:
                 f'game is {domain.name} {parameters_json(domain)}'
             )
         try:
-            columns = encoding(domain, [column.feature for column in self.columns])
+            encoding = feature_encoding(domain, [encoded.feature for encoded in self.encoding])
         except DomainError as error:
             raise OptionError(f'{self.name!r} cannot be used: {error}') from error
         names = tuple(action.name for action in domain.actions)
-        if self.columns != columns or self.actions != names:
+        if self.encoding != encoding or self.actions != names:
             raise OptionError(
                 f'the features or actions of {self.name!r} are not those of the game'
             )
 
     def action_probabilities(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return (N, A): pi of every action in each of the N states."""
-        return self.policy.probabilities(encode_rows(self.columns, rows))
+        return self.policy.probabilities(encode_rows(self.encoding, rows))
 
     def initiation_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return (N,): the share of members of I among examples like each state."""
-        return self.initiation.share_of(MEMBER, encode_rows(self.columns, rows))
+        return self.initiation.probability_of(MEMBER, encode_rows(self.encoding, rows))
 
     def termination_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return (N,): beta of each state."""
-        return self.termination.share_of(MEMBER, encode_rows(self.columns, rows))
+        return self.termination.probability_of(MEMBER, encode_rows(self.encoding, rows))
 
     def greedy_action(self, rows: NDArray[np.int32]) -> NDArray[np.intp]:
         """Return (N,): the likeliest action, the lowest index among equals."""
-        return self.policy.likeliest(encode_rows(self.columns, rows))
+        return self.policy.likeliest(encode_rows(self.encoding, rows))
 
     def can_start(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Return (N,): whether each state is in the initiation set."""
@@ -153,9 +162,93 @@ def option_tables(option: LearnedOption, domain: EnumerableDomain[Any]) -> Optio
     :raises OptionError: it was not learned in this domain.
     """
     option.check_domain(domain)
-    X = encode_rows(option.columns, domain.feature_table())
+    X = encode_rows(option.encoding, domain.feature_table())
     return OptionTables(
         option.policy.likeliest(X),
-        option.initiation.share_of(MEMBER, X) >= HALF,
-        option.termination.share_of(MEMBER, X) >= HALF,
+        option.initiation.probability_of(MEMBER, X) >= HALF,
+        option.termination.probability_of(MEMBER, X) >= HALF,
+    )
+
+
+def options_from_references(
+    domain: EnumerableDomain[Any],
+    references: Iterable[ReferenceOption],
+    max_steps: int = REFERENCE_MAX_STEPS,
+) -> list[LearnedOption]:
+    """
+    Return reference options in the form of learned ones: options without a teacher.
+
+    Where several actions are optimal, the first is taken. What people teach is never learned from
+    these.
+
+    :param references: of this domain, as ``registry.reference_options`` has them by name.
+    :raises DomainError: one has no tables, or its features do not tell what it does.
+    """
+    return [_from_reference(domain, reference, max_steps) for reference in references]
+
+
+def _from_reference(
+    domain: EnumerableDomain[Any], reference: ReferenceOption, max_steps: int
+) -> LearnedOption:
+    if not isinstance(reference, TabularReferenceOption):
+        raise DomainError(f'{reference.name!r} of {domain.name} has no tables')
+    return option_from_tables(
+        domain,
+        reference.name,
+        REFERENCE,
+        reference.features,
+        domain.feature_table(),
+        (reference.initiation, reference.optimal.argmax(axis=1)),
+        (reference.judged & ~domain.over(), reference.initiation),
+        (reference.judged, reference.termination),
+        max_steps,
+    )
+
+
+def option_from_tables(
+    domain: Domain[Any],
+    name: str,
+    participant: str,
+    features: Sequence[str],
+    rows: NDArray[np.int32],
+    policy: Known,
+    initiation: Known,
+    termination: Known,
+    max_steps: int,
+) -> LearnedOption:
+    """
+    Return the option whose trees say in each state what tables say.
+
+    :param features: those that the trees look at.
+    :param rows: (S, F) all features of S states.
+    :param policy: the states in which it is known, and an action for every state; so for
+        ``initiation`` and ``termination``, with whether the state is a member or an end.
+    :raises DomainError: the features do not tell what it does.
+    """
+    encoding = feature_encoding(domain, features)
+    X = encode_rows(encoding, rows)
+
+    def tree(known: Known, classes: Sequence[int]) -> Tree:
+        states, values = known
+        seen, labels = X[states], values[states].astype(np.intp)
+        fitted = fit_tree(seen, labels, classes, 0)
+        if (fitted.likeliest(seen) != labels).any():
+            raise DomainError(f'the features of {domain.name} do not tell what {name!r} does')
+        return fitted
+
+    return LearnedOption(
+        name=name,
+        participant=participant,
+        domain=domain.name,
+        domain_parameters=parameters_json(domain),
+        actions=tuple(action.name for action in domain.actions),
+        features=tuple(features),
+        encoding=encoding,
+        policy=tree(policy, range(len(domain.actions))),
+        initiation=tree(initiation, MEMBERSHIP),
+        termination=tree(termination, MEMBERSHIP),
+        n_demonstrations=0,
+        n_not_here=0,
+        max_steps=max_steps,
+        uuids=(),
     )

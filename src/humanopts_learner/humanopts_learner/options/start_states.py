@@ -14,6 +14,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is_enumerable
 from humanopts_env.domains.tabular import reachable
 from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.options.decision_tree import encode_rows, feature_encoding
 from humanopts_learner.options.failures import (
     in_doubt,
     sample_failures,
@@ -22,7 +23,6 @@ from humanopts_learner.options.failures import (
 )
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.rollout import is_certain
-from humanopts_learner.trees.encoding import encode_rows, encoding
 import numpy as np
 from numpy.typing import NDArray
 
@@ -161,16 +161,17 @@ def _farthest(
     """
     Return the state whose nearest shown state is farthest in the chosen features.
 
-    An ordinal feature differs by 0..1, a nominal one by 0 or 1: half in each of two columns.
+    An ordinal feature differs by 0..1, a nominal one by 0 or 1, a half in each of
+    two encoded features.
     """
-    columns = encoding(domain, demonstrations[-1].chosen_features)
-    features = [domain.features[column.index] for column in columns]
+    encoding = feature_encoding(domain, demonstrations[-1].chosen_features)
+    features = [domain.features[encoded.index] for encoded in encoding]
     scale = [
         1 / max(len(f.values) - 1, 1) if f.kind is FeatureKind.ORDINAL else 0.5 for f in features
     ]
     shown = np.unique(np.concatenate([demo.feature_rows for demo in demonstrations]), axis=0)
     here, there = (
-        encode_rows(columns, r) * np.array(scale) for r in (_rows(domain, states), shown)
+        encode_rows(encoding, r) * np.array(scale) for r in (_rows(domain, states), shown)
     )
     distance = np.zeros((len(here), len(there)))
     for ours, theirs in zip(here.T, there.T):

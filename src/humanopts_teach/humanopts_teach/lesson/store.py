@@ -15,8 +15,8 @@ import re
 from types import TracebackType
 from typing import Any
 
+from humanopts_learner.append_only_log import AppendOnlyLog
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError
-from humanopts_learner.journal import Journal
 
 VERSION = 1  # of the line format
 _SUFFIX = '.jsonl'
@@ -132,7 +132,7 @@ class DemonstrationStore:
         self.directory = directory
         self.damage: list[str] = []  # what was found damaged, in words
         self._entries: dict[str, list[Entry]] = {}
-        self._logs: dict[str, Journal] = {}
+        self._logs: dict[str, AppendOnlyLog] = {}
         self._lock = -1
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -181,14 +181,14 @@ class DemonstrationStore:
         path = self.directory / f'{entry.participant}{_SUFFIX}'
         try:
             if entry.participant not in self._logs:
-                self._logs[entry.participant] = Journal(path)
+                self._logs[entry.participant] = AppendOnlyLog(path)
             self._logs[entry.participant].append(entry_to_line(entry))
         except OSError as error:
             raise _explained(error, f'write to {path}') from error
         self._entries.setdefault(entry.participant, []).append(entry)
 
     def _load(self, path: Path) -> list[Entry]:
-        log = self._logs[path.stem] = Journal(path)
+        log = self._logs[path.stem] = AppendOnlyLog(path)
         if log.damage:
             self.damage.append(log.damage)
         found: list[Entry] = []

@@ -6,9 +6,8 @@ import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_learner.options.decision_tree import EncodedFeature, LEAF, Tree
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.trees.encoding import Column
-from humanopts_learner.trees.tree import LEAF, Tree
 
 MEMBERS = {'initiation': ('may not start', 'may start'), 'termination': ('goes on', 'ends')}
 LINES_SHOWN_OPEN = 60
@@ -33,13 +32,17 @@ def option_rules(option: LearnedOption, domain: Domain[Any]) -> list[TreeRules]:
         'termination': (option.termination, MEMBERS['termination']),
         'policy': (option.policy, option.actions),
     }
-    return [_rules(part, *tree, option.columns, domain) for part, tree in trees.items()]
+    return [_rules(part, *tree, option.encoding, domain) for part, tree in trees.items()]
 
 
 def _rules(
-    part: str, tree: Tree, classes: Sequence[str], columns: Sequence[Column], domain: Domain[Any]
+    part: str,
+    tree: Tree,
+    classes: Sequence[str],
+    encoding: Sequence[EncodedFeature],
+    domain: Domain[Any],
 ) -> TreeRules:
-    lines = tree_lines(tree, classes, columns, domain)
+    lines = tree_lines(tree, classes, encoding, domain)
     return TreeRules(
         part,
         tree.depth,
@@ -51,19 +54,19 @@ def _rules(
 
 
 def tree_lines(
-    tree: Tree, classes: Sequence[str], columns: Sequence[Column], domain: Domain[Any]
+    tree: Tree, classes: Sequence[str], encoding: Sequence[EncodedFeature], domain: Domain[Any]
 ) -> list[str]:
     """
     Return the tree as indented lines, one for each branch.
 
     :param classes: how each class reads; (K,).
-    :param columns: what the columns of the tree are.
+    :param encoding: of the features that the tree looks at.
     """
 
     def below(node: int, indent: str) -> list[str]:
         if tree.left[node] == LEAF:
             return [indent + _leaf(tree, node, classes)]
-        column, threshold = columns[tree.column[node]], float(tree.threshold[node])
+        column, threshold = encoding[tree.feature[node]], float(tree.threshold[node])
         lines = []
         children = tree.right[node], tree.left[node]
         for child, words in zip(children, _test(column, threshold, domain)):
@@ -77,7 +80,7 @@ def tree_lines(
     return below(0, '')
 
 
-def _test(column: Column, threshold: float, domain: Domain[Any]) -> tuple[str, str]:
+def _test(column: EncodedFeature, threshold: float, domain: Domain[Any]) -> tuple[str, str]:
     """Return the test in words where it fails the threshold (right) and where not (left)."""
     name = column.feature.replace('_', ' ')
     values = domain.features[column.index].values

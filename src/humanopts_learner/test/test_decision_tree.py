@@ -9,9 +9,15 @@ from typing import Any
 
 from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.taxi import Taxi
-from humanopts_learner.trees.encoding import Column, encode_rows, encoding
-from humanopts_learner.trees.fitting import fit_tree
-from humanopts_learner.trees.tree import MANY, Tree, TreeError
+from humanopts_learner.options.decision_tree import (
+    encode_rows,
+    EncodedFeature,
+    feature_encoding,
+    fit_tree,
+    MANY_ROWS,
+    Tree,
+    TreeError,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -78,16 +84,16 @@ def test_many_rows_end_in_the_leaves_that_each_alone_ends_in(seed: int) -> None:
     rng = np.random.default_rng(seed)
     X = rng.integers(0, 4, (20, 3)).astype(np.float32)
     tree = fit_tree(X, rng.integers(0, 3, 20), (0, 1, 2), 0)
-    rows = rng.integers(0, 4, (MANY * len(tree.left) + 1, 3)).astype(np.float32)
+    rows = rng.integers(0, 4, (MANY_ROWS * len(tree.left) + 1, 3)).astype(np.float32)
     together, halves = tree.leaves(rows), np.array_split(rows, 8)
     assert together.tolist() == np.concatenate([tree.leaves(half) for half in halves]).tolist()
     shares = tree.probabilities(rows)
     assert tree.likeliest(rows).tolist() == shares.argmax(axis=1).tolist()
-    assert tree.share_of(1, rows).tolist() == shares[:, 1].tolist()
+    assert tree.probability_of(1, rows).tolist() == shares[:, 1].tolist()
 
 
 def test_rows_of_another_width_are_refused() -> None:
-    with pytest.raises(TreeError, match='2 columns'):
+    with pytest.raises(TreeError, match='2 features'):
         small_tree().probabilities(np.zeros((1, 3), dtype=np.float32))
 
 
@@ -113,7 +119,7 @@ Damage = Callable[[dict[str, Any]], object]
         (lambda d: d['nodes'][0].update(left=0), 'child of exactly one'),
         (lambda d: d['nodes'][0].update(left=99), 'child of exactly one'),
         (lambda d: d['nodes'][0].update(left=2), 'child of exactly one'),
-        (lambda d: d['nodes'][0].update(left=-1), 'name its column'),
+        (lambda d: d['nodes'][0].update(left=-1), 'name its feature'),
         (lambda d: d['nodes'][0].update(column=7), 'not among 2'),
         (lambda d: d['nodes'][0].update(at_most=float('nan')), 'not finite'),
         (lambda d: d['nodes'][0].update(at_most='0.5'), 'not a number'),
@@ -141,13 +147,13 @@ def test_nodes_in_a_circle_are_refused() -> None:
 
 
 def test_ordinal_features_stay_numbers_and_nominal_ones_become_one_hot() -> None:
-    columns = encoding(TAXI, ['blocked_moves', 'taxi_row'])
+    encoding = feature_encoding(TAXI, ['blocked_moves', 'taxi_row'])
     names = [feature.name for feature in TAXI.features]
     blocked = names.index('blocked_moves')
-    assert columns[0] == Column('taxi_row', names.index('taxi_row'))
-    assert [c.value for c in columns[1:]] == list(range(len(TAXI.features[blocked].values)))
+    assert encoding[0] == EncodedFeature('taxi_row', names.index('taxi_row'))
+    assert [c.value for c in encoding[1:]] == list(range(len(TAXI.features[blocked].values)))
     rows = TAXI.feature_table()
-    encoded = encode_rows(columns, rows)
+    encoded = encode_rows(encoding, rows)
     assert encoded[:, 0].tolist() == rows[:, names.index('taxi_row')].tolist()
     assert encoded[:, 1:].argmax(axis=1).tolist() == rows[:, blocked].tolist()
     assert set(encoded[:, 1:].sum(axis=1)) == {1.0}
@@ -155,19 +161,19 @@ def test_ordinal_features_stay_numbers_and_nominal_ones_become_one_hot() -> None
 
 def test_a_feature_of_another_domain_cannot_be_encoded() -> None:
     with pytest.raises(DomainError, match='ghost'):
-        encoding(TAXI, ['ghost_row'])
+        feature_encoding(TAXI, ['ghost_row'])
 
 
 @pytest.mark.parametrize('data', [{}, {'feature': 1, 'index': 0, 'value': None}, []])
 def test_a_damaged_column_is_refused(data: Any) -> None:
-    with pytest.raises(TreeError, match='tree column'):
-        Column.from_dict(data)
+    with pytest.raises(TreeError, match='encoded feature'):
+        EncodedFeature.from_dict(data)
 
 
 @pytest.mark.parametrize('index', [-1, 1.0, True])
 def test_a_column_index_is_a_whole_number(index: Any) -> None:
-    with pytest.raises(TreeError, match='tree column'):
-        Column.from_dict({'feature': 'taxi_row', 'index': index, 'value': None})
+    with pytest.raises(TreeError, match='encoded feature'):
+        EncodedFeature.from_dict({'feature': 'taxi_row', 'index': index, 'value': None})
 
 
 def test_an_option_can_be_used_without_loading_scikit_learn() -> None:

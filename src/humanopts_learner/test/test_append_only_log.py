@@ -4,7 +4,7 @@ import errno
 import os
 from pathlib import Path
 
-from humanopts_learner.journal import append_bytes, Journal
+from humanopts_learner.append_only_log import append_bytes, AppendOnlyLog
 import pytest
 
 
@@ -14,55 +14,55 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_what_was_appended_is_there_when_it_is_opened_again(path: Path) -> None:
-    journal = Journal(path)
+    journal = AppendOnlyLog(path)
     assert (journal.lines, journal.damage) == ([], '')
     for line in ('{"a": 1}', '{"name": "Zoë"}'):
         journal.append(line)
-    again = Journal(path)
+    again = AppendOnlyLog(path)
     assert again.lines == journal.lines == ['{"a": 1}', '{"name": "Zoë"}']
     assert again.damage == ''
 
 
 def test_a_file_is_not_made_before_there_is_a_line(path: Path) -> None:
-    Journal(path)
+    AppendOnlyLog(path)
     assert not path.exists()
 
 
 @pytest.mark.parametrize('torn', [b'{"a": ', b'{', 'é'.encode()[:1]])
 def test_a_last_line_that_was_cut_off_is_moved_aside(path: Path, torn: bytes) -> None:
     path.write_bytes(b'{"a": 1}\n' + torn)
-    journal = Journal(path)
+    journal = AppendOnlyLog(path)
     assert journal.lines == ['{"a": 1}']
     assert f'its {len(torn)} bytes are now in lines.jsonl.torn-1' in journal.damage
     assert path.with_name('lines.jsonl.torn-1').read_bytes() == torn
     journal.append('{"b": 2}')
-    assert Journal(path).lines == ['{"a": 1}', '{"b": 2}']
+    assert AppendOnlyLog(path).lines == ['{"a": 1}', '{"b": 2}']
 
 
 def test_a_second_torn_line_does_not_replace_the_first(path: Path) -> None:
     for torn in (b'{"first', b'{"second'):
         path.write_bytes(torn)
-        Journal(path)
+        AppendOnlyLog(path)
     names = ['lines.jsonl.torn-1', 'lines.jsonl.torn-2']
     assert [path.with_name(name).read_bytes() for name in names] == [b'{"first', b'{"second']
 
 
 def test_a_last_line_that_lacks_only_its_end_is_kept(path: Path) -> None:
     path.write_bytes(b'{"a": 1}\n{"b": 2}')
-    journal = Journal(path)
+    journal = AppendOnlyLog(path)
     assert (journal.lines, journal.damage) == (['{"a": 1}', '{"b": 2}'], '')
     assert path.read_bytes() == b'{"a": 1}\n{"b": 2}\n'
 
 
 def test_a_line_that_is_no_text_is_given_as_it_can_be_read(path: Path) -> None:
     path.write_bytes(b'\xff\n{"a": 1}\n')
-    assert Journal(path).lines == ['\ufffd', '{"a": 1}']
+    assert AppendOnlyLog(path).lines == ['\ufffd', '{"a": 1}']
 
 
 def test_a_write_that_fails_half_way_leaves_the_file_as_it_was(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    journal = Journal(path)
+    journal = AppendOnlyLog(path)
     journal.append('{"a": 1}')
     write = os.write
 
@@ -78,7 +78,7 @@ def test_a_write_that_fails_half_way_leaves_the_file_as_it_was(
     assert journal.lines == ['{"a": 1}']
     assert path.read_bytes() == b'{"a": 1}\n'
     journal.append('{"c": 3}')
-    assert Journal(path).lines == ['{"a": 1}', '{"c": 3}']
+    assert AppendOnlyLog(path).lines == ['{"a": 1}', '{"c": 3}']
 
 
 def test_a_write_goes_on_after_a_part_of_it(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 
-class Journal:
+class AppendOnlyLog:
     """
     One file of JSON lines.
 

@@ -1,0 +1,290 @@
+"""
+Decision trees: fitted by scikit-learn, kept and evaluated as plain arrays.
+
+A tree looks at encoded features: an ordinal feature is a number, a nominal one is one-hot.
+scikit-learn is imported when the first tree is fitted.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from humanopts_env.domains.base import Domain, feature_columns, FeatureKind
+import numpy as np
+from numpy.typing import NDArray
+
+LEAF = -1  # left, right and feature of a leaf
+MANY_ROWS = 100  # for each node: from there on it is quicker to go node by node
+
+
+class TreeError(ValueError):
+    """Data is not a decision tree; the text names what is wrong with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedFeature:
+    """One number that a tree sees: an ordinal feature, or whether a nominal one has a value."""
+
+    feature: str
+    index: int  # of the feature among all features of the domain
+    value: int | None = None  # None: the feature itself; else 1 where it has this value, 0 else
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the encoded feature as JSON data."""
+        return {'feature': self.feature, 'index': self.index, 'value': self.value}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> 'EncodedFeature':
+        """
+        Read what ``to_dict`` wrote.
+
+        :raises TreeError: it is not an encoded feature.
+        """
+        try:
+            name, index, value = data['feature'], data['index'], data['value']
+        except (KeyError, TypeError) as error:
+            raise TreeError(f'an encoded feature has no {error}') from None
+        numbers = [index] if value is None else [index, value]
+        if not isinstance(name, str) or any(type(n) is not int or n < 0 for n in numbers):
+            raise TreeError(f'an encoded feature is not a feature, an index and a value: {data}')
+        return cls(name, index, value)
+
+
+def feature_encoding(domain: Domain[Any], features: Sequence[str]) -> tuple[EncodedFeature, ...]:
+    """
+    Return how selected features are encoded: ordinal ones as they are, nominal ones one-hot.
+
+    :raises DomainError: a name is not a feature of the domain.
+    """
+    encoding: list[EncodedFeature] = []
+    for index in feature_columns(domain, features):
+        feature = domain.features[index]
+        if feature.kind is FeatureKind.ORDINAL:
+            encoding.append(EncodedFeature(feature.name, index))
+        else:
+            values = range(len(feature.values))
+            encoding += [EncodedFeature(feature.name, index, value) for value in values]
+    return tuple(encoding)
+
+
+def encode_rows(
+    encoding: Sequence[EncodedFeature], rows: NDArray[np.int32]
+) -> NDArray[np.float32]:
+    """
+    Return what the trees see.
+
+    :param rows: (N, F), all features of the domain.
+    :return: (N, C), one encoded feature after the other in memory, as large trees are walked.
+    """
+    picked = rows.T[[encoded.index for encoded in encoding]]
+    values = [encoded.value for encoded in encoding]
+    if any(value is not None for value in values):
+        one_hot = np.array([value is not None for value in values], dtype=np.bool_)
+        wanted = np.array([value or 0 for value in values], dtype=np.int32)
+        picked = np.where(one_hot[:, None], picked == wanted[:, None], picked)
+    return picked.astype(np.float32).T
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """
+    A decision tree that keeps how often each class was seen.
+
+    Axes: N nodes, the root first and every child after its parent; K classes. A row goes left
+    where its feature is at most the threshold.
+    """
+
+    left: NDArray[np.int32]  # (N,)
+    right: NDArray[np.int32]  # (N,)
+    feature: NDArray[np.int32]  # (N,) index of the encoded feature that is tested
+    threshold: NDArray[np.float64]  # (N,) 0 in leaves
+    counts: NDArray[np.int64]  # (N, K) training examples of each class that came to the node
+    classes: tuple[int, ...]  # (K,) labels, ascending
+    n_features: int  # encoded features of the rows that it takes, C
+
+    def __post_init__(self) -> None:
+        """Check the arrays against each other: evaluation may then trust them."""
+        _check(self)
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether the other is the same tree."""
+        return isinstance(other, Tree) and self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        """Return a hash that equal trees share."""
+        return hash((self.feature.tobytes(), self.counts.tobytes(), self.classes))
+
+    def leaves(self, X: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return (N,): the node in which each row of X (N, C) ends."""
+        if X.ndim != 2 or X.shape[1] != self.n_features:
+            raise TreeError(f'the tree takes rows of {self.n_features} features, not {X.shape}')
+        values = X.astype(np.float32, copy=False)
+        if len(X) > MANY_ROWS * len(self.left):
+            return self._leaves_node_by_node(np.ascontiguousarray(values.T))
+        rows, node = np.arange(len(X)), np.zeros(len(X), dtype=np.intp)
+        feature, children = self._self_looping
+        for _ in range(self.depth):
+            goes_right = values[rows, feature[node]] > self.threshold[node]
+            node = children[goes_right.astype(np.intp), node]
+        return node
+
+    def _leaves_node_by_node(self, values: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return the leaf of each row of X.T (C, N), taking all rows of a node at once."""
+        result = np.zeros(values.shape[1], dtype=np.intp)
+        inside = {0: np.arange(len(result))}
+        for node in range(len(self.left)):  # a child comes after its parent
+            rows = inside.pop(node)
+            if self.left[node] == LEAF:
+                result[rows] = node
+                continue
+            right = values[self.feature[node]][rows] > self.threshold[node]
+            inside[int(self.left[node])] = rows[~right]
+            inside[int(self.right[node])] = rows[right]
+        return result
+
+    def probabilities(self, X: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return (N, K): the share of each class in the leaf of each row of X (N, C)."""
+        return self._shares[self.leaves(X)]
+
+    def probability_of(self, number: int, X: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return (N,): ``probabilities`` of one class, given by its place among the classes."""
+        share: NDArray[np.float64] = self._shares[:, number].take(self.leaves(X))
+        return share
+
+    def likeliest(self, X: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Return (N,): the place of the likeliest class, the first of equals."""
+        best: NDArray[np.intp] = self._shares.argmax(axis=1).take(self.leaves(X))
+        return best
+
+    @cached_property
+    def depth(self) -> int:
+        """Number of tests on the longest way from the root to a leaf."""
+        level = np.zeros(len(self.left), dtype=np.int64)
+        for node in np.flatnonzero(self.left != LEAF):
+            level[[self.left[node], self.right[node]]] = level[node] + 1
+        return int(level.max())
+
+    @cached_property
+    def _self_looping(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Features (N,) and children (2, N) where every leaf is its own child."""
+        leaf, itself = self.left == LEAF, np.arange(len(self.left))
+        children = np.stack([np.where(leaf, itself, side) for side in (self.left, self.right)])
+        return np.where(leaf, 0, self.feature).astype(np.intp), children.astype(np.intp)
+
+    @cached_property
+    def _shares(self) -> NDArray[np.float64]:
+        shares: NDArray[np.float64] = self.counts / self.counts.sum(axis=1, keepdims=True)
+        return shares
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the tree as JSON data."""
+        parts = (self.feature, self.threshold, self.left, self.right, self.counts)
+        nodes = []
+        for feature, threshold, left, right, counts in zip(*(part.tolist() for part in parts)):
+            test = {'column': feature, 'at_most': threshold, 'left': left, 'right': right}
+            nodes.append({'counts': counts} if left == LEAF else {**test, 'counts': counts})
+        return {'columns': self.n_features, 'classes': list(self.classes), 'nodes': nodes}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> 'Tree':
+        """
+        Read what ``to_dict`` wrote.
+
+        :raises TreeError: it is not a tree.
+        """
+        try:
+            nodes = [_node(entry) for entry in data['nodes']]
+            counts = [entry['counts'] for entry in data['nodes']]
+            numbers = [data['columns'], *data['classes'], *(n for row in counts for n in row)]
+            if any(type(number) is not int for number in numbers):
+                raise TreeError('a tree counts in whole numbers, and these are not')
+            feature, threshold, left, right = zip(*nodes)
+            return cls(
+                np.array(left, dtype=np.int32),
+                np.array(right, dtype=np.int32),
+                np.array(feature, dtype=np.int32),
+                np.array(threshold, dtype=np.float64),
+                np.array(counts, dtype=np.int64),
+                tuple(data['classes']),
+                data['columns'],
+            )
+        except TreeError:
+            raise
+        except KeyError as error:
+            raise TreeError(f'the tree has no {error}') from None
+        except (TypeError, ValueError, OverflowError) as error:
+            raise TreeError(f'not a tree: {error}') from None
+
+
+def fit_tree(
+    X: NDArray[np.float32], y: NDArray[np.integer], classes: Sequence[int], seed: int
+) -> Tree:
+    """
+    Fit a tree that separates the examples as far as their features can.
+
+    :param X: (N, C) rows, N > 0.
+    :param y: (N,) labels.
+    :param classes: every label that there could be, ascending; those not in y have count 0.
+    :param seed: decides between equally good splits.
+    :raises ValueError: there is no row, or a label is not among the classes.
+    """
+    if len(X) == 0 or not np.isin(y, classes).all():
+        raise ValueError('a tree is fitted to one row or more, labelled with its classes')
+    from sklearn import config_context
+    from sklearn.tree import DecisionTreeClassifier
+
+    classifier = DecisionTreeClassifier(random_state=seed)
+    with config_context(assume_finite=True, skip_parameter_validation=True):
+        fitted = classifier.fit(X, y).tree_
+    leaf = fitted.children_left == LEAF
+    counts = np.zeros((fitted.node_count, len(classes)), dtype=np.int64)
+    shares = fitted.value[:, 0, :] * fitted.weighted_n_node_samples[:, None]
+    counts[:, np.searchsorted(classes, classifier.classes_)] = np.rint(shares)
+    return Tree(
+        fitted.children_left.astype(np.int32),
+        fitted.children_right.astype(np.int32),
+        np.where(leaf, LEAF, fitted.feature).astype(np.int32),
+        np.where(leaf, 0.0, fitted.threshold),
+        counts,
+        tuple(classes),
+        X.shape[1],
+    )
+
+
+def _node(entry: Mapping[str, Any]) -> tuple[int, float, int, int]:
+    """Return the feature, threshold, left and right child of a node in JSON data."""
+    if 'column' not in entry:
+        return LEAF, 0.0, LEAF, LEAF
+    whole = entry['column'], entry['left'], entry['right']
+    if any(type(number) is not int or number < 0 for number in whole):
+        raise TreeError(f'a node of a tree does not name its feature and children: {entry}')
+    if type(entry['at_most']) not in (int, float):
+        raise TreeError(f'a node of a tree compares with something that is not a number: {entry}')
+    return entry['column'], float(entry['at_most']), entry['left'], entry['right']
+
+
+def _check(tree: Tree) -> None:
+    size = len(tree.left)
+    sizes = {len(part) for part in (tree.right, tree.feature, tree.threshold, tree.counts)}
+    if size == 0 or sizes != {size}:
+        raise TreeError(f'a tree needs as many of everything as it has nodes ({size})')
+    if tree.counts.shape != (size, len(tree.classes)) or not tree.classes:
+        raise TreeError(f'a tree of {len(tree.classes)} classes has counts {tree.counts.shape}')
+    if list(tree.classes) != sorted(set(tree.classes)):
+        raise TreeError(f'the classes of a tree are not ascending: {tree.classes}')
+    if (tree.counts < 0).any() or not tree.counts.any(axis=1).all():
+        raise TreeError('a node of a tree counts no examples, or fewer than none')
+    inner = np.flatnonzero(tree.left != LEAF)
+    children = np.concatenate([tree.left[inner], tree.right[inner]])
+    if not np.array_equal(np.sort(children), np.arange(1, size)):
+        raise TreeError('every node of a tree but the root is the child of exactly one other')
+    if (children <= np.concatenate([inner, inner])).any():
+        raise TreeError('a node of a tree comes before its parent')
+    leaves = tree.left == LEAF
+    if (tree.right[leaves] != LEAF).any() or (tree.feature[leaves] != LEAF).any():
+        raise TreeError('a leaf of a tree has a test or a child')
+    if not np.isfinite(tree.threshold).all():
+        raise TreeError('a threshold of a tree is not finite')
+    if (tree.feature[inner] < 0).any() or (tree.feature[inner] >= tree.n_features).any():
+        raise TreeError(f'a node of a tree tests a feature that is not among {tree.n_features}')

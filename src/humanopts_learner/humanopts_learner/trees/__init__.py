@@ -1,1 +1,0 @@
-"""Decision trees: fitted by scikit-learn, kept and evaluated as plain arrays."""
