@@ -78,7 +78,7 @@ Damage = Callable[[dict[str, Any]], object]
         (lambda d: d.update(domain_parameters='{}'), 'domain_parameters of it'),
         (lambda d: d.update(actions=[1, 2]), 'actions of it'),
         (lambda d: d.update(actions=d['actions'][:-1]), 'among its actions'),
-        (lambda d: d.update(features=['taxi_row']), 'not of its features'),
+        (lambda d: d.update(features=['taxi_row']), 'not those that it names'),
         (lambda d: d.update(columns=[]), 'other features'),
         (lambda d: d['policy']['nodes'].pop(), 'child of exactly one'),
         (lambda d: d.update(demonstrations=[{}]), 'demonstration has no'),
