@@ -162,19 +162,19 @@ def _taught_options(domain_name: str, launch: LaunchOptions) -> tuple[str, ...]:
 def _teach_plan_play(
     running: Session, setup: Setup, amounts: Amounts, progress: DemoProgress
 ) -> Live:
-    conductor = running.conductor
+    graph = running.graph
     progress.stage('teaching')
-    conductor.wait(
-        conductor.teacher_finished,
+    graph.wait(
+        graph.teacher_finished,
         _TEACHING_SECONDS + setup.step_period,
         'the simulated teacher',
-        conductor.taught_so_far,
+        graph.taught_so_far,
     )
-    options = _blocks(setup, conductor.learned())
+    options = _blocks(setup, graph.learned())
     progress.stage('planning')
-    plans = [conductor.plan(name, amounts.judged, setup.seed) for name in (HUMAN, PRIMITIVE)]
+    plans = [graph.plan(name, amounts.judged, setup.seed) for name in (HUMAN, PRIMITIVE)]
     progress.stage(f'playing {amounts.episodes} episodes')
-    played = conductor.play(HUMAN, amounts.episodes, setup.seed)
+    played = graph.play(HUMAN, amounts.episodes, setup.seed)
     execution = Execution(
         episodes=played.episodes,
         successes=played.successes,

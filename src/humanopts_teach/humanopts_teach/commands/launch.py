@@ -36,7 +36,7 @@ def stay_up(domain: str, launch: LaunchOptions, *, record: bool) -> int:
             print(f'logs and data in {setup.directory}; Ctrl-C stops everything', flush=True)
             check = partial(running.launcher.check, RECORDER)
             try:
-                running.conductor.stay(check, partial(print, file=sys.stderr, flush=True))
+                running.graph.stay(check, partial(print, file=sys.stderr, flush=True))
             except KeyboardInterrupt:
                 running.check_recording()
                 raise
@@ -71,6 +71,6 @@ def teach_here(domain: str, launch: LaunchOptions, participant: str) -> int:
         status = running.launcher.run_terminal()
         print(f'demonstrations and options are in {setup.directory}')
         print(f'the bag is {setup.bag}')
-        running.conductor.catch_up()
+        running.graph.catch_up()
         running.check_recording()
     return status or (1 if running.unclean else 0)

@@ -19,7 +19,7 @@ class DemoProgress:
     """
     Shows how far a demo is, live on a terminal and as lines anywhere else.
 
-    Call it with the conductor as often as wanted; it draws only what changed.
+    Call it with the graph as often as wanted; it draws only what changed.
     """
 
     def __init__(self, console: Console | None = None) -> None:
@@ -45,15 +45,15 @@ class DemoProgress:
         else:
             self._say(f'{text} ...')
 
-    def __call__(self, conductor: GraphClient) -> None:
+    def __call__(self, graph: GraphClient) -> None:
         """Draw the graph's current values."""
-        node = conductor.node
+        node = graph.node
         if self._domain is None and node.domain.message is not None:
             self._domain = domain_from_info(node.domain.message)
         if self._console.is_terminal:
-            self._live.update(self._picture(conductor))
+            self._live.update(self._picture(graph))
         else:
-            self._lines(conductor)
+            self._lines(graph)
 
     def offline(self, done: int, total: int, text: str) -> None:
         """Show how far the evaluation of the bag is."""
@@ -67,8 +67,8 @@ class DemoProgress:
         else:
             self._say(f'{share:4.0%} {text}', key=text)
 
-    def _picture(self, conductor: GraphClient) -> Group:
-        node = conductor.node
+    def _picture(self, graph: GraphClient) -> Group:
+        node = graph.node
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
         if self._domain is not None and node.state.message is not None:
             state = self._domain.decode(node.state.message.state)
@@ -79,8 +79,8 @@ class DemoProgress:
             parts.append(Text(_episodes(node.feedback)))
         return Group(*parts)
 
-    def _lines(self, conductor: GraphClient) -> None:
-        node = conductor.node
+    def _lines(self, graph: GraphClient) -> None:
+        node = graph.node
         if self._domain is not None and node.state.message is not None:
             state = self._domain.decode(node.state.message.state)
             self._say('the first state:\n' + self._domain.render(state), key='first state')

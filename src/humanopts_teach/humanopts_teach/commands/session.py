@@ -129,7 +129,7 @@ class Session:
     """The processes of a launch and the node that conducts them."""
 
     launcher: Launcher
-    conductor: GraphClient
+    graph: GraphClient
     unclean: list[str] = field(default_factory=list)  # what did not end as asked; known at the end
 
     def check_recording(self) -> None:
@@ -139,7 +139,7 @@ class Session:
         :raises LaunchError: the recorder died, or has stopped; the text says why.
         """
         self.launcher.check()
-        if unrecorded := self.conductor.unrecorded():
+        if unrecorded := self.graph.unrecorded():
             raise LaunchError(unrecorded)
 
 
@@ -195,21 +195,21 @@ def session(
 
     def watch() -> None:
         launcher.check()
-        progress(conductor)
+        progress(graph)
 
     with only_launch(namespace), interruptible():
-        conductor = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
-        running = Session(launcher, conductor)
+        graph = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
+        running = Session(launcher, graph)
         try:
             for late in (False, True):
                 launcher.start(late=late)
-                conductor.wait_ready(launcher.node_names)
+                graph.wait_ready(launcher.node_names)
             yield running
         finally:
             for number in ENDING:
                 signal.signal(number, signal.SIG_IGN)
             try:
-                conductor.close()
+                graph.close()
             finally:
                 running.unclean.extend(launcher.stop())
                 for problem in running.unclean:

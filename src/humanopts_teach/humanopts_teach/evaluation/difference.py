@@ -58,20 +58,81 @@ def read_lesson(bag: Bag, progress: ProgressCallback | None = None) -> Lesson:
 
 def compare(a: Lesson, b: Lesson) -> list[Difference]:
     """Return all that differs, seconds of computing apart; empty: the lessons are the same."""
-    one, other = a.evaluation, b.evaluation
-    found = _differences('setting', '', _settings(one), _settings(other))
-    people = [sorted({option.participant for option in side.options}) for side in (one, other)]
-    found += _differences('participant', '', *(dict.fromkeys(p, True) for p in people))
-    here, there = _options(one), _options(other)
-    found += _differences('option', '', dict.fromkeys(here, True), dict.fromkeys(there, True))
-    for name in (name for name in here if name in there):
-        found += _option(name, here[name], there[name])
-    found += _demonstrations(a.demonstrations, b.demonstrations)
-    plans, others = _plans(one), _plans(other)
-    found += _differences('plan', '', dict.fromkeys(plans, True), dict.fromkeys(others, True))
-    for name in (name for name in plans if name in others):
-        found += _differences('plan', name, plans[name], others[name])
+    one, other = _facts(a), _facts(b)
+    found = []
+    for (what, of), here in one.items():
+        there = other.get((what, of))
+        if there is None:
+            continue  # that it is in one bag only is a difference of its own
+        whose = f' of {_labelled(what, of, a)}' if of else ''
+        for name in dict.fromkeys([*here, *there]):
+            x, y = here.get(name), there.get(name)
+            # Demonstrations that are in both bags are compared part by part, further on.
+            in_both = (what, of) == (DEMONSTRATION, '') and None not in (x, y)
+            if x != y and not in_both:
+                found.append(Difference(what, name + whose, x, y))
     return found
+
+
+def _labelled(what: str, of: str, lesson: Lesson) -> str:
+    if what != DEMONSTRATION:
+        return of
+    demo = lesson.demonstrations[of]
+    return f'{of} (of {demo.option_name} by {demo.participant})'
+
+
+def _facts(lesson: Lesson) -> dict[tuple[str, str], dict[str, Any]]:
+    """Return all that is compared, as JSON data by name, in groups: what, and whose it is."""
+    evaluation = lesson.evaluation
+    options = {
+        f'{option.block.name} by {option.participant}': option for option in evaluation.options
+    }
+    plans = dict(zip(evaluation.plan_names, evaluation.planning))
+    people = sorted({option.participant for option in evaluation.options})
+    facts = {
+        ('setting', ''): _settings(evaluation),
+        ('participant', ''): dict.fromkeys(people, True),
+        ('option', ''): dict.fromkeys(options, True),
+    }
+    for name, option in options.items():
+        facts['features chosen', name] = {'features': list(option.block.features)}
+        facts['criteria', name] = _numbers(option)
+        facts['tree', name] = {part: getattr(option.option, part).to_dict() for part in TREES}
+    facts[DEMONSTRATION, ''] = {u: _brief(demo) for u, demo in lesson.demonstrations.items()}
+    for uuid, demo in lesson.demonstrations.items():
+        whole = json.loads(demo.to_json())
+        facts[DEMONSTRATION, uuid] = {**whole, 'withdrawn': demo.withdrawn}
+    facts['plan', ''] = dict.fromkeys(plans, True)
+    for name, row in plans.items():
+        numbers = row.to_dict().items()
+        facts['plan', name] = {key: v for key, v in numbers if not key.endswith('_seconds')}
+    return facts
+
+
+def _settings(evaluation: BagEvaluation) -> dict[str, Any]:
+    settings = evaluation.settings.to_dict()
+    parameters = {f'domain {n}': v for n, v in evaluation.domain.parameters.items()}
+    limits = settings.pop('thresholds')
+    return {'domain': evaluation.domain.name, **parameters, **settings, **limits}
+
+
+def _numbers(side: OptionEvaluation) -> dict[str, Any]:
+    values = {field.name: getattr(side.block, field.name) for field in fields(side.block)}
+    return {
+        **{key: value for key, value in values.items() if key not in _APART},
+        'n_not_here': side.option.n_not_here,
+        **{f'criterion {c.name}': finite(c.value) for c in side.judgement.criteria},
+    }
+
+
+def _brief(demo: Demonstration) -> dict[str, Any]:
+    return {
+        'option': demo.option_name,
+        'participant': demo.participant,
+        'kind': demo.kind.value,
+        'steps': len(demo.actions),
+        'withdrawn': demo.withdrawn,
+    }
 
 
 def difference_text(found: Sequence[Difference]) -> str:
@@ -94,89 +155,6 @@ def difference_text(found: Sequence[Difference]) -> str:
 def _option_of(demo: Mapping[str, Any]) -> str:
     gone = ', taken back' if demo['withdrawn'] else ''
     return f'{demo["option"]} by {demo["participant"]}{gone}'
-
-
-def _settings(evaluation: BagEvaluation) -> dict[str, Any]:
-    settings = evaluation.settings.to_dict()
-    parameters = {f'domain {n}': v for n, v in evaluation.domain.parameters.items()}
-    limits = settings.pop('thresholds')
-    return {'domain': evaluation.domain.name, **parameters, **settings, **limits}
-
-
-def _options(evaluation: BagEvaluation) -> dict[str, OptionEvaluation]:
-    return {
-        f'{option.block.name} by {option.participant}': option for option in evaluation.options
-    }
-
-
-def _option(name: str, a: OptionEvaluation, b: OptionEvaluation) -> list[Difference]:
-    """Compare what was chosen, how well it was learned, and the trees."""
-    chosen = [{'features': list(side.block.features)} for side in (a, b)]
-    numbers = [_numbers(side) for side in (a, b)]
-    trees = [{part: getattr(side.option, part).to_dict() for part in TREES} for side in (a, b)]
-    return [
-        *_differences('features chosen', name, *chosen),
-        *_differences('criteria', name, *numbers),
-        *_differences('tree', name, *trees),
-    ]
-
-
-def _numbers(side: OptionEvaluation) -> dict[str, Any]:
-    values = {field.name: getattr(side.block, field.name) for field in fields(side.block)}
-    return {
-        **{key: value for key, value in values.items() if key not in _APART},
-        'n_not_here': side.option.n_not_here,
-        **{f'criterion {c.name}': finite(c.value) for c in side.judgement.criteria},
-    }
-
-
-def _demonstrations(
-    a: Mapping[str, Demonstration], b: Mapping[str, Demonstration]
-) -> list[Difference]:
-    """Compare demonstrations; one that is in one bag only is told as a whole."""
-    lone = [{uuid: _brief(demo) for uuid, demo in side.items()} for side in (a, b)]
-    both = [uuid for uuid in a if uuid in b]
-    for side in lone:
-        for uuid in both:
-            del side[uuid]
-    found = _differences(DEMONSTRATION, '', *lone)
-    for uuid in both:
-        which = f'{uuid} (of {a[uuid].option_name} by {a[uuid].participant})'
-        found += _differences(DEMONSTRATION, which, *(_whole(side[uuid]) for side in (a, b)))
-    return found
-
-
-def _whole(demo: Demonstration) -> dict[str, Any]:
-    return {**json.loads(demo.to_json()), 'withdrawn': demo.withdrawn}
-
-
-def _brief(demo: Demonstration) -> dict[str, Any]:
-    return {
-        'option': demo.option_name,
-        'participant': demo.participant,
-        'kind': demo.kind.value,
-        'steps': len(demo.actions),
-        'withdrawn': demo.withdrawn,
-    }
-
-
-def _plans(evaluation: BagEvaluation) -> dict[str, dict[str, Any]]:
-    rows = zip(evaluation.plan_names, evaluation.planning)
-    return {
-        name: {key: v for key, v in row.to_dict().items() if not key.endswith('_seconds')}
-        for name, row in rows
-    }
-
-
-def _differences(
-    what: str, of: str, a: Mapping[str, Any], b: Mapping[str, Any]
-) -> list[Difference]:
-    """Return where two mappings differ, in order."""
-    return [
-        Difference(what, f'{name} of {of}' if of else name, a.get(name), b.get(name))
-        for name in dict.fromkeys([*a, *b])
-        if a.get(name) != b.get(name)
-    ]
 
 
 def _shown(value: Any) -> str:
