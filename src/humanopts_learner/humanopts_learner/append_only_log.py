@@ -7,7 +7,7 @@ from pathlib import Path
 
 class AppendOnlyLog:
     """
-    One file of JSON lines.
+    A file of JSON lines to which lines are added, and from which none is ever removed.
 
     A line is on disk (fsync) before ``append`` returns. A last line that a crash cut off is moved
     aside when the file is opened; a line that was written whole is never lost.
@@ -42,7 +42,7 @@ class AppendOnlyLog:
         try:
             json.loads(torn)
         except ValueError:
-            aside = _free_name(self.path)
+            aside = unused_name(self.path, 'torn')
             append_bytes(aside, torn)
             os.truncate(self.path, size)
             sync(self.path)
@@ -79,7 +79,7 @@ def append_bytes(path: Path, content: bytes) -> None:
 
 
 def sync(path: Path) -> None:
-    """Have a file's or a folder's changes on disk."""
+    """Write the changes of a file or a folder to disk (fsync)."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -87,8 +87,9 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
-def _free_name(path: Path) -> Path:
+def unused_name(path: Path, why: str) -> Path:
+    """Return a path beside a file, to which it can be moved: its name with ``.WHY-1``, 2, ..."""
     number = 1
-    while (aside := path.with_name(f'{path.name}.torn-{number}')).exists():
+    while (aside := path.with_name(f'{path.name}.{why}-{number}')).exists():
         number += 1
     return aside

@@ -60,7 +60,7 @@ class Demonstration:
     terminated: bool = False
     can_start_at_end: bool = False
     seconds: float = 0.0
-    withdrawn: bool = False  # taken back: it counts no more
+    withdrawn: bool = False  # taken back by the person; nothing is learned from it
 
     @cached_property
     def feature_rows(self) -> NDArray[np.int32]:
@@ -241,7 +241,7 @@ def check_demonstration(demonstration: Demonstration, domain: Domain[Any]) -> No
 
 def each_once(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:
     """
-    Drop what is repeated, in a stream or a journal, by uuid.
+    Drop what is repeated, in a stream or a log, by uuid.
 
     :return: in order of first appearance; withdrawn are those that were withdrawn at any time.
     """

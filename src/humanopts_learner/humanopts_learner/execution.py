@@ -1,7 +1,7 @@
 """
-Running one option, or options as modules: the rules of the one runner, without the graph.
+Execution of one option, or of options as modules: the rules of the runner, without the graph.
 
-A caller asks for the next action, sends it to the game, and reports what came back.
+The caller asks for the next action, sends it to the game, and reports the state that it led to.
 """
 
 from abc import ABC, abstractmethod
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Status(IntEnum):
+class RunStatus(IntEnum):
     """How a run ended, or why it was refused; numbers as in ``OptionResult.msg``."""
 
     REACHED = 1
@@ -41,21 +41,21 @@ class Status(IntEnum):
 
 
 TEXT = {
-    Status.REACHED: 'its termination condition holds',
-    Status.EPISODE_OVER: 'the episode ended',
-    Status.MAX_STEPS: 'it was cut off at its step limit',
-    Status.NO_PROGRESS: 'the game did not answer before the deadline',
-    Status.INTERRUPTED: 'a person took control, or the game was reset',
-    Status.CANCELED: 'it was canceled',
-    Status.BUSY: 'refused: another run is under way',
-    Status.UNKNOWN_OPTION: 'refused: there is no such option',
-    Status.NOT_AVAILABLE: 'refused: the option cannot start in this state',
-    Status.NO_EPISODE: 'refused: no episode is under way',
-    Status.FAILED: 'it failed',
-    Status.STOPPED_BY_PLAN: 'choosing anew is worth more than going on',
-    Status.EXECUTION_CHANGED: 'the execution was changed',
-    Status.NO_VALUES: 'refused: the option values of the plan are missing or do not fit',
-    Status.BAD_REQUEST: 'refused',
+    RunStatus.REACHED: 'its termination condition holds',
+    RunStatus.EPISODE_OVER: 'the episode ended',
+    RunStatus.MAX_STEPS: 'it was cut off at its step limit',
+    RunStatus.NO_PROGRESS: 'the game did not answer before the deadline',
+    RunStatus.INTERRUPTED: 'a person took control, or the game was reset',
+    RunStatus.CANCELED: 'it was canceled',
+    RunStatus.BUSY: 'refused: another run is under way',
+    RunStatus.UNKNOWN_OPTION: 'refused: there is no such option',
+    RunStatus.NOT_AVAILABLE: 'refused: the option cannot start in this state',
+    RunStatus.NO_EPISODE: 'refused: no episode is under way',
+    RunStatus.FAILED: 'it failed',
+    RunStatus.STOPPED_BY_PLAN: 'choosing anew is worth more than going on',
+    RunStatus.EXECUTION_CHANGED: 'the execution was changed',
+    RunStatus.NO_VALUES: 'refused: the option values of the plan are missing or do not fit',
+    RunStatus.BAD_REQUEST: 'refused',
 }
 
 
@@ -64,10 +64,10 @@ class RunError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class End:
+class RunResult:
     """How a run ended; fields as in ``OptionResult.msg``."""
 
-    status: Status
+    status: RunStatus
     detail: str  # the status in words
     option_name: str
     episode: int = 0
@@ -97,18 +97,18 @@ def execution_named(name: str) -> Execution:
         raise RunError(f'no execution {name!r}; there is {known}') from error
 
 
-def refusal(status: Status, option_name: str, detail: str = '') -> End:
+def refusal(status: RunStatus, option_name: str, detail: str = '') -> RunResult:
     """
     Return the answer to a request that did not become a run.
 
     :param detail: more about it, put after the status's own text.
     """
-    return End(status, _describe(status, detail), option_name)
+    return RunResult(status, _describe(status, detail), option_name)
 
 
 class Run(ABC):
     """
-    One run: ``begin``, then ``next_action`` and ``observe`` in turn until an ``End``.
+    One run: ``begin``, then ``next_action`` and ``observe`` in turn until a ``RunResult``.
 
     :ivar acting: the option that took the last action.
     """
@@ -127,7 +127,7 @@ class Run(ABC):
         """
         Prepare a run.
 
-        :param name: that it is known by.
+        :param name: of the option; empty for modules.
         :param max_steps: 0: none.
         :param rng: what the sampled mode draws from; the greedy mode draws nothing.
         :raises RunError: the sampled mode has nothing to draw from, or max_steps is negative.
@@ -149,7 +149,7 @@ class Run(ABC):
         self._path: list[Any] = []  # states in which it acted
         self._going = False
 
-    def begin(self, state: Any, episode: int, step: int) -> End | None:
+    def begin(self, state: Any, episode: int, step: int) -> RunResult | None:
         """
         Start in a state of the game.
 
@@ -160,9 +160,9 @@ class Run(ABC):
             raise RunError('the run has begun already')
         self._state, self._episode, self._first_step = state, episode, step
         if episode == 0 or self._domain.is_over(state):
-            return self.end(Status.NO_EPISODE)
+            return self.end(RunStatus.NO_EPISODE)
         if not self._can_start():
-            return self.end(Status.NOT_AVAILABLE, self._domain.encode(state))
+            return self.end(RunStatus.NOT_AVAILABLE, self._domain.encode(state))
         self._going = True
         return None
 
@@ -172,9 +172,11 @@ class Run(ABC):
         self.acting = self._actor()
         return self.acting.choose_action(self._row(), self._mode, self._rng)
 
-    def observe(self, state: Any, reward: float, terminated: bool, truncated: bool) -> End | None:
+    def observe(
+        self, state: Any, reward: float, terminated: bool, truncated: bool
+    ) -> RunResult | None:
         """
-        Take in what the action led to.
+        Record the state that the action led to.
 
         :param terminated: the task is over in ``state``.
         :param truncated: the episode was cut off there.
@@ -189,15 +191,15 @@ class Run(ABC):
         self.acted[self.acting.name] += 1
         self._terminated, self._truncated = terminated, truncated
         if self._ends():
-            return self.end(Status.REACHED)
+            return self.end(RunStatus.REACHED)
         if terminated or truncated:
             why = 'the task is over' if terminated else 'at its step limit'
-            return self.end(Status.EPISODE_OVER, why)
+            return self.end(RunStatus.EPISODE_OVER, why)
         if self.step_count == self.max_steps:
-            return self.end(Status.MAX_STEPS, self._cut_off())
+            return self.end(RunStatus.MAX_STEPS, self._cut_off())
         return None
 
-    def stopped(self, arbiter: Arbiter) -> End | None:
+    def stopped(self, arbiter: Arbiter) -> RunResult | None:
         """
         Ask a plan whether to stop before the next action, not before the first; modules go on.
 
@@ -205,16 +207,16 @@ class Run(ABC):
         """
         self._check_going()
         acting = arbiter.before_step(self._state, self.name)
-        return self.end(Status.STOPPED_BY_PLAN) if acting is None else None
+        return self.end(RunStatus.STOPPED_BY_PLAN) if acting is None else None
 
-    def end(self, status: Status, detail: str = '') -> End:
+    def end(self, status: RunStatus, detail: str = '') -> RunResult:
         """
         End the run from outside: canceled, interrupted, no progress, failed.
 
         :param detail: more about it, put after the status's own text.
         """
         self._going = False
-        return End(
+        return RunResult(
             status=status,
             detail=_describe(status, detail),
             option_name=self.name,
@@ -235,7 +237,7 @@ class Run(ABC):
 
     @abstractmethod
     def _actor(self) -> RunnableOption:
-        """Return what takes the next action."""
+        """Return the option that takes the next action."""
 
     @abstractmethod
     def _ends(self) -> bool:
@@ -272,7 +274,7 @@ class OptionRun(Run):
     A run of one option.
 
     It ends, in this order of precedence: REACHED where its termination condition holds, which is
-    looked at only after a step, even if the episode ends there too (``End.terminated`` and
+    looked at only after a step, even if the episode ends there too (``RunResult.terminated`` and
     ``truncated`` tell); EPISODE_OVER where the episode ended, by the task's end or at its step
     limit; MAX_STEPS after ``max_steps`` steps.
     """
@@ -341,5 +343,5 @@ class ModularRun(Run):
         return False
 
 
-def _describe(status: Status, detail: str) -> str:
+def _describe(status: RunStatus, detail: str) -> str:
     return f'{TEXT[status]}: {detail}' if detail else TEXT[status]

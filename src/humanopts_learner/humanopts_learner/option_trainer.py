@@ -1,4 +1,4 @@
-"""The learner's side of a lesson: the data set, and what is learned from it so far."""
+"""The data set of a domain on disk, and the options that are learned from it as it grows."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,13 +20,13 @@ from humanopts_learner.options.option import LearnedOption
 DATA_SET = 'demonstrations.jsonl'
 
 
-class CourseError(RuntimeError):
+class DataSetError(RuntimeError):
     """The data set cannot be read or written; the text says why."""
 
 
 @dataclass(frozen=True)
 class OptionProgress:
-    """What is known of one option of one participant."""
+    """The state of one option of one participant: its demonstrations and what is learned."""
 
     demonstrations: list[Demonstration]
     option: LearnedOption | None  # None while there is no trajectory
@@ -43,7 +43,7 @@ class OptionTrainer:
         """
         Open the folder and learn again from what it holds.
 
-        :raises CourseError: the folder cannot be used.
+        :raises DataSetError: the folder cannot be used.
         """
         self._directory, self._domain = directory, domain
         self._thresholds, self._seed = thresholds, seed
@@ -52,9 +52,9 @@ class OptionTrainer:
         self._progress: dict[tuple[str, str], OptionProgress] = {}
         try:
             directory.mkdir(parents=True, exist_ok=True)
-            self._journal = AppendOnlyLog(directory / DATA_SET)
+            self._log = AppendOnlyLog(directory / DATA_SET)
         except OSError as error:
-            raise CourseError(f'cannot use the folder {directory}: {error.strerror}') from error
+            raise DataSetError(f'cannot use the folder {directory}: {error.strerror}') from error
         self._load()
 
     def take(self, demo: Demonstration) -> bool:
@@ -63,15 +63,15 @@ class OptionTrainer:
 
         :return: False when it is known already, or was withdrawn, and nothing changed.
         :raises DemonstrationError: it cannot be used; it is not kept.
-        :raises CourseError: it could not be written; it is not kept.
+        :raises DataSetError: it could not be written; it is not kept.
         """
         if any(k.uuid == demo.uuid and k.withdrawn >= demo.withdrawn for k in self._demos):
             return False
         check_demonstration(demo, self._domain)
         try:
-            self._journal.append(demo.to_json())
+            self._log.append(demo.to_json())
         except OSError as error:
-            raise CourseError(f'cannot write {self._journal.path}: {error.strerror}') from error
+            raise DataSetError(f'cannot write {self._log.path}: {error.strerror}') from error
         self._demos.append(demo)
         self._learn(demo.participant, demo.option_name)
         return True
@@ -81,17 +81,17 @@ class OptionTrainer:
         return list(self._progress.values())
 
     def _load(self) -> None:
-        if self._journal.damage:
-            self.problems.append(self._journal.damage)
-        for number, line in enumerate(self._journal.lines, start=1):
+        if self._log.damage:
+            self.problems.append(self._log.damage)
+        for number, line in enumerate(self._log.lines, start=1):
             try:
                 demo = Demonstration.from_json(line)
                 check_demonstration(demo, self._domain)
                 self._demos.append(demo)
             except DemonstrationError as error:
-                self.problems.append(f'line {number} of {self._journal.path} is left out: {error}')
-        for whose in dict.fromkeys((demo.participant, demo.option_name) for demo in self._demos):
-            self._learn(*whose)
+                self.problems.append(f'line {number} of {self._log.path} is left out: {error}')
+        for key in dict.fromkeys((demo.participant, demo.option_name) for demo in self._demos):
+            self._learn(*key)
 
     def _learn(self, participant: str, option_name: str) -> None:
         key = participant, option_name
@@ -110,7 +110,7 @@ class OptionTrainer:
         self._progress[key] = OptionProgress(demos, option, judgement, file)
 
     def _unlearn(self, participant: str, option_name: str, demos: list[Demonstration]) -> None:
-        """Forget the option that was learned from what is withdrawn, if there was one."""
+        """Remove the option that was learned from demonstrations that are withdrawn now."""
         try:
             remove_option(self._directory, participant, option_name)
         except OSError as error:

@@ -7,14 +7,14 @@ from typing import Any
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_learner.execution import (
-    End,
     execution_named,
     ModularRun,
     OptionRun,
     refusal,
     Run,
     RunError,
-    Status,
+    RunResult,
+    RunStatus,
     TEXT,
 )
 from humanopts_learner.library import (
@@ -79,7 +79,7 @@ def feature(name: str) -> NDArray[np.int32]:
     return column
 
 
-def drive(run: Run, start: TaxiState, cut_off: int = 1000) -> End:
+def drive(run: Run, start: TaxiState, cut_off: int = 1000) -> RunResult:
     """Run in the rules of the game until it ends; episodes are cut off after so many steps."""
     state, rng = start, np.random.default_rng(0)
     ended = run.begin(state, episode=3, step=7)
@@ -95,18 +95,18 @@ def drive(run: Run, start: TaxiState, cut_off: int = 1000) -> End:
 def test_statuses_are_those_of_the_message() -> None:
     constants = re.findall(r'^uint8 STATUS_(\w+)=(\d+)', MESSAGE.read_text(), re.MULTILINE)
     wanted = {name: int(value) for name, value in constants if name != 'UNKNOWN'}
-    assert {status.name: status.value for status in Status} == wanted
-    assert set(TEXT) == set(Status)
-    assert len(set(TEXT.values())) == len(Status)
+    assert {status.name: status.value for status in RunStatus} == wanted
+    assert set(TEXT) == set(RunStatus)
+    assert len(set(TEXT.values())) == len(RunStatus)
 
 
 def test_a_run_that_reaches_its_end_adds_up_what_it_earned() -> None:
     run = OptionRun(option(NORTH, feature('taxi_row') == 0), TAXI, gamma=0.9)
     end = drive(run, FAR)
     assert end.discounted_return == pytest.approx(-(1 + 0.9 + 0.81 + 0.729))
-    assert end == End(
-        status=Status.REACHED,
-        detail=TEXT[Status.REACHED],
+    assert end == RunResult(
+        status=RunStatus.REACHED,
+        detail=TEXT[RunStatus.REACHED],
         option_name='drive',
         episode=3,
         first_step=7,
@@ -120,13 +120,13 @@ def test_a_run_that_reaches_its_end_adds_up_what_it_earned() -> None:
 
 def test_termination_is_looked_at_only_after_a_step() -> None:
     end = drive(OptionRun(option(NORTH, True), TAXI, 0.9), FAR)
-    assert (end.status, end.step_count) == (Status.REACHED, 1)
+    assert (end.status, end.step_count) == (RunStatus.REACHED, 1)
 
 
 def test_reached_goes_before_the_end_of_the_episode() -> None:
     at_goal = TaxiState(0, 4, passenger=4, destination=1)
     end = drive(OptionRun(primitive(DROPOFF), TAXI, 0.9), at_goal)
-    assert (end.status, end.terminated, end.total_reward) == (Status.REACHED, True, 1.0)
+    assert (end.status, end.terminated, end.total_reward) == (RunStatus.REACHED, True, 1.0)
 
 
 def test_the_end_of_the_task_ends_the_run() -> None:
@@ -134,27 +134,27 @@ def test_the_end_of_the_task_ends_the_run() -> None:
     assert run.begin(FAR, 1, 0) is None
     end = run.observe(TaxiState(0, 0, 1, 1), 1.0, terminated=True, truncated=False)
     assert end is not None
-    assert (end.status, end.terminated) == (Status.EPISODE_OVER, True)
+    assert (end.status, end.terminated) == (RunStatus.EPISODE_OVER, True)
     assert 'the task is over' in end.detail
 
 
 def test_the_step_limit_of_the_episode_ends_the_run_and_says_so() -> None:
     end = drive(OptionRun(option(NORTH, False), TAXI, 0.9, max_steps=2), FAR, cut_off=2)
-    assert (end.status, end.truncated, end.step_count) == (Status.EPISODE_OVER, True, 2)
+    assert (end.status, end.truncated, end.step_count) == (RunStatus.EPISODE_OVER, True, 2)
     assert 'step limit' in end.detail
 
 
 def test_max_steps_cuts_a_run_off_and_names_the_circle_it_walked_in() -> None:
     east_west = np.where(feature('taxi_col') == 0, EAST, WEST)
     end = drive(OptionRun(option(east_west, False, max_steps=9), TAXI, 0.9), TaxiState(2, 0, 0, 1))
-    assert (end.status, end.step_count) == (Status.MAX_STEPS, 9)
+    assert (end.status, end.step_count) == (RunStatus.MAX_STEPS, 9)
     assert '9 steps' in end.detail
     assert 'circle of 2 through taxi 2,0' in end.detail
 
 
 def test_max_steps_without_a_circle_does_not_speak_of_one() -> None:
     end = drive(OptionRun(option(NORTH, False), TAXI, 0.9, max_steps=3), FAR)
-    assert (end.status, end.step_count) == (Status.MAX_STEPS, 3)
+    assert (end.status, end.step_count) == (RunStatus.MAX_STEPS, 3)
     assert 'circle' not in end.detail
 
 
@@ -162,20 +162,20 @@ def test_a_sampled_run_that_comes_back_is_not_said_to_walk_in_a_circle() -> None
     rng = np.random.default_rng(0)
     run = OptionRun(option(SOUTH, False), TAXI, 0.9, 3, Mode.SAMPLED, rng)
     end = drive(run, FAR)
-    assert end.status is Status.MAX_STEPS
+    assert end.status is RunStatus.MAX_STEPS
     assert 'circle' not in end.detail
 
 
 def test_a_primitive_action_is_an_option_of_one_step() -> None:
     end = drive(OptionRun(primitive(NORTH), TAXI, 0.9), FAR)
-    assert (end.status, end.option_name, end.step_count) == (Status.REACHED, 'action:north', 1)
+    assert (end.status, end.option_name, end.step_count) == (RunStatus.REACHED, 'action:north', 1)
 
 
 def test_a_run_is_refused_outside_the_initiation_set() -> None:
     aboard = TaxiState(2, 2, passenger=4, destination=0)
     end = OptionRun(option(NORTH, False), TAXI, 0.9).begin(aboard, 1, 5)
     assert end is not None
-    assert (end.status, end.step_count) == (Status.NOT_AVAILABLE, 0)
+    assert (end.status, end.step_count) == (RunStatus.NOT_AVAILABLE, 0)
     assert 'taxi 2,2 passenger aboard' in end.detail
 
 
@@ -183,13 +183,13 @@ def test_a_run_is_refused_outside_the_initiation_set() -> None:
 def test_a_run_is_refused_where_no_episode_is_under_way(state: TaxiState, episode: int) -> None:
     end = OptionRun(option(NORTH, False), TAXI, 0.9).begin(state, episode, 0)
     assert end is not None
-    assert end.status is Status.NO_EPISODE
+    assert end.status is RunStatus.NO_EPISODE
 
 
 @pytest.mark.parametrize(
-    'status', [Status.NO_PROGRESS, Status.INTERRUPTED, Status.CANCELED, Status.FAILED]
+    'status', [RunStatus.NO_PROGRESS, RunStatus.INTERRUPTED, RunStatus.CANCELED, RunStatus.FAILED]
 )
-def test_a_run_ended_from_outside_keeps_what_it_did(status: Status) -> None:
+def test_a_run_ended_from_outside_keeps_what_it_did(status: RunStatus) -> None:
     run = OptionRun(option(NORTH, False), TAXI, 0.9)
     assert run.begin(FAR, 2, 1) is None
     run.observe(TaxiState(3, 0, 0, 1), -1.0, False, False)
@@ -215,14 +215,14 @@ MODULES = {'up': option(NORTH, False, 'up'), 'right': option(EAST, False, 'right
 def test_in_a_run_of_modules_the_winner_of_each_step_acts_and_is_counted() -> None:
     """From row 4 up to row 3 and then to the right; it goes on where a module would end."""
     end = drive(ModularRun(ByRow(), MODULES, TAXI, 0.9, max_steps=4), FAR)
-    assert (end.status, end.step_count, end.option_name) == (Status.MAX_STEPS, 4, '')
+    assert (end.status, end.step_count, end.option_name) == (RunStatus.MAX_STEPS, 4, '')
     assert end.acted == {'up': 1, 'right': 3}
     assert end.discounted_return == pytest.approx(-(1 + 0.9 + 0.81 + 0.729))
 
 
 def test_a_run_of_modules_ends_with_the_episode() -> None:
     end = drive(ModularRun(ByRow(), MODULES, TAXI, 0.9), FAR, cut_off=9)
-    assert (end.status, end.truncated, end.step_count) == (Status.EPISODE_OVER, True, 9)
+    assert (end.status, end.truncated, end.step_count) == (RunStatus.EPISODE_OVER, True, 9)
 
 
 def test_modules_that_nothing_would_cut_off_are_refused() -> None:
@@ -252,7 +252,7 @@ def test_a_plan_stops_a_run_before_its_next_action() -> None:
     assert run.stopped(StopsAt(2)) is None
     end = run.stopped(StopsAt(3))
     assert end is not None
-    assert (end.status, end.acted) == (Status.STOPPED_BY_PLAN, {'drive': 1})
+    assert (end.status, end.acted) == (RunStatus.STOPPED_BY_PLAN, {'drive': 1})
 
 
 def test_an_execution_is_found_by_its_name_and_none_means_to_the_end() -> None:
@@ -262,8 +262,10 @@ def test_an_execution_is_found_by_its_name_and_none_means_to_the_end() -> None:
         execution_named('fly')
 
 
-@pytest.mark.parametrize('status', [Status.BUSY, Status.UNKNOWN_OPTION, Status.NO_EPISODE])
-def test_a_refused_request_names_the_option_and_the_reason(status: Status) -> None:
+@pytest.mark.parametrize(
+    'status', [RunStatus.BUSY, RunStatus.UNKNOWN_OPTION, RunStatus.NO_EPISODE]
+)
+def test_a_refused_request_names_the_option_and_the_reason(status: RunStatus) -> None:
     end = refusal(status, 'fly', 'more about it')
     assert (end.status, end.option_name, end.step_count) == (status, 'fly', 0)
     assert end.detail == f'{TEXT[status]}: more about it'

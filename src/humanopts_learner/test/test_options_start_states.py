@@ -10,7 +10,12 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.accuracy import policy_accuracy
 from humanopts_learner.options.criteria import judge, Thresholds
-from humanopts_learner.options.failures import nothing_fails, sample_failures, survey, unsettled
+from humanopts_learner.options.failures import (
+    committee_disagrees,
+    find_failures,
+    nothing_fails,
+    sample_failures,
+)
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.rollout import rollouts
@@ -91,7 +96,7 @@ def test_failures_asks_for_a_state_that_fails(person: Callable[..., Any]) -> Non
     ann = person()
     shown = ann.show_random(8)
     option = learn_option(shown, TAXI, 0)
-    found = survey(option, TAXI, shown)
+    found = find_failures(option, TAXI, shown)
     assert found.failing.any()
     assert not nothing_fails(option, TAXI, shown, np.random.default_rng(0))
     for seed in range(5):
@@ -103,7 +108,7 @@ def test_failures_asks_for_a_state_that_fails(person: Callable[..., Any]) -> Non
 def test_stuck_states_are_those_from_which_no_end_is_reached(person: Callable[..., Any]) -> None:
     shown = person().show_random(20)
     option = learn_option(shown, TAXI, 0)
-    found = survey(option, TAXI, shown)
+    found = find_failures(option, TAXI, shown)
     members = option.can_start(TAXI.feature_table())
     candidates = np.flatnonzero(found.candidate & members).tolist()
     runs = rollouts(option, TAXI, [TAXI.state_at(index) for index in candidates])
@@ -120,7 +125,7 @@ def test_letting_out_at_the_wrong_place_is_no_end_that_was_shown(
     elsewhere = TaxiState(1, 0, 4, 1)
     wrong = rollouts(option, TAXI, [elsewhere])
     assert wrong.reached.tolist() == [True]  # it lets the passenger out at R, bound for G
-    assert survey(option, TAXI, bob.shown).stuck[TAXI.index(elsewhere)]
+    assert find_failures(option, TAXI, bob.shown).stuck[TAXI.index(elsewhere)]
 
 
 def test_an_end_by_a_slip_is_no_end(person: Callable[..., Any]) -> None:
@@ -140,7 +145,7 @@ def test_an_end_by_a_slip_is_no_end(person: Callable[..., Any]) -> None:
         terminated=False,
     )
     shown = [*bob.shown, slip]
-    assert survey(learn_option(shown, TAXI, 0), TAXI, shown).stuck[TAXI.index(at)]
+    assert find_failures(learn_option(shown, TAXI, 0), TAXI, shown).stuck[TAXI.index(at)]
 
 
 def test_a_longer_way_counts_until_it_was_shown_three_times(person: Callable[..., Any]) -> None:
@@ -158,7 +163,7 @@ def test_a_longer_way_counts_until_it_was_shown_three_times(person: Callable[...
     for times, counts in [(1, True), (2, True), (3, False)]:
         ids = [f'00000000-0000-4000-8000-00000000000{i}' for i in range(times)]
         shown = [replace(long_way, uuid=uuid, number=i) for i, uuid in enumerate(ids)]
-        found = survey(learn_option(shown, TAXI, 0), TAXI, shown)
+        found = find_failures(learn_option(shown, TAXI, 0), TAXI, shown)
         assert not found.stuck[TAXI.index(NEAR)]
         assert bool(found.detour[TAXI.index(NEAR)]) is counts
 
@@ -178,7 +183,7 @@ def test_failures_teaches_every_state_within_thirty_demonstrations(
     option = teach(someone, 'failures', perfect)
     assert option.n_demonstrations <= 30
     assert sum(accuracy < 0.95 for accuracy in curve) <= 24
-    found = survey(option, TAXI, someone.shown)
+    found = find_failures(option, TAXI, someone.shown)
     assert not (found.stuck[reference.initiation] | found.detour[reference.initiation]).any()
 
 
@@ -209,7 +214,7 @@ def test_when_nothing_fails_what_was_shown_least_is_asked_for(person: Callable[.
         return nothing_fails(option, TAXI, someone.shown, np.random.default_rng(0))
 
     option = teach(someone, 'failures', no_failure)
-    found = survey(option, TAXI, someone.shown)
+    found = find_failures(option, TAXI, someone.shown)
     state = choose_start_state('failures', TAXI, option, someone.shown, np.random.default_rng(0))
     assert found.candidate[TAXI.index(state)]
     assert found.times_shown[TAXI.index(state)] <= np.median(found.times_shown[found.candidate])
@@ -220,7 +225,7 @@ def test_where_states_cannot_be_enumerated_a_sample_that_fails_is_asked_for(
 ) -> None:
     shown = person().show_random(12)
     option = learn_option(shown, plain_taxi, 0)
-    found = survey(option, TAXI, shown)
+    found = find_failures(option, TAXI, shown)
     for seed in range(5):
         state = choose_start_state(
             'failures', plain_taxi, option, shown, np.random.default_rng(seed)
@@ -244,7 +249,7 @@ def test_what_one_demonstration_alone_shows_is_unsettled_until_others_show_it(
     often = [*once, *(ann.show(there) for _ in range(11))]
     for demos, expected in ((once, True), (often, False)):
         option = learn_option(demos, plain_taxi, 0)
-        assert unsettled(option, plain_taxi, demos, row, 0)[0] == expected
+        assert committee_disagrees(option, plain_taxi, demos, row, 0)[0] == expected
 
 
 def test_from_one_trajectory_nothing_in_i_is_settled(
@@ -254,7 +259,7 @@ def test_from_one_trajectory_nothing_in_i_is_settled(
     shown = [ann.show(NEAR), ann.show(replace(NEAR, passenger=4))]
     option = learn_option(shown, plain_taxi, 0)
     rows = TAXI.feature_table()
-    found = unsettled(option, plain_taxi, shown, rows, 0)
+    found = committee_disagrees(option, plain_taxi, shown, rows, 0)
     assert found.tolist() == option.can_start(rows).tolist()
 
 
@@ -277,10 +282,10 @@ def test_a_region_outside_i_is_in_doubt_until_three_different_answers(
     ann = person()
     shown = ann.show_random(4)
     for row in (1, 1, 2, 3):  # the first answer is given twice
-        found = survey(learn_option(shown, TAXI, 0), TAXI, shown)
+        found = find_failures(learn_option(shown, TAXI, 0), TAXI, shown)
         assert found.doubt[TAXI.index(TaxiState(4, 4, 4, 1))]
         shown = [*shown, ann.show(TaxiState(row, 2, 4, 1))]
-    assert not survey(learn_option(shown, TAXI, 0), TAXI, shown).doubt.any()
+    assert not find_failures(learn_option(shown, TAXI, 0), TAXI, shown).doubt.any()
 
 
 def test_both_halves_of_an_option_are_found(person: Callable[..., Any]) -> None:

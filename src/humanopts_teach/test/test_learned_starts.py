@@ -6,7 +6,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.failures import survey
+from humanopts_learner.options.failures import find_failures
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, OptionError
@@ -48,7 +48,7 @@ def history(taxi: Domain[Any], shown: list[Demonstration]) -> OptionHistory:
 def test_failures_asks_for_a_state_where_the_learned_option_fails(
     taxi: Any, shown: list[Demonstration], option: LearnedOption, history: OptionHistory
 ) -> None:
-    failing = survey(option, taxi, shown).failing
+    failing = find_failures(option, taxi, shown).failing
     assert failing.any()
     for seed in range(5):
         chooser = starts(taxi, seed=seed)

@@ -1,5 +1,5 @@
 """
-How close a learned option is to what an expert means by it (paper, section 7.1, figure 2).
+Policy and classification accuracy: a learned option beside its reference option (section 7.1).
 
 Over all states where they can be listed, else over a fixed sample of them. Each part is judged
 where it is asked:
@@ -33,7 +33,7 @@ SAMPLE = 2000  # states, where they cannot be listed
 
 @dataclass(frozen=True)
 class Yardstick:
-    """What is right, by features (., F) of the states in which each part is asked."""
+    """The right answers, beside the features (., F) of the states in which each part is judged."""
 
     acting: NDArray[np.int32]  # (N, F)
     optimal: NDArray[np.bool_]  # (N, A)
@@ -80,8 +80,8 @@ def classification_accuracy(
 def _yardstick(domain: Domain[Any], reference: ReferenceOption) -> Yardstick:
     if is_enumerable(domain) and isinstance(reference, TabularReferenceOption):
         return _of_all_states(domain, reference)
-    game = _Game(domain.name, parameters_json(domain), domain)
-    return _of_a_sample(game, _Meaning(id(reference), reference))
+    game = _DomainKey(domain.name, parameters_json(domain), domain)
+    return _of_a_sample(game, _ReferenceKey(id(reference), reference))
 
 
 def _of_all_states(domain: EnumerableDomain[Any], reference: TabularReferenceOption) -> Yardstick:
@@ -102,8 +102,8 @@ def _of_all_states(domain: EnumerableDomain[Any], reference: TabularReferenceOpt
 
 
 @dataclass(frozen=True)
-class _Game:
-    """A domain, the same wherever its name and parameters are."""
+class _DomainKey:
+    """A domain as a cache key: equal where name and parameters are."""
 
     name: str
     parameters: str
@@ -111,15 +111,15 @@ class _Game:
 
 
 @dataclass(frozen=True)
-class _Meaning:
-    """A reference option, the same only as itself."""
+class _ReferenceKey:
+    """A reference option as a cache key: equal to itself alone."""
 
     number: int  # id() of the option, which cannot be another's while this holds it
     option: ReferenceOption = field(compare=False)
 
 
 @lru_cache(maxsize=4)
-def _sample(game: _Game, count: int) -> tuple[list[Any], NDArray[np.int32]]:
+def _sample(game: _DomainKey, count: int) -> tuple[list[Any], NDArray[np.int32]]:
     """Return states from all parts of the game, never over, and their features (count, F)."""
     domain = game.domain
     states = domain.sample_states(generator(0, 'accuracy', 'states', game.name), count)
@@ -127,7 +127,7 @@ def _sample(game: _Game, count: int) -> tuple[list[Any], NDArray[np.int32]]:
 
 
 @lru_cache(maxsize=32)
-def _of_a_sample(game: _Game, meaning: _Meaning) -> Yardstick:
+def _of_a_sample(game: _DomainKey, meaning: _ReferenceKey) -> Yardstick:
     """Take a step by the first optimal action wherever the option acts: some lead to its end."""
     domain, reference, count = game.domain, meaning.option, len(game.domain.actions)
     states, rows = _sample(game, SAMPLE)

@@ -35,7 +35,7 @@ RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """What the criteria may be at most."""
+    """The largest values with which the criteria are met."""
 
     return_delta: float = 2.0  # mean held-out shortfall, less what luck explains, reward units
     initiation_error: float = 0.05  # balanced error, 0..1
@@ -86,7 +86,7 @@ def usual_thresholds(domain: Domain[Any]) -> Thresholds:
 
 @dataclass(frozen=True)
 class Judgement:
-    """How well an option is learned from its demonstrations."""
+    """How well an option is learned from its demonstrations, by the criteria and in words."""
 
     criteria: tuple[Criterion, ...]  # return, initiation, termination
     mean_return_demonstrations: float  # undiscounted

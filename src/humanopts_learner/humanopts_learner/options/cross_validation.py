@@ -15,7 +15,12 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.learn import Dataset, Examples, fit_option
 from humanopts_learner.options.option import LearnedOption, MEMBER, option_tables
-from humanopts_learner.options.rollout import follow, is_certain, Rollouts, rollouts_of
+from humanopts_learner.options.rollout import (
+    deterministic_rollouts,
+    is_deterministic,
+    Rollouts,
+    rollouts_of,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,7 +75,9 @@ def held_out_shortfall(
     worst = np.array([min(0.0, *demo.rewards) for demo in demos])
     returns = runs.total_reward + other_end * (limit - runs.steps) * worst
     missing = [demo.total_reward for demo in demos] - returns
-    luck = 0.0 if is_certain(domain) else LUCK * missing.std(ddof=1) / math.sqrt(len(missing))
+    luck = (
+        0.0 if is_deterministic(domain) else LUCK * missing.std(ddof=1) / math.sqrt(len(missing))
+    )
     return float(missing.mean() - luck)
 
 
@@ -83,10 +90,10 @@ def _held_out_runs(
 ) -> Rollouts:
     """Run each option from the start of its demonstration."""
     starts = [domain.decode(demo.states[0]) for demo in demos]
-    if is_certain(domain):
+    if is_deterministic(domain):
         several = {id(option): option_tables(option, domain) for option in options}
         which = {key: number for number, key in enumerate(several)}
-        return follow(
+        return deterministic_rollouts(
             domain,
             np.stack([tables.action for tables in several.values()]),
             np.stack([tables.termination for tables in several.values()]),

@@ -1,4 +1,4 @@
-"""From where a learned option does not do what its demonstrations show, by the rules alone."""
+"""The states from which a learned option fails to do what its demonstrations show."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from humanopts_learner.options.cross_validation import fit_leave_fold_out, fold_
 from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.learn import make_dataset
 from humanopts_learner.options.option import LearnedOption, option_tables
-from humanopts_learner.options.rollout import follow, is_certain, rollouts
+from humanopts_learner.options.rollout import deterministic_rollouts, is_deterministic, rollouts
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +25,7 @@ TOLERATED = 0.1  # share of failing ones with which a lesson may end
 
 
 @dataclass(frozen=True)
-class Survey:
+class Failures:
     """What a learned option does from each of the S states of an enumerable domain."""
 
     candidate: Mask  # (S,) open, reachable, and in the learned I
@@ -42,11 +42,11 @@ class Survey:
         return self.stuck | self.detour | self.doubt
 
 
-def survey(
+def find_failures(
     option: LearnedOption,
     domain: EnumerableDomain[Any],
     demonstrations: Sequence[Demonstration],
-) -> Survey:
+) -> Failures:
     """
     Run the option from every state of a deterministic domain.
 
@@ -62,7 +62,7 @@ def survey(
     tables = option_tables(option, domain)
     times_shown, known_end = _shown(option, domain, demonstrations)
     states = np.arange(domain.n_states)
-    walks = follow(
+    runs = deterministic_rollouts(
         domain,
         tables.action[None],
         tables.termination[None],
@@ -77,12 +77,12 @@ def survey(
     )
     askable = reachable(domain) & ~over
     candidate = askable & tables.initiation
-    reached = walks.reached & known_end[walks.final]
+    reached = runs.reached & known_end[runs.final]
     doubt = in_doubt(option, domain.feature_table(), demonstrations)
-    return Survey(
+    return Failures(
         candidate=candidate,
         stuck=candidate & ~reached,
-        detour=candidate & reached & (walks.steps > distance) & (times_shown < MEANT),
+        detour=candidate & reached & (runs.steps > distance) & (times_shown < MEANT),
         doubt=askable & doubt,
         times_shown=times_shown,
         distance=distance,
@@ -97,7 +97,7 @@ def in_doubt(
     Return (N,): which rows (N, F) are outside I by mere guess.
 
     They were not shown, and fewer than ``REFUSALS`` different "not here" answers fell into their
-    leaf of the tree: little more than ends of the option made it negative.
+    leaf of the tree: it is negative for little more than ends of the option.
     """
     seen = np.unique(_encoded(option, [demo.feature_rows for demo in demonstrations]), axis=0)
     refusals = [demo.feature_rows for demo in demonstrations if demo.kind is Kind.NOT_HERE]
@@ -114,12 +114,12 @@ def _encoded(option: LearnedOption, parts: Sequence[NDArray[np.int32]]) -> NDArr
 
 
 @dataclass(frozen=True)
-class Samples:
-    """What a learned option does from some states of a domain that ``survey`` cannot look at."""
+class SampledFailures:
+    """What a learned option does from a sample of states, where they cannot all be run."""
 
     states: list[Any]  # (N,)
     member: Mask  # (N,) in the learned I
-    failing: Mask  # (N,) it does not end before ``max_steps``, is in doubt, or is unsettled
+    failing: Mask  # (N,) no end before ``max_steps``, in doubt, or a committee disagrees
 
     @property
     def share(self) -> float:
@@ -132,7 +132,7 @@ def sample_failures(
     domain: Domain[Any],
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
-) -> Samples:
+) -> SampledFailures:
     """
     Look at ``SAMPLE`` states, and run the option from ``RUNS`` of those where it can start.
 
@@ -142,14 +142,14 @@ def sample_failures(
     rows = np.array([domain.feature_values(state) for state in states])
     member = option.can_start(rows)
     failing = in_doubt(option, rows, demonstrations)
-    failing |= unsettled(option, domain, demonstrations, rows, int(rng.integers(2**31)))
+    failing |= committee_disagrees(option, domain, demonstrations, rows, int(rng.integers(2**31)))
     some = np.flatnonzero(member)[:RUNS]
     runs = rollouts(option, domain, [states[at] for at in some], int(rng.integers(2**31)))
     failing[some] |= ~runs.reached
-    return Samples(states, member, failing)
+    return SampledFailures(states, member, failing)
 
 
-def unsettled(
+def committee_disagrees(
     option: LearnedOption,
     domain: Domain[Any],
     demonstrations: Sequence[Demonstration],
@@ -159,9 +159,9 @@ def unsettled(
     """
     Return (N,): in which rows (N, F) a tenth of the demonstrations decides what the option does.
 
-    The option is learned again without each of ten folds (a committee, as in Seung, Opper and
-    Sompolinsky 1992): where any of these says otherwise of I, or of the action inside I, too
-    little was shown, or a slip counts too much. From one trajectory nothing is settled.
+    Query by committee (Seung, Opper and Sompolinsky 1992): the option is learned again without
+    each of ten folds. Where one of these differs in I, or in the action inside I, too little was
+    shown, or a slip counts too much. One trajectory has no committee: it disagrees all over I.
     """
     inside, action = option.can_start(rows), option.greedy_action(rows)
     data = make_dataset(demonstrations, domain)
@@ -185,8 +185,8 @@ def nothing_fails(
 
     :param rng: draws the states then.
     """
-    if is_certain(domain):
-        return not survey(option, domain, demonstrations).failing.any()
+    if is_deterministic(domain):
+        return not find_failures(option, domain, demonstrations).failing.any()
     return sample_failures(option, domain, demonstrations, rng).share <= TOLERATED
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import re
 from typing import Any
 
+from humanopts_learner.append_only_log import sync, unused_name
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError
 from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
 from humanopts_learner.options.option import LearnedOption, OptionError
@@ -104,11 +105,11 @@ def save_option(
             file.flush()
             os.fsync(file.fileno())
         if path.exists() and not _is_of(path, option.participant, option.name):
-            path.rename(_free_name(path))
+            path.rename(unused_name(path, 'damaged'))
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
-    _sync_folder(path.parent)
+    sync(path.parent)
     return path
 
 
@@ -121,7 +122,7 @@ def remove_option(directory: Path, participant: str, name: str) -> None:
     path = option_path(directory, participant, name)
     if path.exists() and _is_of(path, participant, name):
         path.unlink()
-        _sync_folder(path.parent)
+        sync(path.parent)
 
 
 def load_option(path: Path) -> tuple[LearnedOption, list[Demonstration]]:
@@ -201,18 +202,3 @@ def _is_of(path: Path, participant: str, name: str) -> bool:
     except OptionFileError:
         return False
     return (found.participant, found.name) == (participant, name)
-
-
-def _free_name(path: Path) -> Path:
-    number = 1
-    while (free := path.with_name(f'{path.name}.damaged-{number}')).exists():
-        number += 1
-    return free
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -1,4 +1,4 @@
-"""Running an option in the rules of its domain, to its end."""
+"""Rollouts: options run to their ends by the rules of their domain, without a graph."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def is_certain(domain: Domain[Any]) -> TypeGuard[EnumerableDomain[Any]]:
+def is_deterministic(domain: Domain[Any]) -> TypeGuard[EnumerableDomain[Any]]:
     """Tell whether all states can be listed, and every action has one outcome."""
     return is_enumerable(domain) and domain.transitions().deterministic
 
@@ -27,7 +27,7 @@ class Rollouts:
 
 
 @dataclass(frozen=True)
-class Walks(Rollouts):
+class DeterministicRollouts(Rollouts):
     """Rollouts in an enumerable domain."""
 
     final: NDArray[np.intp]  # (N,) state indices where they ended
@@ -54,12 +54,14 @@ def rollouts(
     :raises OptionError: the option was not learned in this domain.
     """
     limit = option.max_steps if max_steps is None else max_steps
-    if mode is Mode.GREEDY and is_certain(domain):
+    if mode is Mode.GREEDY and is_deterministic(domain):
         tables = option_tables(option, domain)
         at = np.array([domain.index(state) for state in starts], dtype=np.intp)
         which = np.zeros(len(at), dtype=np.intp)
         limits = np.full(len(at), limit)
-        return follow(domain, tables.action[None], tables.termination[None], which, at, limits)
+        return deterministic_rollouts(
+            domain, tables.action[None], tables.termination[None], which, at, limits
+        )
     names = keys or [str(number) for number in range(len(starts))]
     limits = np.full(len(starts), limit)
     return rollouts_of([option] * len(starts), domain, starts, seed, names, limits, mode)
@@ -108,14 +110,14 @@ def rollouts_of(
     return Rollouts(total, steps, reached, over)
 
 
-def follow(
+def deterministic_rollouts(
     domain: EnumerableDomain[Any],
     action: NDArray[np.intp],
     termination: NDArray[np.bool_],
     which: NDArray[np.intp],
     starts: NDArray[np.intp],
     max_steps: NDArray[np.integer],
-) -> Walks:
+) -> DeterministicRollouts:
     """
     Run several policies at once in a deterministic domain.
 
@@ -142,4 +144,4 @@ def follow(
         on = ~ended & (steps[going] < max_steps[going])
         if not on.all():
             going, at, policy = going[on], at[on], policy[on]
-    return Walks(total, steps, reached, is_over, final)
+    return DeterministicRollouts(total, steps, reached, is_over, final)

@@ -1,5 +1,5 @@
 """
-Choosing the next state to show, from the rules and the learned trees alone.
+The choice of the next start state to demonstrate from, by the rules and the learned trees alone.
 
 ``random`` is the paper's way (section 5). ``failures`` shows states from which the learned option
 does not do what was shown: of these, the one whose shortest ways to an end go through the most
@@ -16,13 +16,13 @@ from humanopts_env.domains.tabular import reachable
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding
 from humanopts_learner.options.failures import (
+    Failures,
+    find_failures,
     in_doubt,
     sample_failures,
-    Survey,
-    survey,
 )
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.options.rollout import is_certain
+from humanopts_learner.options.rollout import is_deterministic
 import numpy as np
 from numpy.typing import NDArray
 
@@ -97,8 +97,8 @@ def _failures(
 ) -> Any:
     if option is None:
         return _coverage(domain, option, demonstrations, rng)
-    if is_certain(domain):
-        found = survey(option, domain, demonstrations)
+    if is_deterministic(domain):
+        found = find_failures(option, domain, demonstrations)
         if found.doubt.any() and not found.stuck.any():
             states = _states(domain, found.doubt, rng)
             return _farthest(domain, states, demonstrations, rng)
@@ -119,7 +119,7 @@ STRATEGIES: dict[str, Callable[..., Any]] = {
 
 
 def _instructive_state(
-    domain: EnumerableDomain[Any], found: Survey, rng: np.random.Generator
+    domain: EnumerableDomain[Any], found: Failures, rng: np.random.Generator
 ) -> int:
     """
     Return the state from which a demonstration teaches the most.
@@ -141,7 +141,7 @@ def _instructive_state(
     return int(states[_best(_weight_on_the_way(domain, found, weight)[states], rng)])
 
 
-def _weight_on_the_way(domain: EnumerableDomain[Any], found: Survey, weight: Floats) -> Floats:
+def _weight_on_the_way(domain: EnumerableDomain[Any], found: Failures, weight: Floats) -> Floats:
     """Return (S,): the summed weight of the states on shortest ways, their mean where several."""
     successor = domain.transitions().successor[:, :, 0]
     total = weight.astype(np.float64)

@@ -9,7 +9,7 @@ from typing import Any
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan
 from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
-from humanopts_learner.execution import End
+from humanopts_learner.execution import RunResult
 from humanopts_learner.options.criteria import Judgement
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, OptionError
@@ -211,7 +211,7 @@ def option_values_from_message(message: msg.OptionValues) -> OptionValues:
     return OptionValues.from_flat({name: getattr(message, name) for name in names})
 
 
-def end_to_message(end: End, run_id: str, execution: str = '') -> msg.OptionResult:
+def end_to_message(end: RunResult, run_id: str, execution: str = '') -> msg.OptionResult:
     """
     Say how a run ended.
 

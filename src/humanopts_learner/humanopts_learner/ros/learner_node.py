@@ -15,7 +15,7 @@ from humanopts_interfaces.msg import (
     OptionStatus,
 )
 from humanopts_learner.demonstrations import demonstration_from_message, DemonstrationError
-from humanopts_learner.option_trainer import CourseError, OptionProgress, OptionTrainer
+from humanopts_learner.option_trainer import DataSetError, OptionProgress, OptionTrainer
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.ros.convert import (
     not_learnable_status,
@@ -74,7 +74,7 @@ class LearnerNode(NodeBase):
         try:
             domain = domain_from_info(info)
             self._trainer = OptionTrainer(self._directory, domain, self._thresholds, self._seed)
-        except (CourseError, DomainError) as error:
+        except (DataSetError, DomainError) as error:
             raise StartError(str(error)) from error
         self._log_problems(self._trainer)
 
@@ -82,14 +82,14 @@ class LearnerNode(NodeBase):
         receipt = DemonstrationReceipt(uuid=message.uuid, option_name=message.option_name)
         try:
             if self._trainer is None:
-                raise CourseError('the learner does not know the game yet')
+                raise DataSetError('the learner does not know the game yet')
             if self._trainer.take(demonstration_from_message(message)):
                 receipt.status = receipt.STATUS_ACCEPTED
                 self._log_problems(self._trainer)
                 self._publish(self._trainer)
             else:
                 receipt.status, receipt.detail = receipt.STATUS_DUPLICATE, 'it is known already'
-        except (DemonstrationError, CourseError) as error:
+        except (DemonstrationError, DataSetError) as error:
             receipt.status, receipt.detail = receipt.STATUS_REFUSED, str(error)
         self._receipts.publish(receipt)
 

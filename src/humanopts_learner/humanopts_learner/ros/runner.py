@@ -16,7 +16,6 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_interfaces.srv import RunOption
 from humanopts_learner.execution import (
-    End,
     execution_named,
     MODULAR,
     ModularRun,
@@ -24,7 +23,8 @@ from humanopts_learner.execution import (
     refusal,
     Run,
     RunError,
-    Status,
+    RunResult,
+    RunStatus,
 )
 from humanopts_learner.library import OptionLibrary, UnknownOptionError
 from humanopts_learner.options.option import Mode
@@ -122,26 +122,26 @@ class Runner:
         """End the run under way, or the wait for its first state, because the node ends."""
         self._stopping = True
         if self._active is not None:
-            self._finish(self._active.run.end(Status.FAILED, 'option_server stops'))
+            self._finish(self._active.run.end(RunStatus.FAILED, 'option_server stops'))
 
     async def run(self, request: RunRequest) -> OptionResult:
         """Run to the end, or refuse."""
         if self.library is None:
-            return _refused(request, Status.NO_EPISODE, 'game has not announced itself')
+            return _refused(request, RunStatus.NO_EPISODE, 'game has not announced itself')
         if self._taken_by:
-            return _refused(request, Status.BUSY, self._taken_by)
+            return _refused(request, RunStatus.BUSY, self._taken_by)
         try:
             execution = _check(request.goal, self.library)
             self._taken_by = request.goal.option_name or execution.value
             return await self._drive(request, execution, self.library)
         except RunCanceled:
-            return _refused(request, Status.CANCELED)
+            return _refused(request, RunStatus.CANCELED)
         except UnknownOptionError as error:
-            return _refused(request, Status.UNKNOWN_OPTION, str(error))
+            return _refused(request, RunStatus.UNKNOWN_OPTION, str(error))
         except RunError as error:
-            return _refused(request, Status.BAD_REQUEST, str(error))
+            return _refused(request, RunStatus.BAD_REQUEST, str(error))
         except PlanError as error:
-            return _refused(request, Status.NO_VALUES, str(error))
+            return _refused(request, RunStatus.NO_VALUES, str(error))
         finally:
             self._taken_by = ''
 
@@ -156,9 +156,9 @@ class Runner:
                 raise PlanError(f'those of plan {plan_id} did not come; {self._plans.newest()}')
         state = await self._first_state(request)
         if state is None:
-            return _refused(request, Status.NO_EPISODE, self._missing(request))
+            return _refused(request, RunStatus.NO_EPISODE, self._missing(request))
         if state.terminated or state.truncated:
-            return _refused(request, Status.NO_EPISODE, 'the episode has ended')
+            return _refused(request, RunStatus.NO_EPISODE, 'the episode has ended')
         moment = state.episode, state.step
         run, arbiter = self._prepare(request, execution, library, moment)
         end = run.begin(library.domain.decode(state.state), *moment)
@@ -275,7 +275,7 @@ class Runner:
         if active is None:
             return
         if message.episode != active.episode:
-            self._finish(active.run.end(Status.INTERRUPTED, 'the game was reset'))
+            self._finish(active.run.end(RunStatus.INTERRUPTED, 'the game was reset'))
         elif message.step > active.step:
             self._on_step(active, message)
 
@@ -284,7 +284,7 @@ class Runner:
         mine = message.action_publisher_id == self._node.publisher_id
         if not mine or message.action_sequence != active.command:
             text = f'{message.action_publisher_id} took {message.previous_action}'
-            self._finish(active.run.end(Status.INTERRUPTED, text))
+            self._finish(active.run.end(RunStatus.INTERRUPTED, text))
             return
         active.step = message.step
         state = active.library.domain.decode(message.state)
@@ -296,20 +296,20 @@ class Runner:
         else:
             self._send(active)
 
-    def _stopped(self, active: _Active) -> End | None:
+    def _stopped(self, active: _Active) -> RunResult | None:
         """Return how the run ends before its next command; None: it goes on."""
         run, request, before = active.run, active.request, active.execution
         if self._canceled(request):
-            return run.end(Status.CANCELED)
+            return run.end(RunStatus.CANCELED)
         plan_id = request.goal.plan_id
         wanted = self._plans.wanted(before, request.execution_sequence, plan_id)
         if wanted is not before:
             if wanted in MODULAR or before in MODULAR:
-                return run.end(Status.EXECUTION_CHANGED, f'from {before} to {wanted}')
+                return run.end(RunStatus.EXECUTION_CHANGED, f'from {before} to {wanted}')
             try:
                 self._change(active, wanted)
             except ValueError as error:  # the options were taught anew meanwhile
-                return run.end(Status.FAILED, str(error))
+                return run.end(RunStatus.FAILED, str(error))
         return run.stopped(active.arbiter) if active.arbiter is not None else None
 
     def _change(self, active: _Active, wanted: Execution) -> None:
@@ -330,15 +330,15 @@ class Runner:
         if active is None or not mine or message.command_sequence != active.command:
             return
         interrupted = (ActionRefusal.REASON_HELD_BY_PERSON, ActionRefusal.REASON_STALE)
-        status = Status.INTERRUPTED if message.reason in interrupted else Status.FAILED
+        status = RunStatus.INTERRUPTED if message.reason in interrupted else RunStatus.FAILED
         self._finish(active.run.end(status, message.detail))
 
     def _check_deadline(self) -> None:
         active = self._active
         if active is not None and time.monotonic() > active.deadline:
-            self._finish(active.run.end(Status.NO_PROGRESS, f'{self._patience:g} s'))
+            self._finish(active.run.end(RunStatus.NO_PROGRESS, f'{self._patience:g} s'))
 
-    def _finish(self, end: End) -> None:
+    def _finish(self, end: RunResult) -> None:
         active, self._active = self._active, None
         if active is not None:
             active.done.set_result(end)
@@ -361,5 +361,5 @@ def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary)
     return execution
 
 
-def _refused(request: RunRequest, status: Status, detail: str = '') -> OptionResult:
+def _refused(request: RunRequest, status: RunStatus, detail: str = '') -> OptionResult:
     return end_to_message(refusal(status, request.goal.option_name, detail), '')

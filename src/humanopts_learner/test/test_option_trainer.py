@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError, Kind
-from humanopts_learner.option_trainer import CourseError, DATA_SET, OptionTrainer
+from humanopts_learner.option_trainer import DATA_SET, DataSetError, OptionTrainer
 from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import load_options, option_from_json
 from humanopts_learner.options.learn import learn_option
@@ -127,7 +127,7 @@ def test_a_line_that_cannot_be_used_is_named_and_the_others_are_kept(
 
 def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     (tmp_path / 'file').touch()
-    with pytest.raises(CourseError, match=r'cannot use the folder .*file: '):
+    with pytest.raises(DataSetError, match=r'cannot use the folder .*file: '):
         OptionTrainer(tmp_path / 'file', TAXI, Thresholds(), SEED)
 
 
@@ -136,7 +136,7 @@ def test_a_data_set_that_cannot_be_written_keeps_the_demonstration_out(
 ) -> None:
     course = reopen()
     (tmp_path / 'options' / DATA_SET).mkdir()
-    with pytest.raises(CourseError, match=r'cannot write .*jsonl: Is a directory'):
+    with pytest.raises(DataSetError, match=r'cannot write .*jsonl: Is a directory'):
         course.take(few[0])
     assert course.progress() == []
     (tmp_path / 'options' / DATA_SET).rmdir()
