@@ -5,11 +5,10 @@ from pathlib import Path
 from statistics import median
 from time import process_time
 
-from humanopts_env.domains.pacman.batch import PacManBatch
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.features import FeatureReader
-from humanopts_env.domains.pacman.rules import DRAWS, Rules
-from humanopts_env.domains.pacman.sampling import sample_games
+from humanopts_env.domains.pacman.games import sample_games
+from humanopts_env.domains.pacman.rules import DRAWS, PacManBatch, Rules
 from humanopts_env.seeding import generator
 from hypothesis import given, settings, strategies
 import numpy as np

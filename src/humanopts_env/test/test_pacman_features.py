@@ -1,16 +1,16 @@
 """Pac-Man's features and drawing, by hand."""
 
 from humanopts_env.domains.base import FeatureKind
-from humanopts_env.domains.pacman.batch import PacManBatch
 from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_env.domains.pacman.paths import STAY
-from humanopts_env.domains.pacman.planning_features import (
+from humanopts_env.domains.pacman.games import (
+    ABSTRACT_FEATURES,
+    abstract_features,
     arrival_steps,
     CONTEXT,
-    PLANNING_FEATURES,
-    planning_features,
+    sample_games,
 )
-from humanopts_env.domains.pacman.sampling import sample_games
+from humanopts_env.domains.pacman.paths import STAY
+from humanopts_env.domains.pacman.rules import PacManBatch
 from humanopts_env.seeding import generator
 import pytest
 from rich.cells import cell_len
@@ -172,11 +172,11 @@ def test_words_are_not_coloured() -> None:
 def buckets_of(text: str) -> dict[str, int]:
     """Return the planning features of one state."""
     batch = PacManBatch.from_states(DOMAIN.rules, [DOMAIN.decode(text)])
-    values = planning_features(batch)[0].tolist()
-    return {feature.name: value for feature, value in zip(PLANNING_FEATURES, values)}
+    values = abstract_features(batch)[0].tolist()
+    return {feature.name: value for feature, value in zip(ABSTRACT_FEATURES, values)}
 
 
-def test_planning_features_by_hand() -> None:
+def test_abstract_features_by_hand() -> None:
     """A ghost is 3 steps away, and 4 from either cell beside Pac-Man; the pill is 4 away."""
     assert buckets_of(START) == {
         'danger': 2,  # 3
@@ -215,14 +215,14 @@ def test_nobody_arrives_sooner_than_by_a_shortest_path() -> None:
         assert (steps >= paths.distance[:, None]).all()
 
 
-def test_context_is_some_of_the_planning_features() -> None:
+def test_context_is_some_of_the_abstract_features() -> None:
     """A name that is misspelt would pool nothing."""
-    assert set(CONTEXT) < {feature.name for feature in PLANNING_FEATURES}
+    assert set(CONTEXT) < {feature.name for feature in ABSTRACT_FEATURES}
 
 
 @pytest.mark.parametrize('maze', ['gardens', 'yard', '%%%%%\n%P..%\n%%%%%'])
-def test_planning_features_are_within_their_buckets(maze: str) -> None:
+def test_abstract_features_are_within_their_buckets(maze: str) -> None:
     """Whatever the number of ghosts."""
     batch = sample_games(PacMan(maze).rules, generator(0, 'buckets'), 500)
-    values = planning_features(batch)
-    assert ((values >= 0) & (values < [f.count for f in PLANNING_FEATURES])).all()
+    values = abstract_features(batch)
+    assert ((values >= 0) & (values < [f.count for f in ABSTRACT_FEATURES])).all()

@@ -5,8 +5,8 @@ from typing import Any
 
 from humanopts_env.domains.pacman.baselines import play_heuristic
 from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.pacman.features import look_around
 from humanopts_env.domains.pacman.reference import PacManOption, reference_options
-from humanopts_env.domains.pacman.surroundings import look_around
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options as rooms_references

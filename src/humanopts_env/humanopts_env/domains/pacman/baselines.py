@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from humanopts_env.domains.capabilities import Baselines, PlanSettings, Scores
-from humanopts_env.domains.pacman.batch import Flags, Ints, PacManBatch
+from humanopts_env.domains.pacman.features import look_around, Surroundings
 from humanopts_env.domains.pacman.games import batch_outcome
 from humanopts_env.domains.pacman.reference import (
     AVOID_GHOST,
@@ -21,8 +21,7 @@ from humanopts_env.domains.pacman.reference import (
     PacManOption,
     reference_options,
 )
-from humanopts_env.domains.pacman.rules import GHOST_RULES
-from humanopts_env.domains.pacman.surroundings import look_around, Surroundings
+from humanopts_env.domains.pacman.rules import Flags, GHOST_RULES, Ints, PacManBatch
 from humanopts_env.seeding import generator
 import numpy as np
 

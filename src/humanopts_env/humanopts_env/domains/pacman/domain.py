@@ -21,8 +21,8 @@ from humanopts_env.domains.capabilities import Baselines, TeachingDefaults
 from humanopts_env.domains.pacman import state as notation
 from humanopts_env.domains.pacman.baselines import pacman_baselines
 from humanopts_env.domains.pacman.board import draw_features, draw_state, GLYPH_STYLES
-from humanopts_env.domains.pacman.features import feature_values, pacman_features
-from humanopts_env.domains.pacman.games import PacManGames
+from humanopts_env.domains.pacman.features import FeatureReader, pacman_features
+from humanopts_env.domains.pacman.games import PacManGames, sample_games
 from humanopts_env.domains.pacman.maze import load_maze, maze_names
 from humanopts_env.domains.pacman.paths import MOVES, STAY
 from humanopts_env.domains.pacman.reference import (
@@ -31,8 +31,7 @@ from humanopts_env.domains.pacman.reference import (
     EAT_GHOST,
     NEAREST_PILL,
 )
-from humanopts_env.domains.pacman.rules import DRAWS, GHOST_RULES, Rules
-from humanopts_env.domains.pacman.sampling import sample_games
+from humanopts_env.domains.pacman.rules import DRAWS, GHOST_RULES, PacManBatch, Rules
 from humanopts_env.domains.pacman.state import PacManState
 from humanopts_env.domains.search_space import plain_cell_name, plain_space, SearchSpace
 import numpy as np
@@ -83,6 +82,7 @@ class PacMan:
                     f'{name} is {value!r}, and must be a whole number from 1 to {most}'
                 )
         self.rules = Rules(load_maze(maze), ghosts, lives)
+        self._read = FeatureReader(self.rules)
         self.name = 'pacman'
         self.parameters: Mapping[str, Parameter] = {
             'maze': maze if maze in maze_names() else self.rules.maze.text,
@@ -132,7 +132,8 @@ class PacMan:
 
     def feature_values(self, state: PacManState) -> NDArray[np.int32]:
         """Return the value of every feature, (F,), indices into ``Feature.values``."""
-        return feature_values(self.rules, state)
+        found: NDArray[np.int32] = self._read(PacManBatch.from_states(self.rules, [state]))[0]
+        return found
 
     def encode(self, state: PacManState) -> str:
         """Return the state as one line."""

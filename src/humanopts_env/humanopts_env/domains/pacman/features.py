@@ -1,5 +1,5 @@
 """
-The features of Pac-Man, of one state and of many games at once.
+The features of Pac-Man, and what is nearest of each kind, in many games at once.
 
 "Nearest" is by steps of a shortest path; among several it is the first, row by row. A direction
 is the first move of a shortest path, the first in the order of moves where there are several.
@@ -7,21 +7,20 @@ What is not there (no pill is left, no ghost is scared) is in the last row, colu
 which read "none".
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 from humanopts_env.domains.base import Feature, FeatureKind
-from humanopts_env.domains.pacman.batch import PacManBatch
-from humanopts_env.domains.pacman.paths import FIRST_MOVE, MOVES, STAY
-from humanopts_env.domains.pacman.rules import Rules
-from humanopts_env.domains.pacman.state import eaten_names, PacManState, SCARED_STEPS
+from humanopts_env.domains.pacman.paths import FIRST_MOVE, Masks, MOVES, STAY
+from humanopts_env.domains.pacman.rules import PacManBatch, Rules, Taken
+from humanopts_env.domains.pacman.state import eaten_names, SCARED_STEPS
 from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
 
 DIRECTIONS = (*MOVES, 'here', 'none')
-HERE, NOWHERE = STAY, STAY + 1  # indices of the last two
+NOWHERE = STAY + 1  # index of the last
 THINGS = {  # prefix of feature names: what it is to a person
     'food': 'the nearest food',
     'pill': 'the nearest power pill',
@@ -101,37 +100,6 @@ def _way(rules: Rules, name: str, words: str) -> list[Feature]:
 
 def _sets(names: Callable[[int], list[str]], empty: str) -> tuple[str, ...]:
     return tuple(' and '.join(names(mask)) or empty for mask in range(16))
-
-
-def feature_values(rules: Rules, state: PacManState) -> NDArray[np.int32]:
-    """Return the features of one state, (F,), looked for one by one."""
-    paths, maze, ghosts = rules.paths, rules.maze, state.ghosts
-    distance = paths.distance[state.pacman].tolist()
-
-    def nearest(cells: Iterable[int]) -> int | None:
-        return min(cells, key=distance.__getitem__, default=None)
-
-    def place(cell: int | None) -> tuple[int, int]:
-        return (maze.rows, maze.cols) if cell is None else maze.cells[cell]
-
-    def way(cell: int | None) -> tuple[int, int]:
-        if cell is None:
-            return NOWHERE, paths.longest + 1
-        first = FIRST_MOVE[paths.shortest[state.pacman, cell]]
-        return int(first), distance[cell]
-
-    values = [*place(state.pacman)]
-    for ghost in ghosts:
-        values += [*place(ghost.cell), *way(ghost.cell), ghost.scared]
-    for cells, mask in ((maze.food, state.food), (maze.pills, state.pills)):
-        cell = nearest(cell for k, cell in enumerate(cells) if mask >> k & 1)
-        values += [*place(cell), *way(cell)]
-    fruit = state.fruit_at if state.fruit else None
-    values += [*place(fruit), *way(fruit)]
-    for scared in (False, True):
-        values += way(nearest(ghost.cell for ghost in ghosts if (ghost.scared > 0) == scared))
-    values += [state.ate, int(paths.legal[state.pacman])]
-    return np.array(values, dtype=np.int32)
 
 
 @dataclass(frozen=True)
@@ -236,3 +204,63 @@ class FeatureReader:
         distance = np.zeros((count, len(items) + 1), dtype=self.rules.paths.distance.dtype)
         distance[:, :-1] = self.rules.paths.distance[:, list(items)]
         return _Nearest(read_only(distance), np.array([*items, count], dtype=np.intp))
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What is nearest of each kind in N games, and the first moves of all shortest ways there."""
+
+    food: NDArray[np.intp]  # (N,) steps; ``far`` where there is none
+    pill: NDArray[np.intp]
+    danger: NDArray[np.intp]  # dangerous ghost
+    prey: NDArray[np.intp]  # scared ghost
+    fear: NDArray[np.intp]  # (N,) for how long the nearest scared ghost is scared
+    to_food: Masks  # (N,)
+    to_pill: Masks
+    to_prey: Masks
+    food_at: NDArray[
+        np.intp
+    ]  # (N,) cell of the nearest, the first of several; any if there is none
+    pill_at: NDArray[np.intp]
+    far: int
+
+
+def look_around(batch: PacManBatch) -> Surroundings:
+    """Measure the distances in every game."""
+    paths, maze = batch.rules.paths, batch.rules.maze
+    food, food_at, to_food = _nearest_things(batch, maze.food, batch.food_taken)
+    pill, pill_at, to_pill = _nearest_things(batch, maze.pills, batch.pills_taken)
+    steps = paths.distance[batch.ghosts, batch.pacman].astype(np.intp)  # (G, N)
+    scared = batch.scared > 0
+    danger = np.where(scared, paths.far, steps).min(axis=0, initial=paths.far)
+    hunted = np.where(scared, steps, paths.far)
+    prey = hunted.min(axis=0, initial=paths.far)
+    nearest = scared & (hunted == prey)
+    first = np.where(nearest, paths.shortest[batch.pacman, batch.ghosts], 0)
+    return Surroundings(
+        food=food,
+        pill=pill,
+        danger=danger,
+        prey=prey,
+        fear=np.where(nearest, batch.scared, 0).max(axis=0, initial=0),
+        to_food=to_food,
+        to_pill=to_pill,
+        to_prey=np.bitwise_or.reduce(first, axis=0).astype(np.uint8),
+        food_at=food_at,
+        pill_at=pill_at,
+        far=paths.far,
+    )
+
+
+def _nearest_things(
+    batch: PacManBatch, cells: Sequence[int], taken: Taken
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Masks]:
+    """Return steps to the nearest thing that is there, its cell, and moves to all as near."""
+    paths, items = batch.rules.paths, [*cells, 0]  # the last column of ``taken`` is no thing
+    steps = paths.distance[:, items][batch.pacman] | taken
+    at = steps[:, :-1].argmin(axis=1) if cells else np.zeros(len(batch), dtype=np.intp)
+    least = np.where(taken[:, :-1] == 0, steps[:, :-1], paths.far).min(axis=1, initial=paths.far)
+    nearest = (steps == least[:, None]) & (taken == 0)
+    first = np.where(nearest, paths.shortest[:, items][batch.pacman], 0)
+    masks: Masks = np.bitwise_or.reduce(first, axis=1).astype(np.uint8)
+    return least.astype(np.intp), np.array(items)[at], masks

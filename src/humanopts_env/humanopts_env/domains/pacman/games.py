@@ -1,35 +1,76 @@
 """
-Many games of Pac-Man for planning from samples, and the state abstractions that it sees.
+Many games of Pac-Man at once for planning from samples: play, state abstractions, sampled games.
 
-The one for options is that of ``planning_features``. The finer one, for primitive actions, has
-where walls are, and the way to each thing, where it is near enough to matter.
+Options see buckets of distances, times and numbers: what decides which one is worth starting.
+"Arrival" at a cell is in how many steps a dangerous ghost can be there, if it wants to: dangerous
+ghosts do not turn round unless they must, so that one that has just passed is farther away than
+its distance says. What an option risks is the arrival at the cell that its first step leads to,
+where 1 may cost a life at once. Primitive actions see, finer, where walls are, and the way to each
+thing, where it is near enough to matter.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, TYPE_CHECKING
 
 from humanopts_env.domains.capabilities import Abstraction
-from humanopts_env.domains.pacman.batch import PacManBatch
-from humanopts_env.domains.pacman.features import DIRECTIONS, FeatureReader
-from humanopts_env.domains.pacman.planning_features import (
-    CONTEXT,
-    PLANNING_FEATURES,
-    planning_features,
+from humanopts_env.domains.pacman.features import (
+    DIRECTIONS,
+    FeatureReader,
+    look_around,
+    Surroundings,
 )
+from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, Masks, MOVES, Paths, STAY
+from humanopts_env.domains.pacman.rules import Ints, PacManBatch, Rules
 from humanopts_env.domains.pacman.state import PacManState
+from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from humanopts_env.domains.pacman.domain import PacMan
 
-Ints = NDArray[np.intp]
+AFAR = 1000  # more than any bucket of a distance that is one; what is not there is farther
 N_DIRECTIONS = len(DIRECTIONS)
-FAR = 1000  # more than any bucket of a distance that is one
 # For primitive actions: the first distance of each bucket but the nearest. In the last one the
 # direction is left out, but for food.
 NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL = (2, 3, 4, 5, 7), (3, 5), (3, 6, 13), (3, 9)
 NEAR_FOOD = (2, 3, 5, 9)
+LONGEST = 300  # steps that are played before a state is drawn
+CHANGES = 0.1  # probability of wanting something else at a step
+WANTS = ('food', 'food', 'pill', 'prey', None)  # each as often; None: to move at random
+
+
+@dataclass(frozen=True, slots=True)
+class Bucketed:
+    """A number in buckets: value k holds ``edges[k - 1] <= number < edges[k]``."""
+
+    name: str
+    edges: tuple[int, ...]
+
+    @property
+    def count(self) -> int:
+        """How many values it has."""
+        return len(self.edges) + 1
+
+
+ABSTRACT_FEATURES = (
+    Bucketed('danger', (2, 3, 4, 6, AFAR)),  # arrival where Pac-Man is
+    Bucketed('danger_to_food', (2, 3, 4, 6)),  # arrival after the first step to the nearest food
+    Bucketed('danger_to_pill', (2, 3, 4)),
+    Bucketed('danger_to_prey', (2, 3, 4)),
+    Bucketed('danger_in_flight', (2, 3, 4, 6)),  # after the step farthest from dangerous ghosts
+    Bucketed('food_distance', (2, 3, 5, 9)),
+    Bucketed('pill_distance', (2, 4, 7, 11, AFAR)),
+    Bucketed('prey_distance', (2, 4, 7, 11, AFAR)),  # nearest scared ghost
+    Bucketed('prey_time', (0, 3, 8)),  # for how much longer than the way there it is scared
+    Bucketed('fruit_distance', (10,)),
+    Bucketed('food_left', (6, 36)),
+    Bucketed('pills_left', (1, 2)),
+    Bucketed('lives', (2,)),
+)
+CONTEXT = ('food_left', 'pills_left')  # what is left to gain, rather than what is near
 
 
 class PacManGames:
@@ -84,9 +125,9 @@ class PacManGames:
             near = (NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL)
             ways = [len(edges) * N_DIRECTIONS + 1 for edges in near]
             return Abstraction((16, N_DIRECTIONS, len(NEAR_FOOD) + 1, *ways))
-        names = [feature.name for feature in PLANNING_FEATURES]
+        names = [feature.name for feature in ABSTRACT_FEATURES]
         return Abstraction(
-            sizes=tuple(feature.count for feature in PLANNING_FEATURES),
+            sizes=tuple(feature.count for feature in ABSTRACT_FEATURES),
             context=tuple(c for c, name in enumerate(names) if name in CONTEXT),
             mixture=tuple(c for c, name in enumerate(names) if name not in (*CONTEXT, 'lives')),
         )
@@ -96,7 +137,7 @@ class PacManGames:
     ) -> NDArray[np.int32]:
         """Return (N, P): the values, from 0."""
         if not fine:
-            return planning_features(batch)
+            return abstract_features(batch)
         values: list[NDArray[Any]] = [
             self._of(rows, 'legal_moves'),
             self._of(rows, 'food_direction'),
@@ -119,15 +160,17 @@ class PacManGames:
         """Return the way to the nearest scared ghost, while there is time to come to it."""
         away = self._of(rows, 'prey_distance')
         fear = batch.scared.max(axis=0, initial=0)
-        return _near(self._of(rows, 'prey_direction'), np.where(away > fear, FAR, away), NEAR_PREY)
+        return _near(
+            self._of(rows, 'prey_direction'), np.where(away > fear, AFAR, away), NEAR_PREY
+        )
 
     def _dangers(self, batch: PacManBatch, rows: NDArray[np.int32]) -> tuple[Ints, Ints]:
         """Return the ways to the nearest dangerous ghost and to the one after that."""
         ghosts = [f'ghost_{number + 1}' for number in range(len(batch.ghosts))]
-        away = np.full((len(rows), len(ghosts) + 2), FAR)
+        away = np.full((len(rows), len(ghosts) + 2), AFAR)
         direction = np.zeros((len(rows), len(ghosts) + 2), dtype=np.int32)
         for column, (ghost, scared) in enumerate(zip(ghosts, batch.scared)):
-            away[:, column] = np.where(scared > 0, FAR, self._of(rows, f'{ghost}_distance'))
+            away[:, column] = np.where(scared > 0, AFAR, self._of(rows, f'{ghost}_distance'))
             direction[:, column] = self._of(rows, f'{ghost}_direction')
         first, second = np.argsort(away, axis=1, kind='stable')[:, :2].T
         game = np.arange(len(rows))
@@ -148,3 +191,112 @@ def _near(direction: NDArray[Any], away: NDArray[Any], near: tuple[int, ...]) ->
     return np.where(
         bucket < len(near), bucket * N_DIRECTIONS + direction, len(near) * N_DIRECTIONS
     )
+
+
+def abstract_features(batch: PacManBatch, seen: Surroundings | None = None) -> NDArray[np.int32]:
+    """
+    Return the buckets of every game.
+
+    :param seen: what ``look_around`` found, if that is known already.
+    :return: (N, P), columns as in ABSTRACT_FEATURES.
+    """
+    seen = seen or look_around(batch)
+    paths, here = batch.rules.paths, batch.pacman
+    prey = _or_afar(seen.prey, seen)
+    fruit = paths.distance[here, np.where(batch.fruit > 0, batch.fruit_at, here)].astype(np.intp)
+    numbers = (
+        _arrival(batch, here),
+        _after(batch, seen.to_food),
+        _after(batch, seen.to_pill),
+        _after(batch, seen.to_prey),
+        _arrival(batch, _refuge(batch)),
+        seen.food,
+        _or_afar(seen.pill, seen),
+        prey,
+        np.where(prey < AFAR, seen.fear - seen.prey, -1),
+        np.where(batch.fruit > 0, fruit, AFAR),
+        batch.food_left,
+        (batch.pills_taken == 0).sum(axis=1),
+        batch.lives,
+    )
+    values = np.empty((len(batch), len(ABSTRACT_FEATURES)), dtype=np.int32)
+    for column, (feature, number) in enumerate(zip(ABSTRACT_FEATURES, numbers, strict=True)):
+        values[:, column] = np.searchsorted(feature.edges, number, side='right')
+    return values
+
+
+@lru_cache(maxsize=8)
+def arrival_steps(paths: Paths) -> NDArray[np.int16]:
+    """
+    Return the fewest steps in which a dangerous ghost can be in a cell, by dynamic programming.
+
+    :return: (C, 5, C) from each cell with each heading to each cell; AFAR where it never can.
+    """
+    cells = np.arange(len(paths.step))
+    steps = np.full((len(cells), 5, len(cells)), AFAR, dtype=np.int16)
+    steps[cells, :, cells] = 0
+    while True:
+        onward = np.minimum(steps[paths.step[:, :4], range(4)] + 1, AFAR).astype(np.int16)
+        found = steps.copy()
+        for heading in range(5):
+            may = HAS_MOVE[paths.allowed[:, heading], :, None]
+            soonest = np.where(may, onward, AFAR).min(axis=1)
+            np.minimum(steps[:, heading], soonest, out=found[:, heading])
+        if (found == steps).all():
+            return read_only(steps)
+        steps = found
+
+
+def _arrival(batch: PacManBatch, cell: Ints) -> Ints:
+    """Return in how many steps the soonest dangerous ghost can be in a cell (N,)."""
+    steps = arrival_steps(batch.rules.paths)[batch.ghosts, batch.headings, cell].astype(np.intp)
+    soonest: Ints = np.where(batch.scared > 0, AFAR, steps).min(axis=0, initial=AFAR)
+    return soonest
+
+
+def _after(batch: PacManBatch, ways: Masks) -> Ints:
+    """Return the arrival after the first of some moves (N,), 0 where there is none."""
+    move = FIRST_MOVE[ways]
+    return np.where(move < STAY, _arrival(batch, batch.rules.paths.step[batch.pacman, move]), 0)
+
+
+def _refuge(batch: PacManBatch) -> Ints:
+    """Return the cell a step away that is farthest from the nearest dangerous ghost, (N,)."""
+    paths = batch.rules.paths
+    after = paths.step[batch.pacman, :4]  # (N, 4)
+    steps = paths.distance[batch.ghosts[:, :, None], after].astype(np.intp)  # (G, N, 4)
+    steps = np.where(batch.scared[:, :, None] > 0, AFAR, steps).min(axis=0, initial=AFAR)
+    legal = HAS_MOVE[paths.legal[batch.pacman]]
+    best = np.where(legal, steps, -1).argmax(axis=1)
+    refuge: Ints = after[np.arange(len(batch)), best]
+    return refuge
+
+
+def _or_afar(steps: Ints, seen: Surroundings) -> Ints:
+    return np.where(steps < seen.far, steps, AFAR)
+
+
+def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBatch:
+    """
+    Draw states that games come to, none of them over.
+
+    Each game is played for a number of steps drawn uniformly below LONGEST, and begins again
+    where it ends. For a while at a time Pac-Man goes towards the nearest food, pill or scared
+    ghost, or moves at random, as he does where what he wants is not there.
+
+    :param count: how many, N.
+    """
+    batch, drawn, read = PacManBatch(rules, count), PacManBatch(rules, count), FeatureReader(rules)
+    columns = np.array([read.names.index(f'{want}_direction') for want in WANTS if want])
+    length = rng.integers(LONGEST, size=count)
+    want = rng.integers(len(WANTS), size=count)
+    for step in range(int(length.max(initial=-1)) + 1):
+        ready = np.flatnonzero(length == step)
+        drawn.put(ready, batch.take(ready))
+        want = np.where(rng.random(count) < CHANGES, rng.integers(len(WANTS), size=count), want)
+        wanted = np.append(read(batch)[:, columns], np.full((count, 1), len(MOVES)), axis=1)
+        move = wanted[np.arange(count), want]
+        move = np.where(move < len(MOVES), move, rng.integers(len(MOVES), size=count))
+        batch.step(move, batch.draws(rng))
+        batch.restart(np.flatnonzero(batch.over))
+    return drawn

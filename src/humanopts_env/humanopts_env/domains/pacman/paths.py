@@ -43,7 +43,7 @@ class Paths:
         """Steps between the two cells that are farthest apart."""
         return int(self.distance.max())
 
-    @property
+    @cached_property
     def far(self) -> int:
         """Stands for no distance at all: the largest number of the type of ``distance``."""
         return int(np.iinfo(self.distance.dtype).max)

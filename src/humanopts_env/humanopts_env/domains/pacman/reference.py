@@ -10,11 +10,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from humanopts_env.domains.pacman.batch import Flags, PacManBatch
+from humanopts_env.domains.pacman.features import look_around, Surroundings
 from humanopts_env.domains.pacman.paths import HAS_MOVE
-from humanopts_env.domains.pacman.rules import ATE_FOOD, ATE_FRUIT, ATE_GHOST, ATE_PILL, Rules
+from humanopts_env.domains.pacman.rules import (
+    ATE_FOOD,
+    ATE_FRUIT,
+    ATE_GHOST,
+    ATE_PILL,
+    Flags,
+    PacManBatch,
+    Rules,
+)
 from humanopts_env.domains.pacman.state import PacManState
-from humanopts_env.domains.pacman.surroundings import look_around, Surroundings
 from humanopts_env.domains.reference import Judgement
 import numpy as np
 

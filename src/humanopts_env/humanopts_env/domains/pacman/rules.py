@@ -1,5 +1,5 @@
 """
-Pac-Man's rules, one game at a time; ``batch`` plays many at once by the same rules.
+Pac-Man's rules, for many games at once; one game is a batch of one.
 
 A step, in this order:
 
@@ -17,12 +17,16 @@ is for 60 steps where food is left that is nearest to the middle.
 All chance is in one draw for each ghost and step, a whole number below DRAWS, whether it moves or
 not. A chasing ghost goes a shortest way towards Pac-Man with draws below CHASE_DRAWS, else as a
 random one. Where k moves are equally good, the draw picks among them with equal shares.
+
+N games, G ghosts, C cells, K food, P pills; one array for each part of the state. What happens
+rarely (meeting a ghost, eating a pill, fruit) is done for the few games that it happens in.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 from humanopts_env.domains.pacman.maze import Maze
 from humanopts_env.domains.pacman.paths import HAS_MOVE, maze_paths, Paths, STAY
@@ -36,6 +40,10 @@ from humanopts_env.domains.pacman.state import (
 from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
+
+Ints = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+Taken = NDArray[np.unsignedinteger]
 
 FOOD_POINTS, PILL_POINTS, FRUIT_POINTS, GHOST_POINTS = 10, 50, 100, 200
 ATE_FOOD, ATE_PILL, ATE_FRUIT, ATE_GHOST = 1, 2, 4, 8  # bits of PacManState.ate
@@ -58,6 +66,39 @@ def _picks() -> NDArray[np.uint8]:
 PICKS = _picks()
 
 
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """The maze as flat arrays, for one look-up in each."""
+
+    step: Ints  # (C * 5,) cell after a move
+    allowed: NDArray[np.uint8]  # (C * 5,) moves of a ghost by cell and heading
+    towards: NDArray[np.uint8]  # (C * 5 * C,) and by Pac-Man's cell
+    away: NDArray[np.uint8]
+    picks: NDArray[np.intp]  # (16 * DRAWS,) move of a draw from a mask
+    food_at: Ints  # (C,) which food is in a cell; K: none
+    pill_at: Ints  # (C,) which pill; P: none
+    homes: Ints  # (G, 1)
+
+
+def _tables(maze: Maze, paths: Paths) -> Tables:
+    """Lay the maze out for steps of many games."""
+    places = []
+    for items in (maze.food, maze.pills):
+        at = np.full(len(maze.cells), len(items), dtype=np.intp)
+        at[list(items)] = range(len(items))
+        places.append(read_only(at))
+    return Tables(
+        step=paths.step.ravel(),
+        allowed=paths.allowed.ravel(),
+        towards=paths.towards.ravel(),
+        away=paths.away.ravel(),
+        picks=read_only(PICKS.astype(np.intp).ravel()),
+        food_at=places[0],
+        pill_at=places[1],
+        homes=read_only(np.array(maze.homes, dtype=np.intp).reshape(-1, 1)),
+    )
+
+
 @dataclass(frozen=True)
 class Rules:
     """One maze, and how its ghosts move."""
@@ -70,6 +111,11 @@ class Rules:
     def paths(self) -> Paths:
         """Moves and shortest paths of the maze."""
         return maze_paths(self.maze)
+
+    @cached_property
+    def tables(self) -> Tables:
+        """The maze laid out for steps of many games."""
+        return _tables(self.maze, self.paths)
 
     @property
     def chase_draws(self) -> int:
@@ -101,96 +147,273 @@ class Rules:
 
         :param draws: (G,) one number below DRAWS for each ghost.
         """
-        pacman = int(self.paths.step[state.pacman, move])
-        moved = map(self._move, state.ghosts, [state.pacman] * len(draws), draws)
-        fed = replace(state, pacman=pacman, ghosts=tuple(moved), ate=0)
-        for eat in (self._eat_fruit, self._eat_food, self._eat_pill):
-            fed = eat(fed)
-        met, caught = self._meet(state, fed)
-        return self._lose(met) if caught and met.food else _count_down(met)
+        return self._advance(state, move, np.array([draws], dtype=np.intp).T)[0]
 
     def can_follow(self, state: PacManState, move: int, successor: PacManState) -> bool:
         """Tell whether some draws lead from a state that is not over to another."""
-        choices = [
-            {self._move(ghost, state.pacman, draw): draw for draw in range(DRAWS)}.values()
-            for ghost in state.ghosts
+        probe = PacManBatch.from_states(self, [state] * DRAWS)
+        every = np.broadcast_to(np.arange(DRAWS), probe.ghosts.shape)
+        probe.move_ghosts(probe.pacman, np.ones(DRAWS, dtype=np.bool_), every)
+        different = [
+            np.unique(np.stack(ghost), axis=1, return_index=True)[1]
+            for ghost in zip(probe.ghosts, probe.headings)
         ]
-        return any(self.advance(state, move, draws) == successor for draws in product(*choices))
+        draws = np.array(list(product(*different)), dtype=np.intp)
+        return successor in self._advance(state, move, draws.T)
 
-    def _meet(self, before: PacManState, state: PacManState) -> tuple[PacManState, bool]:
-        """Eat the scared ghosts that Pac-Man meets, and tell whether he meets a dangerous one."""
-        here = [
-            ghost.cell == state.pacman
-            or (ghost.cell == before.pacman and was.cell == state.pacman)
-            for was, ghost in zip(before.ghosts, state.ghosts)
+    def _advance(
+        self, state: PacManState, move: int, draws: NDArray[np.intp]
+    ) -> list[PacManState]:
+        """Return what each of some draws (G, N) leads to."""
+        count = draws.shape[1]
+        batch = PacManBatch.from_states(self, [state] * count)
+        batch.step(np.full(count, move), draws)
+        return batch.states()
+
+
+class PacManBatch:
+    """
+    N games of the same rules.
+
+    What is taken is marked with ``Paths.far``, else 0, so that a bitwise or with distances leaves
+    those of what is still there. Both arrays have one more column for cells with nothing to take,
+    marked with ``far - 1``: nearer than all that is taken, and farther than all that is there.
+
+    :ivar pacman: (N,) cells.
+    :ivar ghosts: (G, N) cells.
+    :ivar headings: (G, N) last moves.
+    :ivar scared: (G, N) steps that are left.
+    :ivar food_taken: (N, K + 1).
+    :ivar pills_taken: (N, P + 1).
+    :ivar food_left: (N,) how many.
+    :ivar fruit: (N,) steps that it is still there.
+    :ivar fruit_at: (N,) its cell; means nothing where there is none.
+    :ivar lives: (N,).
+    :ivar score: (N,) points.
+    :ivar ate: (N,) masks of what the last step ate.
+    """
+
+    pacman: Ints
+    ghosts: Ints
+    headings: Ints
+    scared: Ints
+    food_taken: Taken
+    pills_taken: Taken
+    food_left: Ints
+    fruit: Ints
+    fruit_at: Ints
+    lives: Ints
+    score: Ints
+    ate: Ints
+
+    def __init__(self, rules: Rules, count: int = 1) -> None:
+        """
+        Begin games.
+
+        :param count: how many, N.
+        """
+        maze, groups = rules.maze, len(rules.maze.homes)
+        self.rules = rules
+        self.tables = rules.tables
+        far = rules.paths.far
+        self.pacman = np.full(count, maze.start, dtype=np.intp)
+        self.ghosts = np.repeat(self.tables.homes, count, axis=1)
+        self.headings = np.full((groups, count), STAY, dtype=np.intp)
+        self.scared = np.zeros((groups, count), dtype=np.intp)
+        for name, items in (('food_taken', maze.food), ('pills_taken', maze.pills)):
+            taken = np.zeros((count, len(items) + 1), dtype=rules.paths.distance.dtype)
+            taken[:, -1] = far - 1
+            setattr(self, name, taken)
+        self.food_left = np.full(count, len(maze.food), dtype=np.intp)
+        self.fruit = np.zeros(count, dtype=np.intp)
+        self.fruit_at = np.full(count, NO_CELL, dtype=np.intp)
+        self.lives = np.full(count, rules.lives, dtype=np.intp)
+        self.score = np.zeros(count, dtype=np.intp)
+        self.ate = np.zeros(count, dtype=np.intp)
+
+    @classmethod
+    def from_states(cls, rules: Rules, states: Sequence[PacManState]) -> 'PacManBatch':
+        """Return games that stand at given states."""
+        batch = cls.__new__(cls)
+        batch.rules, batch.tables = rules, rules.tables
+        numbers = [(s.pacman, s.fruit, s.fruit_at, s.lives, s.score, s.ate) for s in states]
+        columns = np.array(numbers, dtype=np.intp).reshape(-1, 6).T.copy()
+        batch.pacman, batch.fruit, batch.fruit_at, batch.lives, batch.score, batch.ate = columns
+        ghosts = [[(g.cell, g.heading, g.scared) for g in state.ghosts] for state in states]
+        shape = len(states), len(rules.maze.homes), 3
+        each = np.array(ghosts, dtype=np.intp).reshape(shape).transpose(2, 1, 0).copy()
+        batch.ghosts, batch.headings, batch.scared = each
+        batch.food_taken = _taken(rules, len(rules.maze.food), [state.food for state in states])
+        batch.pills_taken = _taken(rules, len(rules.maze.pills), [state.pills for state in states])
+        batch.food_left = (batch.food_taken == 0).sum(axis=1)
+        return batch
+
+    def __len__(self) -> int:
+        """Return the number of games."""
+        return len(self.pacman)
+
+    @property
+    def over(self) -> Flags:
+        """(N,) whether each game is over."""
+        done: Flags = (self.food_left == 0) | (self.lives == 0)
+        return done
+
+    def states(self) -> list[PacManState]:
+        """Return the state of every game."""
+        ghosts = np.stack((self.ghosts, self.headings, self.scared), axis=2).swapaxes(0, 1)
+        fruit_at = np.where(self.fruit > 0, self.fruit_at, NO_CELL)
+        parts = (self.fruit, fruit_at, self.lives, self.score, self.ate)
+        return [
+            PacManState(pacman, tuple(Ghost(*ghost) for ghost in row), food, pills, *rest)
+            for pacman, row, food, pills, rest in zip(
+                self.pacman.tolist(),
+                ghosts.tolist(),
+                _get_bits(self.food_taken),
+                _get_bits(self.pills_taken),
+                zip(*(part.tolist() for part in parts)),
+            )
         ]
-        prey = [met and ghost.scared > 0 for met, ghost in zip(here, state.ghosts)]
-        ghosts = tuple(
-            Ghost(home) if eaten else ghost
-            for eaten, ghost, home in zip(prey, state.ghosts, self.maze.homes)
-        )
-        score = state.score + GHOST_POINTS * sum(prey)
-        ate = state.ate | (ATE_GHOST if any(prey) else 0)
-        return replace(state, ghosts=ghosts, score=score, ate=ate), here != prey
 
-    def _lose(self, state: PacManState) -> PacManState:
-        """Take a life, and put everyone back."""
-        ghosts = tuple(Ghost(home) for home in self.maze.homes)
-        lost = replace(state, pacman=self.maze.start, ghosts=ghosts, lives=state.lives - 1)
-        return _count_down(lost)
+    def take(self, games: NDArray[Any]) -> 'PacManBatch':
+        """Return copies of chosen games: their indices (M,), in any order and number."""
+        chosen = PacManBatch.__new__(PacManBatch)
+        chosen.rules, chosen.tables = self.rules, self.tables
+        for name in PacManBatch.__annotations__:
+            value = getattr(self, name)
+            by_ghost = name in ('ghosts', 'headings', 'scared')
+            setattr(chosen, name, value[:, games] if by_ghost else value[games])
+        return chosen
 
-    def _eat_fruit(self, state: PacManState) -> PacManState:
-        if state.pacman != state.fruit_at:
-            return state
-        score, ate = state.score + FRUIT_POINTS, state.ate | ATE_FRUIT
-        return replace(state, fruit=0, fruit_at=NO_CELL, score=score, ate=ate)
+    def put(self, games: NDArray[Any], source: 'PacManBatch') -> None:
+        """Set chosen games, by their indices (M,), each once, to the M games of another batch."""
+        for name in PacManBatch.__annotations__:
+            by_ghost = name in ('ghosts', 'headings', 'scared')
+            at = (slice(None), games) if by_ghost else games
+            getattr(self, name)[at] = getattr(source, name)
 
-    def _eat_food(self, state: PacManState) -> PacManState:
-        maze = self.maze
-        food = state.food & ~_bit(maze.food, state.pacman)
-        if food == state.food:
-            return state
-        score, ate = state.score + FOOD_POINTS, state.ate | ATE_FOOD
-        fed = replace(state, food=food, score=score, ate=ate)
-        if not food or len(maze.food) - food.bit_count() not in FRUIT_AFTER:
-            return fed
-        middle = next(k for k in maze.from_middle if food >> k & 1)
-        return replace(
-            fed, fruit=FRUIT_STEPS + 1, fruit_at=maze.food[middle]
-        )  # one is counted now
+    def restart(self, games: NDArray[Any]) -> None:
+        """Begin chosen games again, by their indices (M,)."""
+        self.put(games, PacManBatch(self.rules, len(games)))
 
-    def _eat_pill(self, state: PacManState) -> PacManState:
-        pills = state.pills & ~_bit(self.maze.pills, state.pacman)
-        if pills == state.pills:
-            return state
-        score, ate = state.score + PILL_POINTS, state.ate | ATE_PILL
-        ghosts = tuple(Ghost(ghost.cell, STAY, SCARED_STEPS + 1) for ghost in state.ghosts)
-        return replace(state, pills=pills, ghosts=ghosts, score=score, ate=ate)
+    def draws(self, rng: np.random.Generator) -> Ints:
+        """Draw the chance of one step, (G, N)."""
+        return rng.integers(DRAWS, size=self.ghosts.shape, dtype=np.uint8).astype(np.intp)
 
-    def _move(self, ghost: Ghost, pacman: int, draw: int) -> Ghost:
-        """Move one ghost, or let it hold still."""
-        where = (ghost.cell, ghost.heading)
-        if ghost.scared % 2:
-            return ghost
-        if ghost.scared:
-            mask = self.paths.away[(*where, pacman)]
-        elif draw < self.chase_draws:
-            mask = self.paths.towards[(*where, pacman)]
-        else:
-            mask = self.paths.allowed[where]
-        move = int(PICKS[mask, draw])
-        return replace(ghost, cell=int(self.paths.step[ghost.cell, move]), heading=move)
+    def step(self, moves: NDArray[np.integer], draws: NDArray[np.integer]) -> Ints:
+        """
+        Take one step in every game that is not over.
+
+        :param moves: (N,) of Pac-Man, 0..3.
+        :param draws: (G, N) from ``draws``.
+        :return: (N,) points earned.
+        """
+        live, before = ~self.over, self.score.copy()
+        pacman, ghosts = self.pacman, self.ghosts
+        self.pacman = self.tables.step[pacman * 5 + np.where(live, moves, STAY)]
+        self.move_ghosts(pacman, live, draws)
+        self.ate *= ~live
+        self._eat(live)
+        met: Flags = self.ghosts == self.pacman
+        met |= (self.ghosts == pacman) & (ghosts == self.pacman)
+        met &= live
+        self._meet(met)
+        self.scared -= (self.scared > 0) & live
+        self.fruit -= (self.fruit > 0) & live
+        return self.score - before
+
+    def _meet(self, met: Flags) -> None:
+        """Eat scared ghosts among those that Pac-Man meets (G, N); take lives for others."""
+        games = np.flatnonzero(met.any(axis=0))
+        if not games.size:
+            return
+        met = met[:, games]
+        prey = met & (self.scared[:, games] > 0)
+        caught = (met & ~prey).any(axis=0) & (self.food_left[games] > 0)
+        eaten = prey.sum(axis=0)
+        self.score[games] += GHOST_POINTS * eaten
+        self.ate[games] |= np.where(eaten, ATE_GHOST, 0)
+        self._send_home(games, prey | caught)
+        lost = games[caught]
+        self.pacman[lost] = self.rules.maze.start
+        self.lives[lost] -= 1
+
+    def _send_home(self, games: Ints, which: Flags) -> None:
+        """Put ghosts (G, M) of some games (M,) back where the maze put them."""
+        ghost, at = which.nonzero()
+        self.ghosts[ghost, games[at]] = self.tables.homes[ghost, 0]
+        self.headings[ghost, games[at]] = STAY
+        self.scared[ghost, games[at]] = 0
+
+    def _eat(self, live: Flags) -> None:
+        """Eat what is in Pac-Man's cell."""
+        at_fruit: Flags = (self.pacman == self.fruit_at) & (self.fruit > 0) & live
+        self._eat_fruit(at_fruit.nonzero()[0])
+        fed = self._take(self.food_taken, self.tables.food_at, live)
+        self.food_left -= fed
+        self.score += FOOD_POINTS * fed
+        self.ate |= ATE_FOOD * fed
+        for after in FRUIT_AFTER:
+            left = len(self.rules.maze.food) - after
+            if left > 0:
+                reached: Flags = fed & (self.food_left == left)
+                self._lay_fruit(reached.nonzero()[0])
+        games = self._take(self.pills_taken, self.tables.pill_at, live).nonzero()[0]
+        self.score[games] += PILL_POINTS
+        self.ate[games] |= ATE_PILL
+        self.scared[:, games] = SCARED_STEPS + 1
+        self.headings[:, games] = STAY
+
+    def _lay_fruit(self, games: Ints) -> None:
+        """Lay fruit on the food that is left nearest to the middle."""
+        if not games.size:
+            return
+        maze = self.rules.maze
+        there = self.food_taken[games][:, maze.from_middle] == 0
+        cells = np.array(maze.food)[list(maze.from_middle)]
+        self.fruit_at[games] = cells[there.argmax(axis=1)]
+        self.fruit[games] = FRUIT_STEPS + 1  # one is counted down in this step
+
+    def _eat_fruit(self, games: Ints) -> None:
+        self.fruit[games] = 0
+        self.score[games] += FRUIT_POINTS
+        self.ate[games] |= ATE_FRUIT
+
+    def _take(self, taken: Taken, number_at: Ints, live: Flags) -> Flags:
+        """Take what is in Pac-Man's cell, and tell where something was."""
+        width = taken.shape[1]
+        place = number_at[self.pacman]
+        place += np.arange(0, taken.size, width)
+        flat = taken.reshape(-1)
+        found: Flags = (flat[place] == 0) & live
+        flat[place[found]] = self.rules.paths.far
+        return found
+
+    def move_ghosts(self, pacman: Ints, live: Flags, draws: NDArray[np.integer]) -> None:
+        """Move ghosts by where Pac-Man was."""
+        tables, count = self.tables, len(self.rules.maze.cells)
+        where = self.ghosts * 5 + self.headings
+        masks = tables.allowed[where]
+        if self.rules.chase_draws:
+            ghost, game = (draws < self.rules.chase_draws).nonzero()
+            masks[ghost, game] = tables.towards[where[ghost, game] * count + pacman[game]]
+        ghost, game = self.scared.nonzero()
+        masks[ghost, game] = tables.away[where[ghost, game] * count + pacman[game]]
+        move = tables.picks[masks * np.intp(DRAWS) + draws]
+        moving = live & (self.scared & 1 == 0)
+        np.copyto(self.headings, move, where=moving)
+        self.ghosts = tables.step[self.ghosts * 5 + np.where(moving, move, STAY)]
 
 
-def _count_down(state: PacManState) -> PacManState:
-    """Bring fear and fruit one step nearer to their end."""
-    ghosts = tuple(replace(ghost, scared=max(ghost.scared - 1, 0)) for ghost in state.ghosts)
-    fruit = max(state.fruit - 1, 0)
-    return replace(
-        state, ghosts=ghosts, fruit=fruit, fruit_at=state.fruit_at if fruit else NO_CELL
-    )
+def _taken(rules: Rules, count: int, masks: Sequence[int]) -> Taken:
+    """Return (N, count + 1): what is taken of some things, by the masks of what is there."""
+    far, width = rules.paths.far, (count + 7) // 8
+    packed = np.frombuffer(b''.join(m.to_bytes(width, 'little') for m in masks), dtype=np.uint8)
+    bits = np.unpackbits(packed.reshape(len(masks), width), axis=1, bitorder='little')
+    taken = np.full((len(masks), count + 1), far - 1, dtype=rules.paths.distance.dtype)
+    taken[:, :count] = np.where(bits[:, :count], 0, far)
+    return taken
 
 
-def _bit(cells: tuple[int, ...], cell: int) -> int:
-    """Return the mask of a cell in a list of cells; 0 where it is not in it."""
-    return 1 << cells.index(cell) if cell in cells else 0
+def _get_bits(taken: Taken) -> list[int]:
+    packed = np.packbits(taken[:, :-1] == 0, axis=1, bitorder='little')
+    return [int.from_bytes(row.tobytes(), 'little') for row in packed]
