@@ -1,13 +1,12 @@
 """``humanopts bench``: how long things take, each beside a yardstick of the same run."""
 
-import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-import json
+from json import dumps
 from pathlib import Path
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 from humanopts_teach.commands.ending import CommandError
 from humanopts_teach.commands.options import PLAIN
@@ -15,23 +14,49 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 import typer
 
-from benchmarks.figure import SUFFIXES, write_figure
-from benchmarks.machine import machine_facts
-from benchmarks.results import Planned, results_to_dict, Rows, run_section, SECTIONS
-from benchmarks.tables import section_table
+from benchmarks.games import game_rows
+from benchmarks.graph import graph_rows, GraphSizes
+from benchmarks.learning import learning_rows
+from benchmarks.measure import machine_facts, OnMeasured, Row
+from benchmarks.planning import planning_rows
+from benchmarks.processes import own_place
+from benchmarks.recording import Load, recording_rows
+from benchmarks.show import section_table, SUFFIXES, write_figure
 
+FORMAT, VERSION = 'humanopts-bench', 1  # of the JSON file
+QUICK_GRAPH = GraphSizes(2, 20, 3)
+QUICK_LOADS = (Load(2_000, 0, 1), Load(1_500, 3_000, 1))
 _LEAST_WIDTH = 120  # of tables; narrower ones would leave numbers out
 _FILE_WIDTH = 200
 app = typer.Typer(**PLAIN)
 
 
-def _sections(text: str) -> tuple[str, ...]:
+def _graph(progress: OnMeasured, *sizes: GraphSizes) -> list[Row]:
+    with own_place() as folder:
+        return graph_rows(folder, progress, *sizes)
+
+
+def _recording(progress: OnMeasured, *loads: Sequence[Load]) -> list[Row]:
+    with own_place() as folder:
+        return recording_rows(folder, progress, *loads)
+
+
+SECTIONS: dict[str, tuple[Callable[..., list[Row]], tuple[Any, ...]]] = {  # and its quick sizes
+    'planning': (planning_rows, ((5, 10), 1)),
+    'learning': (learning_rows, ((10,), 2)),
+    'games': (game_rows, (2, 50, 2)),
+    'graph': (_graph, (QUICK_GRAPH,)),
+    'recording': (_recording, (QUICK_LOADS,)),
+}
+
+
+def _sections(text: str) -> list[str]:
     names = text.split(',')
     for name in names:
         if name not in SECTIONS:
             text = f'{name!r} is none of {", ".join(SECTIONS)}'
             raise typer.BadParameter(text, param_hint="'--only'")
-    return tuple(name for name in SECTIONS if name in names)
+    return [name for name in SECTIONS if name in names]
 
 
 @app.command(help='how long things take, each beside a yardstick')
@@ -59,62 +84,50 @@ def bench(
         typer.Option('--quick', help='small sizes, to see that it works; times mean little'),
     ] = False,
 ) -> int:
-    """Measure the chosen sections."""
+    """
+    Measure the chosen sections, and show and write what was found.
+
+    :raises LaunchError: a process of the graph died, or is not done in time.
+    """
     chosen = _sections(only)
-    return run(argparse.Namespace(json=json, figure=figure, only=chosen, quick=quick))
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Measure the chosen sections, and show and write what was found."""
-    _check(arguments)
-    sections: dict[str, Rows] = {}
+    _check(chosen, json, figure)
+    measured: dict[str, list[Row]] = {}
     with _progress() as tell:
-        for name in arguments.only:
-            on_measured = partial(tell, name)
-            sections[name] = run_section(name, quick=arguments.quick, progress=on_measured)
+        for name in chosen:
+            measure, quick_sizes = SECTIONS[name]
+            measured[name] = measure(partial(tell, name), *(quick_sizes if quick else ()))
             tell(name, 1.0, 'done')
     machine = machine_facts()
-    _show(sections, machine)
-    _write(arguments, sections, machine)
+    console = Console(highlight=False)
+    console.width = max(console.width, _LEAST_WIDTH) if console.is_terminal else _FILE_WIDTH
+    for name, rows in measured.items():
+        console.print(section_table(name, rows))
+        console.print()
+    console.print(', '.join(f'{name} {value}' for name, value in machine.items()))
+    if json:
+        with _written(json):
+            data = {'format': FORMAT, 'version': VERSION, 'quick': quick, 'machine': machine}
+            json.write_text(dumps({**data, **measured}, indent=2) + '\n', 'utf-8')
+        print(f'results: {json}', file=sys.stderr)
+    if figure:
+        with _written(figure):
+            write_figure(figure, measured['planning'])
+        print(f'figure: {figure}', file=sys.stderr)
     return 0
 
 
-def _check(arguments: argparse.Namespace) -> None:
+def _check(chosen: Sequence[str], json: Path | None, figure: Path | None) -> None:
     """Refuse what could not be written, before anything is measured."""
-    if arguments.figure and arguments.figure.suffix not in SUFFIXES:
-        raise CommandError(f'--figure {arguments.figure} does not end in {" or ".join(SUFFIXES)}')
-    if arguments.figure and 'planning' not in arguments.only:
+    if figure and figure.suffix not in SUFFIXES:
+        raise CommandError(f'--figure {figure} does not end in {" or ".join(SUFFIXES)}')
+    if figure and 'planning' not in chosen:
         raise CommandError('--figure draws planning, which --only leaves out')
-    for path in filter(None, (arguments.json, arguments.figure)):
+    for path in filter(None, (json, figure)):
         new = not path.exists()
         with _written(path):
             path.open('ab').close()
             if new:
                 path.unlink()
-
-
-def _show(sections: dict[str, Rows], machine: dict[str, str | int]) -> None:
-    console = Console(highlight=False)
-    console.width = max(console.width, _LEAST_WIDTH) if console.is_terminal else _FILE_WIDTH
-    for name, rows in sections.items():
-        console.print(section_table(name, rows))
-        console.print()
-    console.print(', '.join(f'{name} {value}' for name, value in machine.items()))
-
-
-def _write(
-    arguments: argparse.Namespace, sections: dict[str, Rows], machine: dict[str, str | int]
-) -> None:
-    if arguments.json:
-        data = results_to_dict(sections, machine, quick=arguments.quick)
-        with _written(arguments.json):
-            arguments.json.write_text(json.dumps(data, indent=2) + '\n', 'utf-8')
-        print(f'results: {arguments.json}', file=sys.stderr)
-    if arguments.figure:
-        rows = [row for row in sections['planning'] if isinstance(row, Planned)]
-        with _written(arguments.figure):
-            write_figure(arguments.figure, rows)
-        print(f'figure: {arguments.figure}', file=sys.stderr)
 
 
 @contextmanager

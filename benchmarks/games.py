@@ -12,7 +12,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.planning.sampled.games import batch_games
 import numpy as np
 
-from benchmarks.measured import compare, Comparison, in_turns, OnMeasured
+from benchmarks.measure import compare, in_turns, OnMeasured, Row
 
 BATCH = 4096  # games
 RULES_TARGET, FEATURES_TARGET = 1e6, 2e5  # steps of Pac-Man a second, on one core
@@ -20,11 +20,8 @@ SEED = 1
 
 
 def game_rows(
-    batch_steps: int = 40,
-    single_steps: int = 2000,
-    repeats: int = 7,
-    progress: OnMeasured | None = None,
-) -> list[Comparison]:
+    progress: OnMeasured, batch_steps: int = 40, single_steps: int = 2000, repeats: int = 7
+) -> list[Row]:
     """
     Step games at random, many at once and one by one; games that are over begin again.
 
@@ -40,8 +37,7 @@ def game_rows(
     ]
     rows = []
     for number, (what, domain, many, features, target) in enumerate(forms):
-        if progress is not None:
-            progress(number / len(forms), what)
+        progress(number / len(forms), what)
         ours, one = in_turns(
             [
                 partial(many, domain, batch_steps, features=features),

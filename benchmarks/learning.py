@@ -4,21 +4,19 @@ from collections.abc import Sequence
 from functools import partial
 import time
 from typing import Any
-import uuid
 
 from humanopts_env.domains.reference import TabularReferenceOption
-from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.demonstrations import Demonstration, make_demonstration
 from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.learn import learn_option, make_dataset
 import numpy as np
 
-from benchmarks.measured import compare, Comparison, in_turns, OnMeasured
-from benchmarks.taxi_case import OPTIONS
+from benchmarks.measure import compare, in_turns, OnMeasured, Row
+from benchmarks.planning import OPTIONS
 
 COUNTS = (10, 20, 40)
 YARDSTICK = 'one scikit-learn tree of the rows of the policy'
@@ -26,8 +24,8 @@ SEED = 1
 
 
 def learning_rows(
-    counts: Sequence[int] = COUNTS, repeats: int = 20, progress: OnMeasured | None = None
-) -> list[Comparison]:
+    progress: OnMeasured, counts: Sequence[int] = COUNTS, repeats: int = 20
+) -> list[Row]:
     """
     Learn an option of Taxi after some demonstrations, and judge it by the three criteria.
 
@@ -37,8 +35,7 @@ def learning_rows(
     domain, rows = Taxi(), []
     shown = demonstrations(domain, reference_options(domain)[OPTIONS[0]], max(counts))
     for number, count in enumerate(counts):
-        if progress is not None:
-            progress(number / len(counts), f'learning after {count} demonstrations')
+        progress(number / len(counts), f'learning after {count} demonstrations')
         rows += _rows(shown[:count], domain, repeats)
     return rows
 
@@ -66,26 +63,20 @@ def _show(
         actions.append(domain.actions[action].name)
         rewards.append(outcome.reward)
         over = outcome.terminated
-    return Demonstration(
-        kind=Kind.TRAJECTORY,
-        uuid=str(uuid.UUID(bytes=rng.bytes(16), version=4)),
-        domain=domain.name,
-        domain_parameters=parameters_json(domain),
+    return make_demonstration(
+        domain,
+        reference.name,
+        states,
+        actions,
+        rewards,
+        features=reference.features,
         participant='benchmark',
         session='benchmark',
-        option_name=reference.name,
         number=number,
-        chosen_features=reference.features,
-        feature_names=tuple(feature.name for feature in domain.features),
-        features=tuple(tuple(domain.feature_values(state).tolist()) for state in states),
-        states=tuple(domain.encode(state) for state in states),
-        actions=tuple(actions),
-        rewards=tuple(rewards),
-        terminated=over,
     )
 
 
-def _rows(shown: Sequence[Demonstration], domain: Taxi, repeats: int) -> list[Comparison]:
+def _rows(shown: Sequence[Demonstration], domain: Taxi, repeats: int) -> list[Row]:
     from sklearn.tree import DecisionTreeClassifier
 
     data = make_dataset(shown, domain)

@@ -1,4 +1,4 @@
-"""What the nodes of a benchmark tell the command: one JSON object on each line of a file."""
+"""What the nodes of a benchmark report: one JSON object on each line of a file."""
 
 from collections.abc import Iterator
 import json

@@ -9,8 +9,8 @@ from graph_support.command import Command
 from humanopts_teach.cli import main
 import pytest
 
-from benchmarks.readers import READERS, RECORDER
-from benchmarks.results import QUICK_LATENCIES, QUICK_LOADS, SECTIONS
+from benchmarks.command import QUICK_GRAPH, QUICK_LOADS, SECTIONS
+from benchmarks.recording import READERS, RECORDER
 
 
 def run(*arguments: Any) -> int:
@@ -90,7 +90,7 @@ def test_graph_is_measured_on_processes_of_its_own(tmp_path: Path, domain_id: in
         command.close()
     rows = json.loads(results.read_text('utf-8'))['graph']
     assert all(row['ratio'] == row['seconds'] / row['yardstick_seconds'] for row in rows)
-    counts = QUICK_LATENCIES
+    counts = QUICK_GRAPH
     samples = {row['what']: (row['samples'], row['yardstick_samples']) for row in rows}
     steps, calls = counts.rounds * counts.steps, counts.rounds * counts.calls
     assert samples['a command, to the next state'] == (steps, steps)

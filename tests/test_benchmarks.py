@@ -1,50 +1,72 @@
 """Tables, figures and arithmetic of ``humanopts bench``, without the graph."""
 
+import importlib.util
 import json
 import os
 from pathlib import Path
 import platform
 import socket
 import time
+from typing import Any
 
+from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.taxi import Taxi
+from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import check_demonstration
 from humanopts_teach.launching.usage import look
 import numpy as np
 import pytest
 from rich.console import Console
 
-from benchmarks.figure import SUFFIXES, write_figure
-from benchmarks.latencies import latencies, LENGTHS, SIDE, start_of
-from benchmarks.machine import machine_facts
-from benchmarks.measured import compare
-from benchmarks.place import DOMAIN_IDS, own_domain
-from benchmarks.readers import Load, READERS, RECORDER, Run
-from benchmarks.recording import recording
+from benchmarks.games import BATCH, game_rows
+from benchmarks.graph import latencies, LENGTHS, SIDE, start_of
+from benchmarks.learning import demonstrations, learning_rows
+from benchmarks.measure import compare, in_turns, machine_facts
+from benchmarks.planning import OPTIONS, planning_rows, solvers, TaxiCase
+from benchmarks.processes import DOMAIN_IDS, own_domain
+from benchmarks.recording import Load, READERS, RECORDER, recording, Run
 from benchmarks.records import read_records, RecordWriter
-from benchmarks.results import Planned, results_to_dict
-from benchmarks.scaling import ScalingRow
-from benchmarks.tables import duration, ratio, section_table
-from benchmarks.taxi_case import TaxiCase
+from benchmarks.show import duration, ratio, section_table, SUFFIXES, write_figure
 
 SOLVERS = ('options by composition', 'primitive value iteration')
 
 
-def planned() -> list[Planned]:
+def no_progress(share: float, text: str) -> None:
+    """Show nothing."""
+
+
+def planned() -> list[dict[str, Any]]:
     """Two solvers on two grids, with made up times."""
-    rows = []
-    for side in (5, 10):
-        for factor, solver in enumerate(SOLVERS, start=1):
-            parts = (0.0, 1e-3 * factor * side, 2e-3 * factor * side)
-            row = ScalingRow(
-                side, 20 * side * side, solver, 'nothing', 0.5, *parts, sum(parts), 7, 1e-9
-            )
-            rows.append(Planned(row, 6e-3 * side))
-    return rows
+    return [
+        {
+            'n_states': 20 * side * side,
+            'solver': solver,
+            'obtained': 'nothing',
+            'obtained_seconds': 0.5,
+            'table_seconds': 0.0,
+            'model_seconds': 1e-3 * factor * side,
+            'sweep_seconds': 2e-3 * factor * side,
+            'seconds': 3e-3 * factor * side,
+            'sweeps': 7,
+            'error': 1e-9,
+            'ratio': factor / 2,
+        }
+        for side in (5, 10)
+        for factor, solver in enumerate(SOLVERS, start=1)
+    ]
+
+
+def shown(name: str, rows: list[dict[str, Any]]) -> list[str]:
+    """Return the lines of a table."""
+    console = Console(width=200)
+    with console.capture() as captured:
+        console.print(section_table(name, rows))
+    return captured.get().splitlines()
 
 
 @pytest.mark.parametrize('steps', LENGTHS)
-def test_timed_runs_take_the_steps_that_they_are_said_to(steps: int) -> None:
+def test_timed_runs_take_the_steps_of_their_names(steps: int) -> None:
     domain, option = Taxi(SIDE, SIDE), TaxiCase(SIDE).learned[0]
     state = domain.decode(start_of(option, steps))
     assert option.can_start(domain.feature_values(state)[None])[0]
@@ -59,9 +81,9 @@ def test_each_latency_stands_beside_its_own_bare_form() -> None:
     samples = {'step': [3.0, 3.0], 'bare step': [1.0], 'bare service': [2.0], 'bare action': [4.0]}
     for k in LENGTHS:
         samples |= {f'service {k}': [8.0 * k], f'action {k}': [16.0 * k]}
-    rows = {row.what: row for row in latencies([samples, samples])}
+    rows = {row['what']: row for row in latencies([samples, samples])}
     long = LENGTHS[-1]
-    assert {what: row.ratio for what, row in rows.items()} == {
+    assert {what: row['ratio'] for what, row in rows.items()} == {
         'a command, to the next state': 3.0,
         'run_option, 1 step': 4.0,
         f'run_option, {long} steps': 4.0 * long,
@@ -70,7 +92,7 @@ def test_each_latency_stands_beside_its_own_bare_form() -> None:
         f'execute_option, goal to result, {long} steps': 4.0 * long,
         f'execute_option, goal to result, {long} steps: a step': 16.0,
     }
-    assert rows['a command, to the next state'].samples == 4
+    assert rows['a command, to the next state']['samples'] == 4
 
 
 def run(taken: int, seconds: float, memory: int = 10**7) -> Run:
@@ -83,16 +105,15 @@ def test_what_the_recorder_lost_and_cost_stands_beside_readers_that_write_nothin
     runs = {name: [run(100, 1.0), run(100, 3.0)] for name in READERS}
     runs[RECORDER] = [run(98, 2.0), run(100, 6.0, memory=2 * 10**7)]
     rows = recording(Load(100, 0, 2), runs)
-    assert {row.what: row.throughput for row in rows} == {
+    assert {row['what']: row['throughput'] for row in rows} == {
         name: 0.5 if name == RECORDER else 1.0 for name in READERS
     }
-    (row,) = [row for row in rows if row.what == RECORDER]
-    assert (row.sent, row.taken, row.lost, row.per_second) == (200, 198, 2, 25.0)
-    assert (row.memory, row.grown, row.message_bytes) == (2 * 10**7, 2 * 10**6, 200.0)
-    console = Console(width=200)
-    with console.capture() as shown:
-        console.print(section_table('recording', rows))
-    (line,) = [line for line in shown.get().splitlines() if RECORDER in line]
+    (row,) = [row for row in rows if row['what'] == RECORDER]
+    counts = [row[name] for name in ('sent', 'taken', 'lost', 'per_second')]
+    assert counts == [200, 198, 2, 25.0]
+    sizes = [row[name] for name in ('memory', 'grown', 'message_bytes')]
+    assert sizes == [2 * 10**7, 2 * 10**6, 200.0]
+    (line,) = [line for line in shown('recording', rows) if RECORDER in line]
     assert '  '.join(line.split()[-11:]) == '200  2  25  0.50  25%  20.0  MB  2.0  MB  5  ms'
 
 
@@ -166,10 +187,7 @@ def test_ratio_below_one_reads_as_a_part(value: float, text: str) -> None:
 
 
 def test_planning_is_shown_beside_primitive_value_iteration() -> None:
-    console = Console(width=200)
-    with console.capture() as shown:
-        console.print(section_table('planning', planned()))
-    lines = shown.get().splitlines()
+    lines = shown('planning', planned())
     assert sum(line.split()[-1:] == ['1/2'] for line in lines) == 2
     assert sum(line.split()[:1] == ['2,000'] for line in lines) == 2
 
@@ -186,10 +204,101 @@ def test_figure_is_drawn(tmp_path: Path, suffix: str) -> None:
         assert [word for word in (*SOLVERS, '500', '2,000', 'states') if word not in text] == []
 
 
-def test_results_are_data() -> None:
-    sections = {'planning': planned(), 'games': [compare('a', [1.0], 'b', [2.0], target=3.0)]}
-    data = json.loads(json.dumps(results_to_dict(sections, {'cores': 2}, quick=True)))
-    assert (data['format'], data['version'], data['quick']) == ('humanopts-bench', 1, True)
-    assert [row['ratio'] for row in data['planning']] == pytest.approx([0.5, 1.0] * 2)
-    assert data['planning'][0]['yardstick'] == 'primitive value iteration'
-    assert (data['games'][0]['ratio'], data['games'][0]['target']) == (0.5, 3.0)
+def test_ratio_is_of_the_medians() -> None:
+    row = compare('a', [0.5, 9.0, 0.1], 'b', [0.25, 0.25])
+    assert (row['seconds'], row['samples'], row['per_second']) == (0.5, 3, 2.0)
+    assert (row['yardstick_seconds'], row['yardstick_samples'], row['ratio']) == (0.25, 2, 2.0)
+
+
+@pytest.mark.parametrize(('count', 'slow'), [(99, None), (101, 0.99)])
+def test_percentile_needs_a_hundred_samples(count: int, slow: float | None) -> None:
+    row = compare('a', [n / 100 for n in range(count)], 'b', [1.0])
+    assert (row['slow_seconds'], row['yardstick_slow_seconds']) == (slow, None)
+
+
+def test_works_take_turns_and_the_first_turn_is_not_counted() -> None:
+    calls: list[str] = []
+
+    def work(name: str) -> float:
+        calls.append(name)
+        return float(len(calls))
+
+    assert in_turns([lambda: work('a'), lambda: work('b')], 2) == [[3.0, 5.0], [4.0, 6.0]]
+    assert ''.join(calls) == 'ababab'
+
+
+def test_what_is_learned_from_are_whole_demonstrations_of_the_option() -> None:
+    domain = Taxi()
+    reference = reference_options(domain)[OPTIONS[0]]
+    given = demonstrations(domain, reference, 12)
+    assert [demo.number for demo in given] == list(range(1, 13))
+    assert len({demo.uuid for demo in given}) == 12
+    for demo in given:
+        check_demonstration(demo, domain)
+        assert reference.can_start(domain.decode(demo.states[0]))
+        ends = [reference.ends(domain.decode(text)) for text in demo.states]
+        assert ends == [False] * len(demo.actions) + [True]
+
+
+def test_learning_has_rows_for_trees_and_criteria_beside_one_tree() -> None:
+    heard: list[float] = []
+    rows = learning_rows(lambda share, text: heard.append(share), (2, 3), 1)
+    assert [row['what'] for row in rows] == [
+        f'after {count} demonstrations: {what}'
+        for count in (2, 3)
+        for what in ('three trees fitted', 'the criteria judged')
+    ]
+    domain = Taxi()
+    given = demonstrations(domain, reference_options(domain)[OPTIONS[0]], 3)
+    steps = sum(len(demo.actions) for demo in given)
+    assert rows[-1]['facts'] == {'demonstrations': 3, 'rows': steps}
+    assert heard == [0.0, 0.5]
+
+
+def test_games_are_counted_in_steps_of_single_games() -> None:
+    rows = game_rows(no_progress, batch_steps=1, single_steps=20, repeats=1)
+    assert [row['facts']['steps'] for row in rows] == [BATCH] * 4
+    assert [row['facts']['yardstick_steps'] for row in rows] == [20] * 4
+    names = {PacMan().name, Taxi().name}
+    assert {row['what'].partition(':')[0].lower().replace('-', '') for row in rows} == names
+    assert all(row['seconds'] > 0 and row['yardstick_seconds'] > 0 for row in rows)
+
+
+@pytest.mark.parametrize('side', [4, 5, 9])
+def test_all_solvers_come_to_the_same_values(side: int) -> None:
+    case = TaxiCase(side)
+    solved = {solver.name: solver.solve(case).values for solver in solvers()}
+    truth = solved['breadth-first search backwards']
+    assert truth.min() < -4.0
+    for name, values in solved.items():
+        assert np.abs(values - truth).max() < 1e-9, name
+
+
+def test_the_trees_act_as_the_shortest_ways_do() -> None:
+    case = TaxiCase(6)
+    for option, learned in zip(case.optimal, case.learned):
+        rows = case.domain.feature_table()
+        can = option.tables.initiation
+        assert (learned.greedy_action(rows)[can] == option.tables.action[can]).all()
+        assert (learned.can_start(rows) == can)[~case.domain.over()].all()
+
+
+def test_every_solver_has_a_row_on_every_grid() -> None:
+    heard: list[float] = []
+    rows = planning_rows(lambda share, text: heard.append(share), [4, 5], repeats=1)
+    assert [(row['side'], row['n_states'], row['solver']) for row in rows] == [
+        (side, 20 * side * side, solver.name) for side in (4, 5) for solver in solvers()
+    ]
+    for row in rows:
+        assert row['seconds'] > 0
+        assert row['error'] < 1e-9
+        assert row['ratio'] == row['seconds'] / row['yardstick_seconds']
+        assert (row['obtained_seconds'] > 0) == row['solver'].startswith('options')
+    assert rows[1]['obtained_seconds'] > rows[0]['obtained_seconds']
+    assert heard == sorted(heard)
+    assert heard[-1] < 1
+
+
+def test_quantecon_is_a_solver_where_it_is_installed() -> None:
+    installed = importlib.util.find_spec('quantecon') is not None
+    assert any('quantecon' in solver.name for solver in solvers()) == installed

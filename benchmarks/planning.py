@@ -1,17 +1,31 @@
 """
-Ways to solve one Taxi grid, from the one that knows least of it to the one that knows most.
+How planning time grows with the size of the world: Taxi grids, solved in several ways.
 
-Each is given the exact transitions, and returns the values of all states and where the time went.
+With the paper's rewards a legal pickup costs nothing, so on large grids the best policy never
+delivers: far from the destination it picks up and puts down for ever, at half the cost of
+driving. Here a pickup costs 1 as every other step does, so the best policy delivers from every
+state, and the two options of the paper lose nothing.
+
+Solvers stand from the one that knows least of a grid to the one that knows most. Each is given
+the exact transitions, and returns the values of all states and where the time went.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 import importlib.util
 from operator import attrgetter
+import statistics
 import time
 
 from humanopts_env.domains.base import Transitions
-from humanopts_learner.options.option import option_tables
+from humanopts_env.domains.reference import TabularReferenceOption
+from humanopts_env.domains.registry import parameters_json
+from humanopts_env.domains.tabular import read_only
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree, Tree
+from humanopts_learner.options.option import LearnedOption, MEMBERSHIP, option_tables, OptionTables
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE, TabledOption
 from humanopts_learner.planning.multi_time_models import MultiTimeModel
 from humanopts_learner.planning.plan import plan_with_tables
@@ -20,10 +34,97 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, csr_matrix
 
-from benchmarks.taxi_case import TaxiCase
+from benchmarks.measure import OnMeasured, Row
 
+SIDES = (5, 25, 50, 100)
+YARDSTICK = 'primitive value iteration'
 GAMMA, TOLERANCE, MAX_SWEEPS = 0.99, 1e-6, 100_000
 Values = NDArray[np.float64]
+OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
+
+
+class PricedTaxi(Taxi):
+    """Taxi in which a legal pickup costs 1, as every step but the delivery does."""
+
+    @cached_property
+    def _transitions(self) -> Transitions:
+        paper = super()._transitions
+        reward = np.where(paper.reward == 0.0, -1.0, paper.reward)
+        return replace(paper, reward=read_only(reward))
+
+
+class TaxiCase:
+    """A square grid and everything that its solvers are given, prepared once."""
+
+    def __init__(self, side: int) -> None:
+        """
+        Prepare a grid.
+
+        :raises DomainError: the side is not from 4 to 1000.
+        """
+        self.domain = PricedTaxi(side, side)
+        self.domain.transitions(), self.domain.over(), self.domain.feature_table()
+        began = time.perf_counter()
+        references = reference_options(self.domain)
+        self.optimal_seconds = time.perf_counter() - began  # for the shortest ways of all six
+        self._references = [references[name] for name in OPTIONS]
+
+    @cached_property
+    def optimal(self) -> tuple[TabledOption, ...]:
+        """The two options as tables of shortest ways."""
+        return tuple(
+            TabledOption(
+                option.name,
+                self.domain.n_states,
+                OptionTables(option.optimal.argmax(axis=1), option.initiation, option.termination),
+            )
+            for option in self._references
+        )
+
+    @cached_property
+    def learned(self) -> tuple[LearnedOption, ...]:
+        """The two options as trees, fitted to what the shortest ways say in every state."""
+        return self._fitted[0]
+
+    @property
+    def learned_seconds(self) -> float:
+        """What the trees cost: the shortest ways, and fitting."""
+        return self.optimal_seconds + self._fitted[1]
+
+    @cached_property
+    def _fitted(self) -> tuple[tuple[LearnedOption, ...], float]:
+        importlib.import_module('sklearn.tree')  # which the first fit would, on the clock
+        began = time.perf_counter()
+        learned = tuple(self._learn(option) for option in self._references)
+        return learned, time.perf_counter() - began
+
+    def _learn(self, option: TabularReferenceOption) -> LearnedOption:
+        domain, encoding = self.domain, feature_encoding(self.domain, option.features)
+
+        def fit(
+            where: NDArray[np.bool_], labels: NDArray[np.integer], classes: tuple[int, ...]
+        ) -> Tree:
+            rows = domain.feature_table()[where]
+            return fit_tree(encode_rows(encoding, rows), labels[where], classes, seed=0)
+
+        actions = tuple(action.name for action in domain.actions)
+        policy = option.optimal.argmax(axis=1)
+        return LearnedOption(
+            name=option.name,
+            participant='every state',
+            domain=domain.name,
+            domain_parameters=parameters_json(domain),
+            actions=actions,
+            features=option.features,
+            encoding=encoding,
+            policy=fit(option.initiation, policy, tuple(range(len(actions)))),
+            initiation=fit(~domain.over(), option.initiation.astype(np.intp), MEMBERSHIP),
+            termination=fit(option.judged, option.termination.astype(np.intp), MEMBERSHIP),
+            n_demonstrations=0,
+            n_not_here=0,
+            max_steps=domain.n_states,
+            uuids=(),
+        )
 
 
 @dataclass(frozen=True)
@@ -220,3 +321,54 @@ def solvers() -> tuple[Solver, ...]:
     if importlib.util.find_spec('quantecon') is None:
         return SOLVERS
     return (*SOLVERS, Solver("quantecon's value iteration", 'nothing', quantecon))
+
+
+def planning_rows(
+    progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
+) -> list[Row]:
+    """
+    Solve Taxi grids by every solver, in turns, so that a busy machine slows all of them alike.
+
+    The true values are those of the breadth-first search, which sums up no series of roundings.
+
+    :param repeats: runs behind each median; one more is made first, and not counted.
+    :raises DomainError: a side is not from 4 to 1000.
+    """
+    rows, total, done = [], sum(side * side for side in sides), 0
+    for side in sides:
+        case, chosen = TaxiCase(side), solvers()
+        runs: dict[str, list[Solved]] = {solver.name: [] for solver in chosen}
+        for turn in range(repeats + 1):
+            for solver in chosen:
+                share = turn / (repeats + 1) * side * side
+                progress((done + share) / total, f'taxi {side} x {side}: {solver.name}')
+                runs[solver.name].append(solver.solve(case))
+        truth = runs['breadth-first search backwards'][0].values
+        yardstick = _median('seconds', runs[YARDSTICK][1:])
+        for solver in chosen:
+            timed = runs[solver.name][1:]
+            seconds = _median('seconds', timed)
+            rows.append(
+                {
+                    'side': side,
+                    'n_states': len(truth),
+                    'solver': solver.name,
+                    'obtained': solver.obtained,
+                    'obtained_seconds': solver.cost(case),  # to get that, once, before all runs
+                    'table_seconds': _median('table_seconds', timed),
+                    'model_seconds': _median('model_seconds', timed),
+                    'sweep_seconds': _median('sweep_seconds', timed),
+                    'seconds': seconds,  # the median of the sums
+                    'sweeps': timed[0].sweeps,
+                    'error': float(np.abs(timed[0].values - truth).max()),  # reward units
+                    'yardstick': YARDSTICK,
+                    'yardstick_seconds': yardstick,
+                    'ratio': seconds / yardstick,
+                }
+            )
+        done += side * side
+    return rows
+
+
+def _median(field: str, runs: Sequence[Solved]) -> float:
+    return float(statistics.median(getattr(run, field) for run in runs))

@@ -14,10 +14,10 @@ from humanopts_learner.options.rollout import rollouts
 from humanopts_teach.launching.processes import processes, Setup
 import numpy as np
 
-from benchmarks.measured import compare, Comparison, OnMeasured
+from benchmarks.measure import compare, OnMeasured, Row
+from benchmarks.planning import TaxiCase
 from benchmarks.processes import bench_spec, launched, wait
 from benchmarks.records import read_records
-from benchmarks.taxi_case import TaxiCase
 
 SIDE = 5  # of the Taxi grid
 LENGTHS = (1, 8)  # steps of the runs that are timed
@@ -32,7 +32,7 @@ NAMES = {'service': 'run_option', 'action': 'execute_option, goal to result'}
 
 
 @dataclass(frozen=True)
-class LatencySizes:
+class GraphSizes:
     """How much is measured; one more round comes first, and is not counted."""
 
     rounds: int = 10
@@ -40,17 +40,14 @@ class LatencySizes:
     calls: int = 20  # of each kind, a round
 
 
-def latency_rows(
-    sizes: LatencySizes, folder: Path, progress: OnMeasured | None = None
-) -> list[Comparison]:
+def graph_rows(folder: Path, progress: OnMeasured, sizes: GraphSizes = GraphSizes()) -> list[Row]:
     """
     Measure game and option_server from another process, in turns with a bare peer in a third.
 
     :param folder: for files that nobody needs afterwards.
     :raises LaunchError: a process died, or is not done in time.
     """
-    if progress is not None:
-        progress(0.0, 'starting the nodes')
+    progress(0.0, 'starting the nodes')
     setup = Setup('taxi', folder, {'rows': SIDE, 'cols': SIDE}, teach=False, record=False)
     option = TaxiCase(SIDE).learned[0]
     save_option(setup.options, option, ())
@@ -68,7 +65,7 @@ def latency_rows(
 
     def done() -> bool:
         rounds[:] = read_records(results)
-        if progress is not None and rounds:
+        if rounds:
             progress(rounds[-1]['share'], 'steps, services and actions over ROS')
         return len(rounds) > sizes.rounds
 
@@ -77,7 +74,7 @@ def latency_rows(
     return latencies([found['samples'] for found in rounds if found['counted']])
 
 
-def latencies(rounds: Sequence[Mapping[str, Sequence[float]]]) -> list[Comparison]:
+def latencies(rounds: Sequence[Mapping[str, Sequence[float]]]) -> list[Row]:
     """
     Set each kind of latency beside its bare form.
 
