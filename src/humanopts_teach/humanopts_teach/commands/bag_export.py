@@ -7,8 +7,7 @@ from humanopts_env.domains.base import StateError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands.bag import progress_bar
 from humanopts_teach.commands.ending import CommandError
-from humanopts_teach.export.attached import write_attached
-from humanopts_teach.export.files import ExportError, write_csv, write_parquet
+from humanopts_teach.export.files import ExportError, write_attached, write_csv, write_parquet
 from humanopts_teach.export.minari_dataset import FOLDER, write_dataset
 from humanopts_teach.export.tables import bag_tables
 

@@ -50,7 +50,7 @@ class Found:
 
 
 class Polled(CallbackGroup):
-    """Keeps its entities from every executor: they are asked for messages in one go instead."""
+    """Keeps its subscriptions from every executor: their queues are emptied in one go instead."""
 
     def can_execute(self, entity: Any) -> bool:
         """Refuse."""
@@ -76,7 +76,7 @@ class RawSubscriber:
         self._node = node
         self._selection = selection
         self._group = Polled()
-        self._taps: dict[str, TopicSubscription] = {}
+        self._subscriptions: dict[str, TopicSubscription] = {}
         self._left: list[Taken] = []  # from subscriptions that were replaced
         self.unknown: dict[str, str] = {}  # type by topic, of topics that cannot be recorded
 
@@ -89,39 +89,41 @@ class RawSubscriber:
             publishers = self._node.count_publishers(topic)
             if not publishers or topic in self.unknown:
                 continue
-            tap = self._taps.get(topic)
-            if tap is None or tap.publishers != publishers:
-                tap = self._follow(topic, types[0], tap, found)
-            if tap is None or tap.subscription.get_publisher_count() < publishers:
+            known = self._subscriptions.get(topic)
+            if known is None or known.publishers != publishers:
+                known = self._follow(topic, types[0], known, found)
+            if known is None or known.subscription.get_publisher_count() < publishers:
                 found.complete = False
         return found
 
     def take(self) -> list[Taken]:
         """Return all that has arrived, in order of arrival."""
         batch, self._left = self._left, []
-        for tap in self._taps.values():
-            batch += _take(tap, tap.subscription)
+        for each in self._subscriptions.values():
+            batch += _take(each, each.subscription)
         batch.sort(key=_arrival)
         return batch
 
     def _follow(
-        self, topic: str, kind: str, tap: TopicSubscription | None, found: Found
+        self, topic: str, kind: str, known: TopicSubscription | None, found: Found
     ) -> TopicSubscription | None:
         """Subscribe to a topic, or again where a new publisher offers less than is asked for."""
         offers = self._node.get_publishers_info_by_topic(topic)
         if not offers:
-            return tap
+            return known
         reliable, latched = _common(offers)
-        if tap is None:
+        if known is None:
             return self._subscribe(topic, kind, offers, found)
-        tap.publishers = len(offers)
-        if (tap.reliable and not reliable) or (tap.latched and not latched):
-            tap.reliable, tap.latched = tap.reliable and reliable, tap.latched and latched
-            old = tap.subscription
-            tap.subscription = self._subscription(topic, tap.kind, tap.reliable, tap.latched)
-            self._left += _take(tap, old)
+        known.publishers = len(offers)
+        if (known.reliable and not reliable) or (known.latched and not latched):
+            known.reliable, known.latched = known.reliable and reliable, known.latched and latched
+            old = known.subscription
+            known.subscription = self._subscription(
+                topic, known.kind, known.reliable, known.latched
+            )
+            self._left += _take(known, old)
             self._node.destroy_subscription(old)
-        return tap
+        return known
 
     def _subscribe(
         self, topic: str, kind: str, offers: Collection[TopicEndpointInfo], found: Found
@@ -132,7 +134,7 @@ class RawSubscriber:
             self.unknown[topic] = kind
             return None
         reliable, latched = _common(offers)
-        tap = TopicSubscription(
+        added = TopicSubscription(
             topic,
             kind,
             loaded,
@@ -143,9 +145,9 @@ class RawSubscriber:
             latched,
             len(offers),
         )
-        self._taps[topic] = tap
-        found.added.append(tap)
-        return tap
+        self._subscriptions[topic] = added
+        found.added.append(added)
+        return added
 
     def _subscription(self, topic: str, kind: Any, reliable: bool, latched: bool) -> Subscription:
         durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
@@ -159,19 +161,19 @@ class RawSubscriber:
         )
 
 
-def _take(tap: TopicSubscription, subscription: Subscription) -> list[Taken]:
+def _take(followed: TopicSubscription, subscription: Subscription) -> list[Taken]:
     """Return what is queued in a subscription."""
     found = []
     handle = subscription.handle
     with handle:
         for _ in range(_AT_ONCE):
-            taken = handle.take_message(tap.kind, True)
+            taken = handle.take_message(followed.kind, True)
             if taken is None:
                 break
             data, info = taken
             received = info['received_timestamp'] or time.time_ns()
             sent = info['source_timestamp'] or received
-            found.append(Taken(received, sent, tap.topic, data))
+            found.append(Taken(received, sent, followed.topic, data))
     return found
 
 

@@ -1,32 +1,79 @@
 """The node ``recorder``: writes everything on the graph to a bag."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 import json
+import math
 from mimetypes import guess_type
+import os
 from pathlib import Path
 import sys
 import time
 
-from humanopts_interfaces.msg import NodeStatus
+from humanopts_interfaces.msg import NodeStatus, RecorderStatus, StreamLoss
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
+from humanopts_ros.publisher import PublishError
+from humanopts_ros.qos import LATCHED
 from humanopts_ros.recording import MOST_BYTES, Selection
 from humanopts_teach.bags.errors import BagWriteError, SchemaError
-from humanopts_teach.bags.pace import Pace
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp
 from humanopts_teach.bags.writer import BagWriter, Limits
+from humanopts_teach.launching.usage import look
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
-from humanopts_teach.ros.recording_status import RecordingStatus
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
 _NS = 10**9
 _BUSY_PERIOD = 4 * 10**6  # ns between takes while messages come
 _IDLE_PERIOD = 20 * 10**6  # ns between takes while none come
-_LOOK_PERIOD = 0.05  # s between looks at the graph while it is not all matched
-_CALM_LOOKS = 4  # looks that are left out while it is
+_DISCOVERY_PERIOD = 0.05  # s between looks at the graph while it is not all matched
+_SKIPPED_LOOKS = 4  # looks that are left out while it is
 _FLUSH_PERIOD = 0.25  # s; what a killed recorder loses at most
+_STATUS_PERIOD = 1.0  # s between statuses that differ only in their counts
 _QUIET = 0.1  # s without a message that end a recording
 _LINGER = 2.0  # s at most to wait for that
+LONGEST_WAIT = 0.5  # s; a recorder that lets a message wait longer does not keep up
+_RECOVERY = 1.0  # s without such a message after which it keeps up again
+_BEHIND = (
+    f'the recorder does not keep up: messages wait for it longer than {LONGEST_WAIT} s; '
+    'end other programs, or leave topics out'
+)
+
+
+@dataclass
+class Pace:
+    """How long messages wait for a recorder; times are in seconds, by a monotonic clock."""
+
+    _longest: float = 0.0  # wait since the last report
+    _late: float = -math.inf  # when a message was taken that had waited too long
+    _taken: float = math.inf  # when messages were last taken
+
+    def took(self, now: float, waited: float) -> None:
+        """
+        Count one taking of all messages that had arrived.
+
+        A process that is stopped does not see when messages arrive, so a pause between two
+        takings that is too long counts as a wait.
+
+        :param waited: since the first of them arrived; 0: none had.
+        """
+        pause = now - self._taken
+        self._taken = now
+        waited = max(waited, pause if pause > LONGEST_WAIT else 0.0)
+        self._longest = max(self._longest, waited)
+        if waited > LONGEST_WAIT:
+            self._late = now
+
+    def behind(self, now: float) -> bool:
+        """Tell whether messages wait too long."""
+        return now - self._late < _RECOVERY
+
+    def report(self) -> float:
+        """Return how long a message waited at most since the last report."""
+        longest, self._longest = self._longest, 0.0
+        return longest
 
 
 class Recorder(NodeBase):
@@ -42,22 +89,25 @@ class Recorder(NodeBase):
         self._bag = self._begin()
         attach = self.setting('attach', [''], 'files and folders to keep in the bag at its end')
         self._attached = [Path(path) for path in attach if path]
-        self._intake = RawSubscriber(self, self.selection)
+        self._subscriber = RawSubscriber(self, self.selection)
         self._ledger = Ledger()
         self._pace = Pace()
-        self._counted: dict[str, bool] = {}  # recorded topics: whether messages are numbered
-        self._matched = False  # at the last look
-        self._complete = False  # at the last two
-        self._stopped = ''
+        self._numbered: dict[str, bool] = {}  # recorded topics: whether messages carry numbers
+        self._matched = False  # every publisher, at the last look
+        self._complete = False  # the same at the last two looks
+        self._stopped = ''  # why nothing is written any more; empty: it is
         self._text = self.selection.unevaluable
         if self._text:
             self.get_logger().warning(self._text)
-        self._calm = 0
-        self._new = False  # whether a topic came of which nothing may be on disk yet
-        self._standing = RecordingStatus(self, self._bag, self._ledger, self._pace)
+        self._skipped = 0  # looks at the graph, of those that are left out
+        self._unflushed = False  # whether a topic came of which nothing may be on disk yet
+        self._behind = False
+        self._published: tuple[object, ...] = ()  # what matters of the last status
+        self._published_at = 0.0
+        self._publisher = self.stamped_publisher(RecorderStatus, 'recorder_status', LATCHED)
         self._take_timer = self.create_timer(_BUSY_PERIOD / _NS, self._take)
-        self.create_timer(_LOOK_PERIOD, self._look)
-        self.create_timer(_FLUSH_PERIOD, self._flush)
+        self.create_timer(_DISCOVERY_PERIOD, self._discover)
+        self.create_timer(_FLUSH_PERIOD, lambda: self._attempt(self._bag.flush))
 
     def waits_for(self) -> str | None:
         """Wait until every publisher is matched."""
@@ -65,11 +115,11 @@ class Recorder(NodeBase):
 
     def close(self) -> None:
         """Take what is still on its way, and close the bag; fail where that stops it only now."""
-        told = self._stopped
+        before = self._stopped
         end = time.monotonic() + _LINGER
         quiet = time.monotonic() + _QUIET
         while time.monotonic() < min(quiet, end):
-            if self._record(self._intake.take()):
+            if self._record(self._subscriber.take()):
                 quiet = time.monotonic() + _QUIET
             time.sleep(_BUSY_PERIOD / _NS)
         for finish in (self._attach, self._bag.close):
@@ -77,7 +127,7 @@ class Recorder(NodeBase):
                 finish()
             except BagWriteError as error:
                 self._stop(error)
-        self.failed = self._stopped != told  # nobody who heard of it is left
+        self.failed = self._stopped != before  # nobody who could hear of it is left
 
     def _begin(self) -> BagWriter:
         """
@@ -98,8 +148,8 @@ class Recorder(NodeBase):
         if not path:
             raise StartError('parameter path: name the directory of the bag')
         try:
-            told = {**_facts(facts), **software(), **_selected(self.selection)}
-            return BagWriter(Path(path), told, limits=limits)
+            known = {**_facts(facts), **software(), **_selected(self.selection)}
+            return BagWriter(Path(path), known, limits=limits)
         except BagWriteError as error:
             raise StartError(str(error)) from error
 
@@ -118,40 +168,40 @@ class Recorder(NodeBase):
             kind = guess_type(name)[0] or 'application/octet-stream'
             self._bag.attach(name, data, kind, (changed, time.time_ns()))
 
-    def _look(self) -> None:
-        """Follow the graph; less often while nothing changes."""
-        self._calm = (self._calm + 1) % _CALM_LOOKS if self._complete else 0
-        if self._calm == 0:
-            found = self._intake.discover()
+    def _discover(self) -> None:
+        """Subscribe to what is new on the graph; look less often while nothing changes."""
+        self._skipped = (self._skipped + 1) % _SKIPPED_LOOKS if self._complete else 0
+        if self._skipped == 0:
+            found = self._subscriber.discover()
             self._complete = found.complete and self._matched  # the other side has matched, too
             self._matched = found.complete
-            self._new = self._new or bool(found.added)
-            for tap in found.added:
-                self._announce(tap)
-        self._say()
+            self._unflushed = self._unflushed or bool(found.added)
+            for subscription in found.added:
+                self._attempt(partial(self._add_topic, subscription))
+        self._publish_status()
 
-    def _announce(self, tap: TopicSubscription) -> None:
-        """Add a topic to the bag."""
-        if self._stopped:
-            return
+    def _add_topic(self, added: TopicSubscription) -> None:
+        """
+        Add a topic to the bag, where its type is installed.
+
+        :raises BagWriteError: the bag cannot be written.
+        """
         try:
-            schema = self._bag.add_topic(tap.topic, tap.type, tap.offers, tap.type_hash)
+            schema = self._bag.add_topic(added.topic, added.type, added.offers, added.type_hash)
         except SchemaError as error:
             self._text = str(error)
-        except BagWriteError as error:
-            self._stop(error)
         else:
-            self._counted[tap.topic] = is_stamped(schema)
+            self._numbered[added.topic] = is_stamped(schema)
 
     def _take(self) -> None:
         """Record what has arrived, and come again sooner where there was something."""
-        batch = self._intake.take()
+        batch = self._subscriber.take()
         waited = (time.time_ns() - batch[0].received) / _NS if batch else 0.0
         self._pace.took(time.monotonic(), waited)
         busy = self._record(batch)
-        if busy and self._new:  # so that a bag opens, however soon the end comes
-            self._new = False
-            self._flush()
+        if busy and self._unflushed:  # so that the bag opens, however soon the recorder is killed
+            self._unflushed = False
+            self._attempt(self._bag.flush)
         period = _BUSY_PERIOD if busy else _IDLE_PERIOD
         if self._take_timer.timer_period_ns != period:
             self._take_timer.timer_period_ns = period
@@ -159,22 +209,24 @@ class Recorder(NodeBase):
     def _record(self, batch: list[Taken]) -> int:
         """Write messages; return how many there were."""
         for taken in batch:
-            counted = self._counted.get(taken.topic)
-            if counted:
-                stamp = read_stamp(taken.data)
-                if stamp is not None:
-                    self._ledger.add(taken.topic, stamp)
-            if counted is not None and not self._stopped:
+            stamped = self._numbered.get(taken.topic)
+            if stamped is None:
+                continue
+            stamp = read_stamp(taken.data) if stamped else None
+            if stamp is not None:
+                self._ledger.add(taken.topic, stamp)
+            if not self._stopped:
                 try:
                     self._bag.write(taken.topic, taken.data, taken.received, taken.sent)
                 except BagWriteError as error:
                     self._stop(error)
         return len(batch)
 
-    def _flush(self) -> None:
+    def _attempt(self, write: Callable[[], object]) -> None:
+        """Write to the bag, unless it was given up; give it up where it cannot be written."""
         if not self._stopped:
             try:
-                self._bag.flush()
+                write()
             except BagWriteError as error:
                 self._stop(error)
 
@@ -183,16 +235,61 @@ class Recorder(NodeBase):
         if not self._stopped:
             self._stopped = f'recording stopped: {error}'
             self.get_logger().error(self._stopped)
-            self._say()
+            self._publish_status()
             self.set_status(NodeStatus.STATE_PAUSED, self._stopped)
 
-    def _say(self) -> None:
-        """Tell how the recording stands."""
-        unknown = ', '.join(f'{t} ({kind})' for t, kind in sorted(self._intake.unknown.items()))
-        text = self._text or (unknown and f'types not installed here: {unknown}')
-        if self._complete and not self._counted:
-            text = 'the patterns leave no topic to record'
-        self._standing.say(complete=self._complete, stopped=self._stopped, text=text)
+    def _publish_status(self) -> None:
+        """Publish how the recording stands, at every change that matters and once a second."""
+        now = time.monotonic()
+        self._log_pace(self._pace.behind(now))
+        text = self._stopped or (_BEHIND if self._behind else self._remark())
+        state = (self._complete, self._behind, text, self._ledger.missing)
+        if state == self._published and now - self._published_at < _STATUS_PERIOD:
+            return
+        self._published, self._published_at = state, now
+        try:
+            self._publisher.publish(self._status_message(text))
+        except PublishError as error:
+            self.get_logger().error(str(error))
+
+    def _log_pace(self, behind: bool) -> None:
+        """Log when the recorder falls behind, and when it no longer is."""
+        if behind and not self._behind:
+            self.get_logger().warning(_BEHIND)
+        if self._behind and not behind:
+            self.get_logger().info('the recorder keeps up again')
+        self._behind = behind
+
+    def _remark(self) -> str:
+        """Return what of the graph is not recorded; empty: nothing."""
+        if self._complete and not self._numbered:
+            return 'the patterns leave no topic to record'
+        unknown = self._subscriber.unknown.items()
+        types = ', '.join(f'{topic} ({kind})' for topic, kind in sorted(unknown))
+        return self._text or (types and f'types not installed here: {types}')
+
+    def _status_message(self, text: str) -> RecorderStatus:
+        used = look(os.getpid())
+        return RecorderStatus(
+            path=str(self._bag.path),
+            files=self._bag.n_files,
+            topics=len(self._bag.topics),
+            messages=self._bag.extent.messages,
+            bytes=self._bag.bytes_written,
+            complete=self._complete,
+            missing=self._ledger.missing,
+            losses=[
+                StreamLoss(topic=topic, sender=sender, sent=stream.last, missing=stream.missing)
+                for topic, sender, stream in self._ledger
+                if stream.missing
+            ],
+            lag=self._pace.report(),
+            behind=self._behind,
+            cpu_seconds=used.cpu,
+            memory=used.peak,
+            stopped=bool(self._stopped),
+            text=text,
+        )
 
 
 def _facts(text: str) -> dict[str, str]:
