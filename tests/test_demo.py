@@ -172,11 +172,11 @@ def test_mean_return_is_that_of_the_episodes_and_near_the_optimum(
     demo: DemoRun, episodes: list[Episode]
 ) -> None:
     domain, played = Taxi(), episodes[-100:]
-    assert all(episode.complete and episode.moments[-1].terminated for episode in played)
-    mean = sum(moment.reward for episode in played for moment in episode.moments) / 100
+    assert all(episode.complete and episode.transitions[-1].terminated for episode in played)
+    mean = sum(moment.reward for episode in played for moment in episode.transitions) / 100
     assert demo.summary['execution']['mean_return'] == pytest.approx(mean, abs=1e-12)
     best = _best_returns(domain)
-    starts = [domain.index(domain.decode(episode.moments[0].state)) for episode in played]
+    starts = [domain.index(domain.decode(episode.transitions[0].state)) for episode in played]
     optimum = best[starts].mean()
     assert abs(mean - optimum) <= 0.02 * abs(optimum)
     primitive = demo.summary['planning'][1]['mean_return']
@@ -196,7 +196,7 @@ def test_game_states_replay_exactly_in_the_rules(episodes: list[Episode]) -> Non
     domain, rng = Taxi(), generator(0, 'replay')
     steps = 0
     for episode in episodes:
-        for before, after in zip(episode.moments, episode.moments[1:]):
+        for before, after in zip(episode.transitions, episode.transitions[1:]):
             action = action_index(domain, after.previous_action)
             outcome = domain.step(domain.decode(before.state), action, rng)
             assert after.step == before.step + 1

@@ -65,7 +65,7 @@ def test_report_holds_all_its_figures(demo: DemoRun, report: str) -> None:
     assert report[boards:planning].count('<svg') >= 4  # two plans, two layouts
     assert report[planning:film].count('<svg') >= 2  # time and return
     frames = report[film:].count('<li class=')
-    assert frames == len(list(read_episodes(open_bag(demo.bag)))[-1].moments)
+    assert frames == len(list(read_episodes(open_bag(demo.bag)))[-1].transitions)
 
 
 def test_numbers_of_the_report_are_those_of_the_summary(demo: DemoRun, report: str) -> None:

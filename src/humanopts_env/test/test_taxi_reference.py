@@ -115,7 +115,7 @@ def test_states_after_the_end_are_judged_only_where_the_option_can_lead_there() 
 def test_optimal_actions_end_the_option_in_as_many_steps_as_its_distance(
     option: TabularReferenceOption,
 ) -> None:
-    """Played in the domain's own rules, from every state of the initiation set."""
+    """RecordedEpisodes in the domain's own rules, from every state of the initiation set."""
     for index in np.flatnonzero(option.initiation):
         state, steps = DOMAIN.state_at(int(index)), 0
         while not option.ends(state):

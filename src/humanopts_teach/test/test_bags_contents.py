@@ -13,11 +13,11 @@ from humanopts_learner.demonstrations import check_demonstration, Demonstration,
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags.contents import (
     Actors,
-    Played,
     read_actors,
     read_demonstrations,
     read_domain,
     read_episodes,
+    RecordedEpisodes,
 )
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
@@ -103,9 +103,9 @@ def test_episodes_come_back_in_order_and_once(tmp_path: Path, taxi: Domain[Any])
         entries.append(('/game_state', transition_to_message(moment)))
         entries.append(('/current_state', transition_to_message(moment)))
     (episode,) = read_episodes(write_messages(tmp_path / 'bag', entries))
-    assert list(episode.moments) == moments
+    assert list(episode.transitions) == moments
     assert (episode.number, episode.complete) == (1, False)
-    assert sum(moment.reward for moment in episode.moments) == -3.0
+    assert sum(moment.reward for moment in episode.transitions) == -3.0
 
 
 def test_a_restarted_game_makes_new_episodes(tmp_path: Path, taxi: Domain[Any]) -> None:
@@ -114,7 +114,7 @@ def test_a_restarted_game_makes_new_episodes(tmp_path: Path, taxi: Domain[Any]) 
     for number, message in enumerate(again, start=1):
         message.publisher_id, message.sequence = '/game#2', number
     bag = write_messages(tmp_path / 'bag', [('/game_state', m) for m in [*moments, *again]])
-    assert [(e.publisher_id, len(e.moments)) for e in read_episodes(bag)] == [
+    assert [(e.publisher_id, len(e.transitions)) for e in read_episodes(bag)] == [
         ('/n#1', 2),
         ('/game#2', 2),
     ]
@@ -231,8 +231,8 @@ def test_episodes_that_are_read_when_asked_for_are_those_that_are_read_in_order(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
     bag = write_messages(tmp_path / 'bag', games(taxi))
-    listed, played = list(read_episodes(bag)), Played(bag)
-    assert [len(episode.moments) for episode in listed] == [3, 2, 4, 2]
+    listed, played = list(read_episodes(bag)), RecordedEpisodes(bag)
+    assert [len(episode.transitions) for episode in listed] == [3, 2, 4, 2]
     assert len(played) == 4
     assert [played[place] for place in (3, 1, 0, -2)] == [listed[place] for place in (3, 1, 0, 2)]
     assert list(played) == listed
@@ -256,7 +256,7 @@ def test_an_episode_of_which_nothing_can_be_read_has_no_place(
         state.action_source = 77
     bag = write_messages(tmp_path / 'bag', entries)
     assert [episode.number for episode in read_episodes(bag)] == [1, 3, 1]
-    assert list(Played(bag)) == list(read_episodes(bag))
+    assert list(RecordedEpisodes(bag)) == list(read_episodes(bag))
     assert '77 is not a valid Source' in bag.damage
 
 
@@ -266,7 +266,7 @@ def test_a_state_after_a_later_episode_is_left_out_and_said(
     entries = games(taxi)
     late = entries.pop(2)
     bag = write_messages(tmp_path / 'bag', [*entries, late])
-    assert [len(episode.moments) for episode in read_episodes(bag)] == [2, 2, 4, 2]
+    assert [len(episode.transitions) for episode in read_episodes(bag)] == [2, 2, 4, 2]
     assert 'after a later episode are left out' in bag.damage
 
 

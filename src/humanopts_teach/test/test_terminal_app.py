@@ -518,7 +518,7 @@ def test_how_the_machine_plays_can_be_chosen_before_and_changed_while(teacher: P
     teacher.world.execution = 'modular_mass'
     assert teacher.answer(change) is None
     assert teacher.sees_words('Arbitration: all options act at once: the greatest mass.')
-    teacher.app.run_ended(Reply(play, ok=True, text='Played.'))
+    teacher.app.run_ended(Reply(play, ok=True, text='RecordedEpisodes.'))
     assert teacher.sees_words('the greatest mass.')
 
 

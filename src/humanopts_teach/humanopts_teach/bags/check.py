@@ -14,21 +14,21 @@ from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp
 from humanopts_teach.bags.summary import table
 from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
 
-RECORDER = '(recorder)'  # in place of a publisher, where only the recorder numbers messages
-UNNUMBERED = '(nobody)'  # where no one does, so that loss does not show
+RECORDER = '(recorder)'  # shown as publisher where only the recorder numbers messages
+UNNUMBERED = '(nobody)'  # shown where messages have no numbers, so loss cannot be counted
 
 
 @dataclass(frozen=True)
-class Account:
-    """What became of the messages of one publisher on one topic; see ``loss.Stream``."""
+class StreamCheck:
+    """The messages of one publisher on one topic, as in ``Stream``."""
 
     topic: str
     publisher: str
-    sent: int  # up to the last that was recorded
-    recorded: int  # repetitions left out
+    sent: int  # up to the last message that was recorded
+    recorded: int  # without repetitions
     missing: int
     repeated: int
-    late: int  # recorded after one that was sent later
+    late: int  # recorded after a message that was sent later
 
     @property
     def whole(self) -> bool:
@@ -42,12 +42,12 @@ class Check:
 
     path: str
     messages: int  # that can be read
-    damage: tuple[str, ...]  # of its files, in words
-    accounts: tuple[Account, ...]
+    damage: tuple[str, ...]  # of the files, in words
+    accounts: tuple[StreamCheck, ...]
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """All that is wrong, in words; none: the bag is whole."""
+        """Everything that is wrong, in words; empty: the bag is whole."""
         found = list(self.damage)
         for name, text in (
             ('missing', 'messages were sent and are missing'),
@@ -69,7 +69,7 @@ class Check:
         return {**asdict(self), 'whole': self.whole, 'findings': list(self.findings)}
 
     def to_text(self) -> str:
-        """Return the check for reading."""
+        """Return the check as text for a person."""
         numbers = table(
             ('topic', 'publisher', 'sent', 'recorded', 'missing', 'repeated', 'late'),
             [tuple(asdict(account).values()) for account in self.accounts],
@@ -99,11 +99,13 @@ def check_bag(bag: Bag) -> Check:
         pass  # what is damaged is noted
     _compare(bag, counts, extent)
     accounts = [
-        Account(topic, who, s.last, s.received, s.missing, s.duplicates, s.late)
+        StreamCheck(topic, who, s.last, s.received, s.missing, s.duplicates, s.late)
         for topic, who, s in numbers.ledger
     ]
-    silent = set(counts) - {account.topic for account in accounts}
-    accounts += [Account(name, UNNUMBERED, counts[name], counts[name], 0, 0, 0) for name in silent]
+    unnumbered = set(counts) - {account.topic for account in accounts}
+    accounts += [
+        StreamCheck(name, UNNUMBERED, counts[name], counts[name], 0, 0, 0) for name in unnumbered
+    ]
     return Check(
         str(bag.path),
         counts.total(),
@@ -113,7 +115,7 @@ def check_bag(bag: Bag) -> Check:
 
 
 class _Numbers:
-    """The numbers of messages: their publishers', or else those that our recorder gave them."""
+    """Counts messages by their publishers' numbers, or else by those of our recorder."""
 
     def __init__(self, bag: Bag) -> None:
         self.ledger = Ledger()
@@ -133,7 +135,7 @@ class _Numbers:
 
 
 def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
-    """Note where metadata.yaml or an index tells of other messages than were read."""
+    """Note where metadata.yaml or an index disagrees with the messages that were read."""
     indexed = {topic.name: topic.messages for topic in bag.topics.values()}
     for name, count in indexed.items():
         if count != counts[name]:
@@ -141,7 +143,7 @@ def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
     if not bag.information:
         return
     try:
-        total, told, times = _told(bag.information)
+        total, told, times = _described(bag.information)
     except (KeyError, TypeError, ValueError):
         bag.note(f'{FILE} does not tell the counts and times of messages')
         return
@@ -155,11 +157,12 @@ def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
         bag.note(f'{FILE} tells of another beginning or duration than its messages')
 
 
-def _told(information: Mapping[str, Any]) -> tuple[int, dict[str, int], tuple[int, int]]:
+def _described(information: Mapping[str, Any]) -> tuple[int, dict[str, int], tuple[int, int]]:
     """
-    Return what metadata.yaml tells: messages, those of each topic, beginning and duration in ns.
+    Return what metadata.yaml counts: messages, those of each topic, beginning and duration in ns.
 
-    :raises KeyError: it does not; TypeError and ValueError: what it says is nonsense.
+    :raises KeyError: a count is missing.
+    :raises TypeError: or ValueError: a count is no number.
     """
     topics = {
         str(entry['topic_metadata']['name']): int(entry['message_count'])
@@ -173,18 +176,17 @@ def _told(information: Mapping[str, Any]) -> tuple[int, dict[str, int], tuple[in
     )
 
 
-REPAIR = 'humanopts_repair'  # name of the MCAP metadata record that tells of a repair
+REPAIR = 'humanopts_repair'  # name of the MCAP metadata record that describes a repair
 
-MOST_AT_ONCE = 10_000  # messages of one log time that are looked through for repetitions
+MOST_AT_ONCE = 10_000  # messages of one log time among which repetitions are found
 
 
 def repair(bag: Bag, out: Path) -> int:
     """
     Write what can be read of a bag as a new one, and leave the old one alone.
 
-    Messages keep their bytes, times and order, and the numbers that our recorder gave them. One
-    that it wrote once and that is there again (number, time and bytes are the same) is written
-    once.
+    Messages keep their bytes, times and order, and the numbers that our recorder gave them. Copies
+    of one message (same number, time and bytes) are written once.
 
     :param out: folder of the new bag; must not exist.
     :return: number of messages written.
@@ -210,7 +212,7 @@ def repair(bag: Bag, out: Path) -> int:
 
 
 class _Recorded(Definitions):
-    """The definitions that a bag brings with it."""
+    """The definitions that are in a bag."""
 
     def __init__(self, bag: Bag) -> None:
         super().__init__([])
@@ -218,9 +220,9 @@ class _Recorded(Definitions):
 
 
 def _copy(bag: Bag, writer: BagWriter) -> int:
-    """Copy the messages; return how many were repetitions, which are left out."""
+    """Copy the messages; return how many repetitions were left out."""
     repeated, time = 0, -1
-    now: set[tuple[str, int, bytes]] = set()  # what was written of this log time
+    now: set[tuple[str, int, bytes]] = set()  # messages of this log time that were written
     for recorded in bag.messages(decoded=False):
         if recorded.log_time != time or len(now) == MOST_AT_ONCE:
             time = recorded.log_time

@@ -27,8 +27,8 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
     """
     Return the demonstrations in a bag as they were published, repetitions included.
 
-    One that is none (its kind is unknown) is left out and noted in ``bag.damage``. Whether the
-    others can be used is for ``check_demonstration`` to say, as it is live.
+    One of an unknown kind is left out and noted in ``bag.damage``. ``check_demonstration`` tells
+    whether the others can be used.
 
     :raises BagError: the bag has no topic of demonstrations.
     """
@@ -38,7 +38,7 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
     found = []
     for recorded in bag.messages(topics):
         if recorded.message is not None:
-            with bag.taking(recorded.topic):
+            with bag.skipping_missing_fields(recorded.topic):
                 try:
                     found.append(demonstration_from_message(recorded.message))
                 except DemonstrationError as error:
@@ -50,12 +50,12 @@ def read_domain(bag: Bag) -> Domain[Any]:
     """
     Return the domain that was played.
 
-    :raises BagError: the bag does not say, or says several, or it is not installed here.
+    :raises BagError: the bag names no domain, or several, or one that is not installed here.
     """
     found = set()
     for recorded in bag.messages(bag.of_type(DOMAIN_INFO)):
         if (info := recorded.message) is not None:
-            with bag.taking(recorded.topic):
+            with bag.skipping_missing_fields(recorded.topic):
                 found.add((info.domain, info.parameters))
     played = sorted(found)
     if not played:
@@ -81,19 +81,19 @@ class Episode:
     topic: str
     publisher_id: str  # of the game that played it
     number: int
-    moments: tuple[Transition, ...]
+    transitions: tuple[Transition, ...]
     times: tuple[int, int]  # log times of the first and the last message, ns
 
     @property
     def complete(self) -> bool:
         """Whether it was recorded from its first state to its end without a gap."""
-        numbers = [moment.step for moment in self.moments]
-        last = self.moments[-1]
+        numbers = [each.step for each in self.transitions]
+        last = self.transitions[-1]
         return numbers == list(range(len(numbers))) and (last.terminated or last.truncated)
 
 
 @dataclass
-class Group:
+class EpisodeMessages:
     """The messages of one episode."""
 
     topic: str
@@ -104,20 +104,21 @@ class Group:
     states: dict[int, bytes] = field(default_factory=dict)  # CDR by step
 
 
-class Games:
+class EpisodeGrouping:
     """
-    Groups the states of games by episode.
+    Groups the messages of games by episode.
 
-    An episode is over when its game begins a later one; what comes after that is left out.
+    An episode is over when its game begins a later one; messages of it that come after that are
+    left out.
     """
 
     def __init__(self, bag: Bag) -> None:
         self._bag = bag
-        self._under_way: dict[tuple[str, str], Group] = {}
+        self._under_way: dict[tuple[str, str], EpisodeMessages] = {}
         self._places = {topic: tells_place(bag.topics[topic].schema) for topic in _topics(bag)}
 
-    def add(self, recorded: Recorded) -> Group | None:
-        """Take in a state; return the episode that is over by it."""
+    def add(self, recorded: Recorded) -> EpisodeMessages | None:
+        """Add a state; return the episode that it shows to be over."""
         if recorded.topic not in self._places:
             return None
         place = self._place(recorded)
@@ -131,22 +132,22 @@ class Games:
             return None
         group = before
         if group is None or episode > group.number:
-            group = self._under_way[game] = Group(*game, episode, recorded.log_time)
+            group = self._under_way[game] = EpisodeMessages(*game, episode, recorded.log_time)
         group.states[step] = recorded.data
         group.first = min(group.first, recorded.log_time)
         group.last = max(group.last, recorded.log_time)
         return None if group is before else before
 
-    def rest(self) -> Iterator[Group]:
+    def unfinished(self) -> Iterator[EpisodeMessages]:
         """Yield the last episode of every game."""
         yield from self._under_way.values()
 
     def _place(self, recorded: Recorded) -> tuple[str, int, int] | None:
-        """Return who sent a state, its episode and step; None: it is damaged."""
+        """Return the publisher, episode and step of a state; None: it is damaged."""
         if not self._places[recorded.topic]:
             state = self._bag.decode(recorded.topic, recorded.data)
             if state is not None:
-                with self._bag.taking(recorded.topic):
+                with self._bag.skipping_missing_fields(recorded.topic):
                     return state.publisher_id, state.episode, state.step
             return None
         stamp, place = read_stamp(recorded.data), read_place(recorded.data)
@@ -159,31 +160,31 @@ class Games:
 def read_episodes(
     bag: Bag,
     between: tuple[int, int] = ALWAYS,
-    chosen: Callable[[Group], bool] = lambda _: True,
+    chosen: Callable[[EpisodeMessages], bool] = lambda _: True,
 ) -> Iterator[Episode]:
     """
-    Yield the episodes in a bag as they are over, the last of every game at the end.
+    Yield the episodes of a bag when they are over, the last one of every game at the end.
 
     :param between: log times that are read, ns.
-    :param chosen: which are decoded.
+    :param chosen: tells which episodes are decoded and yielded.
     """
     for group in filter(chosen, _groups(bag, between)):
-        moments = tuple(_moments(bag, group))
-        if moments:
+        transitions = tuple(_transitions(bag, group))
+        if transitions:
             times = (group.first, group.last)
-            yield Episode(group.topic, group.publisher_id, group.number, moments, times)
+            yield Episode(group.topic, group.publisher_id, group.number, transitions, times)
 
 
-class Played(Sequence[Episode]):
-    """The episodes in a bag in the order of ``read_episodes``, each read when it is asked for."""
+class RecordedEpisodes(Sequence[Episode]):
+    """The episodes of a bag in the order of ``read_episodes``, each read when it is needed."""
 
     def __init__(self, bag: Bag) -> None:
-        """Read where the episodes are of which something can be read."""
+        """Find the episodes of which at least one state can be decoded."""
         self._bag = bag
         self._games: dict[tuple[str, str], int] = {}
         self._where = array('q')  # game, number, first and last log time, four for each episode
         for group in _groups(bag, ALWAYS):
-            if next(_moments(bag, group), None) is None:
+            if next(_transitions(bag, group), None) is None:
                 continue
             game = self._games.setdefault((group.topic, group.publisher_id), len(self._games))
             self._where.extend((game, group.number, group.first, group.last))
@@ -218,34 +219,34 @@ class Played(Sequence[Episode]):
         raise BagError(f'{self._bag.path}: episode {place + 1} cannot be read any more')
 
 
-def is_ended(bag: Bag, group: Group) -> bool:
-    """Tell whether the last state of an episode, as far as it can be read, is its end."""
+def is_ended(bag: Bag, group: EpisodeMessages) -> bool:
+    """Tell whether the last recorded state of an episode is terminal or truncated."""
     last = bag.decode(group.topic, group.states[max(group.states)])
     if last is not None:
-        with bag.taking(group.topic):
+        with bag.skipping_missing_fields(group.topic):
             return bool(last.terminated or last.truncated)
     return False
 
 
 def _topics(bag: Bag) -> list[str]:
-    """Return the topics that every state of a game is on once."""
+    """Return the topics that carry every state of a game once."""
     return [t for t in bag.of_type(GAME_STATE) if t.rpartition('/')[2] != STATE_COPY]
 
 
-def _groups(bag: Bag, between: tuple[int, int]) -> Iterator[Group]:
-    games = Games(bag)
+def _groups(bag: Bag, between: tuple[int, int]) -> Iterator[EpisodeMessages]:
+    games = EpisodeGrouping(bag)
     for recorded in bag.messages(_topics(bag), decoded=False, between=between):
         if (over := games.add(recorded)) is not None:
             yield over
-    yield from games.rest()
+    yield from games.unfinished()
 
 
-def _moments(bag: Bag, group: Group) -> Iterator[Transition]:
-    """Yield what of an episode can be decoded, in order."""
+def _transitions(bag: Bag, group: EpisodeMessages) -> Iterator[Transition]:
+    """Yield the transitions of an episode that can be decoded, in order."""
     for step in sorted(group.states):
         state = bag.decode(group.topic, group.states[step])
         if state is not None:
-            with bag.taking(group.topic):
+            with bag.skipping_missing_fields(group.topic):
                 try:
                     yield moment_from_message(state)
                 except ValueError as error:
@@ -261,7 +262,7 @@ _EVENTS = '/reset_game/_service_event'
 
 @dataclass
 class _Runs:
-    """Numbers of commands that follow each other and are of one actor."""
+    """Runs of consecutive commands of one actor, by their sequence numbers."""
 
     first: 'array[int]' = field(default_factory=lambda: array('Q'))  # ascending
     last: 'array[int]' = field(default_factory=lambda: array('Q'))
@@ -269,14 +270,14 @@ class _Runs:
 
 
 class Actors:
-    """Whose each command was, by its publisher and number."""
+    """The option that sent each command, by the command's publisher and sequence number."""
 
     def __init__(self) -> None:
         self._names: dict[str, int] = {'': 0}
         self._runs: dict[str, _Runs] = {}
 
     def add(self, publisher_id: str, sequence: int, name: str) -> None:
-        """Take in a command, once."""
+        """Add a command; a repetition changes nothing."""
         runs = self._runs.setdefault(publisher_id, _Runs())
         actor = self._names.setdefault(name, len(self._names))
         at = bisect_right(runs.first, sequence)
@@ -289,7 +290,7 @@ class Actors:
             runs.actor.insert(at, actor)
 
     def name(self, publisher_id: str, sequence: int) -> str:
-        """Return an option, or action:NAME; empty: a person, or it is not known."""
+        """Return an option's name, or action:NAME; empty: a person's command, or not known."""
         runs = self._runs.get(publisher_id, _Runs())
         at = bisect_right(runs.first, sequence) - 1
         known = at >= 0 and sequence <= runs.last[at]
@@ -298,7 +299,7 @@ class Actors:
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """What reset_game was asked when an episode was begun."""
+    """The request to reset_game that began an episode."""
 
     seed: int  # of the start state, where it is drawn, and of the chance in the episode
     start_state: str  # empty: it was drawn by the seed
@@ -308,13 +309,13 @@ Beginnings = dict[tuple[str, int, str], Beginning]  # by namespace, number and f
 
 
 def namespace(topic: str) -> str:
-    """Return what stands before the last part of a name."""
+    """Return the namespace of a topic."""
     return topic.rpartition('/')[0]
 
 
 def read_actors(bag: Bag, between: tuple[int, int] = ALWAYS) -> Actors:
     """
-    Return whose the commands in a bag were.
+    Return which option sent each command of a bag.
 
     :param between: log times that are read, ns.
     """
@@ -322,34 +323,34 @@ def read_actors(bag: Bag, between: tuple[int, int] = ALWAYS) -> Actors:
     for recorded in bag.messages(bag.of_type(ACTION_COMMAND), between=between):
         if (command := recorded.message) is not None:
             name = getattr(command, 'option_name', '')  # older versions have no such field
-            with bag.taking(recorded.topic):
+            with bag.skipping_missing_fields(recorded.topic):
                 actors.add(command.publisher_id, command.sequence, name)
     return actors
 
 
 def actors_in(bag: Bag, episode: Episode) -> Actors:
-    """Return whose the commands in an episode were; topics may come a little apart."""
+    """Return which option sent each command of an episode, and of some seconds around it."""
     first, last = episode.times
     return read_actors(bag, (max(first - AROUND, 0), last + AROUND))
 
 
-def actor_of(moment: Transition, actors: Actors) -> str:
-    """Return the option or action:NAME whose action led to a moment; empty: a person's."""
-    return actors.name(moment.action_publisher_id, moment.action_sequence)
+def actor_of(transition: Transition, actors: Actors) -> str:
+    """Return the option or action:NAME whose action led to a transition; empty: a person."""
+    return actors.name(transition.action_publisher_id, transition.action_sequence)
 
 
-def source_of(moment: Transition) -> str:
-    """Return who chose the action that led to a moment, in a word; empty: nobody."""
-    return '' if moment.action_source is Source.NONE else moment.action_source.name.lower()
+def source_of(transition: Transition) -> str:
+    """Return who chose the action of a transition, in a word; empty: no action led to it."""
+    return '' if transition.action_source is Source.NONE else transition.action_source.name.lower()
 
 
 def read_beginnings(bag: Bag) -> Beginnings:
-    """Return how episodes were begun, where it is known."""
+    """Return the requests that began episodes, where they were recorded."""
     asked: dict[tuple[Any, ...], Any] = {}
     found: Beginnings = {}
     for recorded in bag.messages(bag.of_type(RESET_EVENT)):
         if recorded.message is not None:
-            with bag.taking(recorded.topic):
+            with bag.skipping_missing_fields(recorded.topic):
                 _take_event(recorded.topic, recorded.message, asked, found)
     return found
 
@@ -357,7 +358,7 @@ def read_beginnings(bag: Bag) -> Beginnings:
 def _take_event(
     topic: str, event: Any, asked: dict[tuple[Any, ...], Any], found: Beginnings
 ) -> None:
-    """Keep a request until it is answered."""
+    """Keep a request until its response comes, which names the episode."""
     call = (topic, tuple(event.info.client_gid), event.info.sequence_number)
     if event.info.event_type == _REQUEST and event.request:
         asked[call] = event.request[0]

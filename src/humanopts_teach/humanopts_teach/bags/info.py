@@ -1,4 +1,4 @@
-"""What a bag holds, in one pass: people, options, runs, plans, episodes, and what is missing."""
+"""What a bag holds, found in one pass: people, options, runs, plans, episodes and loss."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -17,9 +17,9 @@ from humanopts_learner.demonstrations import (
 from humanopts_teach.bags.contents import (
     DEMONSTRATION,
     DOMAIN_INFO,
+    EpisodeGrouping,
+    EpisodeMessages,
     GAME_STATE,
-    Games,
-    Group,
     is_ended,
 )
 from humanopts_teach.bags.reader import Bag, Recorded
@@ -44,19 +44,19 @@ _POLICY_RESULT = 'humanopts_interfaces/msg/PolicyResult'
 
 
 def summarise(bag: Bag) -> BagInfo:
-    """Read a bag once and say what it holds."""
-    survey = _Survey(bag)
+    """Read a bag once and return what it holds."""
+    collector = _Collector(bag)
     for recorded in bag.messages(decoded=False):
-        survey.add(recorded)
-    return survey.result()
+        collector.add(recorded)
+    return collector.result()
 
 
 def option_rows(bag: Bag) -> list[OptionRow]:
-    """Say which options were taught."""
-    survey = _Survey(bag)
+    """Return the options that were taught."""
+    collector = _Collector(bag)
     for recorded in bag.messages(bag.of_type(DEMONSTRATION) + bag.of_type(_STATUS), decoded=False):
-        survey.add(recorded)
-    return survey.option_rows()
+        collector.add(recorded)
+    return collector.option_rows()
 
 
 def count_loss(bag: Bag) -> Ledger:
@@ -70,8 +70,8 @@ def count_loss(bag: Bag) -> Ledger:
     return ledger
 
 
-class _Survey:
-    """Collects while the messages pass by."""
+class _Collector:
+    """Collects what a bag holds, message by message."""
 
     def __init__(self, bag: Bag) -> None:
         self._bag = bag
@@ -83,10 +83,10 @@ class _Survey:
         self._criteria: dict[tuple[str, str], bool] = {}
         self._developed: dict[tuple[str, str, str], list[CriterionPoint]] = {}
         self._thresholds: dict[tuple[str, str, str], float] = {}
-        self._games = Games(bag)
+        self._games = EpisodeGrouping(bag)
         self._episodes = self._episodes_ended = 0
         self._domains: dict[str, None] = {}
-        self._sittings: dict[tuple[str, str], None] = {}
+        self._open_sessions: dict[tuple[str, str], None] = {}
         self._results: dict[str, Counter[str]] = {
             kind: Counter() for kind in (_OPTION_RESULT, PLAN_RESULT, _POLICY_RESULT)
         }
@@ -116,13 +116,13 @@ class _Survey:
         if handler is not None:
             message = self._bag.decode(recorded.topic, recorded.data)
             if message is not None:
-                with self._bag.taking(recorded.topic):
+                with self._bag.skipping_missing_fields(recorded.topic):
                     handler(recorded, message)
 
     def result(self) -> BagInfo:
         """Return what was collected."""
         bag = self._bag
-        for group in self._games.rest():
+        for group in self._games.unfinished():
             self._episode(group)
         return BagInfo(
             path=str(bag.path),
@@ -136,7 +136,7 @@ class _Survey:
                 AttachedRow(name, at.size, at.media_type) for name, at in bag.attachments.items()
             ),
             domains=tuple(self._domains),
-            sittings=tuple(self._sittings),
+            open_sessions=tuple(self._open_sessions),
             topics=tuple(self._topic_rows()),
             options=tuple(self.option_rows()),
             criteria=tuple(
@@ -167,7 +167,7 @@ class _Survey:
         taught: dict[tuple[str, str], list[Demonstration]] = {}
         for demo in each_once(self._demonstrations):
             taught.setdefault((demo.participant, demo.option_name), []).append(demo)
-        return [self._option_row(*whose, demos) for whose, demos in taught.items()]
+        return [self._option_row(*key, demos) for key, demos in taught.items()]
 
     def _option_row(self, participant: str, name: str, demos: list[Demonstration]) -> OptionRow:
         kept = [demo for demo in demos if not demo.withdrawn]
@@ -197,9 +197,9 @@ class _Survey:
 
     def _lesson(self, recorded: Recorded, message: Any) -> None:
         if message.participant:
-            self._sittings[message.participant, message.session] = None
+            self._open_sessions[message.participant, message.session] = None
 
-    def _episode(self, group: Group | None) -> None:
+    def _episode(self, group: EpisodeMessages | None) -> None:
         """Count an episode that is over."""
         if group is not None:
             self._episodes += 1
@@ -207,10 +207,10 @@ class _Survey:
 
     def _status(self, recorded: Recorded, message: Any) -> None:
         for option in message.options:
-            whose = (option.participant, option.option_name)
-            self._criteria[whose] = option.criteria_met
+            taught = (option.participant, option.option_name)
+            self._criteria[taught] = option.criteria_met
             for criterion in option.criteria:
-                key = (*whose, criterion.name)
+                key = (*taught, criterion.name)
                 self._thresholds[key] = criterion.threshold
                 point = CriterionPoint(
                     (recorded.log_time - self._first) / 1e9,

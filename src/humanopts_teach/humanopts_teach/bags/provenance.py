@@ -1,4 +1,4 @@
-"""With what a bag was recorded."""
+"""Where a recording comes from: versions of software, and the files to keep with it."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -39,12 +39,12 @@ def attachments(paths: Sequence[Path]) -> Iterator[tuple[str, Path]]:
     """
     Yield files to keep in a bag, each with its name there: ``options/p1/go-to-goal.json``.
 
-    :param paths: files, and folders of which every .json file is meant; what is not there is
-        passed over.
+    :param paths: files, and folders of which every .json file is taken; paths that do not exist
+        are skipped.
     """
     for path in paths:
         for file in sorted(path.rglob('*.json')) if os.path.isdir(path) else [path]:
-            if os.path.isfile(file):  # False, too, where nobody may look
+            if os.path.isfile(file):  # also False without permission
                 name = file.relative_to(path.parent).as_posix()
                 yield name.encode('utf-8', 'replace').decode('utf-8'), file
 

@@ -73,12 +73,12 @@ class Bag:
 
     @property
     def damage(self) -> str:
-        """What is wrong with the bag, a line each; empty: nothing that was met so far."""
+        """What is wrong with the bag, as far as it was read, a line each; empty: nothing."""
         return '\n'.join(self._damage)
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """The MCAP metadata records by name; ``humanopts`` is what the recorder was told."""
+        """The MCAP metadata records by name; ``humanopts`` has the facts of the recorder."""
         return {name: record for file in self._files for name, record in file.metadata.items()}
 
     @property
@@ -88,7 +88,7 @@ class Bag:
 
     @property
     def numbered(self) -> bool:
-        """Whether the recorder was ours, which numbers the messages on a topic from 1."""
+        """Whether our recorder wrote the bag, which numbers the messages of a topic from 1."""
         return all(file.library == LIBRARY or RECORD in file.metadata for file in self._files)
 
     @property
@@ -167,15 +167,15 @@ class Bag:
             return None
 
     @contextmanager
-    def taking(self, topic: str) -> Iterator[None]:
-        """Leave a message out, and note it, where its definition lacks what is asked of it."""
+    def skipping_missing_fields(self, topic: str) -> Iterator[None]:
+        """Leave a message out, and note it, where its type lacks a field that is read."""
         try:
             yield
         except AttributeError as error:
             self.note(f'a message on {topic} is left out: {error}')
 
     def note(self, damage: str) -> None:
-        """Keep what was found to be wrong, once."""
+        """Keep a description of damage, once."""
         self._damage[damage if len(self._damage) < MOST_NOTES else 'and more of the kind'] = None
 
     def _compare_topics(self) -> None:
@@ -187,12 +187,12 @@ class Bag:
                     self.note(f'{topic.name} is defined in several ways, and read by the last')
 
     def _compare_facts(self) -> None:
-        """Note where two places tell differently what our recorder was told."""
+        """Note where the copies of our recorder's facts differ."""
         if not self.numbered:
             return
-        told = self.metadata.get(RECORD, {})
+        facts = self.metadata.get(RECORD, {})
         for file in self._files:
-            if file.metadata.get(RECORD, told) != told:
+            if file.metadata.get(RECORD, facts) != facts:
                 self.note(f'{file.path.name} has other facts than the last file')
         copies = {FILE: self.information} if self.information else {}
         try:
@@ -201,7 +201,7 @@ class Bag:
         except ValueError:
             self.note(f'the record {SELF} is damaged')
         for place, copy in copies.items():
-            if (copy.get('custom_data') or {}) != told:
+            if (copy.get('custom_data') or {}) != facts:
                 self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
     def _wanted(self, file: FileIndex, topics: Collection[str] | None) -> frozenset[int]:
@@ -219,8 +219,8 @@ def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> B
     A file that was cut short or not closed is opened with all that is whole in it; ``Bag.damage``
     then says what is wrong.
 
-    :param on_read: told how far every pass over the bag is, beginning with a scan where it has no
-        index.
+    :param on_read: is called with the bytes read so far in every pass over the bag, the first of
+        which finds the messages of a file without an index.
     :raises BagError: there is nothing, it is empty, was written by another program, or holds no
         humanopts topics and was not begun by our recorder.
     """
@@ -241,7 +241,7 @@ def _indexes(
     files: Sequence[Path], on_read: ProgressCallback
 ) -> tuple[list[FileIndex], list[str]]:
     """
-    Find the messages of the files that can be read; say which of them cannot.
+    Find the messages of the files that can be read; also return why others cannot.
 
     :raises BagError: none can.
     """

@@ -15,7 +15,7 @@ FILE = 'metadata.yaml'
 ROOT = 'rosbag2_bagfile_information'
 VERSION = 9
 ROS_DISTRO = 'jazzy'
-_NEVER = 2**63 - 1  # starting time of a bag with no messages, as rosbag2 writes it
+_NEVER = 2**63 - 1  # starting time of a bag without messages, as rosbag2 writes it
 _DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 Qos = Mapping[str, Any]  # one offered QoS profile, keys as in rosbag2's metadata
 
@@ -79,10 +79,10 @@ def bag_information(
     files: Mapping[str, Extent], topics: Sequence[TopicEntry], custom: Mapping[str, str]
 ) -> dict[str, Any]:
     """
-    Return what metadata.yaml says of a bag.
+    Return the contents of metadata.yaml for a bag.
 
     :param files: by name within the directory, in order.
-    :param custom: facts of our own.
+    :param custom: facts that the recorder was given.
     """
     whole = Extent()
     for extent in files.values():
@@ -115,7 +115,7 @@ def _times(extent: Extent) -> dict[str, Any]:
 
 
 def document(information: str) -> str:
-    """Return the text of metadata.yaml, from the text of what it says of the bag."""
+    """Return the text of metadata.yaml from the YAML text of ``bag_information``."""
     return f'{ROOT}:\n{indent(information, "  ")}'
 
 
@@ -132,8 +132,8 @@ def _topic_information(topic: TopicEntry) -> dict[str, Any]:
     }
 
 
-MOST_FILES = 100_000  # a larger number of a file is none
-_MOST_NAMED = 3  # bags that are named in place of a folder that is none
+MOST_FILES = 100_000  # larger numbers in a file's name are not taken for its place
+_MOST_NAMED = 3  # bags below a folder that are named in an error message
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 # What damaged text makes the loader raise, ValueError apart.
 _NO_YAML = (
@@ -148,10 +148,10 @@ _NO_YAML = (
 
 @dataclass(frozen=True)
 class Directory:
-    """The files of a bag, and what metadata.yaml says of them."""
+    """The files of a bag, and the contents of metadata.yaml."""
 
     files: list[Path]  # in order
-    information: dict[str, Any]  # {}: it says nothing, or is not there
+    information: dict[str, Any]  # {}: metadata.yaml is missing or damaged
     damage: list[str]
 
 
@@ -159,7 +159,7 @@ def find_files(path: Path) -> Directory:
     """
     Find the files of a bag.
 
-    :raises BagError: there is nothing, or no MCAP file of a bag.
+    :raises BagError: the path does not exist, or there is no MCAP file.
     """
     if path.is_file():
         return Directory([path], {}, [])
@@ -183,7 +183,7 @@ def find_files(path: Path) -> Directory:
 
 
 def _below(path: Path) -> str:
-    """Name the bags in a folder that is none, and in its folders; empty: there are none."""
+    """Name the bags up to two levels below a folder, newest first; empty: there are none."""
     there = [*path.glob(f'*/{FILE}'), *path.glob(f'*/*/{FILE}')]
     newest = sorted(
         (file.parent for file in there), key=lambda bag: bag.stat().st_mtime, reverse=True
@@ -201,7 +201,7 @@ def _place(file: Path) -> tuple[str, int]:
 
 
 def _gaps(files: list[Path]) -> list[str]:
-    """Return the names of files that are left out in the numbers of the others."""
+    """Return the names of files whose numbers are missing among the others."""
     found: dict[str, set[int]] = {}
     for name, number in map(_place, files):
         found.setdefault(name, set()).add(number)
@@ -215,7 +215,7 @@ def _gaps(files: list[Path]) -> list[str]:
 
 
 def _information(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """Return what metadata.yaml says; {} and why where it cannot be used."""
+    """Return the contents of metadata.yaml, and what is wrong with it; {} if it is unusable."""
     try:
         document = load(path.read_text('utf-8'))
     except OSError as error:
@@ -234,7 +234,7 @@ def load(text: str) -> Any:
     """
     Read YAML.
 
-    :raises ValueError: it is none.
+    :raises ValueError: the text is not YAML.
     """
     try:
         return yaml.load(text, Loader=_LOADER)

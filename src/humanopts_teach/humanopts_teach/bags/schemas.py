@@ -22,7 +22,7 @@ _PRIMITIVE = {'bool', 'byte', 'char', 'float32', 'float64', 'string', 'wstring'}
 }
 _UUID = 'unique_identifier_msgs/UUID goal_id'
 _CONSTANT = re.compile(r'\s*[a-z0-9]+\s+([A-Z][A-Z0-9_]*)\s*=\s*(-?\d+)\b')
-# What the tools make of an action, apart from its three parts. P is package/Action.
+# Messages that ROS 2 derives from an action, apart from its three parts. P is package/Action.
 _ACTION_PARTS = {
     '_FeedbackMessage': f'{_UUID}\nP_Feedback feedback\n',
     '_SendGoal_Request': f'{_UUID}\nP_Goal goal\n',
@@ -91,7 +91,7 @@ class Definitions:
         return ''.join(parts)
 
     def _derived(self, package: str, kind: str, name: str) -> str:
-        """Return what the tools make of a service or an action."""
+        """Return the definition of a message that is derived from a service or an action."""
         base = name.partition('_')[0]
         suffix, own = name[len(base) :], f'{package}/{base}'
         if suffix in _SECTIONS[kind]:
@@ -145,10 +145,10 @@ def field_lines(schema: str) -> list[tuple[str, str]]:
 
 def _qualified(text: str, package: str) -> str:
     """
-    Give the types that ``text`` names the package that they are of.
+    Put the package before the types in ``text`` that are named without it.
 
-    Readers look for a bare name beside the type that has it, and parts of services and actions
-    are elsewhere than messages.
+    Readers look for a bare name in the folder of the type that uses it, and parts of services and
+    actions are in another folder than messages.
     """
     for kind in {kind for kind, _ in field_lines(text) if '/' not in kind}:
         if _base(kind) not in _PRIMITIVE:
@@ -175,7 +175,7 @@ def _dependencies(type_name: str, text: str) -> list[str]:
 
 
 def _full_name(package: str, name: str, user: str) -> str:
-    """Say in which folder a type lives: names with _ are parts of services and actions."""
+    """Return a type's name with its folder: names with _ are parts of services and actions."""
     kind = user.split('/')[1] if '_' in name else 'msg'
     return f'{package}/{kind}/{name}'
 
@@ -188,9 +188,9 @@ _CHAR = re.compile(r'^(\s*)char\b', re.M)  # unsigned in ROS 2, which mcap_ros2 
 
 def make_decoder(type_name: str, schema: str) -> Decoder:
     """
-    Return what turns the bytes of a message into an object with its fields.
+    Return a function that makes of a message's bytes an object with its fields.
 
-    :raises BagError: the schema is no message definition.
+    :raises BagError: the schema is not a message definition.
     """
     name, text = plain_names(type_name, schema)
     text = _CHAR.sub(r'\1uint8', text)
@@ -218,7 +218,7 @@ def decode(decoder: Decoder, data: bytes) -> Any:
 
 def plain_names(type_name: str, schema: str) -> tuple[str, str]:
     """
-    Take the _ out of the type names in a schema, since mcap_ros2 refuses them.
+    Replace the _ in the type names of a schema, since mcap_ros2 refuses them.
 
     Parts of services and actions have them, such as Plan_Result; there may be a PlanResult too.
     """

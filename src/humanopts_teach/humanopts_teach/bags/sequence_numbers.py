@@ -19,7 +19,7 @@ _FRAME_ID = _ORIGIN + 8  # after header.stamp
 
 
 class Stamp(NamedTuple):
-    """Who sent a message, and its number among those of this publisher on this topic."""
+    """The publisher of a message, and its number among the publisher's messages on a topic."""
 
     publisher_id: str
     sequence: int  # 1, 2, 3, ...
@@ -77,17 +77,17 @@ class Stream:
     """
     The messages of one publisher on one topic.
 
-    Numbers begin at 1, so what was sent before the first that was received is missing too. What
-    was sent after the last cannot be known. The last ``MOST_GAPS`` gaps are kept: a message that
-    fills an older one counts as a repetition, so that never too few are said to be missing.
+    Numbers begin at 1, so messages sent before the first that was received count as missing, too.
+    Messages sent after the last cannot be known. The last ``MOST_GAPS`` gaps are kept: a message
+    that fills an older gap counts as a repetition, so the number missing is never too low.
     """
 
     first: int = 0  # smallest number received; 0: none yet
     last: int = 0  # largest number received
-    received: int = 0  # repetitions left out
+    received: int = 0  # without repetitions
     duplicates: int = 0
     late: int = 0  # received after a larger number
-    _gaps: list[tuple[int, int]] = field(default_factory=list)  # first and last missing, ascending
+    _gaps: list[tuple[int, int]] = field(default_factory=list)  # first and last number, ascending
 
     def add(self, sequence: int) -> None:
         """Count one message."""
@@ -111,7 +111,7 @@ class Stream:
         return self.last - self.received
 
     def _fill(self, sequence: int) -> bool:
-        """Take a late message out of its gap; False: it was received before."""
+        """Remove a late message from its gap; False: it was received before."""
         at = bisect_right(self._gaps, (sequence, self.last)) - 1
         if at < 0 or self._gaps[at][1] < sequence:
             return False

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from datetime import datetime, UTC
 from typing import Any
 
-NO_TEACHER = 'none: a person taught'  # in place of the simulated teacher's error rate
+NO_TEACHER = 'none: a person taught'  # shown for the simulated teacher's error rate
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class TopicRow:
     name: str
     type: str
     messages: int
-    counted: bool  # its messages carry sequence numbers, so that loss shows
+    counted: bool  # its messages carry sequence numbers, by which loss is counted
 
 
 @dataclass(frozen=True)
@@ -28,17 +28,17 @@ class OptionRow:
     features: tuple[str, ...]
     demonstrations: int
     not_here: int
-    withdrawn: int  # taken back, and counted nowhere else
-    steps: int  # in all demonstrations
-    seconds: float  # that the person took for them
-    criteria_met: bool  # as the learner last said
+    withdrawn: int  # taken back; not counted in the other fields
+    steps: int  # of all demonstrations
+    seconds: float  # that the person took for all demonstrations
+    criteria_met: bool  # by the last learning status
 
 
 @dataclass(frozen=True)
 class CriterionPoint:
-    """A criterion as the learner told it after a demonstration."""
+    """A criterion after a demonstration, by the learning status."""
 
-    seconds: float  # since the bag begins
+    seconds: float  # from the beginning of the bag
     demonstrations: int  # shown so far
     not_here: int  # "not here" answers so far
     value: float | None  # None: not yet measurable
@@ -47,7 +47,7 @@ class CriterionPoint:
 
 @dataclass(frozen=True)
 class CriterionRow:
-    """How one criterion of one option developed."""
+    """The values of one criterion of one option over time."""
 
     participant: str
     option: str
@@ -57,7 +57,7 @@ class CriterionRow:
 
     @property
     def first_met(self) -> CriterionPoint | None:
-        """When it held for the first time."""
+        """Return the first point at which the criterion held."""
         return next((point for point in self.points if point.met), None)
 
 
@@ -72,7 +72,7 @@ class AttachedRow:
 
 @dataclass(frozen=True)
 class StreamRow:
-    """The messages of one publisher on one topic; see ``loss.Stream``."""
+    """The messages of one publisher on one topic, as in ``Stream``."""
 
     topic: str
     publisher: str
@@ -88,22 +88,22 @@ class BagInfo:
     """What a bag holds."""
 
     path: str
-    damage: str  # what is wrong with it, a line each; empty: nothing
+    damage: str  # what is wrong with the bag, a line each; empty: nothing
     start: int  # of the first message, ns since the epoch
     duration: int  # to the last message, ns
     files: int  # MCAP files
-    bytes: int  # of these
-    facts: Mapping[str, str]  # what the recorder was told
+    bytes: int  # size of the MCAP files
+    facts: Mapping[str, str]  # that the recorder was given
     attached: tuple[AttachedRow, ...]
     domains: tuple[str, ...]  # name and parameters
-    sittings: tuple[tuple[str, str], ...]  # participant and session of each that was open
+    open_sessions: tuple[tuple[str, str], ...]  # participant and code of each session
     topics: tuple[TopicRow, ...]
     options: tuple[OptionRow, ...]
-    criteria: tuple[CriterionRow, ...]  # over time, as they were seen live
+    criteria: tuple[CriterionRow, ...]  # over time, as the learner published them
     option_runs: Mapping[str, int]  # by status
     plans: Mapping[str, int]
     policy_runs: Mapping[str, int]
-    interruptions: int  # options that policies stopped early: choosing anew was worth more
+    interruptions: int  # options that policies interrupted, since another was worth more
     execution_changes: int  # of policies while they ran
     episodes: int
     episodes_ended: int  # whose last state was recorded
@@ -123,18 +123,20 @@ class BagInfo:
     def participants(self) -> tuple[str, ...]:
         """Codes of the people who taught or sat down to, sorted."""
         taught = {option.participant for option in self.options}
-        return tuple(sorted(taught | {participant for participant, _ in self.sittings}))
+        return tuple(sorted(taught | {participant for participant, _ in self.open_sessions}))
 
     @property
     def sessions(self) -> tuple[str, ...]:
-        """Codes of their sittings, sorted."""
+        """Return the codes of all sessions, sorted."""
         taught = {code for option in self.options for code in option.sessions}
-        return tuple(sorted(taught | {session for _, session in self.sittings}))
+        return tuple(sorted(taught | {session for _, session in self.open_sessions}))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the facts as JSON data."""
+        facts = asdict(self)
         return {
-            **asdict(self),
+            'sittings': facts.pop('open_sessions'),  # the key of version 0.1.0
+            **facts,
             'messages': self.messages,
             'missing': self.missing,
             'participants': list(self.participants),
@@ -142,7 +144,7 @@ class BagInfo:
         }
 
     def to_text(self) -> str:
-        """Return the facts for reading."""
+        """Return the facts as text for a person."""
         parts = [
             self._head(),
             self._facts(),
@@ -201,7 +203,7 @@ class BagInfo:
         return table(('attached file', 'bytes', 'type'), rows)
 
     def _criteria(self) -> str:
-        """Say when each criterion held first, and what it was then and at the end."""
+        """Return when each criterion held first, and its value then and at the end."""
         rows = []
         for row in self.criteria:
             met, last = row.first_met, row.points[-1]
@@ -253,7 +255,7 @@ class BagInfo:
 
 
 def _when(point: CriterionPoint) -> tuple[str, str, str]:
-    """Return after what a criterion held, when, and its value."""
+    """Return after how many demonstrations a criterion held, when, and its value."""
     shown = f'{point.demonstrations} shown, {point.not_here} not here'
     return shown, f'{point.seconds:.1f}', _measured(point)
 
@@ -264,7 +266,7 @@ def _measured(point: CriterionPoint) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out rows in columns, numbers to the right; '' where there are no rows."""
+    """Lay out rows in columns, numbers to the right; empty where there are no rows."""
     if not rows:
         return ''
     cells = [list(head), *([str(value) for value in row] for row in rows)]

@@ -26,8 +26,8 @@ class Sink:
     """
     Writes whole MCAP records to a new file, unbuffered.
 
-    A record that does not fit on the disk is taken back, so that the file stays readable; after
-    that nothing more is written.
+    A record that does not fit on the disk is removed, so that the file stays readable; after that
+    nothing more is written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -81,7 +81,7 @@ class Sink:
         return self._end
 
     def flush(self) -> None:
-        """Do nothing: what was written is with the operating system already."""
+        """Do nothing: the operating system has everything that was written."""
 
     def close(self) -> None:
         """Close the file; it can be called again."""
@@ -91,9 +91,9 @@ class Sink:
 
 
 CHUNK_BYTES = 256 * 1024
-LIBRARY = 'humanopts'  # who wrote the file, in its header
-RECORD = 'humanopts'  # name of the MCAP metadata record with our facts
-SELF = 'rosbag2'  # name of that with what metadata.yaml says ...
+LIBRARY = 'humanopts'  # the program that wrote the file, in its header
+RECORD = 'humanopts'  # name of the MCAP metadata record with the recorder's facts
+SELF = 'rosbag2'  # name of the record with a copy of metadata.yaml ...
 SELF_TEXT = 'serialized_metadata'  # ... under this key
 
 
@@ -101,7 +101,7 @@ class BagFile:
     """
     One file that is being written.
 
-    It has its name only when its head is on the disk, so that no reader finds it empty.
+    The file gets its name only when its head is on the disk, so that no reader finds it empty.
     """
 
     def __init__(self, path: Path, facts: Mapping[str, str]) -> None:
@@ -175,14 +175,14 @@ class BagFile:
         self._writer.add_metadata(name, dict(values))
 
     def flush(self) -> None:
-        """Write the chunk under way; errors as ``write``."""
+        """Write the present chunk; errors as ``write``."""
         self._writer.flush()
 
     def finish(self, information: str) -> None:
         """
         Write index and statistics, and close the file; errors as ``write``.
 
-        :param information: what metadata.yaml says of the bag, as YAML.
+        :param information: the contents of metadata.yaml.
         """
         if self._finished:
             return
@@ -202,13 +202,13 @@ class BagFile:
 
 @dataclass(frozen=True)
 class Limits:
-    """When a bag goes on in another file; 0: never."""
+    """When the next file of a bag begins; 0: never."""
 
-    bytes: int = 0  # once a file has this size, without the chunk under way and the index
-    seconds: float = 0.0  # from the first message in the file
+    bytes: int = 0  # size of a file, without the present chunk and the index
+    seconds: float = 0.0  # after the first message in the file
 
     def reached(self, file: BagFile, log_time: int) -> bool:
-        """Tell whether a file is to take no message of this time (ns) any more."""
+        """Tell whether a message of this time (ns) belongs into the next file."""
         if file.extent.messages == 0:
             return False
         age = log_time - file.extent.first
@@ -237,7 +237,7 @@ class BagWriter:
         Begin a bag.
 
         :param path: its directory; must not exist.
-        :param facts: what reproduction needs, kept in the MCAP metadata record ``humanopts``.
+        :param facts: settings and versions, kept in the MCAP metadata record ``humanopts``.
         :param definitions: where message definitions are found; None: AMENT_PREFIX_PATH.
         :param limits: when the next file is begun.
         :raises BagWriteError: the directory exists, or cannot be made.
@@ -281,7 +281,7 @@ class BagWriter:
         self, name: str, type_name: str, qos: Sequence[Qos] = (), type_hash: str = ''
     ) -> str:
         """
-        Announce a topic; a name that is known already changes nothing.
+        Add a topic; one that was added already stays as it is.
 
         :param type_name: such as humanopts_interfaces/msg/GameState.
         :param qos: the profiles that its publishers offer.
@@ -313,7 +313,7 @@ class BagWriter:
         :param data: the CDR bytes as received.
         :param log_time: when it was received, ns since the epoch.
         :param publish_time: when it was sent; None: not known, so ``log_time``.
-        :param sequence: its number; None: one more than there are on its topic.
+        :param sequence: its number; None: the next one of its topic.
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
         if self._limits.reached(self._file, log_time):
@@ -336,7 +336,7 @@ class BagWriter:
         """
         Keep a file in the bag.
 
-        :param times: when it was made and when recorded, ns; None: those of the last message.
+        :param times: when the file was made and recorded, ns; None: that of the last message.
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
         last = self.extent.last
@@ -352,7 +352,7 @@ class BagWriter:
 
     def flush(self) -> None:
         """
-        Write the chunk under way, and metadata.yaml where it lacks a topic.
+        Write the present chunk, and metadata.yaml where it lacks a topic.
 
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
@@ -418,12 +418,12 @@ class BagWriter:
             raise BagWriteError(f'cannot write in {self.path}: {error.strerror}') from error
 
     def _information(self) -> str:
-        """Return what metadata.yaml says of the bag."""
+        """Return the contents of metadata.yaml."""
         extents = {file.name: file.extent for file in self._files}
         return dump(bag_information(extents, self.topics, self._facts))
 
     def _describe(self, information: str) -> None:
-        """Replace metadata.yaml in one go."""
+        """Replace metadata.yaml atomically."""
         new = self.path / f'{FILE}.new'
         try:
             new.write_text(document(information), 'utf-8')

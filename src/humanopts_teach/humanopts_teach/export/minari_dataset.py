@@ -101,7 +101,7 @@ class _Whole(Iterator[Episode]):
 
     def __next__(self) -> Episode:
         for episode in self._episodes:
-            steps = [moment.step for moment in episode.moments]
+            steps = [moment.step for moment in episode.transitions]
             if len(steps) > 1 and steps == list(range(len(steps))):
                 self.passed += 1
                 return episode
@@ -111,7 +111,7 @@ class _Whole(Iterator[Episode]):
 
 def _reset_options(begun: Beginnings, episode: Episode) -> dict[str, Any]:
     """Return what takes the environment to the start of an episode, and to its chance."""
-    first = episode.moments[0].state
+    first = episode.transitions[0].state
     how = begun.get((namespace(episode.topic), episode.number, first))
     if how is None:  # the request was not recorded: chance cannot be repeated
         return {'state': first}
@@ -123,8 +123,8 @@ def _reset_options(begun: Beginnings, episode: Episode) -> dict[str, Any]:
 def _columns(env: Any, episode: Episode) -> dict[str, Any]:
     """Return observations (T + 1), and actions, rewards and ends (T)."""
     domain: Domain[Any] = env.domain
-    taken = episode.moments[1:]
-    states = [domain.decode(moment.state) for moment in episode.moments]
+    taken = episode.transitions[1:]
+    states = [domain.decode(moment.state) for moment in episode.transitions]
     return {
         'observations': np.array([env.observe(state) for state in states]),
         'actions': np.array([action_index(domain, moment.previous_action) for moment in taken]),

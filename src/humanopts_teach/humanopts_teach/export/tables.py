@@ -38,7 +38,7 @@ _PLAN = (  # of PlanResult
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of plain values, read while they are written; a list is JSON text, None is unknown."""
+    """Rows of plain values, read when they are needed; a list is JSON text, None is unknown."""
 
     name: str
     head: tuple[str, ...]
@@ -61,7 +61,7 @@ def bag_tables(bag: Bag) -> list[Table]:
 
 
 def _steps_table(bag: Bag) -> Table:
-    """Return a row for each recorded state, with the step that led to it."""
+    """Return a table with a row for each recorded state and the step that led to it."""
     features = read_domain(bag).features
     names = (f'{FEATURE_PREFIX}{feature.name}' for feature in features)
     rows = _steps(bag, [feature.values for feature in features], read_actors(bag))
@@ -72,7 +72,7 @@ def _steps(
     bag: Bag, features: Sequence[Sequence[str]], actors: Actors
 ) -> Iterator[tuple[Any, ...]]:
     for place, episode in enumerate(read_episodes(bag), start=1):
-        for at in episode.moments:
+        for at in episode.transitions:
             words = _words(features, at.features)
             if words is None:
                 bag.note(f'{episode.topic}: states with other features have none in the table')
@@ -99,7 +99,7 @@ def _demonstration(demo: Demonstration) -> dict[str, Any]:
 
 
 def _plans(bag: Bag) -> Iterator[dict[str, Any]]:
-    """Yield what plans came to; bags of older versions do not have every field."""
+    """Yield the results of plans; bags of older versions lack some fields."""
     for recorded in bag.messages(bag.of_type(PLAN_RESULT)):
         if (result := recorded.message) is not None:
             names = constants(bag.topics[recorded.topic].schema, 'STATUS_')

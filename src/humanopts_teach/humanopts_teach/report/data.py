@@ -105,7 +105,7 @@ def _frames(episode: Episode, runs: list[_Run], actors: Actors) -> list[Frame]:
     :param actors: whose the commands of modules were.
     """
     frames = []
-    for at in episode.moments:
+    for at in episode.transitions:
         run = next((run for run in runs if run.first_step < at.step <= run.last_step), None)
         frames.append(
             Frame(

@@ -60,7 +60,7 @@ class Replay:
 
     @property
     def _last(self) -> int:
-        return len(self._episode.moments) - 1
+        return len(self._episode.transitions) - 1
 
     def advance(self) -> None:
         """Show the next step, if the replay runs; it stops at the last."""
@@ -119,12 +119,12 @@ class Replay:
             self.running = True
 
     def _board(self) -> tuple[Text, Text]:
-        state = self._episode.moments[self._step].state
+        state = self._episode.transitions[self._step].state
         return board_text(self._domain, self._domain.decode(state))
 
     def _words(self) -> str:
         """Return where we are, who did what, and what it brought."""
-        episode, moments = self._episode, self._episode.moments
+        episode, moments = self._episode, self._episode.transitions
         at = moments[self._step]
         parts = [
             f'episode {self._place + 1} of {len(self._episodes)}',
@@ -141,7 +141,7 @@ class Replay:
 
 
 def _ending(episode: Episode) -> str:
-    last = episode.moments[-1]
+    last = episode.transitions[-1]
     if last.terminated:
         return 'the task is over'
     return 'cut off at the step limit' if last.truncated else 'left here'
