@@ -1,5 +1,6 @@
-"""Every option learned again from demonstrations alone."""
+"""Every option learned again, from demonstrations and from bags, and nothing else is used."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 import json
 from pathlib import Path
@@ -7,12 +8,14 @@ from typing import Any
 import uuid
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.registry import reference_options
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import GameState, OptionResult
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.files import option_to_json
-from humanopts_learner.ros.convert import demonstration_to_message
+from humanopts_learner.ros.convert import demonstration_to_message, status_to_message
+from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.provenance import UNKNOWN
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main
@@ -23,13 +26,47 @@ from humanopts_teach.evaluation.bag_evaluation import (
     evaluate_bag,
     EvaluationError,
 )
-from humanopts_teach.evaluation.summary import Settings, settings_from_facts
+from humanopts_teach.evaluation.summary import option_block, Settings, settings_from_facts
 from humanopts_teach.evaluation.text import evaluation_text
 import pytest
 from rclpy.serialization import serialize_message
 
 SETTINGS = Settings(seed=5)
+FACTS = {
+    'seed': '5',
+    'return_delta': '0.75',
+    'initiation_error': '0.05',
+    'termination_error': '0.1',
+    'strategy': 'random',
+    'budget': '40',
+    'teacher_error_rate': '0.0',
+}
+RECORDED = Settings(5, Thresholds(0.75, 0.05, 0.1), 'random', 40, 0.0)  # these
 Lesson = list[Demonstration]
+
+
+def record(
+    path: Path,
+    messages: Iterable[Any],
+    facts: dict[str, str] | None = None,
+    attached: dict[str, Any] | None = None,
+) -> Path:
+    """Write a bag of messages, each kind on a topic of its own, and of files as JSON."""
+    with BagWriter(path, FACTS if facts is None else facts) as bag:
+        for time, message in enumerate(messages):
+            name = type(message).__name__
+            bag.add_topic(f'/{name.lower()}', f'humanopts_interfaces/msg/{name}')
+            bag.write(f'/{name.lower()}', serialize_message(message), time)
+        for name, data in (attached or {}).items():
+            bag.attach(name, json.dumps(data).encode())
+    return path
+
+
+def record_lesson(
+    path: Path, domain: Domain[Any], demos: Lesson, facts: dict[str, str] | None = None
+) -> Path:
+    """Write a bag of a lesson."""
+    return record(path, [domain_to_info(domain), *map(demonstration_to_message, demos)], facts)
 
 
 @pytest.fixture(scope='module')
@@ -134,19 +171,8 @@ def test_nothing_to_learn_from_is_an_error_that_says_so(
 
 
 def test_settings_are_read_from_the_facts_in_the_bag() -> None:
-    facts = {
-        'seed': '11',
-        'return_delta': '0.5',
-        'initiation_error': '0.1',
-        'termination_error': '0.2',
-        'strategy': 'random',
-        'budget': '40',
-        'teacher_error_rate': '0.02',
-    }
-    settings, assumed = settings_from_facts(facts)
-    assert settings == Settings(11, Thresholds(0.5, 0.1, 0.2), 'random', 40, 0.02)
-    assert assumed == []
-    person, _ = settings_from_facts({**facts, 'teacher_error_rate': 'None'})
+    assert settings_from_facts(FACTS) == (RECORDED, [])
+    person, _ = settings_from_facts({**FACTS, 'teacher_error_rate': 'None'})
     assert person.teacher_error_rate is None
 
 
@@ -192,15 +218,9 @@ def test_a_bag_whose_option_files_come_out_again_says_so(
     (file, _) = files_of(evaluation, taxi_lesson).values()
     shown = [demo for demo in taxi_lesson if demo.option_name == file['name']]
     messages = [domain_to_info(taxi), *map(demonstration_to_message, shown)]
-    with BagWriter(
-        tmp_path / 'bag', {'seed': '5', 'numpy': '1.0', 'scikit-learn': UNKNOWN}
-    ) as bag:
-        for time, message in enumerate(messages):
-            name = type(message).__name__
-            bag.add_topic(f'/{name.lower()}', f'humanopts_interfaces/msg/{name}')
-            bag.write(f'/{name.lower()}', serialize_message(message), time)
-        bag.attach('options/p1/fetch.json', json.dumps(file).encode())
-        bag.attach('notes.json', b'[]')
+    facts = {'seed': '5', 'numpy': '1.0', 'scikit-learn': UNKNOWN}
+    attached = {'options/p1/fetch.json': file, 'notes.json': []}
+    record(tmp_path / 'bag', messages, facts, attached)
     found = evaluate_bag(tmp_path / 'bag')
     assert [option.reproduced for option in found.options] == [True]
     assert found.to_dict()['options'][0]['equals_option_file'] is True
@@ -225,9 +245,7 @@ def test_what_cannot_be_done_is_refused_before_the_work(
     asked: list[str],
     reason: str,
 ) -> None:
-    with BagWriter(tmp_path / 'bag') as bag:  # of which nothing can be learned
-        bag.add_topic('/domain_info', 'humanopts_interfaces/msg/DomainInfo')
-        bag.write('/domain_info', serialize_message(domain_to_info(taxi)), 1)
+    record(tmp_path / 'bag', [domain_to_info(taxi)])  # of which nothing can be learned
     if '--html' in asked:
         asked = ['--html', str(tmp_path / asked[1])]
     assert main(['bag', 'eval', str(tmp_path / 'bag'), *asked]) == 2
@@ -244,10 +262,47 @@ def test_a_state_that_is_none_of_the_domain_is_an_error_of_the_report(
         GameState(publisher_id='/game#1', sequence=2, episode=1, step=1, terminated=True),
         OptionResult(option_name='fetch', episode=1, step_count=1, terminated=True),
     ]
-    with BagWriter(tmp_path / 'bag') as bag:
-        for time, message in enumerate(messages):
-            name = type(message).__name__
-            bag.add_topic(f'/{name.lower()}', f'humanopts_interfaces/msg/{name}')
-            bag.write(f'/{name.lower()}', serialize_message(message), time)
+    record(tmp_path / 'bag', messages)
     assert main(['bag', 'eval', str(tmp_path / 'bag'), '--html', str(tmp_path / 'r.html')]) == 2
     assert "'chess e4' is not a taxi state" in capsys.readouterr().err
+
+
+def test_a_bag_gives_the_numbers_of_its_demonstrations_exactly(
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson
+) -> None:
+    found = evaluate_bag(record_lesson(tmp_path / 'bag', taxi, taxi_lesson))
+    live = evaluate(taxi_lesson, taxi, RECORDED)
+    assert found.settings == RECORDED
+    assert found.blocks == live.blocks
+    assert [option.curve for option in found.options] == [option.curve for option in live.options]
+    assert found.warnings == ()
+
+
+def test_the_status_message_gives_the_same_block_as_the_bag(
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson
+) -> None:
+    for option in evaluate_bag(record_lesson(tmp_path / 'bag', taxi, taxi_lesson)).options:
+        status = status_to_message(option.option, option.judgement)
+        reference = reference_options(taxi)[option.block.name]
+        assert option_block(option.option, status, taxi, reference) == option.block
+
+
+def test_a_bag_without_facts_is_evaluated_with_defaults_and_says_so(
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson
+) -> None:
+    found = evaluate_bag(record_lesson(tmp_path / 'bag', taxi, taxi_lesson, facts={}))
+    assert found.settings == Settings()
+    assert any('seed' in warning for warning in found.warnings)
+
+
+def test_a_bag_that_is_none_or_has_no_demonstration_is_refused(
+    tmp_path: Path, taxi: Domain[Any]
+) -> None:
+    with BagWriter(tmp_path / 'bag') as bag:
+        for kind in ('DomainInfo', 'Demonstration'):
+            bag.add_topic(f'/{kind.lower()}', f'humanopts_interfaces/msg/{kind}')
+        bag.write('/domaininfo', serialize_message(domain_to_info(taxi)), 1)
+    with pytest.raises(EvaluationError, match='no demonstration to learn from'):
+        evaluate_bag(tmp_path / 'bag')
+    with pytest.raises(BagError, match='nothing'):
+        evaluate_bag(tmp_path / 'nothing')
