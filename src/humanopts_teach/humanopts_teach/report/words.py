@@ -182,44 +182,6 @@ def _reproduced(options: Sequence[OptionEvaluation]) -> list[Finding]:
     return [Finding(True, f'{text}option files in it, to the last digit.')]
 
 
-@dataclass(frozen=True)
-class GamesCell:
-    """A mean and its interval, as they are written."""
-
-    mean: str
-    bounds: str
-
-
-@dataclass(frozen=True)
-class GamesTable:
-    """The results in all settings side by side."""
-
-    settings: list[str]
-    measures: list[str]  # of each setting
-    rows: list[tuple[str, list[GamesCell], str]]  # name, cells of all settings, planning seconds
-
-
-def games_table(games: GamesEvaluation) -> GamesTable:
-    """Lay out the results."""
-    first = games.settings[0].rows
-    outcomes = list(first[0].outcomes)
-    rows = []
-    for place, row in enumerate(first):
-        cells, seconds = [], []
-        for setting in games.settings:
-            found = setting.rows[place]
-            cells.append(_cell(found.score, 0))
-            cells += [_cell(found.outcomes[name], 2) for name in outcomes]
-            seconds.append(DASH if found.seconds is None else f'{found.seconds:.1f}')
-        rows.append((row.name, cells, ' / '.join(dict.fromkeys(seconds))))
-    return GamesTable([s.name for s in games.settings], ['score', *outcomes], rows)
-
-
-def _cell(found: Interval, digits: int) -> GamesCell:
-    low, high = max(found.low, 0.0) if found.mean >= 0 else found.low, found.high
-    return GamesCell(*(f'{found.mean:,.{digits}f}', f'{low:,.{digits}f} to {high:,.{digits}f}'))
-
-
 def reached(curve: Curve, target: float) -> str:
     """Say when a score was reached."""
     seconds = curve.seconds_to_reach(target)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 import platform
@@ -10,24 +9,20 @@ from typing import Any
 
 from humanopts_learner.planning.plan import Plan
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
-from humanopts_teach.evaluation.games import Curve
-from humanopts_teach.evaluation.summary import OptionBlock, write_text
+from humanopts_teach.evaluation.summary import write_text
 from humanopts_teach.evaluation.text import REPRODUCED
 from humanopts_teach.report.boards import board_figures
 from humanopts_teach.report.charts import games_figures, learning_curves, planning_figures
 from humanopts_teach.report.data import Frame, ReportData, TopicRow
-from humanopts_teach.report.figures import CaptionedFigure
 from humanopts_teach.report.film import filmstrip
 from humanopts_teach.report.pages import template
-from humanopts_teach.report.rules import option_rules, TreeRules
+from humanopts_teach.report.rules import option_rules
 from humanopts_teach.report.sweeps import sweep_report
 from humanopts_teach.report.words import (
     DASH,
     duration,
     findings,
     games_findings,
-    games_table,
-    GamesTable,
     number,
     percent,
     planning_rows,
@@ -44,33 +39,6 @@ MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
     ('classification_accuracy_initiation', 'classification accuracy of I', True),
     ('classification_accuracy_termination', 'classification accuracy of β', True),
 )
-
-
-@dataclass(frozen=True)
-class Row:
-    """One measure of one option, live and offline."""
-
-    name: str
-    live: str
-    offline: str
-    equal: bool | None  # None: there is no live value
-
-
-@dataclass(frozen=True)
-class OptionSection:
-    """One option on the page."""
-
-    name: str
-    participant: str
-    features: str
-    met: bool
-    n_not_here: int
-    seconds: str  # of teaching
-    reproduced: bool | None  # equal to the option file in the bag; None: there is none
-    criteria: list[tuple[str, str, str, bool]]  # name, value, threshold, met
-    curves: list[str]
-    rows: list[Row]
-    rules: list[TreeRules]
 
 
 def write_report(path: Path, data: ReportData) -> None:
@@ -99,17 +67,6 @@ def write_evaluation_report(
     write_report(path, ReportData(title, evaluation, None, frames, topics, provenance or {}))
 
 
-@dataclass(frozen=True)
-class GamesSection:
-    """What one person's options came to in many games."""
-
-    person: str  # empty: the only one
-    games: str
-    table: GamesTable
-    figures: list[CaptionedFigure]
-    curves: list[Curve]
-
-
 def render_report(data: ReportData) -> str:
     """Return the page."""
     evaluation = data.evaluation
@@ -119,21 +76,30 @@ def render_report(data: ReportData) -> str:
         for name, p in zip(evaluation.plan_names, evaluation.plans)
         if isinstance(p.plan, Plan)
     }
-    live = {block.name: block for block in data.summary.options} if data.summary else {}
     values: dict[str, Any] = {
         'title': data.title,
         'findings': findings(
             data, [f for g in evaluation.games.values() for f in games_findings(g)]
         ),
-        'games': _games_sections(evaluation),
+        'games': [
+            (person, games, games_figures(games, f'games-{place}'))
+            for place, (person, games) in enumerate(evaluation.games.items())
+        ],
         'sweeps': sweep_report(exact, 'sweeps'),
         'sampled': any(row.game_steps for row in planning.values()),
         'options': [
-            _option_section(option, place, evaluation, live.get(option.block.name))
+            (
+                option,
+                _seconds(option),
+                learning_curves(option.curve, f'option-{place}', option.block.name),
+                option_rules(option.option, evaluation.domain),
+            )
             for place, option in enumerate(evaluation.options)
         ],
-        'reproduced': REPRODUCED,
+        'live': {block.name: block for block in data.summary.options} if data.summary else {},
         'has_live': data.summary is not None,
+        'measures': MEASURES,
+        'reproduced': REPRODUCED,
         'boards': board_figures(exact, 'board'),
         'planning': planning,
         'teaching_cost': _teaching_cost(evaluation),
@@ -143,49 +109,10 @@ def render_report(data: ReportData) -> str:
         'provenance': _provenance(data),
         'svg': Markup,
         'number': number,
+        'percent': percent,
+        'duration': duration,
     }
     return template('humanopts_teach.report', 'report.html').render(values)
-
-
-def _games_sections(evaluation: BagEvaluation) -> list[GamesSection]:
-    several = len(evaluation.games) > 1
-    return [
-        GamesSection(
-            person if several else '',
-            f'{games.games:,}',
-            games_table(games),
-            games_figures(games, f'games-{place}'),
-            list(games.curves),
-        )
-        for place, (person, games) in enumerate(evaluation.games.items())
-    ]
-
-
-def _option_section(
-    option: OptionEvaluation, place: int, evaluation: BagEvaluation, live: OptionBlock | None
-) -> OptionSection:
-    block = option.block
-    return OptionSection(
-        name=block.name,
-        participant=option.participant,
-        features=', '.join(name.replace('_', ' ') for name in block.features),
-        met=block.criteria_met,
-        n_not_here=option.option.n_not_here,
-        seconds=duration(_seconds(option)),
-        reproduced=option.reproduced,
-        criteria=[
-            (
-                c.name,
-                'not yet measurable' if c.value is None else number(c.value),
-                number(c.threshold),
-                c.met,
-            )
-            for c in option.judgement.criteria
-        ],
-        curves=learning_curves(option.curve, f'option-{place}', block.name),
-        rows=[_row(measure, block, live) for measure in MEASURES],
-        rules=option_rules(option.option, evaluation.domain),
-    )
 
 
 def _seconds(option: OptionEvaluation) -> float:
@@ -200,16 +127,6 @@ def _teaching_cost(evaluation: BagEvaluation) -> dict[str, str]:
         shown = sum(option.block.n_demonstrations for option in taught)
         cost[name] = f'{shown} in {duration(sum(map(_seconds, taught)))}' if taught else DASH
     return cost
-
-
-def _row(measure: tuple[str, str, bool], offline: OptionBlock, live: OptionBlock | None) -> Row:
-    field, name, share = measure
-    written = percent if share else number
-    here = getattr(offline, field)
-    if live is None:
-        return Row(name, '', written(here), None)
-    there = getattr(live, field)
-    return Row(name, written(there), written(here), there == here)
 
 
 def _provenance(data: ReportData) -> dict[str, str]:
