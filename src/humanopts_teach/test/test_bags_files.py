@@ -7,7 +7,7 @@ import subprocess
 import sys
 from typing import Any
 
-from humanopts_teach.bags import mcap_file
+from humanopts_teach.bags import reader
 from humanopts_teach.bags.errors import BagWriteError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
@@ -103,8 +103,8 @@ def test_messages_come_in_order_of_time_whatever_the_order_of_writing(tmp_path: 
 def test_reading_holds_few_chunks_at_a_time(tmp_path: Path, monkeypatch: Any) -> None:
     write_states(tmp_path / 'bag', 200, flush_every=2).close()
     read: list[int] = []
-    original = mcap_file._read_block
-    monkeypatch.setattr(mcap_file, '_read_block', lambda *args: read.append(1) or original(*args))
+    original = reader.read_block
+    monkeypatch.setattr(reader, 'read_block', lambda *args: read.append(1) or original(*args))
     messages = open_bag(tmp_path / 'bag').messages(decoded=False)
     for _ in range(20):
         next(messages)

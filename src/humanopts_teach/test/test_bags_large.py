@@ -18,7 +18,7 @@ from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_interfaces.msg import ActionCommand, GameState, OptionValues
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.ros.convert import demonstration_to_message
-from humanopts_teach.bags import mcap_file
+from humanopts_teach.bags import reader
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.contents import read_episodes, RecordedEpisodes
 from humanopts_teach.bags.info import summarise
@@ -169,7 +169,7 @@ def test_messages_too_far_out_of_order_come_as_they_are_and_that_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_mixed(tmp_path / 'bag')
-    monkeypatch.setattr(mcap_file, 'MOST_WAITING', 100_000)
+    monkeypatch.setattr(reader, 'MOST_WAITING', 100_000)
     bag = open_bag(tmp_path / 'bag')
     assert sorted(r.sequence for r in bag.messages(decoded=False)) == list(range(1, 401))
     assert 'out of order' in bag.damage

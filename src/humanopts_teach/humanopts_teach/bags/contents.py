@@ -15,8 +15,7 @@ from humanopts_learner.demonstrations import (
     DemonstrationError,
 )
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.mcap_file import ALWAYS
-from humanopts_teach.bags.reader import Bag, Recorded
+from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
 from humanopts_teach.bags.sequence_numbers import read_place, read_stamp, tells_place
 
 DEMONSTRATION = 'humanopts_interfaces/msg/Demonstration'

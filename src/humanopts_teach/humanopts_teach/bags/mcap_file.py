@@ -5,10 +5,8 @@ A whole file is read by its index. Where that is missing or damaged, the file is
 and every complete chunk is kept. Damage is said in words and never ends the reading.
 """
 
-from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from io import BufferedReader, BytesIO, FileIO
 from os import SEEK_END
@@ -38,15 +36,12 @@ from mcap.stream_reader import breakup_chunk, MAGIC_SIZE
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
-MOST_WAITING = 64 << 20  # bytes of messages that are held to be put in order of time
-ALWAYS = (0, 2**64)  # first and last log time
 LARGEST = 1 << 28  # bytes of a record or an uncompressed chunk; what claims more is damaged
 OffsetCallback = Callable[[int], object]  # takes the offset up to which a file was read
 _HEAD = struct.Struct('<BQ')  # opcode of a record, length of its content
 _TIMES = struct.Struct('<QQ')  # first and last log time, at the beginning of a chunk's content
 _DATA_END = struct.Struct('<BQI')  # a whole DataEnd record: opcode, length, checksum
 _MESSAGE_HEAD = 22  # bytes of a message before its data
-_MESSAGE_MEMORY = 500  # bytes that a message takes in memory apart from its data
 _PIECE = 1 << 20  # bytes that are read at a time where a file has no structure
 _ZSTD = b'\4\0\0\0zstd'  # how a chunk names its compression ...
 _ZSTD_AT = 28  # ... at this offset in its content
@@ -104,7 +99,7 @@ class FileIndex:
         self.damage.append(f'{self.path.name}: {damage}')
 
 
-class _File(BufferedReader):
+class McapStream(BufferedReader):
     """A file that reads as many bytes as it is asked for, or raises ``EndOfFile``."""
 
     def __init__(self, path: Path) -> None:
@@ -134,7 +129,7 @@ def read_index(path: Path, on_offset: OffsetCallback = lambda _: None) -> FileIn
     :raises BagError: the file cannot be read, is empty, or is not an MCAP file.
     """
     try:
-        with _File(path) as stream:
+        with McapStream(path) as stream:
             if stream.size == 0:
                 raise BagError(f'{path} is empty')
             if stream.peek(MAGIC_SIZE)[:MAGIC_SIZE] != MCAP0_MAGIC:
@@ -152,7 +147,7 @@ def read_index(path: Path, on_offset: OffsetCallback = lambda _: None) -> FileIn
 
 def data_fits(path: Path, on_offset: OffsetCallback = lambda _: None) -> bool:
     """Compare all bytes of a whole file with their checksum; True: they fit, or it has none."""
-    with _File(path) as stream:
+    with McapStream(path) as stream:
         try:
             left = _read_footer(stream).summary_start - _DATA_END.size
             stream.seek(left)
@@ -178,7 +173,7 @@ def read_attachment(index: FileIndex, name: str) -> Attachment:
     """
     if name not in index.attachments:
         raise BagError(f'{index.path} has no attachment {name!r}')
-    with _File(index.path) as stream:
+    with McapStream(index.path) as stream:
         try:
             stream.seek(index.attachments[name].offset)
             _, length = _HEAD.unpack(stream.read(_HEAD.size))
@@ -192,66 +187,7 @@ def read_attachment(index: FileIndex, name: str) -> Attachment:
             raise BagError(f'attachment {name} of {index.path} is damaged: {error}') from error
 
 
-def read_messages(
-    files: Sequence[FileIndex],
-    wanted: Sequence[frozenset[int]],
-    between: tuple[int, int],
-    on_block: Callable[[int, int], object],
-    note: Callable[[str], object],
-) -> Iterator[tuple[int, Message]]:
-    """
-    Yield messages of several files by log time, each with the number of its file.
-
-    Where blocks overlap in time, the messages of several are held, up to ``MOST_WAITING`` bytes.
-
-    :param wanted: ids of the channels that are read, of each file.
-    :param between: first and last log time that are read, ns.
-    :param on_block: takes the number of the file and the offset of each block that is read.
-    :param note: takes in words what is damaged.
-    """
-    first, last = between
-    blocks = sorted(
-        ((block.start, number, block.offset), block)
-        for number, file in enumerate(files)
-        for block in file.blocks
-        if block.start <= last
-        and block.end >= first
-        and not block.channels.isdisjoint(wanted[number])
-    )
-    waiting: list[tuple[int, int, int, int, Message]] = []  # time, file, block, place in it
-    with ExitStack() as stack:
-        streams = [stack.enter_context(_File(file.path)) for file in files]
-        for here, ((_, number, offset), block) in enumerate(blocks):
-            on_block(number, offset)
-            try:
-                records = _read_block(streams[number], block)
-            except DAMAGE as error:
-                name = files[number].path.name
-                note(f'{name}: the chunk at byte {offset} is damaged and left out: {error}')
-                continue
-            waiting += [
-                (record.log_time, number, offset, place, record)
-                for place, record in enumerate(records)
-                if isinstance(record, Message)
-                and record.channel_id in wanted[number]
-                and first <= record.log_time <= last
-            ]
-            waiting.sort()
-            due = len(waiting)
-            if here + 1 < len(blocks):
-                due = bisect_left(waiting, blocks[here + 1][0])
-            if (
-                sum(len(entry[-1].data) + _MESSAGE_MEMORY for entry in waiting[due:])
-                > MOST_WAITING
-            ):
-                note('its messages are so far out of order that they come as they are')
-                due = len(waiting)
-            yield from ((entry[1], entry[-1]) for entry in waiting[:due])
-            del waiting[:due]
-        yield from ((entry[1], entry[-1]) for entry in waiting)
-
-
-def _find_messages(path: Path, stream: _File, on_offset: OffsetCallback) -> FileIndex:
+def _find_messages(path: Path, stream: McapStream, on_offset: OffsetCallback) -> FileIndex:
     """Use the index of a file, or do without it."""
     try:
         return _read_summary(path, stream) or _scan(path, stream, on_offset)
@@ -262,7 +198,7 @@ def _find_messages(path: Path, stream: _File, on_offset: OffsetCallback) -> File
         return index
 
 
-def _read_summary(path: Path, stream: _File) -> FileIndex | None:
+def _read_summary(path: Path, stream: McapStream) -> FileIndex | None:
     """
     Read the index at the end of a file; None: it lacks one, or what some programs leave out.
 
@@ -303,7 +239,7 @@ def _read_summary(path: Path, stream: _File) -> FileIndex | None:
     return index
 
 
-def _read_footer(stream: _File) -> Footer:
+def _read_footer(stream: McapStream) -> Footer:
     """
     Return the last record of a file.
 
@@ -317,7 +253,7 @@ def _read_footer(stream: _File) -> Footer:
     return footer
 
 
-def _check_summary(stream: _File, footer: Footer) -> None:
+def _check_summary(stream: McapStream, footer: Footer) -> None:
     """
     Compare the index with its place and its checksum, which the ``mcap`` package does not.
 
@@ -332,7 +268,7 @@ def _check_summary(stream: _File, footer: Footer) -> None:
         raise ValueError('it does not fit its checksum')
 
 
-def _check_place(stream: _File, chunk: ChunkIndex) -> None:
+def _check_place(stream: McapStream, chunk: ChunkIndex) -> None:
     """
     Compare the beginning of a chunk with what the index says of it.
 
@@ -346,7 +282,7 @@ def _check_place(stream: _File, chunk: ChunkIndex) -> None:
         raise ValueError(f'there is another chunk at byte {chunk.chunk_start_offset}')
 
 
-def _read_block(stream: _File, block: Block) -> list[McapRecord]:
+def read_block(stream: McapStream, block: Block) -> list[McapRecord]:
     """
     Return the records of a block.
 
@@ -377,7 +313,7 @@ def _unpack(chunk: Chunk) -> list[McapRecord]:
     return breakup_chunk(chunk, validate_crc=True)
 
 
-def _scan(path: Path, stream: _File, on_offset: OffsetCallback) -> FileIndex:
+def _scan(path: Path, stream: McapStream, on_offset: OffsetCallback) -> FileIndex:
     """Go through a file that has no index; what is damaged is noted and left out."""
     index = FileIndex(path)
     closed = False
@@ -405,7 +341,7 @@ def _scan(path: Path, stream: _File, on_offset: OffsetCallback) -> FileIndex:
     return index
 
 
-def _whole_records(stream: _File, index: FileIndex) -> Iterator[tuple[int, int, int]]:
+def _whole_records(stream: McapStream, index: FileIndex) -> Iterator[tuple[int, int, int]]:
     """Yield opcode, offset and end of every whole record; where there is none, find a chunk."""
     at, closed = MAGIC_SIZE, False
     while at < stream.size:
@@ -428,7 +364,7 @@ def _whole_records(stream: _File, index: FileIndex) -> Iterator[tuple[int, int, 
         at = end
 
 
-def _record_at(stream: _File, at: int) -> tuple[int, int]:
+def _record_at(stream: McapStream, at: int) -> tuple[int, int]:
     """Return opcode and end of the record at an offset; (0, 0): there is no whole one."""
     try:
         stream.seek(at)
@@ -444,7 +380,7 @@ def _record_at(stream: _File, at: int) -> tuple[int, int]:
         return 0, 0
 
 
-def _next_chunk(stream: _File, at: int) -> tuple[int, int]:
+def _next_chunk(stream: McapStream, at: int) -> tuple[int, int]:
     """Return offset and end of the first readable zstd chunk from an offset on; end 0: none."""
     for place in range(at, stream.size, _PIECE):
         stream.seek(place)
@@ -461,7 +397,7 @@ def _next_chunk(stream: _File, at: int) -> tuple[int, int]:
     return 0, 0
 
 
-def _add_record(index: FileIndex, stream: _File, opcode: int, start: int, end: int) -> None:
+def _add_record(index: FileIndex, stream: McapStream, opcode: int, start: int, end: int) -> None:
     """
     Take in a record that is not in a run.
 
@@ -487,7 +423,7 @@ def _add_record(index: FileIndex, stream: _File, opcode: int, start: int, end: i
         index.channels.setdefault(channel.id, channel)
 
 
-def _add_run(index: FileIndex, stream: _File, start: int, end: int) -> None:
+def _add_run(index: FileIndex, stream: McapStream, start: int, end: int) -> None:
     """Take in records outside chunks, where there are any."""
     if end > start:
         try:
@@ -496,14 +432,14 @@ def _add_run(index: FileIndex, stream: _File, start: int, end: int) -> None:
             index.note(f'the records from byte {start} are damaged ({error})')
 
 
-def _add_block(index: FileIndex, stream: _File, block: Block) -> None:
+def _add_block(index: FileIndex, stream: McapStream, block: Block) -> None:
     """
     Keep what a block describes, and the block where it holds messages.
 
     :raises Exception: one of ``DAMAGE``, where it is damaged; nothing is kept then.
     """
     times, counts = [], Counter[int]()
-    for record in _read_block(stream, block):
+    for record in read_block(stream, block):
         if isinstance(record, Message):
             times.append(record.log_time)
             counts[record.channel_id] += 1

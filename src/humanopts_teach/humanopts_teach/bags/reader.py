@@ -1,7 +1,8 @@
 """Opens rosbag2 directories and MCAP files, whole or damaged."""
 
+from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -9,20 +10,24 @@ from typing import Any, NamedTuple
 
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.mcap_file import (
-    ALWAYS,
     Attached,
+    DAMAGE,
     data_fits,
     FileIndex,
+    McapStream,
     read_attachment,
+    read_block,
     read_index,
-    read_messages,
 )
 from humanopts_teach.bags.rosbag2 import FILE, find_files, load
 from humanopts_teach.bags.schemas import decode, Decoder, make_decoder
 from humanopts_teach.bags.writer import LIBRARY, RECORD, SELF, SELF_TEXT
-from mcap.records import Attachment, Schema
+from mcap.records import Attachment, Message, Schema
 
 INTERFACES = 'humanopts_interfaces/'
+ALWAYS = (0, 2**64)  # first and last log time
+MOST_WAITING = 64 << 20  # bytes of messages that are held to be put in order of time
+_MESSAGE_MEMORY = 500  # bytes that a message takes in memory apart from its data
 MOST_NOTES = 1000  # kinds of damage that are kept
 ProgressCallback = Callable[[int, int], object]  # takes how many bytes are read, and of how many
 
@@ -135,7 +140,7 @@ class Bag:
         :param decoded: fill in ``Recorded.message``.
         :param between: first and last log time, ns.
         """
-        found = read_messages(
+        found = _in_order(
             self._files,
             [self._wanted(file, topics) for file in self._files],
             between,
@@ -287,3 +292,62 @@ def _by_file(files: Sequence[Path], on_read: ProgressCallback) -> Callable[[int,
     total = sum(sizes)
     before = [sum(sizes[:number]) for number in range(len(sizes))]
     return lambda number, offset: on_read(before[number] + offset, total)
+
+
+def _in_order(
+    files: Sequence[FileIndex],
+    wanted: Sequence[frozenset[int]],
+    between: tuple[int, int],
+    on_block: Callable[[int, int], object],
+    note: Callable[[str], object],
+) -> Iterator[tuple[int, Message]]:
+    """
+    Yield messages of several files by log time, each with the number of its file.
+
+    Where blocks overlap in time, the messages of several are held, up to ``MOST_WAITING`` bytes.
+
+    :param wanted: ids of the channels that are read, of each file.
+    :param between: first and last log time that are read, ns.
+    :param on_block: takes the number of the file and the offset of each block that is read.
+    :param note: takes in words what is damaged.
+    """
+    first, last = between
+    blocks = sorted(
+        ((block.start, number, block.offset), block)
+        for number, file in enumerate(files)
+        for block in file.blocks
+        if block.start <= last
+        and block.end >= first
+        and not block.channels.isdisjoint(wanted[number])
+    )
+    waiting: list[tuple[int, int, int, int, Message]] = []  # time, file, block, place in it
+    with ExitStack() as stack:
+        streams = [stack.enter_context(McapStream(file.path)) for file in files]
+        for here, ((_, number, offset), block) in enumerate(blocks):
+            on_block(number, offset)
+            try:
+                records = read_block(streams[number], block)
+            except DAMAGE as error:
+                name = files[number].path.name
+                note(f'{name}: the chunk at byte {offset} is damaged and left out: {error}')
+                continue
+            waiting += [
+                (record.log_time, number, offset, place, record)
+                for place, record in enumerate(records)
+                if isinstance(record, Message)
+                and record.channel_id in wanted[number]
+                and first <= record.log_time <= last
+            ]
+            waiting.sort()
+            due = len(waiting)
+            if here + 1 < len(blocks):
+                due = bisect_left(waiting, blocks[here + 1][0])
+            if (
+                sum(len(entry[-1].data) + _MESSAGE_MEMORY for entry in waiting[due:])
+                > MOST_WAITING
+            ):
+                note('its messages are so far out of order that they come as they are')
+                due = len(waiting)
+            yield from ((entry[1], entry[-1]) for entry in waiting[:due])
+            del waiting[:due]
+        yield from ((entry[1], entry[-1]) for entry in waiting)
