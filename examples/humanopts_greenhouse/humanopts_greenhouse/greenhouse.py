@@ -7,10 +7,14 @@ One can of water is enough for one bed; it can be poured at a dry bed only.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 import itertools
 
 from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, FeatureKind
+from humanopts_env.domains.capabilities import Baselines, TeachingDefaults
+from humanopts_env.domains.search_space import SearchSpace, space_by_features
 from humanopts_env.domains.table_domain import TableDomain
+from humanopts_env.domains.tabular_games import TabularGames
 import numpy as np
 
 SMALLEST, LARGEST = 3, 9  # cells along a side
@@ -47,6 +51,7 @@ class Greenhouse(TableDomain[GreenhouseState]):
     begins with the can empty and every bed dry, the gardener anywhere.
     """
 
+    teaching = TeachingDefaults(thresholds={'return_delta': 3.0})  # three steps
     glyph_styles = {GARDENER: 'bold bright_yellow', TAP: 'bold blue', DRY: 'red', WET: 'green'}
 
     def __init__(self, size: int = 4) -> None:
@@ -131,6 +136,27 @@ class Greenhouse(TableDomain[GreenhouseState]):
             BoardSlice(f'can {text}, every bed dry', states[:, :, full, -1])
             for full, text in enumerate(('empty', 'full'))
         ]
+
+    def batch_games(self) -> TabularGames:
+        """Return what plays many games at once."""
+        return TabularGames(self)
+
+    def search_space(self) -> SearchSpace:
+        """Return the search space whose cells are the gardener's; the can changes by events."""
+        return space_by_features(
+            self,
+            cell=('row', 'col'),
+            status='can_full',
+            events={'yes': 'fill', 'no': 'pour'},
+            situation=[feature.name for feature in self.features],
+            own_goals=True,
+        )
+
+    def baselines(self) -> Baselines:
+        """Return what plans are compared with: a rule written by hand."""
+        from humanopts_greenhouse.heuristic import play_heuristic  # it imports this module
+
+        return Baselines(heuristic=partial(play_heuristic, self))
 
     def _after(self, state: GreenhouseState, action: int) -> GreenhouseState:
         cell = state.row, state.col

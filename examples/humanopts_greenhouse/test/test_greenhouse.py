@@ -1,5 +1,6 @@
 """The greenhouse keeps the contract of every domain, and plays as its rules say."""
 
+from dataclasses import replace
 from typing import Any
 
 from humanopts_env.contract import DomainContract
@@ -8,6 +9,11 @@ from humanopts_env.reference_contract import ReferenceContract
 from humanopts_env.seeding import generator
 from humanopts_greenhouse.greenhouse import Greenhouse, GreenhouseState
 from humanopts_greenhouse.reference import reference_options
+from humanopts_learner.automatic.extract import find_options
+from humanopts_learner.automatic.how import Extraction
+from humanopts_learner.options.criteria import Thresholds, usual_thresholds
+from humanopts_learner.options.option import options_from_references
+from humanopts_learner.planning.sampled.comparison import Baseline, CHANCE, compare, PLAN, RULE
 import numpy as np
 import pytest
 
@@ -111,3 +117,30 @@ def test_start_states_are_every_cell() -> None:
     starts = [HOUSE.state_at(int(index)) for index in HOUSE.start_states()]
     dry = (True, True, True)
     assert starts == [GreenhouseState(*divmod(c, 4), False, dry) for c in np.arange(16).tolist()]
+
+
+def test_subgoals_are_events_at_the_tap_and_the_beds() -> None:
+    """Automatic options fill the can and pour, as the search space of the greenhouse says."""
+    config = Extraction(options=4, tasks=40, train_episodes=60, test_runs=3, option_episodes=60)
+    found = find_options(HOUSE, 1, config)
+    assert {option.target.event for option in found.options} <= {'fill', 'pour', ''}
+    assert 'fill at cell 3,0' in [option.name for option in found.options]
+
+
+def test_a_reward_may_fall_short_by_three_steps() -> None:
+    """The other criteria are as in every domain."""
+    thresholds = usual_thresholds(HOUSE)
+    assert thresholds == replace(Thresholds(), return_delta=3.0)
+
+
+def test_a_plan_with_options_plays_like_the_rule_written_by_hand() -> None:
+    """Both in many games at once; random moves are worse."""
+    options = options_from_references(HOUSE, reference_options(HOUSE).values())
+    baselines = [
+        Baseline('planned', PLAN, options=options, budget_steps=4000),
+        Baseline('rule', RULE),
+        Baseline('moves', CHANCE, 'primitive'),
+    ]
+    planned, rule, moves = compare(HOUSE, baselines, seed=1, games=60)
+    assert planned.score.mean == pytest.approx(rule.score.mean, abs=2.0)
+    assert moves.score.high < rule.score.low

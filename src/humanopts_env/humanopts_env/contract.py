@@ -7,7 +7,7 @@ In the tests of a package that adds a domain::
         def make(self) -> Domain[Any]:
             return MyDomain()
 
-Tests that need an enumerable domain do nothing for others.
+Tests of an enumerable domain or of a capability do nothing for domains that are none or have none.
 """
 
 from collections.abc import Iterator
@@ -16,11 +16,20 @@ import re
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain, is_enumerable
+from humanopts_env.domains.capabilities import (
+    HasBaselines,
+    HasBatchGames,
+    HasSearchSpace,
+    HasTeachingDefaults,
+    THRESHOLDS,
+)
 from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
 
 STEPS = 300  # of the random walk that the tests look at
+MANY = 40  # games of a batch that the tests look at
+DRAWN = 150  # outcomes of one step, among which that of a batch must be
 CHECKED = 400  # states and transitions of an enumerable domain compared one by one
 NAME = re.compile(r'[a-z][a-z0-9_]*')
 NAMED_KEYS = {'up', 'down', 'left', 'right'}
@@ -274,6 +283,127 @@ class DomainContract:
                 assert board.states.ndim == 2
                 assert ((board.states >= -1) & (board.states < domain.n_states)).all()
 
+    def test_many_games_are_the_same_game(self) -> None:
+        """Features, ends and the outcome of a step of each are those of its state."""
+        domain = self.make()
+        if not isinstance(domain, HasBatchGames):
+            return
+        games, rng = domain.batch_games(), _rng('batch')
+        states = [s for s in _states(domain) if not domain.is_over(s)][:MANY]
+        batch = games.batch_of(states)
+        assert games.domain is domain
+        assert np.array_equal(games.batch_features(batch), _rows(domain, states))
+        assert not games.batch_over(batch).any()
+        actions = rng.integers(len(domain.actions), size=len(states))
+        rewards = games.batch_step(batch, actions, rng)
+        rows, over = games.batch_features(batch), games.batch_over(batch)
+        for number in range(0, len(states), max(1, len(states) // 8)):
+            outcomes = [
+                domain.step(states[number], int(actions[number]), _rng('batch', number, draw))
+                for draw in range(DRAWN)
+            ]
+            possible = {
+                (o.reward, o.terminated, *domain.feature_values(o.state).tolist())
+                for o in outcomes
+            }
+            came = (float(rewards[number]), bool(over[number]), *rows[number].tolist())
+            assert came in possible, domain.encode(states[number])
+        assert all(len(values) == len(states) for values in games.batch_outcome(batch).values())
+
+    def test_games_are_copied_set_and_over_by_themselves(self) -> None:
+        """Copies are other games; games that are over stay as they are and earn nothing."""
+        domain = self.make()
+        if not isinstance(domain, HasBatchGames):
+            return
+        games, rng = domain.batch_games(), _rng('batch', 'copies')
+        states = _states(domain)[:MANY]
+        batch, before = games.batch_of(states), _rows(domain, states)
+        chosen = np.array([0, len(states) - 1, 0])
+        some = games.batch_take(batch, chosen)
+        assert np.array_equal(games.batch_features(some), before[chosen])
+        for _ in range(5):
+            games.batch_step(some, rng.integers(len(domain.actions), size=3), rng)
+        assert np.array_equal(games.batch_features(batch), before)
+        games.batch_put(batch, np.array([1, 2]), games.batch_take(batch, np.array([3, 4])))
+        assert np.array_equal(games.batch_features(batch)[:3], before[[0, 3, 4]])
+        begun = games.batch_reset(MANY, rng)
+        assert len(games.batch_over(begun)) == MANY
+        assert not games.batch_over(begun).any()
+        for _ in range(100):
+            over, rows = games.batch_over(begun), games.batch_features(begun)
+            rewards = games.batch_step(begun, rng.integers(len(domain.actions), size=MANY), rng)
+            assert not rewards[over].any()
+            assert np.array_equal(games.batch_features(begun)[over], rows[over])
+
+    def test_abstract_features_are_within_their_sizes(self) -> None:
+        """So abstract states can be numbered; context and mixture are columns of them."""
+        domain = self.make()
+        if not isinstance(domain, HasBatchGames):
+            return
+        games = domain.batch_games()
+        batch = games.batch_of(_states(domain))
+        rows = games.batch_features(batch)
+        for fine in (False, True):
+            abstraction = games.abstraction(fine=fine)
+            values, sizes = games.abstract_features(batch, rows, fine=fine), abstraction.sizes
+            assert values.shape == (len(rows), len(sizes))
+            assert ((values >= 0) & (values < sizes)).all()
+            columns = range(len(sizes))
+            assert set(abstraction.context) <= set(columns)
+            assert set(abstraction.mixture) <= set(columns if not fine else ())
+
+    def test_a_search_space_is_whole(self) -> None:
+        """Its steps lead to its states, its names are there, and features tell states apart."""
+        domain = self.make()
+        if not isinstance(domain, HasSearchSpace):
+            return
+        space = domain.search_space()
+        table, count = space.transitions, len(space.over)
+        assert np.allclose(table.probability.sum(axis=2), 1)
+        assert table.successor.shape[:2] == (count, len(domain.actions))
+        assert ((table.successor >= 0) & (table.successor < count)).all()
+        assert space.starts.size
+        assert space.goals is None or space.goals.any()
+        assert set(np.unique(space.cell)) == set(range(len(space.cell_names)))
+        assert len(set(space.cell_names)) == len(space.cell_names)
+        assert set(np.unique(space.situation)) == set(range(space.situation.max() + 1))
+        if space.events:
+            assert space.status.max() < len(space.events)
+        assert space.rows.shape == (count, len(domain.features))
+        sampled = np.arange(0, count, max(1, count // CHECKED))
+        keys = space.rows[:, list(space.columns)]
+        if len(np.unique(keys, axis=0)) == count:
+            assert np.array_equal(space.states_of(space.rows[sampled]), sampled)
+        if space.board is not None:
+            assert space.board.states.max() < count
+
+    def test_teaching_defaults_are_known(self) -> None:
+        """Thresholds that there are; names of options are in the reference options' tests."""
+        domain = self.make()
+        if isinstance(domain, HasTeachingDefaults):
+            assert set(domain.teaching.thresholds) <= set(THRESHOLDS)
+            assert all(math.isfinite(value) for value in domain.teaching.thresholds.values())
+            assert len(set(domain.teaching.options)) == len(domain.teaching.options)
+
+    def test_baselines_play_the_same_game(self) -> None:
+        """Variants can be made, and a heuristic plays by the seed alone."""
+        domain = self.make()
+        if not isinstance(domain, HasBaselines):
+            return
+        found = domain.baselines()
+        for changed in found.variants.values():
+            variant = type(domain)(**{**domain.parameters, **changed})
+            assert variant.name == domain.name
+            assert list(variant.features) == list(domain.features)
+        for settings in (found.primitive, found.interrupted, found.interrupted_mixture):
+            assert settings is None or 0 < settings.gamma <= 1
+        if found.heuristic is not None:
+            for to_end in (True, False):
+                played, again = (found.heuristic(5, 1, to_end=to_end) for _ in range(2))
+                assert played.total.shape == (5,)
+                assert np.array_equal(played.total, again.total)
+                assert all(values.shape == (5,) for values in played.outcomes.values())
+
 
 def _rng(*purpose: str | int) -> np.random.Generator:
     return generator(0, 'contract', *purpose)
@@ -298,6 +428,10 @@ def _states(domain: Domain[Any]) -> list[Any]:
         state for before, _, outcome in _walk(domain, 6) for state in (before, outcome.state)
     ]
     return list(dict.fromkeys([*walked, *domain.sample_states(_rng('states'), 50)]))
+
+
+def _rows(domain: Domain[Any], states: list[Any]) -> NDArray[np.int32]:
+    return np.array([domain.feature_values(state) for state in states], dtype=np.int32)
 
 
 def _sample(domain: EnumerableDomain[Any]) -> Iterator[int]:

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any
 
 from humanopts_env.domains.base import Domain, feature_columns, is_enumerable
+from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.reference import judge_states, Judgement, ReferenceOption
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.seeding import generator
@@ -46,6 +47,12 @@ class ReferenceContract:
             assert option.definition.endswith('.'), name
             chosen = [names[column] for column in feature_columns(seen.domain, option.features)]
             assert list(option.features) == chosen != [], name
+
+    def test_a_demo_teaches_some_of_them(self) -> None:
+        """Those that the domain names."""
+        domain = self._seen.domain
+        if isinstance(domain, HasTeachingDefaults):
+            assert set(domain.teaching.options) <= set(self._seen.options)
 
     def test_each_can_start_somewhere(self) -> None:
         """An option that cannot is not taught."""

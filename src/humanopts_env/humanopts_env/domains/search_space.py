@@ -147,8 +147,8 @@ def space_by_features(
     :param events: what an event is called, by how the value that ``status`` takes reads.
     :param situation: all features but those that nothing in the domain can change.
     :param own_goals: whether goals are those of the domain's own task (what the step with the
-        highest reward that ends it leads to), which is right where these are random; else goals
-        are drawn.
+        highest reward that ends it leads to), which is right where these are random, or where
+        little can be undone; else goals are drawn.
     :param cell_name: names a cell by the values of its features; None: ``cell 2,3``.
     :raises DomainError: the domain has no such feature.
     """
