@@ -213,7 +213,7 @@ def _summarise(setup: Setup, live: Live, evaluation: BagEvaluation, bag: Bag) ->
 
 
 def _problems(setup: Setup, summary: Summary, topics: Sequence[TopicRow]) -> list[str]:
-    """Return in words what a demo promises and this one did not keep."""
+    """Return a sentence for each check of the demo that failed."""
     learned = {block.name for block in summary.options}
     found = [f'{name!r} was not learned' for name in setup.taught if name not in learned]
     found += [

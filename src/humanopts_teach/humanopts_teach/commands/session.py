@@ -130,11 +130,11 @@ class Session:
 
     launcher: Launcher
     graph: GraphClient
-    unclean: list[str] = field(default_factory=list)  # what did not end as asked; known at the end
+    unclean: list[str] = field(default_factory=list)  # nodes that failed at their end, in words
 
     def check_recording(self) -> None:
         """
-        Look at the end of a sitting whether everything was recorded, as far as is known.
+        Check at the end of a session that everything was recorded, as far as is known.
 
         :raises LaunchError: the recorder died, or has stopped; the text says why.
         """

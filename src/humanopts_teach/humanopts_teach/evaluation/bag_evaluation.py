@@ -82,7 +82,7 @@ class OptionEvaluation:
     option: LearnedOption
     judgement: Judgement
     curve: tuple[CurvePoint, ...]
-    reproduced: bool | None = None  # equal to the option file in the bag; None: there is none
+    reproduced: bool | None = None  # equals the option file in the bag; None: there is none
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evaluation as JSON data."""
@@ -106,13 +106,13 @@ class PlanEvaluation:
 
 @dataclass(frozen=True)
 class BagEvaluation:
-    """What a bag alone says about what was taught."""
+    """The options and plans that come out of a bag alone."""
 
     domain: Domain[Any]
     settings: Settings
     options: tuple[OptionEvaluation, ...]  # in order of first demonstration
     plans: tuple[PlanEvaluation, ...]
-    warnings: tuple[str, ...]  # what was assumed or left out, in words
+    warnings: tuple[str, ...]  # sentences on what was assumed or left out
     games: Mapping[str, GamesEvaluation] = field(default_factory=dict)  # by participant; if asked
 
     @property
@@ -127,7 +127,7 @@ class BagEvaluation:
 
     @property
     def plan_names(self) -> tuple[str, ...]:
-        """What the plans are called: by action set, and whose, where several people taught."""
+        """Names of the plans: the action set and, where several people taught, the person."""
         several = len({option.participant for option in self.options}) > 1
         return tuple(
             f'{plan.row.action_set} by {plan.participant}'
@@ -214,20 +214,20 @@ def evaluate(
 
 
 class _Progress:
-    def __init__(self, tell: ProgressCallback | None, total: int) -> None:
-        self._tell, self._total, self.done = tell, total, 0
+    def __init__(self, callback: ProgressCallback | None, total: int) -> None:
+        self._callback, self._total, self.done = callback, total, 0
 
     def reach(self, done: int, text: str) -> None:
         """Report how many parts are done."""
         self.done = done
-        if self._tell is not None:
-            self._tell(done, self._total, text)
+        if self._callback is not None:
+            self._callback(done, self._total, text)
 
 
 def _usable(
     demonstrations: Sequence[Demonstration], domain: Domain[Any]
 ) -> tuple[dict[tuple[str, str], list[Demonstration]], list[str]]:
-    """Group what can be learned from; say what is left out."""
+    """Group the demonstrations by option; return sentences on those that are left out."""
     good, notes = [], []
     for demo in demonstrations:
         try:
@@ -321,7 +321,7 @@ def compare_options(
     """
     Compare option files with the same options learned again.
 
-    :param attached: those that nobody taught, automatic options, are passed over.
+    :param attached: option files; automatic options, which have no demonstrations, are skipped.
     :param demonstrations: that the options were learned from, among others.
     :return: whether they are equal to the last digit, and in words where they are not.
     """
@@ -343,7 +343,7 @@ def compare_options(
 
 
 def software_notes(facts: Mapping[str, str]) -> list[str]:
-    """Say which software that learning depends on is another than at the recording."""
+    """Return a sentence for each package that has another version than at the recording."""
     now = software()
     return [
         f'recorded with {name.removesuffix("_version")} {facts[name]}, and this is {now[name]}: '

@@ -23,7 +23,7 @@ DEMONSTRATION = 'demonstration'
 SECONDS = 'seconds of '  # what most demonstrations differ in: the text adds them up
 MOST_SHOWN = 40  # characters of a value in the table; JSON has all of it
 TREES = ('policy', 'initiation', 'termination')
-# Of an OptionBlock: compared by themselves, or told as criteria.
+# Fields of an OptionBlock that are compared separately, or as criteria.
 _APART = {'name', 'features', 'cv_error_initiation', 'cv_error_termination'}
 
 
@@ -32,7 +32,7 @@ class Difference:
     """One thing that differs; None: it is not in that bag."""
 
     what: str  # such as setting, option, demonstration or tree
-    of: str  # which, in words
+    of: str  # the name of the part that differs, and of what it belongs to
     a: Any  # JSON data
     b: Any
 
@@ -82,7 +82,7 @@ def _labelled(what: str, of: str, lesson: Lesson) -> str:
 
 
 def _facts(lesson: Lesson) -> dict[tuple[str, str], dict[str, Any]]:
-    """Return all that is compared, as JSON data by name, in groups: what, and whose it is."""
+    """Return what is compared, as JSON data by name; a group is a kind and what it belongs to."""
     evaluation = lesson.evaluation
     options = {
         f'{option.block.name} by {option.participant}': option for option in evaluation.options

@@ -48,7 +48,7 @@ def settings_from_facts(facts: Mapping[str, str]) -> tuple[Settings, list[str]]:
     """
     Read the settings, with a default for each that is missing or unreadable.
 
-    :return: the settings, and in words what had to be assumed.
+    :return: the settings, and a sentence on each that had to be assumed.
     """
     assumed: list[str] = []
 
@@ -154,11 +154,11 @@ class PlanningRow:
     mean_return_low: float | None = None  # 95 % interval
     mean_return_high: float | None = None
     fallbacks: int | None = None  # in all these episodes
-    outcomes: Mapping[str, Estimate] = field(default_factory=dict)  # what else the games tell
+    outcomes: Mapping[str, Estimate] = field(default_factory=dict)  # the domain's own measures
 
     @property
     def seconds(self) -> float:
-        """What planning took, all counted."""
+        """Planning time: policy tables, models and sweeps."""
         return self.table_seconds + self.model_seconds + self.sweep_seconds
 
     def to_dict(self) -> dict[str, Any]:
@@ -233,7 +233,7 @@ def option_block(
 
     :param judged: a Judgement, or the OptionStatus message that carried it, of the same
         demonstrations that the option was learned from; NaN is not measurable.
-    :param reference: what an expert means by the option; None: accuracies are not measurable.
+    :param reference: the reference option; None: accuracies cannot be measured.
     """
     values = {criterion.name: criterion.value for criterion in judged.criteria}
     policy, initiation, termination = accuracies(option, domain, reference)
@@ -320,7 +320,7 @@ def row_of_plan(plan: AnyPlan, performance: Performance) -> PlanningRow:
 
 
 def differences(live: Sequence[OptionBlock], offline: Sequence[OptionBlock]) -> list[str]:
-    """Return in words where two lists of blocks differ; empty where they are equal exactly."""
+    """Return a sentence for each difference of two lists of blocks; none: they are equal."""
     there, here = _by_name(live), _by_name(offline)
     found = [f'{name!r} was learned live but is not in the bag' for name in set(there) - set(here)]
     found += [
@@ -341,7 +341,7 @@ def _by_name(blocks: Sequence[OptionBlock]) -> dict[str, OptionBlock]:
 
 
 def plan_differences(live: Sequence[PlanningRow], offline: Sequence[PlanningRow]) -> list[str]:
-    """Return in words where plans differ, seconds apart; empty where they are equal exactly."""
+    """Return a sentence for each difference of plans, seconds apart; none: they are equal."""
     here = {row.action_set: row for row in offline}
     found = []
     for row in live:

@@ -40,7 +40,9 @@ ARGUMENTS = (
     LaunchArgument('split_seconds', '0.0', 'and time after which it does; 0: never'),
     LaunchArgument('step_period', '0.0', "seconds between a machine's steps, to watch it"),
     LaunchArgument(
-        'taught', '', 'options that a simulated teacher teaches, separated by ";"; empty: nobody'
+        'taught',
+        '',
+        'options that a simulated teacher teaches, separated by ";"; empty: no teacher',
     ),
 )
 

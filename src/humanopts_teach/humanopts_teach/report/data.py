@@ -40,7 +40,7 @@ class TopicRow:
     type: str
     messages: int
     publishers: int | None = None  # that number their messages; None: they carry no numbers
-    lost: int | None = None  # by gaps in the numbers; None: cannot be told
+    lost: int | None = None  # by gaps in the numbers; None: unknown
 
 
 @dataclass(frozen=True)
@@ -83,13 +83,13 @@ def _film(bag: Bag) -> list[Frame]:
         message = recorded.message
         if message is None or not message.episode:  # damaged, or refused
             continue
-        whose, first = namespace(recorded.topic), message.first_step
-        if under_way.get(whose, (0,))[0] != message.episode:
-            under_way[whose] = (message.episode, [])
+        topic_game, first = namespace(recorded.topic), message.first_step
+        if under_way.get(topic_game, (0,))[0] != message.episode:
+            under_way[topic_game] = (message.episode, [])
         run = _Run(message.option_name, first, first + message.step_count)
-        under_way[whose][1].append(run)
+        under_way[topic_game][1].append(run)
         if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):
-            game, (number, runs) = whose, under_way[whose]
+            game, (number, runs) = topic_game, under_way[topic_game]
     found = read_episodes(bag, chosen=lambda g: (namespace(g.topic), g.number) == (game, number))
     played = [episode for episode in found if episode.complete]
     if not played:
@@ -102,7 +102,7 @@ def _frames(episode: Episode, runs: list[_Run], actors: Actors) -> list[Frame]:
     """
     Return what is seen, step by step.
 
-    :param actors: whose the commands of modules were.
+    :param actors: the modules that sent the commands.
     """
     frames = []
     for at in episode.transitions:

@@ -1,4 +1,4 @@
-"""A report in a few sentences, worked out from its numbers."""
+"""The findings of a report: sentences that follow from its numbers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,20 +23,20 @@ MARGIN = 80.0  # points by which a plan shall be better than random choice among
 
 @dataclass(frozen=True)
 class Finding:
-    """One sentence, and whether it is as one would wish; None: neither."""
+    """One sentence, and whether it is a good result; None: neither good nor bad."""
 
     good: bool | None
     text: str
 
     @property
     def mark(self) -> str:
-        """A character that says the same."""
+        """A tick, a cross or a dot."""
         return {True: '✓', False: '✗', None: '·'}[self.good]
 
 
 def findings(data: ReportData, games: Sequence[Finding] = ()) -> list[Finding]:
     """
-    Return what the report comes to, the most important first.
+    Return the findings of a report, the most important first.
 
     :param games: what came out in many games.
     """
@@ -56,7 +56,7 @@ def findings(data: ReportData, games: Sequence[Finding] = ()) -> list[Finding]:
 
 
 def _execution(execution: Execution, *, sampled: bool) -> Finding:
-    """Say how the episodes went that were played live; to fail is no fault of a sampled plan."""
+    """Judge the episodes that were played live; failures are expected of a sampled plan."""
     good = execution.successes == execution.episodes > 0 and execution.fallbacks == 0
     return Finding(
         None if sampled else good,
@@ -109,7 +109,7 @@ def _planning(rows: Mapping[str, PlanningRow]) -> list[Finding]:
 
 
 def _planning_sampled(rows: Mapping[str, PlanningRow]) -> list[Finding]:
-    """Say what plans came to that are estimates."""
+    """Describe plans whose returns are estimates."""
     return [
         Finding(
             None,
@@ -174,7 +174,7 @@ def _offline(data: ReportData) -> Finding:
 
 
 def _reproduced(options: Sequence[OptionEvaluation]) -> list[Finding]:
-    """Say that options equal their files in the bag; where one does not, a warning says so."""
+    """Report that options equal their files in the bag; a warning reports one that does not."""
     compared = [option.reproduced for option in options if option.reproduced is not None]
     if not compared or not all(compared):
         return []
@@ -183,7 +183,7 @@ def _reproduced(options: Sequence[OptionEvaluation]) -> list[Finding]:
 
 
 def reached(curve: Curve, target: float) -> str:
-    """Say when a score was reached."""
+    """Return the planning time until a score was reached."""
     seconds = curve.seconds_to_reach(target)
     if seconds is None:
         return f'not reached in {curve.most_seconds:.1f} s'
@@ -191,7 +191,7 @@ def reached(curve: Curve, target: float) -> str:
 
 
 def games_findings(games: GamesEvaluation) -> list[Finding]:
-    """Return what the games come to."""
+    """Return the findings of a comparison in games."""
     found = [_scores(games, setting) for setting in games.settings]
     planned = _largest(games.settings[0].rows, PLAN)
     found += _targets(games, planned)
@@ -199,7 +199,7 @@ def games_findings(games: GamesEvaluation) -> list[Finding]:
 
 
 def _scores(games: GamesEvaluation, setting: Setting) -> Finding:
-    """Say what the options came to, and by how much that is better than chance among them."""
+    """Compare the plan with all options with random choice among them."""
     planned, chance = (_largest(setting.rows, kind) for kind in (PLAN, CHANCE))
     gap, half = _difference(planned.score, chance.score)
     where = f'With {setting.name}, ' if setting.name else ''
@@ -225,7 +225,7 @@ def _targets(games: GamesEvaluation, planned: ComparisonRow) -> list[Finding]:
 
 
 def _time(curves: Sequence[Curve], target: float) -> Finding:
-    """Say whether options reached a score in a tenth of the time of primitive actions."""
+    """Judge whether options reached a score in a tenth of the time of primitive actions."""
     options, primitive = curves
     quick, slow = options.seconds_to_reach(target), primitive.seconds_to_reach(target)
     both = ', '.join(f'with {curve.name} {reached(curve, target)}' for curve in curves)
