@@ -34,7 +34,7 @@ SERVICES: dict[type, str] = {
 }
 
 
-class Sitting:
+class Session:
     """A game, a lesson, the recorders of the test, and a person."""
 
     def __init__(self, graph: Graph) -> None:
@@ -105,8 +105,8 @@ class Sitting:
 
 
 @pytest.fixture
-def sitting(live: Graph) -> Iterator[Sitting]:
-    return Sitting(live)
+def session(live: Graph) -> Iterator[Session]:
+    return Session(live)
 
 
 def uuids(bag: Path) -> list[str]:
@@ -115,21 +115,21 @@ def uuids(bag: Path) -> list[str]:
 
 
 def test_a_full_disk_pauses_the_lesson_until_the_next_recorder_has_all_that_was_shown(
-    sitting: Sitting,
+    session: Session,
 ) -> None:
-    folder = sitting.graph.folder
-    sitting.get_ready()
+    folder = session.graph.folder
+    session.get_ready()
     shown = []
     for _ in range(2):
-        episode = sitting.begin()
-        sitting.drive(episode, 'west')
+        episode = session.begin()
+        session.drive(episode, 'west')
         if shown:  # the disk fills up in the middle of the second one
-            sitting.graph.until(lambda: uuids(folder / 'first') == shown, 'the first in the bag')
-            number = sitting.recorder.process.pid
+            session.graph.until(lambda: uuids(folder / 'first') == shown, 'the first in the bag')
+            number = session.recorder.process.pid
             resource.prlimit(number, resource.RLIMIT_FSIZE, (1000, 1000))
-            cause = sitting.paused()
-        sitting.drive(episode, 'pickup')
-        ended = sitting.end(episode, 2)
+            cause = session.paused()
+        session.drive(episode, 'pickup')
+        ended = session.end(episode, 2)
         assert ended.status == EndDemonstration.Response.STATUS_OK, ended.detail
         shown.append(ended.uuid)
     assert 'recording stopped: cannot write to' in cause
@@ -142,15 +142,15 @@ def test_a_full_disk_pauses_the_lesson_until_the_next_recorder_has_all_that_was_
         (BeginDemonstration, {}),
         (WithdrawDemonstration, {}),
     ):
-        refused = sitting.ask(kind, **fields)
+        refused = session.ask(kind, **fields)
         assert refused.status == kind.Response.STATUS_PAUSED
         assert cause in refused.detail
 
-    second = sitting.record('second')
-    sitting.goes_on()
-    sitting.begin()
-    sitting.recorder.kill(signal.SIGTERM)
+    second = session.record('second')
+    session.goes_on()
+    session.begin()
+    session.recorder.kill(signal.SIGTERM)
     second.kill(signal.SIGTERM)
-    assert 'nothing is heard of the recorder any more' in sitting.paused()
+    assert 'nothing is heard of the recorder any more' in session.paused()
     assert uuids(folder / 'first') == shown[:1]
     assert uuids(folder / 'second') == shown

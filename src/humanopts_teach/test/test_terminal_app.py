@@ -383,9 +383,9 @@ def test_each_criterion_shows_value_target_and_whether_it_can_be_measured(
     ]
     screen = shower.sees()
     for line in (
-        r'✓  as good as you   0.25 worse          ≤ 1.00 worse',
-        r'·  where it starts  12.5 % wrong        ≤ 5.0 % wrong',
-        r'·  where it ends    not yet measurable  ≤ 5.0 % wrong',
+        r'✓  return       0.25 worse          ≤ 1.00 worse',
+        r'·  initiation   12.5 % wrong        ≤ 5.0 % wrong',
+        r'·  termination  not yet measurable  ≤ 5.0 % wrong',
         'About 6 more are needed (an estimate).',
     ):
         assert line in screen

@@ -1,4 +1,4 @@
-"""Whether a lesson is recorded, by what recorders say and whether they are there."""
+"""Whether a lesson is recorded: by what recorders say, and whether they are on the graph."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class _Recorder:
 
 class Recorders:
     """
-    What every recorder said last; a new one may come beside one that has stopped.
+    What every recorder said last; a new recorder may start beside one that has stopped.
 
     Silence is counted in looks, not in seconds, so that a lesson that was busy itself does not
     take its own delay for that of the recorder.
@@ -38,7 +38,7 @@ class Recorders:
 
     def heard(self, recorder: str, *, complete: bool, stopped: bool, text: str) -> None:
         """
-        Take in what a recorder says, as it does every second.
+        Keep what a recorder says, as it does every second.
 
         :param recorder: its publisher_id; the rest is as in RecorderStatus.
         """
@@ -47,7 +47,7 @@ class Recorders:
 
     def look(self, there: bool) -> str:
         """
-        Say why nothing is recorded and what to do; empty: all is well.
+        Return why nothing is recorded and what to do; empty: it is recorded.
 
         A new recorder ends a fault once it has every topic.
 

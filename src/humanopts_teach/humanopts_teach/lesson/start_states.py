@@ -51,7 +51,7 @@ class StartStates:
 
     def learned(self, participant: str, option_name: str, text: str) -> None:
         """
-        Take in an option as the learner publishes it.
+        Keep an option as the learner publishes it.
 
         :raises OptionError: it is not an option, or one of another domain.
         """

@@ -46,7 +46,7 @@ class Latest(Generic[M]):
         self.message = message
 
 
-class ConductorNode(NodeBase):
+class GraphClientNode(NodeBase):
     """Knows every node's status and the current values of the graph."""
 
     def __init__(self) -> None:
@@ -97,7 +97,7 @@ class GraphClient:
             arguments += ['-p', f'{name}:={json.dumps(value)}']
         prepare_discovery()
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = ConductorNode()
+        self.node = GraphClientNode()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._record, self._bag = bool(parameters['expect_recorder']), bag
@@ -232,7 +232,7 @@ class GraphClient:
             told = paused
 
     def catch_up(self) -> None:
-        """Take in what has come while nobody served the graph."""
+        """Process the messages that came while nobody served the graph."""
         for _ in range(_ROUNDS):
             self._executor.spin_once(0.0)
 

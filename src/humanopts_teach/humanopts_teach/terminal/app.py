@@ -38,10 +38,10 @@ class Screen(Protocol):
         """Carry out one key."""
 
     def replied(self, reply: Reply, app: 'App') -> None:
-        """Take in the answer to a request that this screen made."""
+        """React to the answer to a request that this screen made."""
 
     def run_ended(self, reply: Reply, app: 'App') -> None:
-        """Take in how a run ended."""
+        """React to the end of a run."""
 
     def tick(self, app: 'App') -> None:
         """Do what needs no key, when nothing is under way."""
@@ -127,7 +127,7 @@ class App:
         self.ended = True
 
     def type(self, keys: Iterable[str]) -> None:
-        """Take in key presses; Ctrl-C does not wait for anything."""
+        """Queue key presses; Ctrl-C does not wait for anything."""
         for key in keys:
             if key in (INTERRUPT, END_OF_FILE):
                 self.end()
@@ -157,7 +157,7 @@ class App:
         return None
 
     def replied(self, reply: Reply, now: float) -> None:
-        """Take in the answer to the request under way; any other one is too late and ignored."""
+        """Keep the answer to the request under way; any other answer is too late and ignored."""
         waiting = self._waiting
         if waiting is None or waiting.request is not reply.request:
             return
@@ -168,18 +168,18 @@ class App:
         self._look_at_waiting(now)
 
     def run_said(self, text: str) -> None:
-        """Take in how far the run is."""
+        """Show how far the run is."""
         self.run_text = text
 
     def run_ended(self, reply: Reply) -> None:
-        """Take in how the run ended."""
+        """Show how the run ended."""
         if self.run is reply.request:
             self.run = None
             self.say(reply.text, bad=not reply.ok)
             self.screen.run_ended(reply, self)
 
     def lost_server(self) -> None:
-        """Take in that nobody is left to finish the run."""
+        """End the run: its server is gone."""
         if self.run is not None:
             self.run_ended(Reply(self.run, ok=False, text=f'{server(self.run)} is gone.'))
 

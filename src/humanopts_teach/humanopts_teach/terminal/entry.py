@@ -18,10 +18,10 @@ class PlainScreen:
         """Carry out one key. To be overridden."""
 
     def replied(self, reply: Reply, app: App) -> None:
-        """Take in the answer to a request."""
+        """React to the answer to a request."""
 
     def run_ended(self, reply: Reply, app: App) -> None:
-        """Take in how a run ended."""
+        """React to the end of a run."""
 
     def tick(self, app: App) -> None:
         """Do what needs no key."""

@@ -15,12 +15,6 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-_CRITERIA = {
-    'return': 'as good as you',
-    'initiation': 'where it starts',
-    'termination': 'where it ends',
-}
-
 
 @singledispatch
 def panel(screen: Screen, app: App) -> RenderableType:
@@ -182,7 +176,7 @@ def _criterion(criterion: Criterion) -> list[Text]:
     now = 'not yet measurable' if criterion.value is None else number(criterion.value)
     return [
         Text('✓' if criterion.met else '·', style),
-        Text(_CRITERIA.get(criterion.name, criterion.name)),
+        Text(criterion.name),
         Text(now, style),
         Text(f'≤ {number(criterion.threshold)}', 'dim'),
     ]

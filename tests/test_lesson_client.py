@@ -1,0 +1,74 @@
+"""Programs that teach by ``LessonClient``: the one of the documentation, and refusals."""
+
+import os
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from graph_support.live import GAME, Graph, LEARNER, LESSON
+import pytest
+
+PAGE = Path(__file__).parents[1] / 'docs' / 'how-to' / 'call-the-services.md'
+REFUSED = """
+from humanopts_teach.lesson.requests import BeginDemonstration, OpenSession, RequestStatus
+from humanopts_teach.ros.lesson_client import RefusedError, run_with_lesson
+
+
+async def teach(client):
+    try:
+        await client.ask(BeginDemonstration())
+    except RefusedError as error:
+        print(error.answer.status.name, error)
+    try:
+        await client.drive('fly')
+    except RefusedError as error:
+        print(error)
+    await client.ask(OpenSession('p1', 's1'))
+    print(client.lesson.participant, client.lesson.session)
+    await client.ask(OpenSession('no code'))
+
+
+run_with_lesson(teach)
+"""
+
+
+def run(graph: Graph, program: str) -> 'subprocess.CompletedProcess[str]':
+    """Run a program on the graph to its end."""
+    return subprocess.run(
+        [sys.executable, '-c', program],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(graph.domain_id)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.fixture
+def lesson(live: Graph) -> Graph:
+    """A game with a learner and a lesson."""
+    live.start(GAME)
+    live.start(LEARNER, directory=str(live.folder / 'options'))
+    live.start(LESSON, directory=str(live.folder / 'demonstrations'), strategy='failures')
+    live.ready('/game', '/learner', '/lesson')
+    return live
+
+
+def test_the_program_of_the_documentation_teaches_an_option(lesson: Graph) -> None:
+    section = PAGE.read_text('utf-8').partition('## Teach from a program')[2]
+    program, output = re.findall(r'```(?:python|text)\n(.*?)```', section, re.DOTALL)
+    done = run(lesson, program)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert 'All criteria hold.' in done.stdout
+    assert done.stdout == output
+
+
+def test_what_is_refused_is_raised_with_its_reason(lesson: Graph) -> None:
+    done = run(lesson, REFUSED)
+    first, second, third = done.stdout.splitlines()
+    assert first == 'WRONG_PHASE /lesson/begin_demonstration was refused: Open a session to begin.'
+    assert second.startswith('action fly was refused: ')
+    assert third == 'p1 s1'
+    assert done.returncode == 1
+    assert "RefusedError: /lesson/open_session was refused: participant 'no code'" in done.stderr
