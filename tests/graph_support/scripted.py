@@ -12,10 +12,45 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
+import numpy as np
 
 FETCH, DELIVER = 'go to passenger and pickup', 'go to destination and dropoff'
 TAXI = make_domain('taxi')
 Chooser = Callable[[int, Any], str | None]  # (actions taken, state) to the next; None: done
+
+
+def show(
+    domain: Domain[Any], start: Any, choose: Chooser, rng: np.random.Generator, **fields: Any
+) -> Demonstration:
+    """
+    Show an option from a state; "not here" where nothing is chosen.
+
+    :param rng: of the chance in the episode, then of the uuid.
+    :param fields: of the demonstration, at least ``option_name`` and ``chosen_features``.
+    """
+    states, actions, rewards, terminated = [start], [], [], False
+    while not terminated and (action := choose(len(actions), states[-1])) is not None:
+        outcome = domain.step(states[-1], action_index(domain, action), rng)
+        actions.append(action)
+        states.append(outcome.state)
+        rewards.append(outcome.reward)
+        terminated = outcome.terminated
+    values: dict[str, Any] = {
+        'kind': Kind.TRAJECTORY if actions else Kind.NOT_HERE,
+        'uuid': str(uuid.UUID(bytes=rng.bytes(16), version=4)),
+        'domain': domain.name,
+        'domain_parameters': parameters_json(domain),
+        'participant': 'p1',
+        'session': 's1',
+        'number': 1,
+        'feature_names': tuple(feature.name for feature in domain.features),
+        'features': tuple(tuple(domain.feature_values(s).tolist()) for s in states),
+        'states': tuple(domain.encode(state) for state in states),
+        'actions': tuple(actions),
+        'rewards': tuple(rewards),
+        'terminated': terminated,
+    }
+    return Demonstration(**{**values, **fields})
 
 
 def walk(
@@ -30,35 +65,12 @@ def walk(
     names = () if callable(actions) else actions
     choose = actions if callable(actions) else lambda taken, _: next(iter(names[taken:]), None)
     rng = generator(0, 'scripted', option, start, *names, str(sorted(fields.items())))
-    states, done, rewards, terminated = [domain.decode(start)], [], [], False
-    while (action := choose(len(done), states[-1])) is not None:
-        outcome = domain.step(states[-1], action_index(domain, action), rng)
-        done.append(action)
-        states.append(outcome.state)
-        rewards.append(outcome.reward)
-        terminated = outcome.terminated
-    values: dict[str, Any] = {
-        'kind': Kind.TRAJECTORY if done else Kind.NOT_HERE,
-        'uuid': str(uuid.UUID(bytes=rng.bytes(16), version=4)),
-        'domain': domain.name,
-        'domain_parameters': parameters_json(domain),
-        'participant': 'p1',
-        'session': 's1',
-        'option_name': option,
-        'number': 1,
-        'chosen_features': tuple(features),
-        'feature_names': tuple(feature.name for feature in domain.features),
-        'features': tuple(tuple(domain.feature_values(s).tolist()) for s in states),
-        'states': tuple(domain.encode(state) for state in states),
-        'actions': tuple(done),
-        'rewards': tuple(rewards),
-        'terminated': terminated,
-    }
-    return Demonstration(**{**values, **fields})
+    fields = {'option_name': option, 'chosen_features': tuple(features), **fields}
+    return show(domain, domain.decode(start), choose, rng, **fields)
 
 
-def expert(option: str, count: int, domain: Domain[Any] = TAXI, **fields: Any) -> list[Any]:
-    """Show an option of the reference by shortest ways from random states."""
+def by_reference(option: str, domain: Domain[Any]) -> Chooser:
+    """Return the choices of somebody who takes the first of the best actions."""
     reference = reference_options(domain)[option]
 
     def choose(taken: int, state: Any) -> str | None:
@@ -66,6 +78,12 @@ def expert(option: str, count: int, domain: Domain[Any] = TAXI, **fields: Any) -
             return None
         return domain.actions[reference.optimal_actions(state)[0]].name
 
+    return choose
+
+
+def expert(option: str, count: int, domain: Domain[Any] = TAXI, **fields: Any) -> list[Any]:
+    """Show an option of the reference by shortest ways from random states."""
+    reference, choose = reference_options(domain)[option], by_reference(option, domain)
     rng = generator(7, 'scripted expert', option)
     demos = []
     for number, start in enumerate(domain.sample_states(rng, count), start=1):

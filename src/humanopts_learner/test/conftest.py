@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 from typing import Any
-import uuid
 
+from graph_support.scripted import show
 from humanopts_env.domains.base import is_enumerable
-from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.demonstrations import Demonstration
 import pytest
 
 TAXI = Taxi()
@@ -30,30 +29,22 @@ class Person:
     def show(self, state: TaxiState) -> Demonstration:
         """Show the option from a state, or say "not here"; an error is another action."""
         rng = generator(self.seed, 'person', self.option, len(self.shown))
-        states, actions, rewards, terminated = [state], [], [], False
-        while self.reference.can_start(states[-1]):
-            action = self._choose(self.reference.optimal_actions(states[-1]), rng)
-            outcome = TAXI.step(states[-1], action, rng)
-            states.append(outcome.state)
-            actions.append(action)
-            rewards.append(outcome.reward)
-            terminated = outcome.terminated
-        demo = Demonstration(
-            kind=Kind.TRAJECTORY if actions else Kind.NOT_HERE,
-            uuid=str(uuid.UUID(bytes=rng.bytes(16), version=4)),
-            domain=TAXI.name,
-            domain_parameters=parameters_json(TAXI),
+
+        def choose(taken: int, here: TaxiState) -> str | None:
+            if not self.reference.can_start(here):
+                return None
+            return TAXI.actions[self._choose(self.reference.optimal_actions(here), rng)].name
+
+        demo = show(
+            TAXI,
+            state,
+            choose,
+            rng,
             participant=f'person {self.seed}',
             session='morning',
             option_name=self.option,
             number=len(self.shown) + 1,
             chosen_features=tuple(self.features),
-            feature_names=tuple(feature.name for feature in TAXI.features),
-            features=tuple(tuple(TAXI.feature_values(s).tolist()) for s in states),
-            states=tuple(map(TAXI.encode, states)),
-            actions=tuple(TAXI.actions[action].name for action in actions),
-            rewards=tuple(rewards),
-            terminated=terminated,
         )
         self.shown.append(demo)
         return demo

@@ -1,14 +1,15 @@
 """Demonstrations by a scripted teacher, and a lesson that a test leads by hand."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-import uuid
 
+from graph_support.scripted import by_reference, show
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.registry import make_domain, parameters_json, reference_options
+from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
 from teach_support.lesson import Table
@@ -26,41 +27,20 @@ def demonstrate(
     domain: Domain[Any], option: str, count: int, seed: int = 7, participant: str = 'p1'
 ) -> list[Demonstration]:
     """Show an option from random states, as an expert with fixed preferences would."""
-    reference = reference_options(domain)[option]
     rng = generator(seed, 'scripted teacher', option)
     demos = []
     for number, start in enumerate(domain.sample_states(rng, count), start=1):
-        states, actions, rewards = [start], [], []
-        terminated = False
-        while reference.can_start(states[-1]) and not terminated:
-            action = reference.optimal_actions(states[-1])[0]
-            outcome = domain.step(states[-1], action, rng)
-            states.append(outcome.state)
-            actions.append(domain.actions[action].name)
-            rewards.append(outcome.reward)
-            terminated = outcome.terminated
-            if reference.ends(outcome.state):
-                break
-        demos.append(
-            Demonstration(
-                kind=Kind.TRAJECTORY if actions else Kind.NOT_HERE,
-                uuid=str(uuid.UUID(bytes=rng.bytes(16))),
-                domain=domain.name,
-                domain_parameters=parameters_json(domain),
-                participant=participant,
-                session='s1',
-                option_name=option,
-                number=number,
-                chosen_features=reference.features,
-                feature_names=tuple(feature.name for feature in domain.features),
-                features=tuple(tuple(domain.feature_values(s).tolist()) for s in states),
-                states=tuple(domain.encode(state) for state in states),
-                actions=tuple(actions),
-                rewards=tuple(rewards),
-                terminated=terminated,
-                seconds=2.0 + 0.5 * len(actions),
-            )
+        demo = show(
+            domain,
+            start,
+            by_reference(option, domain),
+            rng,
+            participant=participant,
+            option_name=option,
+            number=number,
+            chosen_features=reference_options(domain)[option].features,
         )
+        demos.append(replace(demo, seconds=2.0 + 0.5 * len(demo.actions)))
     return demos
 
 
