@@ -47,10 +47,16 @@ def run(graph: Graph, program: str) -> 'subprocess.CompletedProcess[str]':
 
 @pytest.fixture
 def lesson(live: Graph) -> Graph:
-    """A game with a learner and a lesson."""
+    """A game with a learner and a lesson, as the command ``up`` starts them."""
     live.start(GAME)
-    live.start(LEARNER, directory=str(live.folder / 'options'))
-    live.start(LESSON, directory=str(live.folder / 'demonstrations'), strategy='failures')
+    live.start(LEARNER, directory=str(live.folder / 'options'), seed=1)
+    live.start(
+        LESSON,
+        directory=str(live.folder / 'demonstrations'),
+        strategy='failures',
+        until_no_failures=True,
+        seed=1,
+    )
     live.ready('/game', '/learner', '/lesson')
     return live
 
@@ -67,8 +73,8 @@ def test_the_program_of_the_documentation_teaches_an_option(lesson: Graph) -> No
 def test_what_is_refused_is_raised_with_its_reason(lesson: Graph) -> None:
     done = run(lesson, REFUSED)
     first, second, third = done.stdout.splitlines()
-    assert first == 'WRONG_PHASE /lesson/begin_demonstration was refused: Open a session to begin.'
+    assert first == 'WRONG_PHASE lesson/begin_demonstration was refused: Open a session to begin.'
     assert second.startswith('action fly was refused: ')
     assert third == 'p1 s1'
     assert done.returncode == 1
-    assert "RefusedError: /lesson/open_session was refused: participant 'no code'" in done.stderr
+    assert "RefusedError: lesson/open_session was refused: participant 'no code'" in done.stderr

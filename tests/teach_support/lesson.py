@@ -15,6 +15,7 @@ from humanopts_teach.lesson.requests import (
     BeginDemonstration,
     DefineOption,
     EndDemonstration,
+    LessonRequest,
     OpenSession,
     OptionStatus,
     Phase,
@@ -72,15 +73,19 @@ class Table:
             today=lambda: '20260102',
         )
 
+    def ask(self, request: LessonRequest) -> Answer:
+        """Ask the lesson for something."""
+        return self.lesson.carry_out(request)
+
     def opened(self) -> 'Table':
         """Open a session."""
-        assert self.lesson.carry_out(OpenSession('p1', 's1')).ok
+        assert self.ask(OpenSession('p1', 's1')).ok
         return self
 
     def defined(self) -> 'Table':
         """Name the option, whose questions are now asked."""
         self.opened()
-        assert self.lesson.carry_out(DefineOption(OPTION)).ok
+        assert self.ask(DefineOption(OPTION)).ok
         return self
 
     def answer_all(self, chosen: Sequence[str] = CHOSEN) -> Answer:
@@ -88,9 +93,7 @@ class Table:
         for feature in TAXI.features:
             view = self.lesson.view
             assert view.question_feature == feature.name
-            answer = self.lesson.carry_out(
-                AnswerQuestion(view.question_id, feature.name in chosen)
-            )
+            answer = self.ask(AnswerQuestion(view.question_id, feature.name in chosen))
         return answer
 
     def ready(self) -> 'Table':
@@ -101,7 +104,7 @@ class Table:
 
     def began(self, start_state: str = '') -> 'Table':
         """Let the game begin the episode that the lesson asks for."""
-        prepared = self.lesson.carry_out(BeginDemonstration(start_state))
+        prepared = self.ask(BeginDemonstration(start_state))
         assert prepared.ok, prepared
         self.episode += 1
         self.arrives(prepared.state)
@@ -136,9 +139,7 @@ class Table:
     def end(self, verdict: Verdict | None = Verdict.DONE, again: bool = False) -> Answer:
         """Give a verdict on the state that is there."""
         assert self.here is not None
-        return self.lesson.carry_out(
-            EndDemonstration(verdict, self.here.episode, self.here.step, again)
-        )
+        return self.ask(EndDemonstration(verdict, self.here.episode, self.here.step, again))
 
     def learned(self, *, met: bool = False, features: tuple[str, ...] = CHOSEN) -> None:
         """Let the learner tell that the newest demonstration is counted in."""
@@ -156,7 +157,7 @@ class Table:
 
 def preparing(table: Table) -> Table:
     """Ask for an episode, which has not begun."""
-    assert table.ready().lesson.carry_out(BeginDemonstration()).ok
+    assert table.ready().ask(BeginDemonstration()).ok
     return table
 
 

@@ -64,7 +64,7 @@ def test_a_verdict_on_another_state_is_not_carried_out(
     table: Table, episode: int, step: int
 ) -> None:
     table.ready().began(START).drive('west')
-    answer = table.lesson.carry_out(EndDemonstration(Verdict.DONE, episode, step, False))
+    answer = table.ask(EndDemonstration(Verdict.DONE, episode, step, False))
     assert answer.status is RequestStatus.NOT_CURRENT
     assert 'episode 1 step 1' in answer.detail
     assert table.end().ok
@@ -81,7 +81,7 @@ def test_the_state_that_a_verdict_names_may_still_be_on_its_way(table: Table) ->
 def test_a_discarded_demonstration_can_be_tried_again_from_the_same_state(table: Table) -> None:
     first = table.ready().began().lesson.view.start_state
     table.drive('west')
-    assert table.lesson.carry_out(EndDemonstration(Verdict.DISCARD, 0, 0, False)).ok
+    assert table.ask(EndDemonstration(Verdict.DISCARD, 0, 0, False)).ok
     view = table.lesson.view
     assert (view.phase, view.n_demonstrations, view.episode) == (Phase.READY, 0, 0)
     assert table.began().lesson.view.start_state == first
@@ -116,10 +116,10 @@ def test_start_states_depend_on_seed_person_option_and_number_alone(
     ],
 )
 def test_a_start_state_must_be_one_to_demonstrate_from(table: Table, text: str, says: str) -> None:
-    answer = table.ready().lesson.carry_out(BeginDemonstration(text))
+    answer = table.ready().ask(BeginDemonstration(text))
     assert answer.status is RequestStatus.BAD_STATE
     assert says in answer.detail
-    assert table.lesson.carry_out(BeginDemonstration()).ok
+    assert table.ask(BeginDemonstration()).ok
 
 
 def test_a_game_that_does_not_answer_leaves_the_lesson_ready(table: Table) -> None:
@@ -128,11 +128,11 @@ def test_a_game_that_does_not_answer_leaves_the_lesson_ready(table: Table) -> No
     assert answer.status is RequestStatus.NO_GAME
     assert table.lesson.phase is Phase.READY
     assert 'game did not answer' in table.lesson.view.text
-    assert table.lesson.carry_out(BeginDemonstration()).ok
+    assert table.ask(BeginDemonstration()).ok
 
 
 def test_the_first_state_may_come_before_or_after_games_answer(table: Table) -> None:
-    state = table.ready().lesson.carry_out(BeginDemonstration()).state
+    state = table.ready().ask(BeginDemonstration()).state
     table.episode = 4
     table.lesson.began(4, state)
     assert not table.lesson.reached(4, 0)
@@ -142,7 +142,7 @@ def test_the_first_state_may_come_before_or_after_games_answer(table: Table) -> 
 
 
 def test_late_states_of_earlier_episodes_do_not_end_a_demonstration(table: Table) -> None:
-    state = table.ready().lesson.carry_out(BeginDemonstration()).state
+    state = table.ready().ask(BeginDemonstration()).state
     table.lesson.began(4, state)
     table.episode = 3
     table.arrives(START)
@@ -165,7 +165,7 @@ def test_a_reset_by_somebody_else_ends_the_demonstration(table: Table) -> None:
 
 
 def test_a_reset_before_the_first_state_came_ends_the_demonstration(table: Table) -> None:
-    table.lesson.began(1, table.ready().lesson.carry_out(BeginDemonstration(START)).state)
+    table.lesson.began(1, table.ready().ask(BeginDemonstration(START)).state)
     table.episode = 2
     assert table.arrives(START)
     assert 'reset by somebody else' in table.lesson.view.text
@@ -186,7 +186,7 @@ def test_a_lost_state_ends_the_demonstration(table: Table) -> None:
 
 
 def test_an_episode_that_begins_elsewhere_is_not_the_one_asked_for(table: Table) -> None:
-    table.lesson.began(1, table.ready().lesson.carry_out(BeginDemonstration(START)).state)
+    table.lesson.began(1, table.ready().ask(BeginDemonstration(START)).state)
     table.episode = 1
     assert table.arrives('taxi 4,4 passenger B destination R')
     assert 'began in taxi 4,4' in table.lesson.view.text

@@ -74,9 +74,9 @@ def test_criteria_that_hold_finish_the_option(table: Table) -> None:
     view = met(table).lesson.view
     assert (view.phase, view.criteria_met) == (Phase.FINISHED, True)
     assert 'All criteria hold' in view.text
-    assert table.lesson.carry_out(DefineOption('the next')).ok
+    assert table.ask(DefineOption('the next')).ok
     assert table.lesson.phase is Phase.ASKING
-    table.lesson.carry_out(DefineOption(OPTION))
+    table.ask(DefineOption(OPTION))
     assert table.lesson.phase is Phase.FINISHED
 
 
@@ -103,12 +103,12 @@ def test_the_budget_ends_the_lesson_whatever_the_criteria_say(table: Table, not_
         table.learned()
     assert table.lesson.phase is Phase.FINISHED
     assert 'budget of 5 is spent. Not all criteria hold.' in table.lesson.view.text
-    assert table.lesson.carry_out(BeginDemonstration()).status is RequestStatus.BUDGET_SPENT
+    assert table.ask(BeginDemonstration()).status is RequestStatus.BUDGET_SPENT
 
 
 def test_the_budget_counts_for_each_option(table: Table) -> None:
     spent(table)
-    assert table.lesson.carry_out(DefineOption('another')).ok
+    assert table.ask(DefineOption('another')).ok
     table.answer_all()
     assert table.lesson.phase is Phase.READY
 
@@ -117,15 +117,15 @@ def test_a_lesson_is_taken_up_after_a_restart_where_it_was_left(
     store: DemonstrationStore,
 ) -> None:
     table = Table(store).ready().shown()
-    table.lesson.carry_out(DefineOption('half asked'))
-    table.lesson.carry_out(AnswerQuestion(table.lesson.view.question_id, True))
+    table.ask(DefineOption('half asked'))
+    table.ask(AnswerQuestion(table.lesson.view.question_id, True))
     left = table.lesson.view
 
     resumed = Table(store)
-    answer = resumed.lesson.carry_out(OpenSession('p1', 's1'))
+    answer = resumed.ask(OpenSession('p1', 's1'))
     assert answer.known_options == (OPTION, 'half asked')
     assert resumed.lesson.view == left
-    assert resumed.lesson.carry_out(DefineOption(OPTION)).resumed
+    assert resumed.ask(DefineOption(OPTION)).resumed
     assert resumed.lesson.view.chosen_features == CHOSEN
     kept = resumed.began().drive('west').end().demonstration
     assert kept is not None
@@ -138,15 +138,15 @@ def test_another_session_begins_without_an_option_and_keeps_the_counts(
 ) -> None:
     Table(store).ready().shown()
     resumed = Table(store)
-    assert resumed.lesson.carry_out(OpenSession('p1', 's2')).known_options == (OPTION,)
+    assert resumed.ask(OpenSession('p1', 's2')).known_options == (OPTION,)
     assert resumed.lesson.phase is Phase.NO_OPTION
-    resumed.lesson.carry_out(DefineOption(OPTION))
+    resumed.ask(DefineOption(OPTION))
     assert resumed.lesson.view.n_demonstrations == 1
 
 
 def test_participants_and_domains_are_kept_apart(store: DemonstrationStore) -> None:
     Table(store).ready().shown()
-    assert Table(store).lesson.carry_out(OpenSession('p2', 's1')).known_options == ()
+    assert Table(store).ask(OpenSession('p2', 's1')).known_options == ()
     other: list[Entry] = [
         replace(demo, domain_parameters='{"rows": 9}')
         for demo in Table(store).lesson.demonstrations()
@@ -170,7 +170,7 @@ def test_the_newest_demonstration_can_be_taken_back_and_shown_anew(table: Table)
     table.began(OTHER).drive('west').end()
     table.learned()
     newest = table.lesson.view.last_uuid
-    answer = table.lesson.carry_out(WithdrawDemonstration(newest))
+    answer = table.ask(WithdrawDemonstration(newest))
     assert answer.ok
     assert answer.demonstration is not None
     assert (answer.demonstration.uuid, answer.demonstration.withdrawn) == (newest, True)
@@ -179,14 +179,14 @@ def test_the_newest_demonstration_can_be_taken_back_and_shown_anew(table: Table)
     table.learned()
     assert table.lesson.phase is Phase.LEARNING  # the learner has not counted it out yet
     table.lesson.learner_said([status(last_uuid=first)])
-    assert table.lesson.carry_out(BeginDemonstration()).state == OTHER
+    assert table.ask(BeginDemonstration()).state == OTHER
 
 
 def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
     table: Table,
 ) -> None:
     spent(table)
-    assert table.lesson.carry_out(WithdrawDemonstration()).ok
+    assert table.ask(WithdrawDemonstration()).ok
     table.lesson.learner_said([])
     assert table.lesson.phase is Phase.READY
     again = table.began().drive('west').end().demonstration
@@ -196,7 +196,7 @@ def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
 
 def test_a_lesson_that_was_finished_goes_on_without_what_made_it_so(table: Table) -> None:
     met(table)
-    assert table.lesson.carry_out(WithdrawDemonstration()).ok
+    assert table.ask(WithdrawDemonstration()).ok
     table.lesson.learner_said([])  # the option has no demonstration left
     assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
 
@@ -205,11 +205,11 @@ def test_only_the_newest_of_the_option_that_is_taught_can_be_taken_back(table: T
     table.ready().shown()
     older = table.lesson.view.last_uuid
     table.shown()
-    refused = table.lesson.carry_out(WithdrawDemonstration(older))
+    refused = table.ask(WithdrawDemonstration(older))
     assert refused.status is RequestStatus.NO_DEMONSTRATION
     assert older in refused.detail
-    table.lesson.carry_out(DefineOption('another'))
-    assert table.lesson.carry_out(WithdrawDemonstration()).status is RequestStatus.NO_DEMONSTRATION
+    table.ask(DefineOption('another'))
+    assert table.ask(WithdrawDemonstration()).status is RequestStatus.NO_DEMONSTRATION
     assert table.lesson.demonstrations()[1].withdrawn is False
 
 
@@ -218,9 +218,9 @@ def test_what_was_taken_back_stays_so_after_a_restart_and_is_told_to_the_learner
 ) -> None:
     table = Table(store).ready().shown().shown()
     newest = table.lesson.view.last_uuid
-    table.lesson.carry_out(WithdrawDemonstration())
+    table.ask(WithdrawDemonstration())
     resumed = Table(store)
-    resumed.lesson.carry_out(OpenSession('p1', 's1'))
+    resumed.ask(OpenSession('p1', 's1'))
     assert resumed.lesson.view.n_demonstrations == 1
     told = [(demo.uuid, demo.withdrawn) for demo in resumed.lesson.demonstrations()]
     assert told == [(resumed.lesson.view.last_uuid, False), (newest, True)]
@@ -232,17 +232,17 @@ def test_a_withdrawal_that_cannot_be_written_changes_nothing(
     view = table.ready().shown().lesson.view
     with monkeypatch.context() as patch:
         fill_disk(patch)
-        assert table.lesson.carry_out(WithdrawDemonstration()).status is RequestStatus.NOT_SAVED
+        assert table.ask(WithdrawDemonstration()).status is RequestStatus.NOT_SAVED
     assert table.lesson.view == view
-    assert table.lesson.carry_out(WithdrawDemonstration()).ok
+    assert table.ask(WithdrawDemonstration()).ok
 
 
 def test_a_learner_that_does_not_take_a_withdrawal_is_quoted(table: Table) -> None:
-    table.ready().shown().lesson.carry_out(WithdrawDemonstration())
+    table.ready().shown().ask(WithdrawDemonstration())
     table.lesson.learner_refused(table.lesson.awaited, 'cannot write')
     assert table.lesson.phase is Phase.READY
     assert 'did not take the demonstration back: cannot write' in table.lesson.view.text
-    table.shown().lesson.carry_out(WithdrawDemonstration())
+    table.shown().ask(WithdrawDemonstration())
     table.lesson.learner_silent()
     assert 'taken back is on disk' in table.lesson.view.text
 
@@ -251,7 +251,7 @@ def test_start_states_are_drawn_only_once_they_know_of_a_withdrawal(table: Table
     table.ready().shown().shown()
     uuid = table.lesson.view.last_uuid
     table.starts.known = {uuid}
-    table.lesson.carry_out(WithdrawDemonstration())
+    table.ask(WithdrawDemonstration())
     table.lesson.learner_said([])
     assert table.lesson.phase is Phase.LEARNING
     table.starts.known.clear()
@@ -261,13 +261,13 @@ def test_start_states_are_drawn_only_once_they_know_of_a_withdrawal(table: Table
 
 @pytest.mark.parametrize('how', ['silent', 'refused'])
 def test_criteria_that_rest_on_what_was_taken_back_hold_no_more(table: Table, how: str) -> None:
-    met(table).lesson.carry_out(WithdrawDemonstration())
+    met(table).ask(WithdrawDemonstration())
     if how == 'silent':
         table.lesson.learner_silent()
     else:
         table.lesson.learner_refused(table.lesson.awaited, 'cannot write')
     assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
-    assert table.lesson.carry_out(BeginDemonstration()).ok
+    assert table.ask(BeginDemonstration()).ok
 
 
 def test_what_was_taken_back_is_shown_anew_after_a_restart_and_another_option_too(
@@ -276,15 +276,15 @@ def test_what_was_taken_back_is_shown_anew_after_a_restart_and_another_option_to
     table = Table(store).ready().began(OTHER).drive('west')
     assert table.end().ok
     table.learned()
-    table.lesson.carry_out(WithdrawDemonstration())
+    table.ask(WithdrawDemonstration())
     resumed = Table(store)
-    resumed.lesson.carry_out(OpenSession('p1', 's1'))
-    resumed.lesson.carry_out(DefineOption('another'))
-    resumed.lesson.carry_out(DefineOption(OPTION))
+    resumed.ask(OpenSession('p1', 's1'))
+    resumed.ask(DefineOption('another'))
+    resumed.ask(DefineOption(OPTION))
     assert resumed.began().lesson.view.start_state == OTHER
     assert resumed.drive('west').end().ok
     resumed.learned()
-    assert resumed.lesson.carry_out(BeginDemonstration()).state != OTHER
+    assert resumed.ask(BeginDemonstration()).state != OTHER
 
 
 def test_what_was_taken_back_is_shown_anew_one_by_one(table: Table) -> None:
@@ -293,7 +293,7 @@ def test_what_was_taken_back_is_shown_anew_one_by_one(table: Table) -> None:
         assert table.began(start).drive('west').end().ok
         table.learned()
     for _ in range(2):
-        assert table.lesson.carry_out(WithdrawDemonstration()).ok
+        assert table.ask(WithdrawDemonstration()).ok
         table.lesson.learner_said([])
     for start in (START, OTHER):
         assert table.began().lesson.view.start_state == start
@@ -306,12 +306,12 @@ def test_questions_that_are_asked_again_keep_what_was_chosen_before(
 ) -> None:
     table = Table(store).ready()
     assert table.lesson.view.earlier_features == ()
-    table.lesson.carry_out(DefineOption(OPTION, ask_again=True))
-    table.lesson.carry_out(AnswerQuestion(table.lesson.view.question_id, False))
+    table.ask(DefineOption(OPTION, ask_again=True))
+    table.ask(AnswerQuestion(table.lesson.view.question_id, False))
     resumed = Table(store).opened()
     assert (resumed.lesson.view.phase, resumed.lesson.view.chosen_features) == (Phase.ASKING, ())
     assert resumed.lesson.view.earlier_features == CHOSEN
-    resumed.lesson.carry_out(DefineOption(OPTION, ask_again=True))
+    resumed.ask(DefineOption(OPTION, ask_again=True))
     assert resumed.lesson.view.earlier_features == CHOSEN
     assert resumed.answer_all().ok
     assert resumed.lesson.view.earlier_features == ()

@@ -1,13 +1,12 @@
 """The lesson's requests: every one in every phase, while paused, and its codes and questions."""
 
-from collections.abc import Callable
-
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
     BeginDemonstration,
     DefineOption,
     EndDemonstration,
+    LessonRequest,
     OpenSession,
     Phase,
     RequestStatus,
@@ -27,78 +26,54 @@ from teach_support.lesson import (
     TO_PHASE,
 )
 
+_EVERYWHERE_WRONG = dict.fromkeys(Phase, RequestStatus.WRONG_PHASE)
+_EVERYWHERE_OK = dict.fromkeys(Phase, RequestStatus.OK)
 # What each request answers in each phase.
-TABLE = [
-    (
-        'open_session',
-        dict.fromkeys(Phase, RequestStatus.OK) | {Phase.DEMONSTRATING: RequestStatus.WRONG_PHASE},
-    ),
-    (
-        'define_option',
-        dict.fromkeys(Phase, RequestStatus.OK)
-        | dict.fromkeys((Phase.NO_SESSION, Phase.DEMONSTRATING), RequestStatus.WRONG_PHASE),
-    ),
-    (
-        'answer_question',
-        dict.fromkeys(Phase, RequestStatus.NOT_ASKED) | {Phase.ASKING: RequestStatus.OK},
-    ),
-    ('prepare', dict.fromkeys(Phase, RequestStatus.WRONG_PHASE) | {Phase.READY: RequestStatus.OK}),
-    (
-        'withdraw',
-        dict.fromkeys(Phase, RequestStatus.WRONG_PHASE)
-        | dict.fromkeys((Phase.ASKING, Phase.READY), RequestStatus.NO_DEMONSTRATION)
-        | {Phase.FINISHED: RequestStatus.OK},
-    ),
-    (
-        'end',
-        dict.fromkeys(Phase, RequestStatus.WRONG_PHASE)
-        | {Phase.DEMONSTRATING: RequestStatus.NO_STEPS},
-    ),
-]
-REQUESTS: dict[str, Callable[[Table], Answer]] = {
-    'open_session': lambda table: table.lesson.carry_out(OpenSession('p2', '')),
-    'define_option': lambda table: table.lesson.carry_out(DefineOption('another')),
-    'answer_question': lambda table: table.lesson.carry_out(AnswerQuestion(1, True)),
-    'prepare': lambda table: table.lesson.carry_out(BeginDemonstration()),
-    'withdraw': lambda table: table.lesson.carry_out(WithdrawDemonstration()),
-    'end': lambda table: table.lesson.carry_out(EndDemonstration(Verdict.DONE, 1, 0, False)),
+TABLE: dict[LessonRequest, dict[Phase, RequestStatus]] = {
+    OpenSession('p2'): _EVERYWHERE_OK | {Phase.DEMONSTRATING: RequestStatus.WRONG_PHASE},
+    DefineOption('another'): _EVERYWHERE_OK
+    | dict.fromkeys((Phase.NO_SESSION, Phase.DEMONSTRATING), RequestStatus.WRONG_PHASE),
+    AnswerQuestion(1, yes=True): dict.fromkeys(Phase, RequestStatus.NOT_ASKED)
+    | {Phase.ASKING: RequestStatus.OK},
+    BeginDemonstration(): _EVERYWHERE_WRONG | {Phase.READY: RequestStatus.OK},
+    WithdrawDemonstration(): _EVERYWHERE_WRONG
+    | dict.fromkeys((Phase.ASKING, Phase.READY), RequestStatus.NO_DEMONSTRATION)
+    | {Phase.FINISHED: RequestStatus.OK},
+    EndDemonstration(Verdict.DONE, 1, 0): _EVERYWHERE_WRONG
+    | {Phase.DEMONSTRATING: RequestStatus.NO_STEPS},
 }
+NEW_THINGS = list(TABLE)[:-1]
 FULL = 'recording stopped: the disk is full'
-NEW_THINGS = ['open_session', 'define_option', 'answer_question', 'prepare', 'withdraw']
 
 
 @pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
-@pytest.mark.parametrize(('request_name', 'statuses'), TABLE)
+@pytest.mark.parametrize('asked', TABLE, ids=repr)
 def test_every_request_is_answered_in_every_phase(
-    table: Table, phase: Phase, request_name: str, statuses: dict[Phase, RequestStatus]
+    table: Table, phase: Phase, asked: LessonRequest
 ) -> None:
     TO_PHASE[phase](table)
     assert table.lesson.phase is phase
-    answer = REQUESTS[request_name](table)
-    assert answer.status is statuses[phase]
+    answer = table.ask(asked)
+    assert answer.status is TABLE[asked][phase]
     assert answer.detail
     if not answer.ok:
         assert table.lesson.phase is phase
 
 
 @pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
-@pytest.mark.parametrize('name', NEW_THINGS)
+@pytest.mark.parametrize('asked', NEW_THINGS, ids=repr)
 def test_while_it_is_paused_nothing_new_begins_and_then_all_goes_on(
-    table: Table, phase: Phase, name: str
+    table: Table, phase: Phase, asked: LessonRequest
 ) -> None:
     view = TO_PHASE[phase](table).lesson.view
     table.lesson.pause(FULL)
-    answer = REQUESTS[name](table)
-    assert (answer.status, answer.detail) == (
-        RequestStatus.PAUSED,
-        f'the lesson is paused: {FULL}',
-    )
+    assert table.ask(asked) == Answer(RequestStatus.PAUSED, f'the lesson is paused: {FULL}')
     paused = table.lesson.view
     assert (paused.phase, paused.paused) == (phase, FULL)
     assert paused.text
     table.lesson.pause('')
     assert table.lesson.view == view
-    assert REQUESTS[name](table).status is dict(TABLE)[name][phase]
+    assert table.ask(asked).status is TABLE[asked][phase]
 
 
 def test_a_demonstration_under_way_is_kept_while_paused_and_said_to_be_unrecorded(
@@ -122,16 +97,16 @@ def test_a_demonstration_under_way_can_be_discarded_while_paused(table: Table) -
     table.lesson.pause(FULL)
     assert table.end(Verdict.DISCARD).ok
     table.lesson.pause('')
-    assert table.lesson.carry_out(BeginDemonstration()).state == START
+    assert table.ask(BeginDemonstration()).state == START
 
 
 def test_an_episode_that_begins_after_the_pause_is_no_demonstration(table: Table) -> None:
-    table.ready().lesson.carry_out(BeginDemonstration(START))
+    table.ready().ask(BeginDemonstration(START))
     table.lesson.pause(FULL)
     assert table.lesson.began(1, START).status is RequestStatus.PAUSED
     assert table.lesson.phase is Phase.READY
     table.lesson.pause('')
-    assert table.lesson.carry_out(BeginDemonstration()).ok
+    assert table.ask(BeginDemonstration()).ok
 
 
 @pytest.mark.parametrize('phase', Phase, ids=lambda phase: phase.name)
@@ -141,11 +116,11 @@ def test_every_phase_says_what_comes_next(table: Table, phase: Phase) -> None:
     assert view.text
 
 
-@pytest.mark.parametrize('name', NEW_THINGS)
+@pytest.mark.parametrize('asked', NEW_THINGS, ids=repr)
 def test_nothing_comes_between_the_request_for_an_episode_and_its_start(
-    table: Table, name: str
+    table: Table, asked: LessonRequest
 ) -> None:
-    answer = REQUESTS[name](preparing(table))
+    answer = preparing(table).ask(asked)
     assert answer.status in (RequestStatus.WRONG_PHASE, RequestStatus.NOT_ASKED)
 
 
@@ -153,23 +128,21 @@ def test_nothing_comes_between_the_request_for_an_episode_and_its_start(
     ('participant', 'session'), [('', 's1'), ('a b', ''), ('../x', ''), ('p1', 's/1')]
 )
 def test_a_session_needs_codes(table: Table, participant: str, session: str) -> None:
-    assert (
-        table.lesson.carry_out(OpenSession(participant, session)).status is RequestStatus.BAD_NAME
-    )
+    assert table.ask(OpenSession(participant, session)).status is RequestStatus.BAD_NAME
     assert table.lesson.phase is Phase.NO_SESSION
 
 
 def test_a_new_session_is_named_after_the_day_and_counted(table: Table) -> None:
-    assert table.lesson.carry_out(OpenSession('p1', '')).session == '20260102-1'
-    assert table.lesson.carry_out(OpenSession('p1', '')).session == '20260102-2'
-    assert table.lesson.carry_out(OpenSession('p2', '')).session == '20260102-1'
+    assert table.ask(OpenSession('p1', '')).session == '20260102-1'
+    assert table.ask(OpenSession('p1', '')).session == '20260102-2'
+    assert table.ask(OpenSession('p2', '')).session == '20260102-1'
 
 
 @pytest.mark.parametrize(
     'name', ['', '   ', 'x' * 61, 'two\nlines', 'bell\a', 'action:north', '\u200b']
 )
 def test_an_option_needs_a_name_that_can_be_shown(table: Table, name: str) -> None:
-    assert table.opened().lesson.carry_out(DefineOption(name)).status is RequestStatus.BAD_NAME
+    assert table.opened().ask(DefineOption(name)).status is RequestStatus.BAD_NAME
     assert table.lesson.phase is Phase.NO_OPTION
 
 
@@ -183,8 +156,8 @@ def test_one_question_is_asked_for_each_feature_in_the_words_of_the_paper(table:
 
 
 def test_an_answer_to_another_question_changes_nothing(table: Table) -> None:
-    table.defined().lesson.carry_out(AnswerQuestion(1, True))
-    again = table.lesson.carry_out(AnswerQuestion(1, True))
+    table.defined().ask(AnswerQuestion(1, True))
+    again = table.ask(AnswerQuestion(1, True))
     assert again.status is RequestStatus.NOT_ASKED
     assert 'question 2 is' in again.detail
     assert table.lesson.view.question_id == 2
@@ -201,7 +174,7 @@ def test_the_questions_are_asked_again_when_all_answers_are_no(table: Table) -> 
 
 def test_asking_again_forgets_the_answers_and_keeps_the_demonstrations(table: Table) -> None:
     met(table)
-    answer = table.lesson.carry_out(DefineOption(OPTION, ask_again=True))
+    answer = table.ask(DefineOption(OPTION, ask_again=True))
     assert (answer.status, answer.resumed) == (RequestStatus.OK, True)
     assert table.lesson.phase is Phase.ASKING
     assert table.lesson.view.n_demonstrations == 1
@@ -211,19 +184,19 @@ def test_asking_again_forgets_the_answers_and_keeps_the_demonstrations(table: Ta
 
 
 @pytest.mark.parametrize(
-    ('phase', 'request_name'),
+    ('phase', 'asked'),
     [
-        (Phase.NO_SESSION, 'open_session'),
-        (Phase.NO_OPTION, 'define_option'),
-        (Phase.ASKING, 'answer_question'),
+        (Phase.NO_SESSION, OpenSession('p2')),
+        (Phase.NO_OPTION, DefineOption('another')),
+        (Phase.ASKING, AnswerQuestion(1, yes=True)),
     ],
 )
 def test_a_full_disk_is_told_and_changes_nothing(
-    table: Table, monkeypatch: pytest.MonkeyPatch, phase: Phase, request_name: str
+    table: Table, monkeypatch: pytest.MonkeyPatch, phase: Phase, asked: LessonRequest
 ) -> None:
     before = TO_PHASE[phase](table).lesson.view
     with monkeypatch.context() as patch:
         fill_disk(patch)
-        assert REQUESTS[request_name](table).status is RequestStatus.NOT_SAVED
+        assert table.ask(asked).status is RequestStatus.NOT_SAVED
     assert table.lesson.view == before
-    assert REQUESTS[request_name](table).ok
+    assert table.ask(asked).ok
