@@ -32,7 +32,7 @@ from humanopts_teach.lesson.requests import (
     Verdict,
     WithdrawDemonstration,
 )
-from humanopts_teach.lesson.session_log import OptionHistory, question_text, SessionLog
+from humanopts_teach.lesson.session_log import OptionHistory, SessionLog
 from humanopts_teach.lesson.start_states import LessonRules, StartStates
 from humanopts_teach.lesson.store import DemonstrationStore
 
@@ -299,7 +299,7 @@ class Lesson:
             base,
             option_name=option.name,
             question_id=self._log.question_id,
-            question=question_text(option.name, feature) if feature is not None else '',
+            question=option.questions.text,
             question_feature=feature.name if feature is not None else '',
             questions_total=len(self._domain.features),
             chosen_features=option.questions.chosen,

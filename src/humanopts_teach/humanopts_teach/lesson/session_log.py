@@ -36,11 +36,6 @@ _RESERVED = 'action:'  # how option_server names primitive actions
 ALL_NO = 'Every answer was no, but an option depends on something: they are asked again.'
 
 
-def question_text(option_name: str, feature: Feature) -> str:
-    """Return the question as the paper words it (section 5)."""
-    return f"Does the '{option_name}' option depend on {feature.question}?"
-
-
 @dataclass(frozen=True)
 class Questions:
     """One question for each feature; when all are answered no, they are asked again."""
@@ -56,19 +51,27 @@ class Questions:
         return next((f for f in self.features if f.name not in self.answers), None)
 
     @property
+    def text(self) -> str:
+        """The open question as the paper words it (section 5); empty: none is open."""
+        feature = self.open
+        if feature is None:
+            return ''
+        return f"Does the '{self.option_name}' option depend on {feature.question}?"
+
+    @property
     def chosen(self) -> tuple[str, ...]:
         """Features answered yes, in the domain's order."""
         return tuple(f.name for f in self.features if self.answers.get(f.name, False))
 
     def answered(self, feature: str, yes: bool) -> 'Questions':
-        """Return the questions after one more answer; after the last "no" of all, none is kept."""
+        """Return the questions after one more answer; when all are "no", all are open again."""
         answers = {**self.answers, feature: yes}
         if all(answers.get(f.name) is False for f in self.features):
             answers = {}
         return replace(self, answers=answers)
 
     def again(self) -> 'Questions':
-        """Return the questions with no answer; what was chosen when all had one is kept beside."""
+        """Return the questions without answers; ``earlier`` keeps what was chosen before."""
         earlier = self.chosen if self.open is None else self.earlier
         return Questions(self.option_name, self.features, earlier=earlier)
 
@@ -82,7 +85,7 @@ class OptionHistory:
         self.demonstrations: list[Demonstration] = []  # those that count
         self.withdrawn: set[str] = set()  # uuids
         self._again: list[str] = []  # start states of what was withdrawn
-        self.number = 1  # of the next one, counted on; it also names the draw of its start state
+        self.number = 1  # of the next demonstration; it also keys the draw of its start state
 
     @property
     def n_trajectories(self) -> int:
@@ -96,7 +99,7 @@ class OptionHistory:
 
     @property
     def next_start(self) -> str:
-        """Where the next demonstration begins, as one that was withdrawn did; empty: anywhere."""
+        """Start state of the last one withdrawn, which comes next; empty: any may come."""
         return self._again[-1] if self._again else ''
 
     @property
