@@ -31,7 +31,7 @@ AUTHOR = 'humanopts'
 
 @dataclass(frozen=True)
 class Exported:
-    """A dataset that was written."""
+    """What was written as a dataset."""
 
     dataset_id: str
     episodes: int
@@ -58,7 +58,7 @@ def write_dataset(bag: Bag, out: Path) -> Exported:
         raise ExportError(
             'a Minari dataset needs minari, which is not installed: pip install "minari[arrow]"'
         ) from error
-    domain, whole = read_domain(bag), _Whole(read_episodes(bag))
+    domain, whole = read_domain(bag), _WholeEpisodes(read_episodes(bag))
     first = next(whole, None)
     if first is None:
         raise ExportError(f'{bag.path} holds no episode that was recorded without a gap')
@@ -92,7 +92,7 @@ def dataset_name(domain: Domain[Any], bag: Path) -> str:
     return '/'.join([AUTHOR, *parts]) + '-v0'
 
 
-class _Whole(Iterator[Episode]):
+class _WholeEpisodes(Iterator[Episode]):
     """The episodes that were recorded from their first state without a gap."""
 
     def __init__(self, episodes: Iterable[Episode]) -> None:
@@ -101,7 +101,7 @@ class _Whole(Iterator[Episode]):
 
     def __next__(self) -> Episode:
         for episode in self._episodes:
-            steps = [moment.step for moment in episode.transitions]
+            steps = [each.step for each in episode.transitions]
             if len(steps) > 1 and steps == list(range(len(steps))):
                 self.passed += 1
                 return episode
@@ -110,27 +110,27 @@ class _Whole(Iterator[Episode]):
 
 
 def _reset_options(begun: Beginnings, episode: Episode) -> dict[str, Any]:
-    """Return what takes the environment to the start of an episode, and to its chance."""
+    """Return the options of ``reset`` that repeat an episode: its start and its random draws."""
     first = episode.transitions[0].state
-    how = begun.get((namespace(episode.topic), episode.number, first))
-    if how is None:  # the request was not recorded: chance cannot be repeated
+    request = begun.get((namespace(episode.topic), episode.number, first))
+    if request is None:  # it was not recorded, so random draws cannot be repeated
         return {'state': first}
-    if how.start_state:
-        return {'state': how.start_state, 'game_seed': how.seed}
-    return {'game_seed': how.seed}
+    if request.start_state:
+        return {'state': request.start_state, 'game_seed': request.seed}
+    return {'game_seed': request.seed}
 
 
 def _columns(env: Any, episode: Episode) -> dict[str, Any]:
     """Return observations (T + 1), and actions, rewards and ends (T)."""
     domain: Domain[Any] = env.domain
     taken = episode.transitions[1:]
-    states = [domain.decode(moment.state) for moment in episode.transitions]
+    states = [domain.decode(each.state) for each in episode.transitions]
     return {
         'observations': np.array([env.observe(state) for state in states]),
-        'actions': np.array([action_index(domain, moment.previous_action) for moment in taken]),
-        'rewards': [moment.reward for moment in taken],
-        'terminations': [moment.terminated for moment in taken],
-        'truncations': [moment.truncated for moment in taken],
+        'actions': np.array([action_index(domain, each.previous_action) for each in taken]),
+        'rewards': [each.reward for each in taken],
+        'terminations': [each.terminated for each in taken],
+        'truncations': [each.truncated for each in taken],
     }
 
 
@@ -143,7 +143,7 @@ def _description(domain: Domain[Any]) -> str:
 
 @contextmanager
 def _looking_in(folder: Path) -> Iterator[None]:
-    """Have Minari keep its datasets in a folder."""
+    """Let Minari keep its datasets in a folder."""
     before = os.environ.get(FOLDER)
     os.environ[FOLDER] = str(folder)
     try:

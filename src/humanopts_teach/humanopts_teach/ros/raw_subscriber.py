@@ -43,10 +43,10 @@ class TopicSubscription:
 
 @dataclass
 class Found:
-    """What a look at the graph came to."""
+    """The result of a look at the graph."""
 
     added: list[TopicSubscription] = field(default_factory=list)
-    complete: bool = True  # each topic to record that is published is subscribed and matched
+    complete: bool = True  # all publishers of topics to record are matched by a subscription
 
 
 class Polled(CallbackGroup):
@@ -68,8 +68,8 @@ class RawSubscriber:
     """
     The subscriptions of a recorder.
 
-    Executors take one message at a time and look at every entity for each; taking all that
-    is queued every few milliseconds costs a twentieth of that.
+    Executors take one message at a time and look at every entity for each of them; to take all
+    queued messages every few milliseconds costs a twentieth of that.
     """
 
     def __init__(self, node: Node, selection: Selection) -> None:
@@ -228,4 +228,4 @@ def _arrival(taken: Taken) -> int:
 
 
 def _never_called(message: bytes) -> None:
-    """Stand where rclpy wants a callback."""
+    """Do nothing; rclpy asks for a callback."""
