@@ -73,7 +73,8 @@ LEVELS = (0.95, 1.0)  # of policy accuracy; the report says how many demonstrati
 GOALS = {('failures', 0.95): 15, ('failures', 1.0): 30}  # demonstrations at most, careful, Taxi
 NEAR = 10  # demonstrations by which "about 40" may be missed
 STYLES = {'random': ('C1', '--'), 'coverage': ('C3', '-.'), 'failures': ('C0', '-')}
-PACE = {act.__name__.lower(): seconds for act, seconds in SECONDS.items()}  # s, assumed
+ACTS = ('name of an option', 'answer', 'start state', 'step', 'end of a demonstration')
+PACE = dict(zip(ACTS, SECONDS.values(), strict=True))  # s, assumed
 GROUP_NAMES = {
     CAREFUL: 'simulated people without errors',
     VARIED: 'simulated people who differ',
