@@ -4,7 +4,7 @@ from collections.abc import Iterator
 import os
 
 from graph_support.command import DemoRun, shared_demo
-from graph_support.live import free_domain_id, Graph
+from graph_support.live import free_domain_id, Graph, open_graph
 from humanopts_ros.environment import prepare_discovery
 import pytest
 
@@ -14,26 +14,18 @@ os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ['TERM'] = 'xterm-256color'  # what the pseudo-terminals of the tests understand
 
 
-def _graph(folder: object) -> Iterator[Graph]:
-    with free_domain_id() as domain_id:
-        opened = Graph(folder, domain_id)
-        try:
-            yield opened
-        finally:
-            problems = opened.close()
-    assert not problems, '\n'.join(problems)
-
-
 @pytest.fixture
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     """A graph of one test."""
-    yield from _graph(tmp_path_factory.mktemp('graph'))
+    with open_graph(tmp_path_factory.mktemp('graph'), Graph) as graph:
+        yield graph
 
 
 @pytest.fixture(scope='module')
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     """A graph that the tests of a module share."""
-    yield from _graph(tmp_path_factory.mktemp('graph'))
+    with open_graph(tmp_path_factory.mktemp('graph'), Graph) as graph:
+        yield graph
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ import signal
 from typing import Any
 
 from graph_support.live import Graph, TEACHER
-from humanopts_env.ros import qos
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus
+from humanopts_ros import qos
 import pytest
 from rclpy.action import (
     get_action_client_names_and_types_by_node,

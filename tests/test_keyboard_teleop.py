@@ -17,6 +17,15 @@ import termios
 import time
 from typing import Any
 
+from graph_support.live import (
+    GAME,
+    Graph,
+    KEYBOARD,
+    LEARNER,
+    LESSON,
+    open_graph,
+    OPTION_SERVER,
+)
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.taxi import TaxiState
 from humanopts_env.domains.taxi_tables import landmark_cells
@@ -26,18 +35,12 @@ from humanopts_ros.qos import STREAM
 from humanopts_teach.bags.reader import open_bag
 import pyte
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 WIDTH, HEIGHT = 80, 24
 SIDE = 24  # column where the panel beside the board begins
 PICKUP = 'go to passenger and pickup'
 KEYS = {'down': '\x1b[B', 'up': '\x1b[A', 'right': '\x1b[C', 'left': '\x1b[D'}
 ENTER, ESCAPE, CTRL_C = '\r', '\x1b', '\x03'
-TELEOP = 'humanopts_teach.ros.keyboard_teleop'
 TAXI = make_domain('taxi')
 
 
@@ -124,24 +127,13 @@ class Terminal:
             os.close(self._open.pop())
 
 
-class Graph:
+class TerminalGraph(Graph):
     """The other nodes as processes, terminals on them, and a reader of the game's stream."""
 
     def __init__(self, folder: Path, domain_id: int) -> None:
-        self.folder = folder
-        self.domain_id = domain_id
-        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        super().__init__(folder, domain_id)
         self.terminals: list[Terminal] = []
         self.messages: list[Any] = []
-        self.context = Context()
-        rclpy.init(
-            context=self.context,
-            domain_id=domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self.node = Node('witness', context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
         self.subscriptions = [
             self.node.create_subscription(kind, topic, self.messages.append, STREAM)
             for kind, topic in (
@@ -152,35 +144,18 @@ class Graph:
             )
         ]
 
-    def start(self, step_period: float = 0.0) -> None:
+    def start_all(self, step_period: float = 0.0) -> None:
         """Start every node but the terminal."""
-        data = f'directory:={self.folder}'
-        self.run('humanopts_env.ros.game_node', f'step_period:={step_period}')
-        self.run('humanopts_learner.ros.learner_node', f'{data}/options')
-        self.run('humanopts_teach.ros.lesson_node', f'{data}/demonstrations', 'strategy:=failures')
-        self.run('humanopts_learner.ros.option_server')
-        deadline = time.monotonic() + 30.0
-        while not all(s.get_publisher_count() for s in self.subscriptions[:-1]):
-            assert time.monotonic() < deadline, 'the witness found no game or option server'
-            self.executor.spin_once(0.05)
-
-    def run(self, module: str, *parameters: str) -> None:
-        """Start a node."""
-        options = [part for text in parameters for part in ('-p', text)]
-        self.processes[module] = subprocess.Popen(
-            [sys.executable, '-m', module, '--ros-args', *options],
-            env=environment(self.domain_id),
-        )
-
-    def kill(self, module: str) -> None:
-        """End a node as its crash would."""
-        process = self.processes.pop(module)
-        process.terminate()
-        process.wait(20)
+        self.start(GAME, step_period=step_period)
+        self.start(LEARNER, directory=self.folder / 'options')
+        self.start(LESSON, directory=self.folder / 'demonstrations', strategy='failures')
+        self.start(OPTION_SERVER)
+        streams = self.subscriptions[:-1]
+        self.until(lambda: all(s.get_publisher_count() for s in streams), 'game, option server')
 
     def terminal(self) -> Terminal:
         """Start a terminal on the graph."""
-        terminal = Terminal(self.domain_id, '-m', TELEOP)
+        terminal = Terminal(self.domain_id, '-m', KEYBOARD)
         self.terminals.append(terminal)
         return terminal
 
@@ -197,31 +172,24 @@ class Graph:
         found: list[Any] = []
 
         def look() -> bool:
-            self.executor.spin_once(0.02)
+            self.spin()
             found.extend(m for m in self.messages if isinstance(m, kind) and condition(m))
             return bool(found)
 
         terminal.until(look, f'a {kind.__name__}')
         return found[0]
 
-    def close(self) -> None:
-        """End everything."""
+    def close(self) -> list[str]:
+        """End everything; say which processes did not end as they should."""
         for terminal in self.terminals:
             terminal.close()
-        for process in self.processes.values():
-            process.terminate()
-        for process in self.processes.values():
-            process.wait(20)
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
+        return super().close()
 
 
 @pytest.fixture
-def graph(tmp_path: Path, domain_id: int) -> Iterator[Graph]:
-    opened = Graph(tmp_path, domain_id)
-    yield opened
-    opened.close()
+def graph(tmp_path: Path) -> Iterator[TerminalGraph]:
+    with open_graph(tmp_path, TerminalGraph) as opened:
+        yield opened
 
 
 class Person:
@@ -285,8 +253,8 @@ class Person:
         return [*keys, ENTER]
 
 
-def test_an_option_is_taught_by_key_presses_left_resumed_and_run(graph: Graph) -> None:
-    graph.start()
+def test_an_option_is_taught_by_key_presses_left_resumed_and_run(graph: TerminalGraph) -> None:
+    graph.start_all()
     terminal = graph.sit_down()
     person = Person(terminal)
     person.name_and_answer()
@@ -320,8 +288,8 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(graph: Graph) -
     assert again.restored()
 
 
-def test_a_key_takes_the_wheel_from_the_machine(graph: Graph) -> None:
-    graph.start(step_period=0.3)
+def test_a_key_takes_the_wheel_from_the_machine(graph: TerminalGraph) -> None:
+    graph.start_all(step_period=0.3)
     terminal = graph.sit_down()
     person = Person(terminal)
     person.name_and_answer()
@@ -366,8 +334,8 @@ def test_a_key_takes_the_wheel_from_the_machine(graph: Graph) -> None:
     assert sum(persons(state, 'dropoff') for state in states) == 1
 
 
-def test_a_key_changes_how_the_machine_plays_within_the_episode(graph: Graph) -> None:
-    graph.start(step_period=0.3)
+def test_a_key_changes_how_the_machine_plays_within_the_episode(graph: TerminalGraph) -> None:
+    graph.start_all(step_period=0.3)
     graph.run('humanopts_learner.ros.planner_node')
     terminal = graph.sit_down()
     terminal.press('3')
@@ -391,10 +359,10 @@ def test_a_key_changes_how_the_machine_plays_within_the_episode(graph: Graph) ->
     assert run.first_step > 0
 
 
-def test_a_lesson_that_dies_is_named_and_the_terminal_still_quits(graph: Graph) -> None:
-    graph.start()
+def test_a_lesson_that_dies_is_named_and_the_terminal_still_quits(graph: TerminalGraph) -> None:
+    graph.start_all()
     terminal = graph.sit_down()
-    graph.kill('humanopts_teach.ros.lesson_node')
+    graph.kill(LESSON, signal.SIGTERM)
     terminal.see('lesson: not there. Everything taught is saved; Ctrl-C quits.')
     terminal.press(CTRL_C)
     assert terminal.ended() == 0
@@ -437,7 +405,7 @@ def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
         terminal.close()
 
 
-def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(graph: Graph) -> None:
+def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(graph: TerminalGraph) -> None:
     terminal = graph.terminal()
     terminal.see('Waiting for the game')
     terminal.see('game, lesson: not there.')
@@ -447,7 +415,7 @@ def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(graph: Graph) -> N
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_signals_end_it_cleanly(graph: Graph, number: signal.Signals) -> None:
+def test_signals_end_it_cleanly(graph: TerminalGraph, number: signal.Signals) -> None:
     terminal = graph.terminal()
     terminal.see('Waiting for the game')
     terminal.process.send_signal(number)
@@ -455,7 +423,7 @@ def test_signals_end_it_cleanly(graph: Graph, number: signal.Signals) -> None:
     assert terminal.restored()
 
 
-def test_a_connection_that_is_cut_ends_it(graph: Graph) -> None:
+def test_a_connection_that_is_cut_ends_it(graph: TerminalGraph) -> None:
     terminal = graph.terminal()
     terminal.see('Waiting for the game')
     terminal.hang_up()
@@ -479,7 +447,7 @@ def test_an_exception_restores_the_terminal(domain_id: int) -> None:
 
 def test_without_a_terminal_it_says_so_in_one_line(domain_id: int) -> None:
     done = subprocess.run(
-        [sys.executable, '-m', TELEOP],
+        [sys.executable, '-m', KEYBOARD],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,

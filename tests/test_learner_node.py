@@ -235,8 +235,5 @@ def test_a_folder_that_cannot_be_used_is_named_in_one_line(
     learning: Learning, tmp_path: Path
 ) -> None:
     (tmp_path / 'file').write_text('')
-    process = learning.graph.start(LEARNER, '/', directory=str(tmp_path / 'file'))
-    process.expected = {2}
-    assert process.ended() == 2
-    (line,) = process.said().splitlines()
+    line = learning.graph.refused(LEARNER, directory=tmp_path / 'file')
     assert f'cannot use the folder {tmp_path / "file"}' in line

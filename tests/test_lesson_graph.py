@@ -1,14 +1,11 @@
 """The lesson over the real graph: game, learner and teacher as processes, the test as a person."""
 
-from collections.abc import Callable, Iterator
-import os
+from collections.abc import Iterator
 from pathlib import Path
 import signal
-import subprocess
-import sys
-import time
 from typing import Any
 
+from graph_support.live import GAME, Graph, LEARNER, LESSON, open_graph, OPTION_SERVER, TEACHER
 from humanopts_interfaces.msg import (
     ActionCommand,
     ControlState,
@@ -29,40 +26,20 @@ from humanopts_interfaces.srv import (
     ResetGame,
     WithdrawDemonstration,
 )
-from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
+from humanopts_ros.qos import LATCHED, STREAM
 from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
 START = 'taxi 0,1 passenger R destination G'
 CHOSEN = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col', 'passenger_in_taxi')
-GAME, LEARNER = 'humanopts_env.ros.game_node', 'humanopts_learner.ros.learner_node'
-OPTION_SERVER = 'humanopts_learner.ros.option_server'
-LESSON = 'humanopts_teach.ros.lesson_node'
-TEACHER = 'humanopts_teach.ros.simulated_teacher'
 
 
-class Graph:
-    """Processes of one test, and a node that sees and asks what a person does."""
+class LessonGraph(Graph):
+    """The test does and sees what a person does who teaches."""
 
     def __init__(self, folder: Path, domain_id: int) -> None:
-        self.folder, self.domain_id = folder, domain_id
-        self.processes: dict[str, subprocess.Popen[str]] = {}
-        self.context = Context()
-        rclpy.init(
-            context=self.context,
-            domain_id=domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self.node = Node('person', context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.statuses: dict[str, NodeStatus] = {}
+        super().__init__(folder, domain_id)
         self.shown: list[Demonstration] = []
         self.latest: dict[type, Any] = {}
         for kind, topic in (
@@ -72,9 +49,6 @@ class Graph:
             (GameState, 'current_state'),
         ):
             self.node.create_subscription(kind, topic, self._keep, LATCHED)
-        self.node.create_subscription(
-            NodeStatus, 'node_status', lambda m: self.statuses.update({m.node: m}), LATCHED_ALL
-        )
         self.node.create_subscription(Demonstration, 'demonstrations', self.shown.append, STREAM)
         self.keys = self.node.create_publisher(ActionCommand, 'action', STREAM)
 
@@ -87,46 +61,10 @@ class Graph:
         state: LessonState = self.latest[LessonState]
         return state
 
-    def start(self, module: str, **parameters: Any) -> None:
-        """Start a node in its own process."""
-        arguments = [f'{name}:={value}' for name, value in parameters.items()]
-        options = [part for text in arguments for part in ('-p', text)]
-        command = [sys.executable, '-m', module, '--ros-args', *options]
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain_id)}
-        self.processes[module] = subprocess.Popen(
-            command, env=environment, text=True, stderr=subprocess.PIPE
-        )
-
     def start_lesson(self, **parameters: Any) -> None:
         """Start the lesson and wait until it is ready."""
         self.start(LESSON, directory=self.folder / 'demonstrations', **parameters)
         self.ready('/lesson')
-
-    def ready(self, *names: str) -> None:
-        """Wait until nodes are ready."""
-        self.until(
-            lambda: all(self._state(name) == NodeStatus.STATE_READY for name in names),
-            f'{names} to be ready',
-        )
-
-    def _state(self, name: str) -> int:
-        return self.statuses[name].state if name in self.statuses else 0
-
-    def until(self, condition: Callable[[], bool], what: str, seconds: float = 30.0) -> None:
-        """Serve the node until a condition holds."""
-        deadline = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < deadline, f'waited in vain for {what}'
-            self.executor.spin_once(0.05)
-
-    def ask(self, kind: Any, service: str, /, **fields: Any) -> Any:
-        """Call a service."""
-        client = self.node.create_client(kind, service)
-        self.until(client.service_is_ready, f'service {service}')
-        future = client.call_async(kind.Request(**fields))
-        self.until(future.done, f'an answer of {service}')
-        self.node.destroy_client(client)
-        return future.result()
 
     def phase(self, phase: int) -> None:
         """Wait until the lesson is in a phase."""
@@ -185,32 +123,14 @@ class Graph:
         self.phase(LessonState.PHASE_READY)
         return str(ended.uuid)
 
-    def kill(self, module: str, how: signal.Signals = signal.SIGKILL) -> tuple[int, str]:
-        """End a process; return its status and what it said."""
-        process = self.processes.pop(module)
-        process.send_signal(how)
-        said = process.communicate(timeout=20)[1]
-        return process.returncode, said
-
-    def close(self) -> None:
-        """End everything."""
-        for process in self.processes.values():
-            process.terminate()
-        for process in self.processes.values():
-            process.communicate(timeout=20)
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
-
 
 @pytest.fixture
-def graph(tmp_path: Path, domain_id: int) -> Iterator[Graph]:
-    opened = Graph(tmp_path, domain_id)
-    yield opened
-    opened.close()
+def graph(tmp_path: Path) -> Iterator[LessonGraph]:
+    with open_graph(tmp_path, LessonGraph) as opened:
+        yield opened
 
 
-def teach(graph: Graph, **parameters: Any) -> None:
+def teach(graph: LessonGraph, **parameters: Any) -> None:
     """Have the simulated teacher teach, and wait until it says that it has finished."""
     graph.start(GAME)
     graph.start(LEARNER, directory=graph.folder / 'options')
@@ -218,24 +138,21 @@ def teach(graph: Graph, **parameters: Any) -> None:
     graph.ready('/game', '/learner')
     graph.start(TEACHER, error_rate=0.05, **parameters)
     graph.until(
-        lambda: (
-            '/simulated_teacher' in graph.statuses
-            and bool(graph.statuses['/simulated_teacher'].text)
-        ),
+        lambda: bool(graph.statuses.get('/simulated_teacher', [NodeStatus()])[-1].text),
         'the teacher to finish',
         seconds=90,
     )
-    status = graph.statuses['/simulated_teacher']
+    status = graph.statuses['/simulated_teacher'][-1]
     assert (status.state, status.text) == (NodeStatus.STATE_READY, 'finished')
 
 
-def uuids(graph: Graph) -> list[str]:
+def uuids(graph: LessonGraph) -> list[str]:
     """Return the demonstrations, each once: a learner that is found late gets them again."""
     return list(dict.fromkeys(message.uuid for message in graph.shown))
 
 
-def test_the_simulated_teacher_teaches_until_the_criteria_hold(graph: Graph) -> None:
-    teach(graph, options=f"['{PICKUP}','{DROPOFF}']")
+def test_the_simulated_teacher_teaches_until_the_criteria_hold(graph: LessonGraph) -> None:
+    teach(graph, options=[PICKUP, DROPOFF])
     assert graph.lesson.phase == LessonState.PHASE_FINISHED
     assert 'All criteria hold' in graph.lesson.text
     learned = {option.option_name: option for option in graph.latest[LearningStatus].options}
@@ -250,20 +167,17 @@ def test_the_simulated_teacher_teaches_until_the_criteria_hold(graph: Graph) -> 
     assert numbers == list(range(1, len(numbers) + 1))
 
 
-def test_the_same_seed_gives_the_same_lesson(tmp_path: Path, domain_id: int) -> None:
+def test_the_same_seed_gives_the_same_lesson(tmp_path: Path) -> None:
     lessons = []
     for name in ('first', 'second'):
-        graph = Graph(tmp_path / name, domain_id)
-        try:
-            teach(graph, options=f"['{PICKUP}']")
+        with open_graph(tmp_path / name, LessonGraph) as graph:
+            teach(graph, options=[PICKUP])
             lessons.append(uuids(graph))
-        finally:
-            graph.close()
     assert lessons[0] == lessons[1]
     assert len(lessons[0]) > 5
 
 
-def test_a_lesson_that_was_killed_goes_on_where_it_was(graph: Graph) -> None:
+def test_a_lesson_that_was_killed_goes_on_where_it_was(graph: LessonGraph) -> None:
     graph.start(GAME)
     graph.start(LEARNER, directory=graph.folder / 'options')
     graph.start_lesson()
@@ -293,7 +207,7 @@ def test_a_lesson_that_was_killed_goes_on_where_it_was(graph: Graph) -> None:
     graph.until(lambda: graph.shown[-1].number == 2, 'demonstration 2')
 
 
-def test_a_learner_that_comes_late_gets_every_demonstration(graph: Graph) -> None:
+def test_a_learner_that_comes_late_gets_every_demonstration(graph: LessonGraph) -> None:
     graph.start(GAME)
     graph.start_lesson(learner_deadline=0.2)
     graph.taught_up_to_ready()
@@ -310,7 +224,7 @@ def test_a_learner_that_comes_late_gets_every_demonstration(graph: Graph) -> Non
     assert graph.latest[LearningStatus].options[0].last_uuid == graph.shown[0].uuid
 
 
-def test_what_is_taken_back_is_unlearned_and_run_no_more(graph: Graph) -> None:
+def test_what_is_taken_back_is_unlearned_and_run_no_more(graph: LessonGraph) -> None:
     graph.start(GAME)
     graph.start(LEARNER, directory=graph.folder / 'options')
     graph.start(OPTION_SERVER)
@@ -352,7 +266,7 @@ def test_what_is_taken_back_is_unlearned_and_run_no_more(graph: Graph) -> None:
 
 @pytest.mark.parametrize('refuses', [False, True])
 def test_a_learner_that_missed_something_gets_it_once_it_is_heard_again(
-    graph: Graph, refuses: bool
+    graph: LessonGraph, refuses: bool
 ) -> None:
     graph.start(GAME)
     graph.start_lesson(learner_deadline=5.0 if refuses else 0.2)
@@ -378,7 +292,7 @@ def test_a_learner_that_missed_something_gets_it_once_it_is_heard_again(
     assert graph.shown[-1].uuid == uuid
 
 
-def test_a_person_gets_clear_refusals_and_can_go_on(graph: Graph) -> None:
+def test_a_person_gets_clear_refusals_and_can_go_on(graph: LessonGraph) -> None:
     graph.start(GAME)
     graph.start_lesson(learner_deadline=0.2)
     graph.phase(LessonState.PHASE_NO_SESSION)
@@ -403,7 +317,7 @@ def test_a_person_gets_clear_refusals_and_can_go_on(graph: Graph) -> None:
     assert graph.end(episode, 1).status == EndDemonstration.Response.STATUS_OK
 
 
-def test_a_reset_by_somebody_else_ends_the_demonstration(graph: Graph) -> None:
+def test_a_reset_by_somebody_else_ends_the_demonstration(graph: LessonGraph) -> None:
     graph.start(GAME)
     graph.start_lesson()
     graph.taught_up_to_ready()
@@ -415,7 +329,7 @@ def test_a_reset_by_somebody_else_ends_the_demonstration(graph: Graph) -> None:
     assert graph.begin() == episode + 2
 
 
-def test_without_a_game_the_lesson_says_so_and_stays_ready(graph: Graph) -> None:
+def test_without_a_game_the_lesson_says_so_and_stays_ready(graph: LessonGraph) -> None:
     graph.start(GAME)
     graph.start_lesson()
     graph.taught_up_to_ready()
@@ -429,10 +343,10 @@ def test_without_a_game_the_lesson_says_so_and_stays_ready(graph: Graph) -> None
 
 
 @pytest.mark.parametrize('module', [LESSON, TEACHER])
-def test_a_node_ends_cleanly_on_sigterm(graph: Graph, module: str) -> None:
+def test_a_node_ends_cleanly_on_sigterm(graph: LessonGraph, module: str) -> None:
     graph.start(GAME)
     graph.start_lesson()
-    graph.start(TEACHER, options=f"['{PICKUP}']")
+    graph.start(TEACHER, options=[PICKUP])
     graph.ready('/simulated_teacher')
     assert graph.kill(module, signal.SIGTERM) == (0, '')
 
@@ -443,31 +357,23 @@ def test_a_node_ends_cleanly_on_sigterm(graph: Graph, module: str) -> None:
         (LESSON, {'strategy': 'guess'}, "'guess' is none of random"),
         (LESSON, {'budget': 0}, 'budget'),
         (LESSON, {'participant': 'no code', 'directory': 'DIRECTORY'}, 'not a code'),
-        (TEACHER, {'options': '[fly]'}, "no reference option 'fly'"),
+        (TEACHER, {'options': ['fly']}, "no reference option 'fly'"),
         (TEACHER, {'error_rate': 2.0}, 'error_rate'),
-        (TEACHER, {'options': '[]'}, 'no option'),
+        (TEACHER, {'options': ['']}, 'no option'),
     ],
 )
 def test_a_node_that_cannot_start_says_why_in_one_line(
-    graph: Graph, module: str, parameters: dict[str, Any], says: str
+    graph: LessonGraph, module: str, parameters: dict[str, Any], says: str
 ) -> None:
     graph.start(GAME)
     given = {
         name: graph.folder if value == 'DIRECTORY' else value for name, value in parameters.items()
     }
-    graph.start(module, **given)
-    process = graph.processes.pop(module)
-    said = process.communicate(timeout=20)[1]
-    assert process.returncode == 2
-    assert says in said
-    assert len(said.splitlines()) == 1
+    assert says in graph.refused(module, **given)
 
 
-def test_two_lessons_cannot_share_a_folder(graph: Graph) -> None:
+def test_two_lessons_cannot_share_a_folder(graph: LessonGraph) -> None:
     graph.start(GAME)
     with DemonstrationStore(graph.folder / 'demonstrations'):
-        graph.start(LESSON, directory=graph.folder / 'demonstrations')
-        process = graph.processes.pop(LESSON)
-        said = process.communicate(timeout=20)[1]
-    assert process.returncode == 2
-    assert 'another lesson has it open' in said
+        line = graph.refused(LESSON, directory=graph.folder / 'demonstrations')
+    assert 'another lesson has it open' in line

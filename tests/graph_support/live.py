@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from typing import Any
+from typing import Any, TypeVar
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.qos import LATCHED_ALL, STREAM
@@ -119,6 +119,7 @@ class Graph:
     """Processes of one test or module, and a node that sees and asks."""
 
     def __init__(self, folder: Path, domain_id: int) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.domain_id = folder, domain_id
         self.started: list[NodeProcess] = []
         self.statuses: dict[str, list[NodeStatus]] = {}  # by full node name, in order
@@ -141,6 +142,24 @@ class Graph:
             ['-m', module, '--ros-args', '-r', f'__ns:={namespace}'], module, parameters
         )
 
+    def newest(self, module: str) -> NodeProcess:
+        """Return the process of a node that was started last."""
+        return [process for process in self.started if process.name == module][-1]
+
+    def kill(self, module: str, how: signal.Signals = signal.SIGKILL) -> tuple[int, str]:
+        """End a node by a signal; return its exit status and what it said."""
+        process = self.newest(module)
+        return process.kill(how), process.said()
+
+    def refused(self, module: str, namespace: str = '/', /, **parameters: Any) -> str:
+        """Start a node that cannot start; return the line that says why."""
+        process = self.start(module, namespace, **parameters)
+        process.expected = {2}
+        assert process.ended() == 2, process.said()
+        (line,) = process.said().splitlines()
+        assert line.startswith('humanopts: ')
+        return line
+
     def run(
         self,
         command: list[str],
@@ -152,7 +171,8 @@ class Graph:
         stem = self.folder / f'{len(self.started)}-{name}'
         if parameters:
             file = stem.with_suffix('.yaml')
-            tree = {'/**': {'ros__parameters': parameters}}
+            plain = {k: str(v) if isinstance(v, Path) else v for k, v in parameters.items()}
+            tree = {'/**': {'ros__parameters': plain}}
             file.write_text(yaml.safe_dump(tree))
             command = [*command, '--params-file', str(file)]
         log = stem.with_suffix('.stderr')
@@ -171,18 +191,24 @@ class Graph:
         """Serve the test's node until a condition holds."""
         deadline = time.monotonic() + seconds
         while not condition():
-            assert time.monotonic() < deadline, f'waited in vain for {what}'
-            self._executor.spin_once(0.02)
+            if time.monotonic() > deadline:
+                dead = [p for p in self.started if p.process.poll() not in (None, 0)]
+                said = '\n'.join(f'{p.name}: {p.said()}' for p in dead)
+                raise AssertionError(f'waited in vain for {what}\n{said}')
+            self.spin()
+
+    def spin(self) -> None:
+        """Serve the test's node a moment."""
+        self._executor.spin_once(0.02)
 
     def ready(self, *names: str) -> None:
         """Wait until nodes, by full name, are ready."""
-        missing = list(names)
-        deadline = time.monotonic() + 30.0
-        while missing := [name for name in missing if self.state(name) != NodeStatus.STATE_READY]:
-            dead = [p for p in self.started if p.process.poll() not in (None, 0)]
-            said = '\n'.join(p.said() for p in dead)
-            assert time.monotonic() < deadline, f'not ready: {", ".join(missing)}\n{said}'
-            self._executor.spin_once(0.02)
+        for name in names:
+            self.until(
+                lambda name=name: self.state(name) == NodeStatus.STATE_READY,
+                f'{name} to be ready',
+                30.0,
+            )
 
     def state(self, name: str) -> int:
         """Return the last state that a node was in; 0: it has not said yet."""
@@ -246,3 +272,18 @@ class Graph:
                 lambda status: self.statuses.setdefault(status.node, []).append(status),
                 LATCHED_ALL,
             )
+
+
+G = TypeVar('G', bound=Graph)
+
+
+@contextmanager
+def open_graph(folder: Path, kind: type[G]) -> Iterator[G]:
+    """Open a graph of its own; end everything in it, and check that it ended as it should."""
+    with free_domain_id() as domain_id:
+        graph = kind(folder, domain_id)
+        try:
+            yield graph
+        finally:
+            problems = graph.close()
+    assert not problems, '\n'.join(problems)
