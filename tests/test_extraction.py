@@ -4,9 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 from action_msgs.msg import GoalStatus
-from graph_support.live import Goal, Graph
+from graph_support.live import Goal, Graph, PLANNER
 from graph_support.planning import Planning, start_planning
 from graph_support.scripted import taught, TAXI
+from humanopts_env.ros.game_node import GameNode
 from humanopts_interfaces.action import ExtractOptions
 from humanopts_interfaces.msg import (
     ExtractionGoal,
@@ -171,9 +172,10 @@ def test_a_request_that_makes_no_sense_is_refused_in_words(
 
 
 def test_who_asks_is_answered_when_the_planner_ends(live: Graph) -> None:
-    planning = start_planning(live, episodes=1, seed=SEED)
-    planner = next(p for p in live.started if 'planner' in p.name)
-    goal = begin(planning, **ENDLESS)
+    live.host(GameNode)
+    planner = live.start(PLANNER)
+    live.ready('/planner')
+    goal = live.act(ExtractOptions, 'extract_options', seed=SEED, **ENDLESS)
     live.until(lambda: goal.feedback, 'progress')
     planner.process.terminate()
     _, result = goal.result(5.0)

@@ -7,9 +7,10 @@ from pathlib import Path
 import signal
 from typing import Any
 
-from graph_support.live import GAME, Graph, LEARNER, NodeProcess
+from graph_support.live import Graph, LEARNER, NodeProcess
 from graph_support.scripted import DELIVER, expert, FETCH, TAXI, walk
 from humanopts_env.domains.registry import make_domain
+from humanopts_env.ros.game_node import GameNode
 from humanopts_interfaces.msg import Demonstration as DemonstrationMessage
 from humanopts_interfaces.msg import DemonstrationReceipt, LearnedOptions, LearningStatus
 from humanopts_learner.demonstrations import Demonstration
@@ -35,7 +36,7 @@ class Learning:
         self.receipts = graph.listen(DemonstrationReceipt, 'demonstration_receipts')
         self.statuses = graph.listen(LearningStatus, 'learning_status', LATCHED)
         self.options = graph.listen(LearnedOptions, 'learned_options', LATCHED)
-        graph.start(GAME)
+        graph.host(GameNode)
         self.process = self.start()
 
     def start(self) -> NodeProcess:

@@ -5,18 +5,20 @@ import signal
 from typing import Any
 
 from action_msgs.msg import GoalStatus
-from graph_support.live import GAME, Goal, Graph, PLANNER
+from graph_support.live import Goal, Graph, PLANNER
 from graph_support.planning import Planning, start_planning
 from graph_support.player import PERSON
 from graph_support.scripted import FETCH, taught, TAXI
 from humanopts_env.ros.convert import domain_to_info
+from humanopts_env.ros.game_node import GameNode
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import DomainInfo, PlanResult, PolicyResult
 from humanopts_learner.planning.any_domain import judge_plan
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.plan import make_plan
-from humanopts_ros.qos import LATCHED
+from humanopts_ros.qos import LATCHED, LATCHED_ALL
 import pytest
+from rcl_interfaces.msg import Log
 
 OPTIONS = taught()
 FIRST_ONLY = [option for option in OPTIONS if option.name == FETCH]
@@ -97,11 +99,13 @@ def test_some_of_the_options_can_be_planned_with(planning: Planning) -> None:
 
 
 def test_an_option_that_cannot_be_read_does_not_hide_the_others(planning: Planning) -> None:
+    logged = planning.graph.listen(Log, '/rosout', LATCHED_ALL)
     planning.teach(OPTIONS, spoilt=['spoilt'])
     result = planning.plan('human')
     assert tuple(result.option_names) == make_plan(TAXI, 'human', OPTIONS).names
-    said = planning.graph.started[-1].said
-    planning.graph.until(lambda: "'spoilt' in learned_options" in said(), 'the error')
+    planning.graph.until(
+        lambda: any("'spoilt' in learned_options" in entry.msg for entry in logged), 'the error'
+    )
 
 
 def test_judging_is_canceled_at_once(planning: Planning) -> None:
@@ -267,7 +271,7 @@ def test_a_goal_that_comes_before_the_game_waits_for_it_a_while(live: Graph) -> 
 @pytest.fixture
 def long(live: Graph) -> Goal:
     """A plan that takes long, under way."""
-    live.start(GAME, domain_parameters=HUGE)
+    live.host(GameNode, domain_parameters=HUGE)
     live.start(PLANNER)
     live.ready('/game', '/planner')
     goal = live.act(Plan, 'plan', action_set='primitive', gamma=0.999)

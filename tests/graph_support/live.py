@@ -15,12 +15,14 @@ import time
 from typing import Any, TypeVar
 
 from humanopts_interfaces.msg import NodeStatus
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import LATCHED_ALL, STREAM
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 import yaml
 
@@ -33,6 +35,7 @@ TEACHER = 'humanopts_teach.ros.simulated_teacher'
 RECORDER = 'humanopts_teach.ros.recorder'
 KEYBOARD = 'humanopts_teach.ros.keyboard_teleop'
 
+N = TypeVar('N', bound=NodeBase)
 _IDS = range(10, 100)
 _TURN = itertools.count(os.getpid())
 
@@ -132,6 +135,7 @@ class Graph:
         self.node = Node('person', context=self.context)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
+        self._hosted: list[NodeBase] = []
         self._clients: dict[str, Any] = {}
         self._watched: set[str] = set()
 
@@ -141,6 +145,15 @@ class Graph:
         return self.run(
             ['-m', module, '--ros-args', '-r', f'__ns:={namespace}'], module, parameters
         )
+
+    def host(self, node: type[N], namespace: str = '/', /, **parameters: Any) -> N:
+        """Start a node in the test's own process; it works while the test waits."""
+        self.watch(namespace)
+        given = [Parameter(name, value=_plain(value)) for name, value in parameters.items()]
+        hosted = node(context=self.context, namespace=namespace, parameter_overrides=given)
+        self._executor.add_node(hosted)
+        self._hosted.append(hosted)
+        return hosted
 
     def newest(self, module: str) -> NodeProcess:
         """Return the process of a node that was started last."""
@@ -171,7 +184,7 @@ class Graph:
         stem = self.folder / f'{len(self.started)}-{name}'
         if parameters:
             file = stem.with_suffix('.yaml')
-            plain = {k: str(v) if isinstance(v, Path) else v for k, v in parameters.items()}
+            plain = {name: _plain(value) for name, value in parameters.items()}
             tree = {'/**': {'ros__parameters': plain}}
             file.write_text(yaml.safe_dump(tree))
             command = [*command, '--params-file', str(file)]
@@ -257,8 +270,11 @@ class Graph:
                 status = started.ended()
             if status not in started.expected or 'Traceback' in started.said():
                 problems.append(f'{started.name} ended with {status}: {started.said()}')
+        for node in self._hosted:
+            node.close()
         self._executor.shutdown()
-        self.node.destroy_node()
+        for node in (*self._hosted, self.node):
+            node.destroy_node()
         self.context.try_shutdown()
         return problems
 
@@ -272,6 +288,11 @@ class Graph:
                 lambda status: self.statuses.setdefault(status.node, []).append(status),
                 LATCHED_ALL,
             )
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as a parameter can have it."""
+    return str(value) if isinstance(value, Path) else value
 
 
 G = TypeVar('G', bound=Graph)

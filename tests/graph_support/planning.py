@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from humanopts_env.ros.game_node import GameNode
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import (
     LearnedOptions,
@@ -14,9 +15,11 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.ros.option_server import OptionServerNode
+from humanopts_learner.ros.planner_node import PlannerNode
 from humanopts_ros.qos import LATCHED
 
-from graph_support.live import GAME, Goal, Graph, OPTION_SERVER, PLANNER
+from graph_support.live import Goal, Graph
 from graph_support.player import Player
 
 
@@ -74,8 +77,8 @@ class Planning:
 
 def start_planning(graph: Graph, *, episodes: int, seed: int, **game_parameters: Any) -> Planning:
     """Start a game with everything that plays it; return it once it is ready."""
-    graph.start(GAME, **game_parameters)
-    for module in (OPTION_SERVER, PLANNER):
-        graph.start(module)
+    graph.host(GameNode, **game_parameters)
+    for node in (OptionServerNode, PlannerNode):
+        graph.host(node)
     graph.ready('/game', '/option_server', '/planner')
     return Planning(graph, episodes=episodes, seed=seed)

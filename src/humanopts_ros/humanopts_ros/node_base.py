@@ -43,8 +43,14 @@ class NodeBase(Node):
     recorder has matched every publisher, so that the first message is in the bag.
     """
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, **options: Any) -> None:
+        """
+        Declare the parameters that all nodes have, and say that the node starts.
+
+        :param options: as of rclpy's Node, such as context and namespace.
+        :raises StartError: a parameter is wrong.
+        """
+        super().__init__(name, **options)
         self.publisher_id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
         self._stamped: list[StampedPublisher[Any]] = []
         self._hidden: list[str] = []  # topics of services and actions

@@ -39,8 +39,8 @@ _HOLDER_LOOKS = 2  # that must miss it in a row, since a new node is heard befor
 class GameNode(NodeBase):
     """Publishes what the game comes to, and refuses in words what it does not take."""
 
-    def __init__(self) -> None:
-        super().__init__('game')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('game', **options)
         self._game = Game(self._read_domain())
         natural = IntegerRange(from_value=0, to_value=2**62, step=1)
         self._seed = self.setting('seed', 0, 'of the first episode', integer_range=[natural])

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 import sys
+from typing import Any
 
 from humanopts_env.domains.base import DomainError
 from humanopts_env.ros.convert import domain_from_info
@@ -30,8 +31,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 class LearnerNode(NodeBase):
     """Takes demonstrations, keeps them, and publishes what was learned from them."""
 
-    def __init__(self) -> None:
-        super().__init__('learner')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('learner', **options)
         self._directory = Path(
             self.setting('directory', 'options', 'folder of option files and of the data set')
         )

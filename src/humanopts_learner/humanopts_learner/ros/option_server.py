@@ -2,6 +2,7 @@
 
 from pathlib import Path
 import sys
+from typing import Any
 
 from humanopts_env.domains.base import DomainError
 from humanopts_env.ros.convert import domain_from_info
@@ -37,8 +38,8 @@ class OptionServerNode(NodeBase):
     Beside them it serves the automatic ones of ``planner``.
     """
 
-    def __init__(self) -> None:
-        super().__init__('option_server')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('option_server', **options)
         self._directory = self.setting(
             'options_directory', '', 'folder of option files to serve from the start; empty: none'
         )

@@ -106,8 +106,8 @@ class PlanAction(LongAction[PlanResult]):
 class PlannerNode(NodeBase):
     """Plans, and looks for options, in threads of its own; plays through the option server."""
 
-    def __init__(self) -> None:
-        super().__init__('planner')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('planner', **options)
         self._state = PlannerState()
         self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
         self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
