@@ -144,7 +144,7 @@ class _InProcess:
                     self._learn(answer.demonstration)
 
     def _begin(self, prepared: Answer) -> None:
-        moment = self._game.reset(prepared.state, prepared.seed, Source.PERSON).moment
+        moment = self._game.reset(prepared.state, prepared.seed, Source.PERSON).transition
         if moment is None:
             raise LessonError(f'the game does not begin in {prepared.state}')
         self._lesson.began(moment.episode, moment.state)
@@ -155,7 +155,7 @@ class _InProcess:
         reply = self._game.command(command)
         if not isinstance(reply, Accepted):
             raise LessonError(f'the game refused {act.action}: {reply.detail}')
-        self._see(reply.moment)
+        self._see(reply.transition)
 
     def _see(self, moment: Transition) -> None:
         self._moment = moment

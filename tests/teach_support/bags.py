@@ -74,11 +74,11 @@ def numbered(sequence: int, publisher: str = '/game#1') -> GameState:
 def play(domain: Domain[Any], actions: list[str]) -> list[Transition]:
     """Play one episode."""
     game = Game(domain)
-    first = game.reset('', 3, Source.MACHINE).moment
+    first = game.reset('', 3, Source.MACHINE).transition
     assert first is not None
     moments = [first]
     for action in actions:
         number = len(moments)
         game.command(Command('/x#1', number, Source.MACHINE, 1, number - 1, action))
-        moments.append(game.moment)
+        moments.append(game.transition)
     return moments

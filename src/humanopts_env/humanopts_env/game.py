@@ -90,7 +90,7 @@ class Transition:
         return self.episode > 0 and not self.terminated and not self.truncated
 
 
-def moment_from_message(message: Any) -> Transition:
+def transition_from_message(message: Any) -> Transition:
     """
     Decode a ``GameState``, from rclpy or from a bag reader.
 
@@ -115,7 +115,7 @@ class Control:
 class Accepted:
     """A command that was carried out."""
 
-    moment: Transition
+    transition: Transition
     control: Control | None  # where the command claimed control; None: nothing changed
 
 
@@ -136,7 +136,7 @@ class ResetReply:
 
     status: ResetStatus
     detail: str = ''
-    moment: Transition | None = None  # the first of the new episode; None where refused
+    transition: Transition | None = None  # the first of the new episode; None where refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +152,7 @@ class Game:
     """
     One game of a domain. Whatever is refused changes nothing.
 
-    :ivar moment: where the game is; episode 0 before the first reset.
+    :ivar transition: where the game is; episode 0 before the first reset.
     :ivar control: who drives.
     :ivar paused: why no command is carried out now; empty: they are.
     """
@@ -160,7 +160,7 @@ class Game:
     def __init__(self, domain: Domain[Any]) -> None:
         """Set up the game; no episode is begun."""
         self.domain = domain
-        self.moment = Transition()
+        self.transition = Transition()
         self.control = Control(Holder.NOBODY, '', 'the game started')
         self.paused = ''
         self._state: Any = None
@@ -185,8 +185,8 @@ class Game:
         except StateError as error:
             return ResetReply(ResetStatus.BAD_STATE, str(error))
         self._rng, self._state = rng, state
-        self.moment = Transition(self.moment.episode + 1, 0, *self._observed())
-        return ResetReply(ResetStatus.OK, '', self.moment)
+        self.transition = Transition(self.transition.episode + 1, 0, *self._observed())
+        return ResetReply(ResetStatus.OK, '', self.transition)
 
     def command(self, command: Command) -> Accepted | Refused:
         """Take one step, or say why not."""
@@ -205,7 +205,7 @@ class Game:
 
     def refuse(self, command: Command, reason: Reason, detail: str) -> Refused:
         """Return the refusal of a command."""
-        return Refused(reason, detail, command, self.moment.episode, self.moment.step)
+        return Refused(reason, detail, command, self.transition.episode, self.transition.step)
 
     def set_control(self, hold: bool, holder_id: str) -> ControlReply:
         """
@@ -233,7 +233,7 @@ class Game:
 
     def _objection(self, command: Command) -> tuple[Reason, str] | None:
         """Return why the command must be refused; None where it can be carried out."""
-        moment, machine = self.moment, command.source == Source.MACHINE
+        transition, machine = self.transition, command.source == Source.MACHINE
         if self.paused:
             return Reason.PAUSED, self.paused
         if command.source not in (Source.PERSON, Source.MACHINE):
@@ -242,12 +242,12 @@ class Game:
             return Reason.NO_SUCH_SOURCE, 'a command of a person must carry its publisher_id'
         if self._held_by_another('' if machine else command.publisher_id):
             return Reason.HELD_BY_PERSON, self._held()
-        if not moment.open:
+        if not transition.open:
             return Reason.EPISODE_OVER, self._ending()
-        if machine and (command.episode, command.step) != (moment.episode, moment.step):
+        if machine and (command.episode, command.step) != (transition.episode, transition.step):
             return Reason.STALE, (
                 f'it answers episode {command.episode} step {command.step}, and the game is at '
-                f'episode {moment.episode} step {moment.step}'
+                f'episode {transition.episode} step {transition.step}'
             )
         try:
             action_index(self.domain, command.action)
@@ -259,9 +259,9 @@ class Game:
         action = action_index(self.domain, command.action)
         outcome = self.domain.step(self._state, action, self._rng)
         self._state = outcome.state
-        step = self.moment.step + 1
-        self.moment = Transition(
-            self.moment.episode,
+        step = self.transition.step + 1
+        self.transition = Transition(
+            self.transition.episode,
             step,
             *self._observed(),
             previous_action=command.action,
@@ -272,7 +272,7 @@ class Game:
             terminated=outcome.terminated,
             truncated=not outcome.terminated and 0 < self.domain.max_steps <= step,
         )
-        return self.moment
+        return self.transition
 
     def _start(self, text: str) -> Any:
         state = self.domain.decode(text)
@@ -295,10 +295,10 @@ class Game:
         return f'control is held by the person at {self.control.holder_id}'
 
     def _ending(self) -> str:
-        if self.moment.episode == 0:
+        if self.transition.episode == 0:
             return 'no episode was begun; call reset_game'
-        why = 'the task is over' if self.moment.terminated else 'it was cut off at max_steps'
-        return f'episode {self.moment.episode} has ended: {why}; call reset_game'
+        why = 'the task is over' if self.transition.terminated else 'it was cut off at max_steps'
+        return f'episode {self.transition.episode} has ended: {why}; call reset_game'
 
 
 def _no_such_source(source: int) -> str:

@@ -87,31 +87,31 @@ def test_a_refused_command_is_answered_and_changes_nothing(case: str) -> None:
     """Every reason, in words, with the command and what is current; control is not claimed."""
     make, command, reason, words = REFUSALS[case]
     game = make()
-    moment, control = game.moment, game.control
+    transition, control = game.transition, game.control
     answer = game.command(command)
     assert isinstance(answer, Refused)
     assert answer.reason is reason
     assert words in answer.detail
     assert answer.command == command
-    assert (answer.episode, answer.step) == (moment.episode, moment.step)
-    assert (game.moment, game.control) == (moment, control)
+    assert (answer.episode, answer.step) == (transition.episode, transition.step)
+    assert (game.transition, game.control) == (transition, control)
 
 
 def test_before_the_first_reset_nothing_is_there() -> None:
     """Episode 0 says that no episode was begun."""
     game = Game(Taxi())
-    assert game.moment == Transition(episode=0, state='', features=())
-    assert not game.moment.open
+    assert game.transition == Transition(episode=0, state='', features=())
+    assert not game.transition.open
     assert (game.control.holder, game.control.holder_id) == (Holder.NOBODY, '')
 
 
 def test_a_machine_step_is_the_transition_that_led_to_the_next_state() -> None:
-    """The moment carries s, a, r, s' and who chose a."""
+    """The transition carries s, a, r, s' and who chose a."""
     game = begun()
     answer = game.command(MACHINE)
     assert isinstance(answer, Accepted)
     assert answer.control is None
-    assert asdict(answer.moment) == {
+    assert asdict(answer.transition) == {
         'episode': 1,
         'step': 1,
         'state': 'taxi 1,3 passenger R destination B',
@@ -124,7 +124,7 @@ def test_a_machine_step_is_the_transition_that_led_to_the_next_state() -> None:
         'terminated': False,
         'truncated': False,
     }
-    assert game.moment == answer.moment
+    assert game.transition == answer.transition
 
 
 def test_a_repeated_machine_command_is_applied_once() -> None:
@@ -134,7 +134,7 @@ def test_a_repeated_machine_command_is_applied_once() -> None:
     again = game.command(MACHINE)
     assert isinstance(again, Refused)
     assert again.reason is Reason.STALE
-    assert game.moment.step == 1
+    assert game.transition.step == 1
 
 
 def test_a_persons_first_key_claims_control_whatever_step_it_names() -> None:
@@ -145,7 +145,7 @@ def test_a_persons_first_key_claims_control_whatever_step_it_names() -> None:
     assert answer.control == game.control
     assert (game.control.holder, game.control.holder_id) == (Holder.PERSON, ANNA)
     assert game.control.reason
-    assert (answer.moment.step, answer.moment.action_source) == (1, Source.PERSON)
+    assert (answer.transition.step, answer.transition.action_source) == (1, Source.PERSON)
     refused = game.command(replace(MACHINE, step=1))
     assert isinstance(refused, Refused)
     assert refused.reason is Reason.HELD_BY_PERSON
@@ -160,24 +160,24 @@ def test_a_persons_later_keys_do_not_change_control() -> None:
 
 
 def test_an_episode_ends_with_the_delivery() -> None:
-    """The last moment says so, and is not cut off."""
+    """The last transition says so, and is not cut off."""
     game = ended()
-    assert (game.moment.terminated, game.moment.truncated) == (True, False)
-    assert game.moment.reward == 1
-    assert not game.moment.open
+    assert (game.transition.terminated, game.transition.truncated) == (True, False)
+    assert game.transition.reward == 1
+    assert not game.transition.open
 
 
 def test_an_episode_is_cut_off_at_max_steps() -> None:
     """The task is not over then."""
     game = cut_off()
-    assert (game.moment.terminated, game.moment.truncated) == (False, True)
+    assert (game.transition.terminated, game.transition.truncated) == (False, True)
 
 
 def test_a_delivery_in_the_last_step_is_no_cut() -> None:
     """The end of the task counts."""
     game = begun('taxi 4,3 passenger aboard destination B', max_steps=1)
     game.command(replace(MACHINE, action='dropoff'))
-    assert (game.moment.terminated, game.moment.truncated) == (True, False)
+    assert (game.transition.terminated, game.transition.truncated) == (True, False)
 
 
 def test_an_episode_without_max_steps_is_never_cut_off() -> None:
@@ -185,15 +185,15 @@ def test_an_episode_without_max_steps_is_never_cut_off() -> None:
     game = begun(max_steps=0)
     for step in range(3):
         game.command(replace(MACHINE, step=step))
-    assert game.moment.open
+    assert game.transition.open
 
 
 def test_each_reset_begins_the_next_episode() -> None:
     """Episodes count from 1, steps from 0, and nobody led to the first state."""
     game = ended()
     reply = game.reset(START, 0, Source.PERSON)
-    assert (reply.status, reply.moment) == (ResetStatus.OK, game.moment)
-    assert game.moment == Transition(2, 0, START, (2, 3, 0, 0, 4, 3, 0, 0, 0, 0))
+    assert (reply.status, reply.transition) == (ResetStatus.OK, game.transition)
+    assert game.transition == Transition(2, 0, START, (2, 3, 0, 0, 4, 3, 0, 0, 0, 0))
     assert isinstance(game.command(replace(MACHINE, episode=2)), Accepted)
 
 
@@ -201,7 +201,7 @@ def test_an_empty_start_state_is_drawn_by_seed() -> None:
     """The same seed draws the same state, others draw others; seeds may have 64 bits."""
     seeds = (0, 0, 1, 2, 3, 2**64 - 1)
     replies = [begun().reset('', seed, Source.MACHINE) for seed in seeds]
-    states = [reply.moment.state for reply in replies if reply.moment]
+    states = [reply.transition.state for reply in replies if reply.transition]
     assert len(states) == len(seeds)
     assert states[0] == states[1]
     assert len(set(states)) > 3
@@ -220,11 +220,11 @@ def test_an_empty_start_state_is_drawn_by_seed() -> None:
 def test_a_bad_start_state_is_refused_and_the_episode_goes_on(state: str, words: str) -> None:
     """The reason is said, and nothing is lost."""
     game = begun()
-    moment = game.moment
+    transition = game.transition
     reply = game.reset(state, 0, Source.MACHINE)
-    assert (reply.status, reply.moment) == (ResetStatus.BAD_STATE, None)
+    assert (reply.status, reply.transition) == (ResetStatus.BAD_STATE, None)
     assert words in reply.detail
-    assert game.moment == moment
+    assert game.transition == transition
 
 
 @pytest.mark.parametrize('source', [0, 3])
@@ -241,7 +241,7 @@ def test_a_machine_cannot_reset_what_a_person_drives() -> None:
     refused = game.reset(START, 0, Source.MACHINE)
     assert refused.status is ResetStatus.HELD_BY_PERSON
     assert ANNA in refused.detail
-    assert game.moment.episode == 1
+    assert game.transition.episode == 1
     control = game.control
     assert game.reset(START, 0, Source.PERSON).status is ResetStatus.OK
     assert game.control == control

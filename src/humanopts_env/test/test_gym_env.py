@@ -183,17 +183,17 @@ def test_game_seed_gives_the_episode_of_the_node_game(name: str, start: bool) ->
     domain = make_domain(name)
     text = domain.encode(domain.reset(generator(3, 'start'))) if start else ''
     env, game = spec_of(domain).make().unwrapped, Game(domain)
-    moment = game.reset(text, 9, Source.MACHINE).moment
+    transition = game.reset(text, 9, Source.MACHINE).transition
     env.reset(options={'game_seed': 9, **({'state': text} if start else {})})
     rng = generator(0, 'gymnasium')
-    while moment is not None and moment.open and moment.step < 30:
+    while transition is not None and transition.open and transition.step < 30:
         action = int(rng.integers(4))
-        at = moment.episode, moment.step
+        at = transition.episode, transition.step
         game.command(Command('/x#1', 1, Source.MACHINE, *at, domain.actions[action].name))
-        moment = game.moment
+        transition = game.transition
         observed, *outcome, _ = env.step(action)
-        assert np.array_equal(observed, env.observe(domain.decode(moment.state)))
-        assert outcome == [moment.reward, moment.terminated, moment.truncated]
+        assert np.array_equal(observed, env.observe(domain.decode(transition.state)))
+        assert outcome == [transition.reward, transition.terminated, transition.truncated]
 
 
 def test_any_domain_whose_states_can_be_listed_has_an_environment() -> None:

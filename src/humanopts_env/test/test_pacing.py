@@ -38,12 +38,12 @@ def reasons(results: list[Result]) -> list[tuple[Command, Reason]]:
 
 def test_a_command_waits_and_is_carried_out_when_it_is_due(game: Game, pacing: Pacing) -> None:
     """Once."""
-    assert game.moment.step == 0
+    assert game.transition.step == 0
     (result,) = pacing.due()
     assert isinstance(result, Accepted)
-    assert result.moment.previous_action == 'north'
+    assert result.transition.previous_action == 'north'
     assert pacing.due() == []
-    assert game.moment.step == 1
+    assert game.transition.step == 1
 
 
 def test_another_command_for_the_same_step_is_refused_as_stale(game: Game, pacing: Pacing) -> None:
@@ -51,7 +51,7 @@ def test_another_command_for_the_same_step_is_refused_as_stale(game: Game, pacin
     (refusal,) = pacing.offer(SECOND)
     assert reasons([refusal]) == [(SECOND, Reason.STALE)]
     assert "'north' waits" in refusal.detail
-    assert game.moment.step == 0
+    assert game.transition.step == 0
     assert pacing.waiting is FIRST
 
 
@@ -67,7 +67,7 @@ def test_a_key_is_not_delayed_and_overtakes_what_waits(game: Game, pacing: Pacin
     """The person holds control from then on."""
     (result,) = pacing.offer(KEY)
     assert isinstance(result, Accepted)
-    assert game.moment.previous_action == 'west'
+    assert game.transition.previous_action == 'west'
     assert reasons(pacing.due()) == [(FIRST, Reason.HELD_BY_PERSON)]
 
 

@@ -77,7 +77,7 @@ class Lesson:
         game = Game(self._domain)
         game.reset('', number, Source.MACHINE)
         for step in range(STEPS + 1):
-            state = transition_to_message(game.moment)
+            state = transition_to_message(game.transition)
             state.episode, state.action_publisher_id = number, '/n#1'
             state.action_sequence = (number - 1) * STEPS + step
             self._send('/game_state', state)

@@ -43,14 +43,14 @@ def entries(
     sent = 0
     for number in range(1, episodes + 1):
         start = domain.encode(domain.reset(rng)) if number % 2 else ''
-        moment = game.reset(start, number + 40, Source.MACHINE).moment
+        moment = game.reset(start, number + 40, Source.MACHINE).transition
         assert moment is not None
         yield from events(number, start, moment.state)
         yield '/game_state', f'{MESSAGES}GameState', transition_to_message(moment)
-        while game.moment.open and game.moment.step < STEPS:
+        while game.transition.open and game.transition.step < STEPS:
             sent += 1
             action = domain.actions[rng.integers(len(domain.actions))].name
-            at = game.moment.step
+            at = game.transition.step
             command = Command('/option_server#1', sent, Source.MACHINE, number, at, action)
             game.command(command)
             yield (
@@ -63,7 +63,7 @@ def entries(
                     option_name=f'module {sent % 2}',
                 ),
             )
-            yield '/game_state', f'{MESSAGES}GameState', transition_to_message(game.moment)
+            yield '/game_state', f'{MESSAGES}GameState', transition_to_message(game.transition)
     yield (
         '/plan_results',
         f'{MESSAGES}PlanResult',

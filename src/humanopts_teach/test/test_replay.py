@@ -15,12 +15,12 @@ COMMANDS = (('/o#1', 1, 'fetch'), ('/o#1', 2, 'action:south'))
 def episode(domain: Domain[Any], actions: list[str], number: int = 1) -> Episode:
     """Play one episode from a known state."""
     game = Game(domain)
-    first = game.reset(START, 0, Source.MACHINE).moment
+    first = game.reset(START, 0, Source.MACHINE).transition
     assert first is not None
     moments = [first]
     for at, action in enumerate(actions):
         game.command(Command('/o#1', at + 1, Source.MACHINE, 1, at, action))
-        moments.append(game.moment)
+        moments.append(game.transition)
     return Episode('/game_state', '/game#1', number, tuple(moments), (0, 0))
 
 

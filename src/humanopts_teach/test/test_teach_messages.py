@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.game import moment_from_message, Source, Transition
+from humanopts_env.game import Source, Transition, transition_from_message
 from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_interfaces import msg, srv
 from humanopts_interfaces.msg import Criterion, LessonState, NodeStatus
@@ -79,7 +79,7 @@ def test_a_moment_of_the_game_survives_the_way_through_a_message() -> None:
     moment = Transition(
         2, 5, 'here', (1, 0, 3), 'east', Source.PERSON, '/p#1', 9, -1.0, True, False
     )
-    assert moment_from_message(transition_to_message(moment)) == moment
+    assert transition_from_message(transition_to_message(moment)) == moment
 
 
 @pytest.mark.parametrize(

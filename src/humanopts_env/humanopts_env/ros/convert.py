@@ -62,11 +62,11 @@ def domain_from_info(info: DomainInfo) -> Domain[Hashable]:
     return domain
 
 
-def transition_to_message(moment: Transition) -> GameState:
+def transition_to_message(transition: Transition) -> GameState:
     """Encode where the game is; header, publisher_id and sequence are left to the publisher."""
-    values = asdict(moment)
-    values['features'] = list(moment.features)
-    values['action_source'] = int(moment.action_source)
+    values = asdict(transition)
+    values['features'] = list(transition.features)
+    values['action_source'] = int(transition.action_source)
     return GameState(**values)
 
 

@@ -71,7 +71,7 @@ class GameNode(NodeBase):
         self._info.publish(domain_to_info(self._game.domain))
         self._send_control(self._game.control)
         self._game.reset('', self._seed, Source.MACHINE)
-        self._send_moment(self._game.moment)
+        self._send_transition(self._game.transition)
 
     def _read_domain(self) -> Domain[Any]:
         name = self.setting('domain', 'taxi', 'registered name of the domain')
@@ -102,16 +102,16 @@ class GameNode(NodeBase):
             return
         if result.control is not None:
             self._send_control(result.control)
-        self._send_moment(result.moment)
+        self._send_transition(result.transition)
 
     def _on_reset(
         self, request: ResetGame.Request, response: ResetGame.Response
     ) -> ResetGame.Response:
         reply = self._game.reset(request.start_state, request.seed, request.source)
         response.status, response.detail = int(reply.status), reply.detail
-        if reply.moment is not None:
-            response.episode, response.state = reply.moment.episode, reply.moment.state
-            self._send_moment(reply.moment)
+        if reply.transition is not None:
+            response.episode, response.state = reply.transition.episode, reply.transition.state
+            self._send_transition(reply.transition)
         return response
 
     def _on_set_control(
@@ -138,9 +138,9 @@ class GameNode(NodeBase):
     def _send_control(self, control: Control) -> None:
         self._send(self._control, control_to_message(control))
 
-    def _send_moment(self, moment: Transition) -> None:
+    def _send_transition(self, transition: Transition) -> None:
         for publisher in (self._stream, self._current):
-            self._send(publisher, transition_to_message(moment))
+            self._send(publisher, transition_to_message(transition))
 
     def _send(self, publisher: StampedPublisher[Any], message: Any) -> None:
         """Publish a message; where something waits on its topic already, it waits behind it."""

@@ -8,7 +8,7 @@ from typing import Any, overload
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
-from humanopts_env.game import moment_from_message, Source, Transition
+from humanopts_env.game import Source, Transition, transition_from_message
 from humanopts_learner.demonstrations import (
     Demonstration,
     demonstration_from_message,
@@ -247,7 +247,7 @@ def _transitions(bag: Bag, group: EpisodeMessages) -> Iterator[Transition]:
         if state is not None:
             with bag.skipping_missing_fields(group.topic):
                 try:
-                    yield moment_from_message(state)
+                    yield transition_from_message(state)
                 except ValueError as error:
                     bag.note(f'a message on {group.topic} is left out: {error}')
 

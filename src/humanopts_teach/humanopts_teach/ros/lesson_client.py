@@ -9,7 +9,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
-from humanopts_env.game import moment_from_message, Transition
+from humanopts_env.game import Transition, transition_from_message
 from humanopts_env.ros.convert import domain_from_info
 from humanopts_interfaces import msg, srv
 from humanopts_ros.environment import prepare_discovery
@@ -241,7 +241,7 @@ class LessonClient:
             self._tell()
 
     def _on_game(self, message: msg.GameState) -> None:
-        self.game = moment_from_message(message)
+        self.game = transition_from_message(message)
         self._on_news()
         answered = Answer(RequestStatus.OK, '')
         for drive, sequence, _ in list(self._driven):

@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
-from humanopts_env.game import moment_from_message
+from humanopts_env.game import transition_from_message
 from humanopts_env.ros.convert import domain_from_info
 from humanopts_interfaces.msg import (
     Demonstration as DemonstrationMessage,
@@ -272,7 +272,7 @@ class LessonNode(NodeBase):
     def _on_game_state(self, message: GameState) -> None:
         if self._lesson is None:
             return
-        if self._lesson.saw(moment_from_message(message)):
+        if self._lesson.saw(transition_from_message(message)):
             self._show()
         self.waiting.look()
 
