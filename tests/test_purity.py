@@ -16,7 +16,9 @@ MODULES = sorted(
     path for package in PACKAGES for path in (SOURCE / package / package).rglob('*.py')
 )
 OUTSIDE = sorted(path for name in ORDER[-2:] for path in (SOURCE.parent / name).rglob('*.py'))
-PURE = [path for path in MODULES if 'ros' not in path.parts]
+PURE = [path for path in MODULES if 'ros' not in path.relative_to(SOURCE).parts]
+PURE_OF_ROS = ('humanopts_ros.environment', 'humanopts_ros.recording')
+PURE += [SOURCE / 'humanopts_ros' / f'{name.replace(".", "/")}.py' for name in PURE_OF_ROS]
 ROS = ('rclpy', 'humanopts_interfaces', 'rcl_interfaces', 'builtin_interfaces', 'action_msgs')
 
 
@@ -36,6 +38,8 @@ def imports(path: Path) -> Iterator[str]:
 
 def is_ros(name: str) -> bool:
     top = name.partition('.')[0]
+    if top == 'humanopts_ros':
+        return not name.startswith(PURE_OF_ROS)
     return top in ROS or top.endswith(('_msgs', '_srvs', '_interfaces'))
 
 

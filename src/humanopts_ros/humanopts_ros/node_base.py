@@ -75,6 +75,10 @@ class NodeBase(Node):
         logger: RcutilsLogger = super().get_logger()  # type: ignore[no-untyped-call]
         return logger
 
+    def destroy_node(self) -> None:
+        """Give up everything that the node has on the graph."""
+        super().destroy_node()  # type: ignore[no-untyped-call]
+
     def setting(self, name: str, default: Any, description: str, **limits: Any) -> Any:
         """
         Declare a read-only parameter and return its value.

@@ -72,6 +72,6 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     finally:
         executor.shutdown()
         if node is not None:
-            node.destroy_node()  # type: ignore[no-untyped-call]
+            node.destroy_node()
         try_shutdown()
     return int(node is not None and node.failed)
