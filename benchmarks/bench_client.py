@@ -18,7 +18,7 @@ from humanopts_interfaces.srv import ResetGame, RunOption
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import LATCHED_ALL, STREAM
-from rclpy.action import ActionClient
+from rclpy.action.client import ActionClient
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -159,8 +159,11 @@ class _Parties:
         self._plan = plan
         self._reset = _Resetter('bench_reset')
         self._game, self._echo = _Stepper('bench_step'), _Stepper('bench_echo', 'bare/')
-        self._runs = {'service': _Caller('bench_run'), 'action': _Actor('bench_act')}
-        self._bare = {
+        self._runs: dict[str, _Caller | _Actor] = {
+            'service': _Caller('bench_run'),
+            'action': _Actor('bench_act'),
+        }
+        self._bare: dict[str, _Caller | _Actor] = {
             'service': _Caller('bench_call', 'bare/'),
             'action': _Actor('bench_goal', 'bare/'),
         }

@@ -13,8 +13,7 @@ from humanopts_interfaces.srv import RunOption
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, STREAM
-from rclpy.action import ActionServer
-from rclpy.action.server import ServerGoalHandle
+from rclpy.action.server import ActionServer, ServerGoalHandle
 
 _RESULT_TIMEOUT = 10  # s, as option_server has it
 
@@ -59,8 +58,10 @@ class BenchPeer(NodeBase):
         self._state = message
 
     def _on_command(self, command: ActionCommand) -> None:
-        self._state.episode, self._state.step = command.episode, command.step + 1
-        self._states.publish(self._state)
+        state = self._state
+        if state is not None:
+            state.episode, state.step = command.episode, command.step + 1
+            self._states.publish(state)
 
     def _on_run(
         self, request: RunOption.Request, response: RunOption.Response

@@ -35,7 +35,8 @@ class BenchReader(NodeBase):
             self.create_timer(_TAKE_PERIOD, self._take)
         else:
             for topic, kind in KINDS.items():
-                self.create_subscription(kind, topic, self._count, STREAM, raw=True)
+                count: Any = self._count  # rclpy's types know no information beside a message
+                self.create_subscription(kind, topic, count, STREAM, raw=True)
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
         """Take messages until the end, and then those that are still on their way."""

@@ -147,7 +147,11 @@ class Graph:
         )
 
     def host(self, node: type[N], namespace: str = '/', /, **parameters: Any) -> N:
-        """Start a node in the test's own process; it works while the test waits."""
+        """
+        Start a node in the test's own process; it works while the test waits.
+
+        Whole episodes are slower so: one executor then looks at all ends of all nodes each time.
+        """
         self.watch(namespace)
         given = [Parameter(name, value=_plain(value)) for name, value in parameters.items()]
         hosted = node(context=self.context, namespace=namespace, parameter_overrides=given)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-from humanopts_env.ros.game_node import GameNode
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import (
     LearnedOptions,
@@ -15,11 +14,9 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.ros.option_server import OptionServerNode
-from humanopts_learner.ros.planner_node import PlannerNode
 from humanopts_ros.qos import LATCHED
 
-from graph_support.live import Goal, Graph
+from graph_support.live import GAME, Goal, Graph, OPTION_SERVER, PLANNER
 from graph_support.player import Player
 
 
@@ -77,8 +74,8 @@ class Planning:
 
 def start_planning(graph: Graph, *, episodes: int, seed: int, **game_parameters: Any) -> Planning:
     """Start a game with everything that plays it; return it once it is ready."""
-    graph.host(GameNode, **game_parameters)
-    for node in (OptionServerNode, PlannerNode):
-        graph.host(node)
+    graph.start(GAME, **game_parameters)
+    for module in (OPTION_SERVER, PLANNER):
+        graph.start(module)
     graph.ready('/game', '/option_server', '/planner')
     return Planning(graph, episodes=episodes, seed=seed)

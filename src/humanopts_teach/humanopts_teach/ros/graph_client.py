@@ -26,9 +26,10 @@ from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import RECORDER, Value
 from humanopts_teach.lesson.simulated_teacher import FINISHED
 import rclpy
-from rclpy.action import ActionClient
+from rclpy.action.client import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
 
 M = TypeVar('M')
 _PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
@@ -110,7 +111,7 @@ class GraphClient:
         self.node.drain()
         self._executor.shutdown()
         self.node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
 
     def wait(
         self,

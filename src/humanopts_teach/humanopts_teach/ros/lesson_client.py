@@ -35,6 +35,7 @@ import rclpy
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.task import Future
+from rclpy.utilities import try_shutdown
 
 CARRIED_OUT = (RequestStatus.OK, RequestStatus.NO_FEATURE)  # with the last, all is asked again
 _PATIENCE = 30.0  # s
@@ -293,4 +294,4 @@ def run_with_lesson(
     finally:
         executor.shutdown()
         node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()

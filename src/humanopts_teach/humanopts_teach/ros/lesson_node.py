@@ -133,7 +133,7 @@ class LessonNode(NodeBase):
         )
         self._session = self.setting('session', '', 'its session; empty: a new one')
         self._store = open_store(self)
-        self._lesson: Lesson | None = None
+        self._opened: Lesson | None = None  # once the game is known
         self._state_out = self.stamped_publisher(LessonState, 'lesson_state', LATCHED)
         self._demonstrations_out = self.stamped_publisher(DemonstrationMessage, 'demonstrations')
         self._unsent: deque[Demonstration] = deque()
@@ -155,17 +155,22 @@ class LessonNode(NodeBase):
             RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
         )
 
+    @property
+    def _lesson(self) -> Lesson:
+        """The lesson; what needs it is served or heard once the game is known."""
+        assert self._opened is not None
+        return self._opened
+
     # The start and the end of the node.
 
     def waits_for(self) -> str | None:
         """Wait for the rules of the game and for its stream of states."""
-        if self._lesson is None:
+        if self._opened is None:
             return 'domain_info'
         return None if self._game_states.get_publisher_count() else 'game_state'
 
     def on_ready(self) -> None:
         """Publish all demonstrations again, and where the lesson stands."""
-        assert self._lesson is not None
         self._unsent.extend(self._lesson.demonstrations())
         self._show()
 
@@ -174,13 +179,13 @@ class LessonNode(NodeBase):
         self._store.close()
 
     def _on_domain(self, info: DomainInfo) -> None:
-        if self._lesson is not None:
+        if self._opened is not None:
             return
         try:
             domain = domain_from_info(info)
         except DomainError as error:
             raise StartError(str(error)) from error
-        self._lesson = self._make_lesson(domain)
+        self._opened = self._make_lesson(domain)
         self._serve()
 
     def _make_lesson(self, domain: Domain[Any]) -> Lesson:
@@ -270,7 +275,7 @@ class LessonNode(NodeBase):
     # What game and the learner tell.
 
     def _on_game_state(self, message: GameState) -> None:
-        if self._lesson is None:
+        if self._opened is None:
             return
         if self._lesson.saw(transition_from_message(message)):
             self._show()
@@ -326,7 +331,7 @@ class LessonNode(NodeBase):
         self._show()
 
     def _tick(self) -> None:
-        if self._lesson is None:
+        if self._opened is None:
             return
         late = time.monotonic() - self._asked_learner > self._learner_deadline
         if self._lesson.awaited and late:

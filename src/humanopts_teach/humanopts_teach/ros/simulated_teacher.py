@@ -9,9 +9,8 @@ from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
-from humanopts_teach.lesson.requests import Drive
+from humanopts_teach.lesson.requests import Drive, LessonRequest
 from humanopts_teach.lesson.simulated_teacher import (
-    Act,
     Finish,
     FINISHED,
     SimulatedTeacher,
@@ -54,6 +53,7 @@ class SimulatedTeacherNode(NodeBase):
 
     def on_ready(self) -> None:
         """Begin to teach."""
+        assert self.executor is not None, 'the node is served'
         self.executor.create_task(self._teach)
 
     def _read_settings(self) -> TeacherSettings:
@@ -120,25 +120,30 @@ class SimulatedTeacherNode(NodeBase):
         state = NodeStatus.STATE_PAUSED if cause else NodeStatus.STATE_READY
         self.set_status(state, cause or FINISHED)
 
-    async def _next_act(self) -> Act:
+    async def _next_act(self) -> LessonRequest | Drive | Finish:
         """
         Return what to do next, once there is anything to do.
 
         :raises NoAnswerError: nothing has changed in time.
         """
-        client, reason, since = self._client, '', 0.0
-        while isinstance(act := self._teacher.next_act(client.lesson, client.game), Wait):
+        client, teacher, reason, since = self._client, self._teacher, '', 0.0
+        assert teacher is not None, 'the node waited for the game'
+        while True:
+            lesson, game = client.lesson, client.game
+            assert lesson is not None, 'the node waited for the lesson'
+            act = teacher.next_act(lesson, game)
+            if not isinstance(act, Wait):
+                return act
             if act.reason != reason:
                 reason, since = act.reason, time.monotonic()
-            seen = (client.lesson, client.game)
-            left = since + self._deadline - time.monotonic()
-            if not await self.waiting.until(
-                lambda seen=seen: (client.lesson, client.game) != seen, left
-            ):
-                raise NoAnswerError(f'gave up after {self._deadline:g} s of waiting for {reason}')
-        return act
 
-    async def _do(self, act: Act) -> None:
+            def is_news(seen: tuple[Any, Any] = (lesson, game)) -> bool:
+                return (client.lesson, client.game) != seen
+
+            if not await self.waiting.until(is_news, since + self._deadline - time.monotonic()):
+                raise NoAnswerError(f'gave up after {self._deadline:g} s of waiting for {reason}')
+
+    async def _do(self, act: LessonRequest | Drive) -> None:
         if isinstance(act, Drive):
             await self._client.drive(act.action)
         else:

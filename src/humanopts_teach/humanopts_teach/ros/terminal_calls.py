@@ -19,7 +19,7 @@ from humanopts_teach.lesson.requests import (
 from humanopts_teach.ros.lesson_client import CARRIED_OUT, LessonClient
 from humanopts_teach.terminal import requests as ask
 from humanopts_teach.terminal.app import App
-from rclpy.action import ActionClient
+from rclpy.action.client import ActionClient
 from rclpy.client import Client
 from rclpy.task import Future
 
@@ -86,9 +86,10 @@ class Calls:
     def _ready(self, request: ask.Request) -> bool:
         """Tell whether the server is matched: a request that is sent before would be lost."""
         if isinstance(request, ask.Run):
-            return self._actions[type(request)].server_is_ready()
-        if type(request) in self._services:
-            return self._services[type(request)].service_is_ready()
+            return bool(self._actions[type(request)].server_is_ready())
+        if isinstance(request, ask.NewEpisode | ask.ListOptions | ask.SetExecution):
+            return bool(self._services[type(request)].service_is_ready())
+        assert not isinstance(request, ask.CancelRun), 'it goes to the run under way'
         return self._client.is_ready(request)
 
     def _reply(self, reply: ask.Reply) -> None:
@@ -100,6 +101,8 @@ class Calls:
 
         :raises PublishError: an action could not be sent.
         """
+        message: Any
+        assert not isinstance(request, ask.CancelRun | ask.Run), 'they are no calls'
         match request:
             case ask.NewEpisode(seed):
                 source = srv.ResetGame.Request.SOURCE_PERSON
