@@ -154,14 +154,14 @@ class NodeBase(Node):
         )
 
     def is_recorded(self, topic: str, recorders: int = 1) -> bool:
-        """Tell whether so many recorders subscribe to a topic, or are told to leave it out."""
+        """Return whether so many recorders subscribe to a topic, or are told to leave it out."""
         if not self.selection.wants(self.resolve_topic_name(topic)):
             return True
         readers = self.get_subscriptions_info_by_topic(topic)
         return len([1 for reader in readers if reader.node_name == RECORDER]) >= recorders
 
     def records(self, publisher: StampedPublisher[Any], recorders: int = 1) -> bool:
-        """Tell whether the subscriptions of so many recorders are matched."""
+        """Return whether the subscriptions of so many recorders are matched."""
         return publisher.is_matched() and self.is_recorded(publisher.topic, recorders)
 
     async def answer(self, client: Client, request: Any, seconds: float) -> Any:

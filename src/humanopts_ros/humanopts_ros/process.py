@@ -29,7 +29,7 @@ class _Stop:
         self.requested = True
 
     def __call__(self) -> bool:
-        """Tell whether the process is to end."""
+        """Return whether the process is to end."""
         return self.requested or (self._launcher != 0 and os.getppid() != self._launcher)
 
 

@@ -72,11 +72,11 @@ class StampedPublisher(Generic[M]):
         return [str(reader.node_name) for reader in found]
 
     def is_matched(self) -> bool:
-        """Tell whether every subscription of the topic would get a message."""
+        """Return whether every subscription of the topic would get a message."""
         return bool(self._publisher.get_subscription_count() >= len(self.readers()))
 
     def heard_by(self, node_name: str) -> bool:
-        """Tell whether a node's subscription is matched, so that a message would arrive."""
+        """Return whether a node's subscription is matched, so that a message would arrive."""
         return self.is_matched() and node_name in self.readers()
 
     def drain(self, seconds: float) -> None:

@@ -23,7 +23,7 @@ class Selection:
     exclude: Sequence[str] = ()  # patterns; these win
 
     def wants(self, topic: str) -> bool:
-        """Tell whether a topic, by its full name, is recorded."""
+        """Return whether a topic, by its full name, is recorded."""
         prefix = self._prefix
         if not topic.startswith(prefix) and topic not in GLOBAL:
             return False

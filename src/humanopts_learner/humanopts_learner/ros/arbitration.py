@@ -25,7 +25,7 @@ class Arbitration:
         node.create_subscription(ExecutionState, 'execution', self._on_execution, CURRENT)
 
     def has(self, plan_id: str) -> bool:
-        """Tell whether the values of a plan are here."""
+        """Return whether the values of a plan are here."""
         return self._message is not None and self._message.plan_id == plan_id
 
     def newest(self) -> str:
@@ -74,7 +74,7 @@ class Arbitration:
         return Execution(state.execution)
 
     def canceled(self, sequence: int) -> bool:
-        """Tell whether the policy run of a run is to end; ``sequence`` as in ``wanted``."""
+        """Return whether the policy run of a run is to end; ``sequence`` as in ``wanted``."""
         state = self._state
         return state is not None and 0 < sequence < state.sequence and state.canceled
 
