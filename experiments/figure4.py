@@ -22,9 +22,9 @@ from humanopts_learner.planning.action_sets import (
     PRIMITIVE,
     TabledOption,
 )
-from humanopts_learner.qlearning.choices import choices_of
-from humanopts_learner.qlearning.curves import best_rates, drawn_rates
-from humanopts_learner.qlearning.learn import learn, Method
+from humanopts_learner.qlearning import option_table
+from humanopts_learner.qlearning import best_rates, drawn_rates
+from humanopts_learner.qlearning import learn, Method
 from humanopts_teach.report.figures import Drawing
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 import pandas as pd
@@ -105,7 +105,7 @@ def learn_curve(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """
     domain, chosen = Taxi(), SETS[parameters['set']][1]
     options = _options(parameters, domain)
-    choices = choices_of(domain, chosen, options)
+    choices = option_table(domain, chosen, options)
     method, episodes = Method(parameters['method']), parameters['episodes']
     search, judging = (_seed(parameters, purpose) for purpose in ('search', 'judging'))
     rates = drawn_rates(parameters['seed'], TRIED)

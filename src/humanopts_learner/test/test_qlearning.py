@@ -14,9 +14,15 @@ from humanopts_learner.planning.action_sets import build_model, TabledOption
 from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
 from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.value_iteration import solve_smdp
-from humanopts_learner.qlearning.choices import choices_of
-from humanopts_learner.qlearning.curves import best_rates, drawn_rates
-from humanopts_learner.qlearning.learn import learn, Learning, Method, Rates
+from humanopts_learner.qlearning import (
+    best_rates,
+    drawn_rates,
+    learn,
+    Learning,
+    Method,
+    option_table,
+    Rates,
+)
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -28,7 +34,7 @@ MIXED = 'human+primitive'
 
 
 @dataclass(frozen=True)
-class World:
+class TabularSimulator:
     """Random rules over a few states; what learning and planning ask of a domain."""
 
     seed: int
@@ -89,7 +95,7 @@ def learned(
     world: Any, action_set: str, rates: list[Rates], episodes: int, method: Method, seed: int = 0
 ) -> Learning:
     """Learn with the options of a random world."""
-    choices = choices_of(world, action_set, world.options())
+    choices = option_table(world, action_set, world.options())
     return learn(world, choices, rates, episodes, seed, method)
 
 
@@ -109,7 +115,7 @@ def _tabled(name: str, option: Any) -> TabledOption:
 @pytest.mark.parametrize('seed', range(2))
 def test_it_comes_to_the_values_of_planning(seed: int, action_set: str, method: Method) -> None:
     """Without chance and with everything tried often, a rate of 1 comes to them exactly."""
-    world = World(seed)
+    world = TabularSimulator(seed)
     exact = planned(world, world.options(), action_set)
     values = learned(world, action_set, [WILD], 1000, method).values[0]
     known = ~np.isnan(exact)
@@ -119,7 +125,7 @@ def test_it_comes_to_the_values_of_planning(seed: int, action_set: str, method: 
 @pytest.mark.parametrize('method', Method)
 def test_with_chance_it_comes_to_the_values_of_planning_on_the_mean(method: Method) -> None:
     """Learners with a small rate, which is worth less than 5 % of the largest value."""
-    world = World(seed=1, outcomes=2)
+    world = TabularSimulator(seed=1, outcomes=2)
     exact = planned(world, world.options())
     values = learned(world, MIXED, [Rates(0.05, 1.0)] * 40, 3000, method).values.mean(axis=0)
     known = ~np.isnan(exact)
@@ -128,7 +134,7 @@ def test_with_chance_it_comes_to_the_values_of_planning_on_the_mean(method: Meth
 
 def test_intra_option_learning_values_options_that_are_never_begun() -> None:
     """Option 2 can start in state 0 only; primitive steps that agree with it teach its value."""
-    world = World(seed=1)
+    world = TabularSimulator(seed=1)
     everywhere = world.options()
     everywhere[2].tables.initiation[:] = True
     exact = planned(world, world.options(), models=everywhere)[:-1, 2]
@@ -147,7 +153,7 @@ def test_hallway_options_need_fewer_steps_early_on() -> None:
     options = [_tabled(name, option) for name, option in reference_options(rooms).items()]
     early = [
         Interval.of(
-            learn(rooms, choices_of(rooms, s, options), [Rates()] * 20, 10, 0).steps.mean(axis=1)
+            learn(rooms, option_table(rooms, s, options), [Rates()] * 20, 10, 0).steps.mean(axis=1)
         )
         for s in (MIXED, 'primitive')
     ]
@@ -157,7 +163,7 @@ def test_hallway_options_need_fewer_steps_early_on() -> None:
 def test_taxi_is_learned_at_once_with_the_options_that_people_taught() -> None:
     """Figure 4: with them every episode is about as short as the best; 13 steps on the mean."""
     steps = {
-        s: learn(TAXI, choices_of(TAXI, s, taxi_options()), [Rates()] * 10, 20, 0).steps.mean()
+        s: learn(TAXI, option_table(TAXI, s, taxi_options()), [Rates()] * 10, 20, 0).steps.mean()
         for s in ('human', 'primitive')
     }
     assert steps['human'] < 16 < 150 < steps['primitive']
@@ -165,18 +171,18 @@ def test_taxi_is_learned_at_once_with_the_options_that_people_taught() -> None:
 
 def test_returns_are_the_sum_of_the_rewards() -> None:
     """A delivered passenger: 0 for the pickup, 1 for the delivery, -1 for all other steps."""
-    learning = learn(TAXI, choices_of(TAXI, 'human', taxi_options()), [Rates()] * 3, 10, 0)
+    learning = learn(TAXI, option_table(TAXI, 'human', taxi_options()), [Rates()] * 3, 10, 0)
     assert (learning.returns == 3 - learning.steps).all()
 
 
 def test_episodes_are_cut_off() -> None:
-    choices = choices_of(TAXI, 'primitive', ())
+    choices = option_table(TAXI, 'primitive', ())
     assert learn(TAXI, choices, [Rates()], 5, 0, max_steps=7).steps.max() == 7
     assert learn(TAXI, choices, [Rates()], 3, 0).steps.max() <= 200
 
 
 def test_the_same_seed_learns_the_same() -> None:
-    world = World(0)
+    world = TabularSimulator(0)
     first, again, other = (
         learned(world, MIXED, [Rates()] * 2, 20, Method.SMDP, seed) for seed in (5, 5, 6)
     )
@@ -186,16 +192,21 @@ def test_the_same_seed_learns_the_same() -> None:
 
 
 def test_the_set_human_has_primitive_actions_where_no_option_can_start() -> None:
-    choices = choices_of(TAXI, 'human', taxi_options()[:1])
+    choices = option_table(TAXI, 'human', taxi_options()[:1])
     option, primitive = choices.available[:, 0], choices.available[:, 1:]
     assert (primitive.all(axis=1) == (~option & ~TAXI.over())).all()
     assert choices.names[:2] == (FETCH, 'action:south')
-    assert choices_of(World(0), 'human', World(0).options()).available[-1].sum() == 0
+    assert (
+        option_table(TabularSimulator(0), 'human', TabularSimulator(0).options())
+        .available[-1]
+        .sum()
+        == 0
+    )
 
 
 def test_the_search_finds_the_rates_that_learn_faster() -> None:
     slow, fast = Rates(0.1, 1.0), Rates(0.8, 0.02)
-    choices = choices_of(TAXI, 'human', taxi_options()[:1])
+    choices = option_table(TAXI, 'human', taxi_options()[:1])
     assert best_rates(TAXI, choices, [slow, fast], 4, 40, 0) is fast
 
 
@@ -215,13 +226,13 @@ def test_progress_can_cancel() -> None:
             raise PlanCanceled
 
     with pytest.raises(PlanCanceled):
-        learn(TAXI, choices_of(TAXI, 'primitive', ()), [Rates()], 20, 0, progress=note)
+        learn(TAXI, option_table(TAXI, 'primitive', ()), [Rates()], 20, 0, progress=note)
     assert told == sorted(told)
     assert told[-1] < 1.0
 
 
 def test_requests_that_make_no_sense_are_refused() -> None:
-    choices = choices_of(TAXI, 'primitive', ())
+    choices = option_table(TAXI, 'primitive', ())
     with pytest.raises(PlanError, match='0 episodes'):
         learn(TAXI, choices, [Rates()], 0, 0)
     with pytest.raises(PlanError, match='0 learners'):
@@ -229,4 +240,4 @@ def test_requests_that_make_no_sense_are_refused() -> None:
     with pytest.raises(PlanError, match='rate must be above 0'):
         Rates(0.0)
     with pytest.raises(NoOptionsError):
-        choices_of(TAXI, 'human', ())
+        option_table(TAXI, 'human', ())

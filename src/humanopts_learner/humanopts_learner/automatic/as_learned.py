@@ -8,7 +8,7 @@ from humanopts_learner.automatic.extract import AutomaticOption, AutomaticOption
 from humanopts_learner.options.option import LearnedOption, option_from_tables
 from humanopts_learner.planning.action_sets import MACHINE
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.qlearning.world import Ints
+from humanopts_learner.qlearning import Ints
 import numpy as np
 from numpy.typing import NDArray
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from humanopts_env.domains.search_space import SearchSpace
-from humanopts_learner.qlearning.world import Flags, Ints
+from humanopts_learner.qlearning import Flags, Ints
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array

@@ -23,7 +23,7 @@ from humanopts_learner.automatic.tasks import draw_tasks
 from humanopts_learner.options.option import OptionTables
 from humanopts_learner.planning.action_sets import TabledOption
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.qlearning.world import World
+from humanopts_learner.qlearning import TabularSimulator
 import numpy as np
 from numpy.typing import NDArray
 
@@ -105,7 +105,7 @@ class _Extraction:
 
     def __init__(self, space: SearchSpace, seed: int, how: Extraction, tell: Progress) -> None:
         self._space, self._seed, self._how, self._tell = space, seed, how, tell
-        self._world = World(space.transitions, space.over)
+        self._world = TabularSimulator(space.transitions, space.over)
         self.game_steps, self.episodes = 0, 0
 
     def visit(self) -> tuple[Visits, float]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from humanopts_learner.automatic.how import Extraction
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.qlearning.world import any_of, Flags, Ints, World
+from humanopts_learner.qlearning import draw_among, Flags, Ints, TabularSimulator
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +36,7 @@ class _Learners:
 
     def __init__(
         self,
-        world: World,
+        world: TabularSimulator,
         errands: Errands,
         episodes: int,
         how: Extraction,
@@ -60,7 +60,7 @@ class _Learners:
         live, errands, how = self.live, self._errands, self._how
         state = self._state[live]
         explore = self._rng.random((len(live), 1)) < how.explore
-        action = any_of(explore | _best(self.values[live, state]), self._rng)
+        action = draw_among(explore | _best(self.values[live, state]), self._rng)
         there, _, over = self._world.step(state, action, self._rng)
         hit = errands.target[live, there]
         ended = hit | errands.shut[live, there] | over
@@ -78,7 +78,7 @@ class _Learners:
         self.live = self.live[self._episode[self.live] < self._episodes]
 
 
-def check_tables(world: World, learners: int) -> None:
+def check_tables(world: TabularSimulator, learners: int) -> None:
     """
     Check that the tables of so many learners can be held.
 
@@ -93,7 +93,7 @@ def check_tables(world: World, learners: int) -> None:
 
 
 def learn_to_reach(
-    world: World,
+    world: TabularSimulator,
     errands: Errands,
     episodes: int,
     how: Extraction,
@@ -122,7 +122,7 @@ def learn_to_reach(
 
 
 def greedy_runs(
-    world: World,
+    world: TabularSimulator,
     values: Values,
     errands: Errands,
     learner: Ints,
@@ -146,7 +146,7 @@ def greedy_runs(
         if not live.size:
             break
         who, here = learner[live], state[live]
-        there, _, over = world.step(here, any_of(_best(values[who, here]), rng), rng)
+        there, _, over = world.step(here, draw_among(_best(values[who, here]), rng), rng)
         state[live] = there
         visits.append(np.stack([live, there]))
         came[live] = errands.target[who, there]

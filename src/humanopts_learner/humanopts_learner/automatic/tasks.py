@@ -3,7 +3,7 @@
 from humanopts_env.domains.search_space import SearchSpace
 from humanopts_learner.automatic.reaching import Errands
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.qlearning.world import Flags, Ints
+from humanopts_learner.qlearning import Flags, Ints
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components

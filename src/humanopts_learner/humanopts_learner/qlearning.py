@@ -1,0 +1,350 @@
+"""
+SMDP Q-learning and intra-option Q-learning, many learners side by side.
+
+R. S. Sutton, D. Precup and S. Singh (1999), "Between MDPs and semi-MDPs". SMDP Q-learning (section
+3.2; "macro Q-learning" for options that cannot be interrupted) learns of an option when it ends
+after k steps, with r the discounted reward in between:
+
+    Q(s, o) += rate * (r + gamma**k * max Q(s', .) - Q(s, o))
+
+Intra-option Q-learning (section 6) learns with every step, of all options that would have done
+the same there, whichever runs, with U(s', o) = Q(s', o) where o goes on and max Q(s', .) where it
+ends:
+
+    Q(s, o) += rate * (r + gamma * U(s', o) - Q(s, o))
+
+Intra-option learning ignores the step limits of options, which depend on more than the state.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from humanopts_env.domains.base import EnumerableDomain, Transitions
+from humanopts_env.domains.chance import draw_outcomes, outcome_limits
+from humanopts_env.seeding import generator
+from humanopts_learner.library import PRIMITIVE_PREFIX
+from humanopts_learner.planning.action_sets import (
+    check_action_set,
+    OPTIONS_ONLY,
+    PRIMITIVE,
+    TabledOption,
+)
+from humanopts_learner.planning.errors import PlanError
+import numpy as np
+from numpy.typing import NDArray
+
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+# Called with the share of the episodes that is done, 0..1; raises ``PlanCanceled`` to stop
+Progress = Callable[[float], object]
+REPORT_EVERY = 200  # steps
+SLOWEST, FASTEST = 0.05, 1.0  # learning rates that are tried
+LEAST, MOST = 0.005, 0.3  # shares of exploring decisions that are tried
+
+
+@dataclass(frozen=True)
+class OptionTable:
+    """
+    O options over S states: those given, then all primitive actions where the set needs them.
+
+    As in planning, these are available in the sets ``human`` and ``automatic`` only in states
+    where no option is.
+    """
+
+    names: tuple[str, ...]  # (O,)
+    action: Ints  # (O, S) primitive action
+    ends: Flags  # (O, S) whether the option ends there, after one step or more
+    available: Flags  # (S, O) whether the option can be chosen; none where the task is over
+    limits: Ints  # (O,) steps after which the option is cut off
+
+
+def option_table(
+    domain: EnumerableDomain[Any], action_set: str, options: Sequence[TabledOption]
+) -> OptionTable:
+    """
+    Return the options of an action set as one table.
+
+    :param options: ignored in the set ``primitive``.
+    :raises PlanError: there is no such set, or its options are none or not distinct.
+    """
+    used = () if action_set == PRIMITIVE else tuple(options)
+    check_action_set(action_set, [option.name for option in options])
+    count, going = domain.n_states, ~domain.over()
+    primitives = np.arange(len(domain.actions))
+    tables = [option.tables for option in used]
+    can = np.array([t.initiation for t in tables], dtype=np.bool_).reshape(-1, count) & going
+    free = going & ~can.any(axis=0) if action_set in OPTIONS_ONLY else going
+    n_primitives = len(primitives) if free.any() else 0
+    shape = (n_primitives, count)
+    return OptionTable(
+        names=(
+            *(option.name for option in used),
+            *(PRIMITIVE_PREFIX + action.name for action in domain.actions[:n_primitives]),
+        ),
+        action=np.concatenate(
+            [
+                *(t.action[None] for t in tables),
+                np.broadcast_to(primitives[:n_primitives, None], shape),
+            ]
+        ).astype(np.intp),
+        ends=np.concatenate([*(t.termination[None] for t in tables), np.ones(shape, np.bool_)]),
+        available=np.concatenate([can, np.broadcast_to(free, shape)]).T.copy(),
+        limits=np.array(
+            [*(option.max_steps for option in used), *[1] * n_primitives], dtype=np.intp
+        ),
+    )
+
+
+class Method(Enum):
+    """What the learners update on."""
+
+    SMDP = 'smdp'  # the end of each run of an option
+    INTRA_OPTION = 'intra-option'  # each step
+
+
+@dataclass(frozen=True)
+class Rates:
+    """How one learner learns and explores."""
+
+    learning_rate: float = 0.1
+    explore: float = 0.1  # share of decisions that are drawn from all that is available
+
+    def __post_init__(self) -> None:
+        """
+        Check the numbers.
+
+        :raises PlanError: one is out of range.
+        """
+        if not (0.0 < self.learning_rate <= 1.0 and 0.0 <= self.explore <= 1.0):
+            raise PlanError(f'{self}: the rate must be above 0, and both at most 1')
+
+
+@dataclass(frozen=True)
+class Learning:
+    """Results of N learners in E episodes each."""
+
+    steps: Ints  # (N, E) primitive steps
+    returns: Floats  # (N, E) undiscounted
+    values: Floats  # (N, S, O) after the last episode
+
+
+def learn(
+    domain: EnumerableDomain[Any],
+    options: OptionTable,
+    rates: Sequence[Rates],
+    episodes: int,
+    seed: int,
+    method: Method = Method.SMDP,
+    gamma: float | None = None,
+    max_steps: int = 0,
+    progress: Progress | None = None,
+) -> Learning:
+    """
+    Learn from values of 0, each option run to its end.
+
+    Where an episode is cut off, SMDP learning takes the running option as ended there.
+
+    :param rates: of the N learners, which draw independently.
+    :param gamma: discount per primitive step; None: the domain's own.
+    :param max_steps: episodes are cut off after so many steps; 0: the domain's own limit.
+    :raises PlanError: nothing limits the episodes, or there are no learners or no episodes.
+    :raises PlanCanceled: from ``progress``.
+    """
+    limit = max_steps or domain.max_steps
+    if limit < 1 or episodes < 1 or not rates:
+        raise PlanError(
+            f'cannot learn with {len(rates)} learners in {episodes} episodes of {limit} steps: '
+            'each must be 1 or more'
+        )
+    rng = generator(seed, 'qlearning', method.value)
+    discount = domain.gamma if gamma is None else gamma
+    learners = _Learners(domain, options, rates, _Settings(episodes, method, discount, limit), rng)
+    rounds = 0
+    while learners.live.size:
+        learners.decide()
+        learners.step()
+        rounds += 1
+        if progress is not None and rounds % REPORT_EVERY == 0:
+            progress(learners.done)
+    if progress is not None:
+        progress(1.0)
+    return learners.result
+
+
+@dataclass(frozen=True)
+class _Settings:
+    """How all learners learn."""
+
+    episodes: int
+    method: Method
+    gamma: float  # discount per primitive step
+    limit: int  # steps after which an episode is cut off
+
+
+class _Learners:
+    """N learners, each in an episode of its own; ``live`` are those that go on."""
+
+    def __init__(
+        self,
+        domain: EnumerableDomain[Any],
+        options: OptionTable,
+        rates: Sequence[Rates],
+        settings: _Settings,
+        rng: np.random.Generator,
+    ) -> None:
+        self._simulator = TabularSimulator(domain.transitions(), domain.over())
+        self._starts, self._options = domain.start_states().astype(np.intp), options
+        self._settings, self._rng = settings, rng
+        count, episodes = len(rates), settings.episodes
+        self._rate = np.array([rate.learning_rate for rate in rates])
+        self._explore = np.array([rate.explore for rate in rates])
+        self.live = np.arange(count)
+        self.result = Learning(
+            np.zeros((count, episodes), dtype=np.intp),
+            np.zeros((count, episodes)),
+            np.zeros((count, domain.n_states, len(options.names))),
+        )
+        self._episode = np.zeros(count, dtype=np.intp)
+        self._state = rng.choice(self._starts, count)
+        self._option = np.full(count, -1, dtype=np.intp)  # running; -1: to be decided
+        self._begun = np.zeros(count, dtype=np.intp)  # state in which it began
+        self._ran = np.zeros(count, dtype=np.intp)  # its steps so far
+        self._gained = np.zeros(count)  # discounted reward since it began
+        self._discount = np.ones(count)  # gamma**ran
+
+    @property
+    def done(self) -> float:
+        """Share of the episodes that are over."""
+        return float(self._episode.sum()) / self.result.steps.size
+
+    def decide(self) -> None:
+        """Begin an option wherever none runs: the best, any of equals, or now and then any."""
+        free = self.live[self._option[self.live] < 0]
+        state = self._state[free]
+        can = self._options.available[state]
+        values = np.where(can, self.result.values[free, state], -np.inf)
+        best = values == values.max(axis=1, keepdims=True)
+        explore = self._rng.random(len(free)) < self._explore[free]
+        self._option[free] = draw_among(can & (best | explore[:, None]), self._rng)
+        self._begun[free], self._ran[free] = state, 0
+        self._gained[free], self._discount[free] = 0.0, 1.0
+
+    def step(self) -> None:
+        """Take one primitive step in every episode that goes on, and learn."""
+        live, state, option = self.live, self._state[self.live], self._option[self.live]
+        action = self._options.action[option, state]
+        there, reward, over = self._simulator.step(state, action, self._rng)
+        out_of_time = self._count(reward)
+        ended = over | out_of_time | self._options.ends[option, there]
+        ended |= self._ran[live] >= self._options.limits[option]
+        ahead = np.where(over, 0.0, self._best(live, there))
+        if self._settings.method is Method.SMDP:
+            self._learn_of_runs(live[ended], ahead[ended])
+        else:
+            self._learn_of_steps(state, action, reward, there, over, ahead)
+        self._state[live] = there
+        self._option[live[ended]] = -1
+        self._begin_again(live[over | out_of_time])
+
+    def _count(self, reward: Floats) -> Flags:
+        """Count a step and its reward; return which episodes (n,) are cut off with it."""
+        live, result = self.live, self.result
+        at = live, self._episode[live]
+        result.steps[at] += 1
+        result.returns[at] += reward
+        self._gained[live] += self._discount[live] * reward
+        self._discount[live] *= self._settings.gamma
+        self._ran[live] += 1
+        cut: Flags = result.steps[at] >= self._settings.limit
+        return cut
+
+    def _best(self, live: Ints, state: Ints) -> Floats:
+        """Return (n,): the value of the best available option; 0 where there is none."""
+        can = self._options.available[state]
+        values = np.where(can, self.result.values[live, state], -np.inf).max(axis=1)
+        return np.where(can.any(axis=1), values, 0.0)
+
+    def _learn_of_runs(self, ended: Ints, ahead: Floats) -> None:
+        at = ended, self._begun[ended], self._option[ended]
+        goal = self._gained[ended] + self._discount[ended] * ahead
+        self.result.values[at] += self._rate[ended] * (goal - self.result.values[at])
+
+    def _learn_of_steps(
+        self, state: Ints, action: Ints, reward: Floats, there: Ints, over: Flags, ahead: Floats
+    ) -> None:
+        game, option = np.nonzero(action[:, None] == self._options.action[:, state].T)
+        learner = self.live[game]
+        values, ends = self.result.values, self._options.ends[option, there[game]]
+        onward = np.where(over[game], 0.0, values[learner, there[game], option])
+        goal = reward[game] + self._settings.gamma * np.where(ends, ahead[game], onward)
+        at = learner, state[game], option
+        values[at] += self._rate[learner] * (goal - values[at])
+
+    def _begin_again(self, ended: Ints) -> None:
+        self._episode[ended] += 1
+        self._state[ended] = self._rng.choice(self._starts, len(ended))
+        self.live = self.live[self._episode[self.live] < self.result.steps.shape[1]]
+
+
+def drawn_rates(seed: int, count: int) -> list[Rates]:
+    """Draw rates to try, uniform in their logarithms; the first are the usual ones, 0.1."""
+    rng = generator(seed, 'rates')
+    draws = rng.random((count - 1, 2))
+    learning = SLOWEST * (FASTEST / SLOWEST) ** draws[:, 0]
+    exploring = LEAST * (MOST / LEAST) ** draws[:, 1]
+    return [Rates(), *(Rates(float(a), float(b)) for a, b in zip(learning, exploring))]
+
+
+def best_rates(
+    domain: EnumerableDomain[Any],
+    options: OptionTable,
+    candidates: Sequence[Rates],
+    runs: int,
+    episodes: int,
+    seed: int,
+    method: Method = Method.SMDP,
+    max_steps: int = 0,
+    progress: Progress | None = None,
+) -> Rates:
+    """
+    Return the rates with the fewest steps in all episodes, averaged over some runs.
+
+    Give every action set the same candidates, runs and episodes: then the search is equally long
+    for all. Learn anew with another seed to judge the rates that were chosen.
+
+    :param runs: learners for each candidate.
+    :raises PlanError: as ``learn``.
+    """
+    every = [rates for rates in candidates for _ in range(runs)]
+    learning = learn(domain, options, every, episodes, seed, method, None, max_steps, progress)
+    score = learning.steps.reshape(len(candidates), -1).mean(axis=1)
+    return candidates[int(score.argmin())]
+
+
+class TabularSimulator:
+    """Takes steps in many games at once, by exact transitions."""
+
+    def __init__(self, rules: Transitions, over: Flags) -> None:
+        """Prepare the transitions; ``over`` (S,): the domain's own task is over."""
+        self.rules, self.over = rules, over
+        self._limits = None if rules.deterministic else outcome_limits(rules)
+
+    def step(
+        self, state: Ints, action: Ints, rng: np.random.Generator
+    ) -> tuple[Ints, Floats, Flags]:
+        """Return the next states, the rewards, and whether the task is over there, (N,)."""
+        outcome: Ints | int = 0
+        if self._limits is not None:
+            outcome = draw_outcomes(self._limits, state, action, rng.random(len(state)))
+        at = state, action, outcome
+        there = self.rules.successor[at].astype(np.intp)
+        return there, self.rules.reward[at], self.rules.terminated[at] | self.over[there]
+
+
+def draw_among(among: Flags, rng: np.random.Generator) -> Ints:
+    """Return the index (N,) of one True entry of each row (N, A), all equally likely."""
+    chosen: Ints = np.where(among, rng.random(among.shape), -1.0).argmax(axis=1)
+    return chosen

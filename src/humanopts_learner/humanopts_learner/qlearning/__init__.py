@@ -1,1 +1,0 @@
-"""Learning values of options by playing: SMDP and intra-option Q-learning."""
