@@ -22,9 +22,7 @@ from humanopts_learner.planning.action_sets import (
     PRIMITIVE,
     TabledOption,
 )
-from humanopts_learner.qlearning import option_table
-from humanopts_learner.qlearning import best_rates, drawn_rates
-from humanopts_learner.qlearning import learn, Method
+from humanopts_learner.qlearning import best_rates, drawn_rates, learn, Method, option_table
 from humanopts_teach.report.figures import Drawing
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 import pandas as pd

@@ -33,9 +33,9 @@ from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.evaluate import play, Returns
 from humanopts_learner.planning.interruption import as_executed, policy_values
 from humanopts_learner.planning.plan import Plan, plan_with_tables
-from humanopts_learner.planning.sampled.columns import BatchOption
-from humanopts_learner.planning.sampled.comparison import carried_over
+from humanopts_learner.planning.sampled.action_set import BatchOption
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
+from humanopts_teach.evaluation.comparison import carried_over
 import numpy as np
 from numpy.typing import NDArray
 
@@ -393,8 +393,8 @@ class Setting:
             'explore': how.explore,
             'min_samples': how.min_samples,
             'penalty': how.penalty,
-            'pooling': how.pooling,
-            'margin': how.margin,
+            'pooling': how.shrinkage,
+            'margin': how.interruption_margin,
         }
 
 

@@ -13,7 +13,7 @@ from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.automatic.how import Extraction
 from humanopts_learner.options.criteria import Thresholds, usual_thresholds
 from humanopts_learner.options.option import options_from_references
-from humanopts_learner.planning.sampled.comparison import Baseline, CHANCE, compare, PLAN, RULE
+from humanopts_teach.evaluation.comparison import Baseline, compare, HEURISTIC, PLAN, RANDOM
 import numpy as np
 import pytest
 
@@ -138,8 +138,8 @@ def test_a_plan_with_options_plays_like_the_rule_written_by_hand() -> None:
     options = options_from_references(HOUSE, reference_options(HOUSE).values())
     baselines = [
         Baseline('planned', PLAN, options=options, budget_steps=4000),
-        Baseline('rule', RULE),
-        Baseline('moves', CHANCE, 'primitive'),
+        Baseline('rule', HEURISTIC),
+        Baseline('moves', RANDOM, 'primitive'),
     ]
     planned, rule, moves = compare(HOUSE, baselines, seed=1, games=60)
     assert planned.score.mean == pytest.approx(rule.score.mean, abs=2.0)

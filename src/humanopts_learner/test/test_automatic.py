@@ -19,10 +19,10 @@ from humanopts_learner.automatic.tasks import draw_tasks
 from humanopts_learner.planning.action_sets import HUMAN_AND_PRIMITIVE, PRIMITIVE
 from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
 from humanopts_learner.planning.plan import plan_with_tables
-from humanopts_learner.planning.sampled.columns import Columns
-from humanopts_learner.planning.sampled.games import batch_games, Watcher
+from humanopts_learner.planning.sampled.action_set import ActionSet
+from humanopts_learner.planning.sampled.games import Runs
 from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_learner.planning.sampled.runs import Runs
+from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
 import numpy as np
 import pytest
 
@@ -150,12 +150,12 @@ def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
     domain = PacMan(maze=CROSSING)
     found_here = find_options(domain, 0, QUICK)
     games = batch_games(domain)
-    columns = Columns(games, 'human', found_here.batched)
+    actions = ActionSet(domain, 'human', found_here.batched)
     rng = generator(0, 'test')
-    runs = Runs(Watcher(games, fine=False), columns, games.batch_reset(50, rng), rng)
-    runs.decide(UniformPolicy(columns))
-    began = runs.column < columns.first_fallback
-    target = np.array([o.target.cell for o in found_here.options])[runs.column * began]
+    runs = Runs(StateAbstraction(games, 'human'), actions, games.batch_reset(50, rng), rng)
+    runs.decide(UniformPolicy(actions))
+    began = runs.option < actions.first_fallback
+    target = np.array([o.target.cell for o in found_here.options])[runs.option * began]
     came = np.zeros(50, dtype=np.bool_)
     for _ in range(10):
         _, ended, _ = runs.step()

@@ -16,9 +16,8 @@ from humanopts_learner.options.option import LearnedOption, option_tables
 from humanopts_learner.planning.any_domain import plan_in, PlanRequest, select_options
 from humanopts_learner.planning.errors import NoOptionsError, PlanError
 from humanopts_learner.planning.plan import plan_with_tables
-from humanopts_learner.planning.sampled.columns import LearnedBatchOption
-from humanopts_learner.planning.sampled.games import batch_games, Watcher
 from humanopts_learner.planning.sampled.plan import make_sampled_plan
+from humanopts_learner.planning.sampled.state_abstraction import batch_games
 import numpy as np
 import pytest
 
@@ -55,13 +54,13 @@ def test_options_of_pacman_see_his_place_and_do_the_same_in_every_game() -> None
     batch = games.batch_reset(200, rng)
     for _ in range(30):
         games.batch_step(batch, rng.integers(4, size=200), rng)
-    view = Watcher(games, fine=False)(batch)
+    rows = games.batch_features(batch)
     for option, learned in zip(found('pacman').batched, options('pacman'), strict=True):
-        seen, can = LearnedBatchOption(learned), option.can_start(view)
+        can = option.can_start(rows)
         assert learned.features == ('pacman_row', 'pacman_col')
-        assert (seen.can_start(view) == can).all()
-        assert (seen.action(view) == option.action(view))[can].all()
-        assert (seen.ends(view) == option.ends(view)).all()
+        assert (learned.can_start(rows) == can).all()
+        assert (learned.greedy_action(rows) == option.greedy_action(rows))[can].all()
+        assert (learned.ends(rows) == option.ends(rows)).all()
 
 
 def test_an_option_depends_on_no_feature_that_it_can_do_without() -> None:

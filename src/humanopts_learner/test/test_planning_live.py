@@ -128,9 +128,9 @@ def exact_plan() -> Plan:
 @cache
 def sampled_plan(execution: Execution = Execution.RUN_TO_END) -> SampledPlan:
     """Return a plan over aliased planning states, so that options are often stopped."""
-    how = Sampling(n_games=200, game_steps=LIMIT, margin=0.1)
+    config = Sampling(n_games=200, game_steps=LIMIT, interruption_margin=0.1)
     return make_sampled_plan(
-        BATCH_TAXI, 'human', options_of(BATCH_TAXI), 24_000, 1, how=how, execution=execution
+        BATCH_TAXI, 'human', options_of(BATCH_TAXI), 24_000, 1, config=config, execution=execution
     )
 
 

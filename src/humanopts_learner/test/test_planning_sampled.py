@@ -14,28 +14,24 @@ from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
 from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.plan import make_plan
-from humanopts_learner.planning.sampled.columns import Columns
-from humanopts_learner.planning.sampled.counts import Counts, Samples, StateIndex
-from humanopts_learner.planning.sampled.curve import (
-    Budgets,
-    CurveRow,
-    planning_curve,
-    seconds_to_reach,
-)
-from humanopts_learner.planning.sampled.games import batch_games, Watcher, watcher_for
-from humanopts_learner.planning.sampled.judging import play_games
+from humanopts_learner.planning.sampled.action_set import ActionSet
+from humanopts_learner.planning.sampled.games import play_games, Recording, Runs, Sampler
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_learner.planning.sampled.pooling import pooled
-from humanopts_learner.planning.sampled.runs import Runs
-from humanopts_learner.planning.sampled.sampling import Sampler, Trace
+from humanopts_learner.planning.sampled.sampled_models import (
+    SampleCounts,
+    Samples,
+    shrunk,
+    StateIndex,
+)
+from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
 from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
 from numpy.typing import NDArray
 import pytest
 
 GAMMA = 0.9
-EXACT = Sampling(n_games=2000, game_steps=100, penalty=0.0, explore=0.5, margin=0.0)
+EXACT = Sampling(n_games=2000, game_steps=100, penalty=0.0, explore=0.5, interruption_margin=0.0)
 
 
 class BatchRooms(Rooms):
@@ -54,7 +50,7 @@ def rooms_options(domain: Rooms) -> list[LearnedOption]:
 def rooms_plan(action_set: str, steps: int = 200_000, **kwargs: Any) -> SampledPlan:
     """Plan in the rooms from samples."""
     domain = BatchRooms()
-    given: dict[str, Any] = {'seed': 1, 'how': EXACT, **kwargs}
+    given: dict[str, Any] = {'seed': 1, 'config': EXACT, **kwargs}
     return make_sampled_plan(domain, action_set, rooms_options(domain), steps, **given)
 
 
@@ -71,14 +67,14 @@ def test_values_come_near_those_of_exact_models(action_set: str) -> None:
 
 
 def samples(*rows: tuple[int, int, float, float, int]) -> Samples:
-    """Return samples: code, column, reward, discount, successor."""
-    code, column, reward, discount, successor = (np.array(part) for part in zip(*rows))
-    return Samples(code, column, reward.astype(float), discount.astype(float), successor)
+    """Return samples: state, option, reward, discount, successor."""
+    state, option, reward, discount, successor = (np.array(part) for part in zip(*rows))
+    return Samples(state, option, reward.astype(float), discount.astype(float), successor)
 
 
 def test_a_model_is_the_mean_of_its_samples_less_the_penalty() -> None:
     """By hand: pair (7, a) has rewards 1 and 3, and ends in 9 after one step and after two."""
-    counts = Counts(('a', 'b'))
+    counts = SampleCounts(('a', 'b'))
     counts.add(samples((7, 0, 1.0, 0.9, 9), (9, 1, 5.0, 0.0, 9)))
     counts.add(samples((7, 0, 3.0, 0.81, 9), (9, 1, 5.0, 0.0, 9)))
     model = counts.model(min_samples=2, penalty=1.0)
@@ -94,7 +90,7 @@ def test_pairs_with_too_few_samples_and_pairs_that_lead_to_nothing_else_are_not_
     None
 ):
     """State 3 was left once only; what leads to it alone cannot be valued."""
-    counts = Counts(('a',))
+    counts = SampleCounts(('a',))
     counts.add(
         samples(*[(1, 0, 0.0, 0.9, 2)] * 2, *[(2, 0, 0.0, 0.9, 3)] * 2, (3, 0, 9.0, 0.0, 3))
     )
@@ -105,7 +101,7 @@ def test_pairs_with_too_few_samples_and_pairs_that_lead_to_nothing_else_are_not_
 
 def test_successors_that_nothing_is_known_of_count_as_the_known_ones() -> None:
     """Of three samples one ended in an unknown state: the others' mean discount stays."""
-    counts = Counts(('a',))
+    counts = SampleCounts(('a',))
     counts.add(samples((1, 0, 0.0, 0.9, 2), (1, 0, 0.0, 0.9, 2), (1, 0, 0.0, 0.6, 3)))
     counts.add(samples(*[(2, 0, 1.0, 0.0, 2)] * 2))
     model = counts.model(min_samples=2, penalty=0.0)
@@ -116,7 +112,7 @@ def test_successors_that_nothing_is_known_of_count_as_the_known_ones() -> None:
 
 def test_what_cannot_be_chosen_makes_no_state_known() -> None:
     """State 2 was only passed by a run that could not have started there."""
-    counts = Counts(('a', 'going on: a'), choosable=1)
+    counts = SampleCounts(('a', 'going on: a'), choosable=1)
     counts.add(samples(*[(1, 0, 0.0, 0.9, 2)] * 2, *[(2, 1, 0.0, 0.9, 3)] * 2))
     assert not counts.model(min_samples=2, penalty=0.0).available.any()
     counts.add(samples(*[(3, 0, 1.0, 0.0, 3)] * 2))
@@ -128,11 +124,11 @@ def test_what_cannot_be_chosen_makes_no_state_known() -> None:
     assert model.first(1).names == ('a',)
 
 
-def test_pooling_shrinks_advantages_towards_those_of_the_group() -> None:
+def test_shrinkage_moves_advantages_towards_those_of_the_group() -> None:
     """By hand: advantages of b are -4 with 1 sample and -1 with 3, so -1.75 in the mean."""
     values = np.array([[10.0, 6.0], [2.0, 1.0], [5.0, -np.inf], [7.0, 6.0]])
     count = np.array([[1.0, 1.0], [3.0, 3.0], [1.0, 0.0], [2.0, 2.0]])
-    found = pooled(values, count, np.array([0, 0, 0, 1]), 1.0)
+    found = shrunk(values, count, np.array([0, 0, 0, 1]), 1.0)
     assert found[:, 0] == pytest.approx([10.0, 2.0, 5.0, 7.0])
     assert found[:, 1] == pytest.approx(
         [10 - (4 + 1.75) / 2, 2 - (3 + 1.75) / 4, 5 - 1.75, 7 - (2 + 1) / 3]
@@ -152,17 +148,17 @@ def test_numbers_of_states_stay_when_more_come() -> None:
 
 def test_every_end_of_a_run_is_a_sample_of_its_own() -> None:
     """By hand: one game, a run of three steps and one of two that ends the task."""
-    trace = Trace(5, 1)
-    trace.code[:, 0] = [1, 2, 3, 4, 5]
-    trace.successor[:, 0] = [2, 3, 4, 5, 6]
-    trace.column[:, 0] = [0, 0, 0, 1, 1]
-    trace.counts[:, 0] = [True, False, True, True, True]  # column 0 could not start in 2
-    trace.reward[:, 0] = [1.0, 2.0, 4.0, 0.0, 10.0]
-    trace.ended[:, 0] = [False, False, True, False, True]
-    trace.over[:, 0] = [False, False, False, False, True]
-    found = trace.samples(0.5)
-    assert found.code.tolist() == [1, 3, 4, 5]
-    assert found.column.tolist() == [0, 0, 1, 1]
+    recording = Recording(5, 1)
+    recording.state[:, 0] = [1, 2, 3, 4, 5]
+    recording.successor[:, 0] = [2, 3, 4, 5, 6]
+    recording.option[:, 0] = [0, 0, 0, 1, 1]
+    recording.modelled[:, 0] = [True, False, True, True, True]  # option 0 could not start in 2
+    recording.reward[:, 0] = [1.0, 2.0, 4.0, 0.0, 10.0]
+    recording.ended[:, 0] = [False, False, True, False, True]
+    recording.over[:, 0] = [False, False, False, False, True]
+    found = recording.samples(0.5)
+    assert found.state.tolist() == [1, 3, 4, 5]
+    assert found.option.tolist() == [0, 0, 1, 1]
     assert found.reward.tolist() == [3.0, 4.0, 5.0, 10.0]
     assert found.discount.tolist() == [0.125, 0.5, 0.0, 0.0]
     assert found.successor.tolist() == [4, 4, 6, 6]
@@ -171,13 +167,12 @@ def test_every_end_of_a_run_is_a_sample_of_its_own() -> None:
 def test_sampling_keeps_to_its_budget() -> None:
     """Rounded down to whole steps of all games."""
     games = TabularGames(BatchRooms())
-    columns = Columns(games, 'primitive', [])
-    counts = Counts(columns.names)
-    watch = Watcher(games, fine=True)
-    sampler = Sampler(watch, columns, counts, 50, GAMMA, generator(1, 'test'))
-    told: list[int] = []
-    assert sampler.play(UniformPolicy(columns), 5_049, told.append) == 5_000
-    assert told[-1] == 5_000
+    actions = ActionSet(games.domain, 'primitive', [])
+    counts, abstraction = SampleCounts(actions.names), StateAbstraction(games, 'primitive')
+    sampler = Sampler(abstraction, actions, counts, 50, GAMMA, generator(1, 'test'))
+    reported: list[int] = []
+    assert sampler.play(UniformPolicy(actions), 5_049, reported.append) == 5_000
+    assert reported[-1] == 5_000
 
 
 def test_the_same_seed_gives_the_same_plan_and_another_another() -> None:
@@ -221,7 +216,7 @@ def test_interruption_gains_where_options_pass_by_the_goal(execution: Execution)
     domain = BatchRooms('G2')
     for sampled_by in (Execution.RUN_TO_END, execution):
         plan = make_sampled_plan(
-            domain, 'human', rooms_options(domain), 200_000, 1, how=EXACT, execution=sampled_by
+            domain, 'human', rooms_options(domain), 200_000, 1, config=EXACT, execution=sampled_by
         )
         to_end = plan.play(3, 1000, Execution.RUN_TO_END).discounted
         gain = Interval.of(plan.play(3, 1000, execution).discounted - to_end)
@@ -239,7 +234,8 @@ def test_a_plan_that_is_sampled_to_the_end_is_played_to_the_end() -> None:
 def test_a_plan_plays_better_than_chance() -> None:
     """In fewer steps than options drawn at random."""
     plan = rooms_plan('human')
-    chance = play_games(plan.watch, plan.columns, UniformPolicy(plan.columns), GAMMA, 3, 200)
+    uniform = UniformPolicy(plan.actions)
+    chance = play_games(plan.abstraction, plan.actions, uniform, GAMMA, 3, 200)
     assert plan.play(3, 200).steps.mean() < 0.5 * chance.steps.mean()
 
 
@@ -262,30 +258,6 @@ def test_progress_rises_and_can_cancel() -> None:
         rooms_plan('human', 20_000, progress=stop)
 
 
-def test_a_curve_ends_where_the_target_is_reached_and_shows_what_is_not() -> None:
-    """Budgets are doubled; a return above 1 is not to be had."""
-    domain, options = BatchRooms(), rooms_options(BatchRooms())
-    budgets = Budgets(5_000, 20_000)
-
-    def curve(target: float) -> list[CurveRow]:
-        return planning_curve(
-            domain, 'human', options, target, 1, budgets, episodes=100, how=EXACT
-        )
-
-    assert [row.budget_steps for row in curve(1.5)] == [5_000, 10_000, 20_000]
-    assert seconds_to_reach(curve(1.5), 1.5) is None
-    rows = curve(0.0)
-    assert len(rows) == 1
-    assert seconds_to_reach(rows, 0.0) == rows[0].seconds > 0.0
-
-
-def test_an_interval_covers_the_mean_about_as_often_as_it_says() -> None:
-    """Of 1000 intervals of 50 numbers."""
-    rng = generator(1, 'interval')
-    found = [Interval.of(rng.random(50)) for _ in range(1000)]
-    assert sum(i.low <= 0.5 <= i.high for i in found) == pytest.approx(945, abs=25)
-
-
 def test_what_makes_no_sense_is_refused_by_name() -> None:
     """Domains without a batched form, budgets below one game, and numbers out of range."""
     with pytest.raises(NotEnumerableError, match='batch_games'):
@@ -294,6 +266,9 @@ def test_what_makes_no_sense_is_refused_by_name() -> None:
         rooms_plan('human', 99)
     with pytest.raises(PlanError, match='two rounds'):
         Sampling(rounds=1)
+    for game_steps in (0, 7):  # one in each of eight rounds, at least
+        with pytest.raises(PlanError, match='a step of each game in every round'):
+            Sampling(game_steps=game_steps)
     with pytest.raises(PlanError, match='share'):
         Sampling(explore=1.5)
     with pytest.raises(PlanError, match='needs options'):
@@ -303,16 +278,18 @@ def test_what_makes_no_sense_is_refused_by_name() -> None:
 def test_games_that_begin_again_are_seen_as_they_are() -> None:
     """The others stay where they were."""
     games = TabularGames(BatchRooms())
-    watch, columns = Watcher(games, fine=True), Columns(games, 'primitive', [])
-    runs = Runs(watch, columns, games.batch_reset(50, generator(1, 'begin')), generator(1, 'play'))
+    abstraction = StateAbstraction(games, 'primitive')
+    actions = ActionSet(games.domain, 'primitive', [])
+    batch = games.batch_reset(50, generator(1, 'begin'))
+    runs = Runs(abstraction, actions, batch, generator(1, 'play'))
     for _ in range(5):
-        runs.decide(UniformPolicy(columns))
+        runs.decide(UniformPolicy(actions))
         runs.step()
     before = runs.batch.copy()
     runs.restart(np.array([3, 40]))
-    seen = watch(runs.batch)
-    assert np.array_equal(runs.view.codes, seen.codes)
-    assert np.array_equal(runs.view.rows, seen.rows)
+    seen = abstraction.observe(runs.batch)
+    assert np.array_equal(runs.seen.states, seen.states)
+    assert np.array_equal(runs.seen.rows, seen.rows)
     changed = np.flatnonzero(before[0] != runs.batch[0])
     assert set(changed) <= {3, 40}
 
@@ -328,7 +305,7 @@ class _Telling(TabularGames):
     def abstract_features(
         self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
     ) -> NDArray[np.int32]:
-        """Tell nothing, or the state."""
+        """Report nothing, or the state."""
         told = super().abstract_features(batch, rows, fine=False)
         return np.zeros((len(told), 1), dtype=np.int32) if fine else told
 
@@ -336,22 +313,44 @@ class _Telling(TabularGames):
 def test_plans_with_options_and_primitive_actions_see_what_both_are_told() -> None:
     """Were they told only what primitive actions are, all states would be one."""
     domain = Rooms()
-    batches = watcher_for(_Telling(domain), 'human+primitive')
-    assert batches.context == tuple(range(len(batches.beside)))
+    mixed = StateAbstraction(_Telling(domain), 'human+primitive')
+    assert len(mixed.context) == len(_Telling(domain).abstraction(fine=False).sizes)
     batch = np.arange(domain.n_states)[None]
-    codes = batches(batch).codes
-    assert len(set(codes.tolist())) == domain.n_states
-    assert set(batches.without_context(codes).tolist()) == {0}
-    assert set(watcher_for(_Telling(domain), 'primitive')(batch).codes.tolist()) == {0}
+    states = mixed.observe(batch).states
+    assert len(set(states.tolist())) == domain.n_states
+    assert set(mixed.without_context(states).tolist()) == {0}
+    primitive = StateAbstraction(_Telling(domain), 'primitive')
+    assert set(primitive.observe(batch).states.tolist()) == {0}
 
 
-def test_reluctance_leaves_primitive_actions_where_they_gain_less() -> None:
-    """So great a reluctance leaves options alone wherever one can start."""
-    plan = rooms_plan('human+primitive', how=replace(EXACT, reluctance=100.0))
+def test_a_primitive_penalty_leaves_primitive_actions_where_they_gain_less() -> None:
+    """So great a penalty leaves only options wherever one can start."""
+    plan = rooms_plan('human+primitive', config=replace(EXACT, primitive_penalty=100.0))
     values = plan.policy.values
-    n_options = len(plan.columns.options)
+    n_options = len(plan.actions.options)
     some = np.isfinite(values[:, :n_options]).any(axis=1)
     assert some.any()
     assert (values[some].argmax(axis=1) < n_options).all()
     free = rooms_plan('human+primitive').policy.values
     assert (free[some[: len(free)]].argmax(axis=1) >= n_options).any()
+
+
+@pytest.mark.parametrize(('good', 'low', 'high'), [(0, 0.0, 0.278), (5, 0.237, 0.763)])
+def test_shares_have_wilsons_interval(good: int, low: float, high: float) -> None:
+    """Of ten; the values are those of Newcombe (1998)."""
+    found = Interval.of_share(np.arange(10) < good)
+    assert (found.mean, found.low, found.high) == pytest.approx((good / 10, low, high), abs=5e-4)
+
+
+def test_wilsons_interval_covers_shares_near_one() -> None:
+    rng = generator(1, 'shares')
+    found = [Interval.of_share(rng.random(100) < 0.98) for _ in range(1000)]
+    assert sum(i.low <= 0.98 <= i.high for i in found) >= 930
+    assert max(i.high for i in found) <= 1.0
+
+
+def test_an_interval_covers_the_mean_about_as_often_as_it_says() -> None:
+    """Of 1000 intervals of 50 numbers."""
+    rng = generator(1, 'interval')
+    found = [Interval.of(rng.random(50)) for _ in range(1000)]
+    assert sum(i.low <= 0.5 <= i.high for i in found) == pytest.approx(945, abs=25)

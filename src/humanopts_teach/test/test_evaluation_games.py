@@ -14,14 +14,13 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning import any_domain
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.evaluate import Interval
-from humanopts_learner.planning.sampled.comparison import CHANCE, PLAN, RULE
-from humanopts_learner.planning.sampled.curve import Budgets, CurveRow
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate,
     EvaluationError,
 )
 from humanopts_teach.evaluation.bag_games import with_games
+from humanopts_teach.evaluation.comparison import Budgets, CurveRow, HEURISTIC, PLAN, RANDOM
 from humanopts_teach.evaluation.games import (
     Curve,
     evaluate_games,
@@ -96,8 +95,8 @@ def test_every_action_set_and_baseline_plays_in_both_settings(games: GamesEvalua
         kinds = [(row.kind, len(row.options)) for row in setting.rows]
         assert kinds == [
             *((PLAN, count) for count in (3, 4, 4, 4, 0, 0)),  # two of four interrupted
-            *((CHANCE, count) for count in (0, 3, 4)),
-            *((RULE, 0), (RULE, 0)),
+            *((RANDOM, count) for count in (0, 3, 4)),
+            *((HEURISTIC, 0), (HEURISTIC, 0)),
         ]
         assert {row.games for row in setting.rows} == {GAMES}
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from humanopts_env.domains.search_space import SearchSpace
 from humanopts_learner.options.option import OptionTables
-from humanopts_learner.planning.sampled.games import Flags, Ints, View
+from humanopts_learner.planning.sampled.action_set import Flags, Rows
+from humanopts_learner.planning.sampled.state_abstraction import Ints
 
 
 @dataclass(frozen=True)
@@ -16,16 +17,16 @@ class BatchTabledOption:
     tables: OptionTables  # (S,) each
     space: SearchSpace
 
-    def can_start(self, view: View) -> Flags:
+    def can_start(self, rows: Rows) -> Flags:
         """Return (N,): whether each game is in the initiation set."""
-        inside: Flags = self.tables.initiation[self.space.states_of(view.rows)]
-        return inside & ~view.games.batch_over(view.batch)
+        inside: Flags = self.tables.initiation[self.space.states_of(rows)]
+        return inside
 
-    def action(self, view: View) -> Ints:
-        """Return (N,): what it does."""
-        action: Ints = self.tables.action[self.space.states_of(view.rows)]
+    def greedy_action(self, rows: Rows) -> Ints:
+        """Return (N,): the action that the option takes."""
+        action: Ints = self.tables.action[self.space.states_of(rows)]
         return action
 
-    def ends(self, view: View) -> Flags:
+    def ends(self, rows: Rows) -> Flags:
         """Return (N,): whether the game has come to the target, or left the initiation set."""
-        return ~self.can_start(view)
+        return ~self.can_start(rows)

@@ -25,8 +25,8 @@ from humanopts_learner.planning.action_sets import (
 from humanopts_learner.planning.errors import check_limits, NoOptionsError, PlanError
 from humanopts_learner.planning.evaluate import episode_starts, Interval, play
 from humanopts_learner.planning.plan import check_request, Clock, make_plan, Plan
-from humanopts_learner.planning.sampled.games import batch_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
+from humanopts_learner.planning.sampled.state_abstraction import batch_games
 from numpy.typing import NDArray
 
 TOLERANCE, SAMPLED_TOLERANCE = 1e-8, 1e-3  # reward units

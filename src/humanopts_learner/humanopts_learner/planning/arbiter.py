@@ -14,11 +14,10 @@ from humanopts_learner.options.option import LearnedOption, option_tables
 from humanopts_learner.planning.arbitration import Execution, OptionValues
 from humanopts_learner.planning.errors import ModelError
 from humanopts_learner.planning.interruption import interruptions, winners
-from humanopts_learner.planning.sampled.columns import BatchOption, Columns
-from humanopts_learner.planning.sampled.counts import StateIndex
-from humanopts_learner.planning.sampled.games import batch_games, watcher_for
-from humanopts_learner.planning.sampled.plan import batch_options
-from humanopts_learner.planning.sampled.policies import executed, GreedyPolicy
+from humanopts_learner.planning.sampled.action_set import ActionSet, BatchOption, check_options
+from humanopts_learner.planning.sampled.policies import as_executed, GreedyPolicy
+from humanopts_learner.planning.sampled.sampled_models import StateIndex
+from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,7 +39,7 @@ def make_arbiter(
     values: OptionValues,
     execution: Execution,
     domain: Domain[Any],
-    options: Sequence[LearnedOption | BatchOption],
+    options: Sequence[BatchOption],
 ) -> Arbiter:
     """
     Return the arbiter of a plan.
@@ -77,7 +76,7 @@ class _ExactArbiter:
         values: OptionValues,
         execution: Execution,
         domain: Domain[Any],
-        options: Sequence[LearnedOption | BatchOption],
+        options: Sequence[BatchOption],
     ) -> None:
         if not is_enumerable(domain) or domain.n_states != len(values.states):
             raise ModelError(f'the values are not for every state of {domain.name}')
@@ -109,23 +108,24 @@ class _SampledArbiter:
         values: OptionValues,
         execution: Execution,
         domain: Domain[Any],
-        options: Sequence[LearnedOption | BatchOption],
+        options: Sequence[BatchOption],
     ) -> None:
-        games, self._execution = batch_games(domain), execution
-        columns = Columns(games, values.action_set, batch_options(domain, options))
-        if columns.names[: columns.first_fallback] != values.names:
+        check_options(domain, options)
+        self._execution = execution
+        self._actions = ActionSet(domain, values.action_set, options)
+        if self._actions.names[: self._actions.first_fallback] != values.names:
             raise ModelError(f'the values are not for the actions of {domain.name}')
-        greedy = GreedyPolicy(columns, StateIndex(values.states), values.option_values)
-        self._columns = columns
-        self._policy = executed(
+        greedy = GreedyPolicy(self._actions, StateIndex(values.states), values.option_values)
+        self._policy = as_executed(
             greedy, values.continuation_values, execution, values.interruption_margin
         )
-        self._watch = watcher_for(games, values.action_set)
+        self._abstraction = StateAbstraction(batch_games(domain), values.action_set)
 
     def before_step(self, state: Any, running: str) -> str | None:
-        view, nothing = self._watch(self._watch.games.batch_of([state])), np.random.default_rng(0)
+        seen = self._abstraction.observe(self._abstraction.games.batch_of([state]))
+        names, unused = self._actions.names, np.random.default_rng(0)
         if self._execution is not Execution.INTERRUPTED:
-            return self._columns.names[int(self._policy(view, nothing).column[0])]
-        column = self._columns.names.index(running) if running in self._columns.names else -1
-        stop = self._policy.stops(view, np.array([column]), nothing)[0]
+            return names[int(self._policy(seen, unused).option[0])]
+        option = names.index(running) if running in names else -1
+        stop = self._policy.stops(seen, np.array([option]), unused)[0]
         return None if stop else running

@@ -12,7 +12,7 @@ from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.planning.sampled.games import batch_games
+from humanopts_learner.planning.sampled.state_abstraction import batch_games
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands.ending import CommandError

@@ -5,9 +5,9 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.planning.sampled.comparison import Tell
-from humanopts_learner.planning.sampled.games import batch_games
+from humanopts_learner.planning.sampled.state_abstraction import batch_games
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, EvaluationError
+from humanopts_teach.evaluation.comparison import Report
 from humanopts_teach.evaluation.games import evaluate_games, GAMES
 
 
@@ -26,7 +26,7 @@ def check_games(domain: Domain[Any]) -> None:
 
 
 def with_games(
-    evaluation: BagEvaluation, games: int = GAMES, progress: Tell | None = None
+    evaluation: BagEvaluation, games: int = GAMES, progress: Report | None = None
 ) -> BagEvaluation:
     """
     Have each participant's options play many games, beside what they are compared with.

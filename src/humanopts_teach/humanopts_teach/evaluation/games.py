@@ -19,24 +19,22 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import HUMAN, HUMAN_AND_PRIMITIVE, PRIMITIVE
 from humanopts_learner.planning.any_domain import GAME_STEPS
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.sampled.comparison import (
+from humanopts_learner.planning.sampled.plan import Sampling
+from humanopts_teach.evaluation.comparison import (
     Baseline,
     baselines_of,
+    Budgets,
     carried_over,
-    CHANCE,
     compare,
     ComparisonRow,
-    PLAN,
-    RULE,
-    Tell,
-)
-from humanopts_learner.planning.sampled.curve import (
-    Budgets,
     CurveRow,
+    HEURISTIC,
+    PLAN,
     planning_curve,
+    RANDOM,
+    Report,
     seconds_to_reach,
 )
-from humanopts_learner.planning.sampled.plan import Sampling
 from humanopts_teach.evaluation.games_progress import CurveTeller, Parts
 
 GAMES = 1000  # that everything is judged by
@@ -126,7 +124,7 @@ def evaluate_games(
     games: int = GAMES,
     game_steps: int = GAME_STEPS,
     budgets: Budgets = Budgets(),  # noqa: B008
-    progress: Tell | None = None,
+    progress: Report | None = None,
 ) -> GamesEvaluation:
     """
     Compare action sets, chance and the domain's rule in games, and measure the curves.
@@ -176,15 +174,15 @@ def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Basel
     found += [
         _moves('primitive', domain, steps),
         _moves(f'primitive, {GENEROUS}-fold steps', domain, GENEROUS * steps),
-        Baseline('random moves', CHANCE, PRIMITIVE),
+        Baseline('random moves', RANDOM, PRIMITIVE),
     ]
     found += [
-        Baseline(f'random choice, {name}', CHANCE, HUMAN, chosen) for name, chosen in sets.items()
+        Baseline(f'random choice, {name}', RANDOM, HUMAN, chosen) for name, chosen in sets.items()
     ]
     if usual.heuristic is not None:
         found += [
-            Baseline('hand-written rule, options to their end', RULE),
-            Baseline('hand-written rule, at every step', RULE, to_end=False),
+            Baseline('hand-written rule, options to their end', HEURISTIC),
+            Baseline('hand-written rule, at every step', HEURISTIC, to_end=False),
         ]
     return found
 
@@ -215,7 +213,7 @@ def _with_settings(baseline: Baseline, settings: PlanSettings | None) -> Baselin
     """Return a plan with settings that were found by hand, where there are any."""
     if settings is None:
         return baseline
-    return replace(baseline, gamma=settings.gamma, how=Sampling(**settings.sampling))
+    return replace(baseline, gamma=settings.gamma, sampling=Sampling(**settings.sampling))
 
 
 def _curves(
@@ -245,7 +243,7 @@ def _curves(
             seed,
             budgets,
             games,
-            one.how,
+            one.sampling,
             one.gamma,
             progress=teller.on_progress,
             on_row=teller.on_row,

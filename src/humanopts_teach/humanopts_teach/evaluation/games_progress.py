@@ -2,31 +2,30 @@
 
 import math
 
-from humanopts_learner.planning.sampled.comparison import Tell
-from humanopts_learner.planning.sampled.curve import Budgets, CurveRow
+from humanopts_teach.evaluation.comparison import Budgets, CurveRow, Report
 
 
 class CurveTeller:
     """Tells how far a curve is, by seconds: each plan takes about twice as long as the last."""
 
-    def __init__(self, tell: Tell, name: str, budgets: Budgets, enough: float) -> None:
+    def __init__(self, tell: Report, name: str, budgets: Budgets, enough: float) -> None:
         self._tell, self._name, self._enough = tell, name, enough
         self._left = iter(budgets)
         self._budget, self._seconds, self._share = next(self._left), 0.0, 0.0
 
     def on_progress(self, stage: str, fraction: float, sweeps: int, residual: float) -> None:
-        """Tell how far a plan is."""
+        """Report how far a plan is."""
         if stage == 'models':
             self._say(f'{self._name}, {self._budget:,} game steps', (1 + fraction) * self._seconds)
 
     def on_row(self, row: CurveRow) -> None:
-        """Tell what a plan came to."""
+        """Report what a plan came to."""
         mean, steps = row.score.mean, f'{row.budget_steps:,}'
         self._seconds, self._budget = row.seconds, next(self._left, self._budget)
         self._say(f'{self._name}, {steps} game steps: score {mean:,.0f}', row.seconds)
 
     def end(self) -> None:
-        """Tell that there is no more to come."""
+        """Report that there is no more to come."""
         self._say(f'{self._name}: done', math.inf)
 
     def _say(self, what: str, seconds: float) -> None:
@@ -37,10 +36,10 @@ class CurveTeller:
 class Parts:
     """The parts of the work, each taken to be as long as any other."""
 
-    def __init__(self, tell: Tell | None, count: int) -> None:
+    def __init__(self, tell: Report | None, count: int) -> None:
         self._tell, self._count, self._begun = tell, count, 0
 
-    def begin(self, name: str) -> Tell:
+    def begin(self, name: str) -> Report:
         """Begin the next part; return what tells how far it is."""
         before, self._begun = self._begun, self._begun + 1
 

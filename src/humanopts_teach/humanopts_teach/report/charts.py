@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from humanopts_learner.planning.evaluate import Interval
-from humanopts_learner.planning.sampled.comparison import ComparisonRow
 from humanopts_learner.planning.value_iteration import SweepRow
 from humanopts_teach.evaluation.bag_evaluation import CurvePoint
+from humanopts_teach.evaluation.comparison import ComparisonRow
 from humanopts_teach.evaluation.games import Curve, GamesEvaluation, Setting
 from humanopts_teach.evaluation.summary import PlanningRow
 from humanopts_teach.report.figures import CaptionedFigure, Drawing, drawing, MUTED, SERIES

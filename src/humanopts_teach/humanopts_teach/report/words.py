@@ -6,8 +6,8 @@ import math
 
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.evaluate import Interval
-from humanopts_learner.planning.sampled.comparison import CHANCE, ComparisonRow, PLAN
 from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
+from humanopts_teach.evaluation.comparison import ComparisonRow, PLAN, RANDOM
 from humanopts_teach.evaluation.games import Curve, GamesEvaluation, Setting, TENFOLD
 from humanopts_teach.evaluation.summary import (
     differences,
@@ -200,7 +200,7 @@ def games_findings(games: GamesEvaluation) -> list[Finding]:
 
 def _scores(games: GamesEvaluation, setting: Setting) -> Finding:
     """Compare the plan with all options with random choice among them."""
-    planned, chance = (_largest(setting.rows, kind) for kind in (PLAN, CHANCE))
+    planned, chance = (_largest(setting.rows, kind) for kind in (PLAN, RANDOM))
     gap, half = _difference(planned.score, chance.score)
     where = f'With {setting.name}, ' if setting.name else ''
     best = max(setting.rows, key=lambda row: row.score.mean)

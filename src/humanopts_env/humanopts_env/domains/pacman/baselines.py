@@ -33,12 +33,14 @@ TOO_NEAR = 3  # steps to a dangerous ghost at which the hand-written rule takes 
 
 PRIMITIVE = PlanSettings(0.95, {'rounds': 16})  # with either rule of the ghosts
 INTERRUPTED_MIXTURE = PlanSettings(
-    0.95, {'rounds': 16, 'pooling': 30.0, 'reluctance': 15.0, 'margin': 5.0}
+    0.95, {'rounds': 16, 'shrinkage': 30.0, 'primitive_penalty': 15.0, 'interruption_margin': 5.0}
 )
 _OPTIONS = {'rounds': 8, 'explore': 0.1, 'min_samples': 2}
 INTERRUPTED = {  # by the rule of the ghosts
-    'random': PlanSettings(0.985, {**_OPTIONS, 'penalty': 30.0, 'pooling': 300.0, 'margin': 30.0}),
-    'chase': PlanSettings(0.985, {**_OPTIONS, 'pooling': 1000.0, 'margin': 5.0}),
+    'random': PlanSettings(
+        0.985, {**_OPTIONS, 'penalty': 30.0, 'shrinkage': 300.0, 'interruption_margin': 30.0}
+    ),
+    'chase': PlanSettings(0.985, {**_OPTIONS, 'shrinkage': 1000.0, 'interruption_margin': 5.0}),
 }
 TARGETS = (1800.0, 1850.0)  # mean scores of interest with the default parameters
 PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et al., section 7

@@ -1,101 +1,264 @@
-"""What sampled planning sees of many games: their features and their abstract states."""
+"""
+Running options in many games side by side: to evaluate a policy, or to sample option models.
 
-from dataclasses import dataclass
+Sampling counts every end of a run. A run of option o from s0 to sk, where o could also have
+started at s1, .., sk-1, shows as well what running it from each of those leads to, since a Markov
+option does not look back (Precup 2000, chapter 4). The same from where it could not have started
+shows what going on there leads to. Runs that are cut off (by ``max_steps``, the length of an
+episode, or the end of the sampling) and runs that the policy stops count as having ended where
+they were.
+"""
+
+from collections.abc import Callable
+import math
 from typing import Any
 
-from humanopts_env.domains.base import Domain
-from humanopts_env.domains.capabilities import BatchGames, HasBatchGames
-from humanopts_learner.planning.action_sets import OPTIONS_ONLY, PRIMITIVE
-from humanopts_learner.planning.errors import NotEnumerableError, PlanError
+from humanopts_env.seeding import generator
+from humanopts_learner.planning.action_sets import ignore_progress, Progress
+from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.evaluate import Returns
+from humanopts_learner.planning.sampled.action_set import ActionSet, Flags
+from humanopts_learner.planning.sampled.policies import Choice, Policy
+from humanopts_learner.planning.sampled.sampled_models import SampleCounts, Samples
+from humanopts_learner.planning.sampled.state_abstraction import Ints, StateAbstraction
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.intp]
-Flags = NDArray[np.bool_]
-LARGEST_CODE = 2**53  # abstract states are numbered below this
+BLOCK = 1_000_000  # game steps that are kept before they are counted
+FINISHED_SHARE = 0.3  # games that are over are dropped once they are so many of all
 
 
-def batch_games(domain: Domain[Any]) -> BatchGames:
+class Runs:
     """
-    Return what plays many games of a domain.
+    N games in each of which one option runs at a time.
 
-    :raises NotEnumerableError: nothing does, so it can be planned in neither way.
+    :ivar option: (N,) index of the running option; -1: to be decided.
+    :ivar ran: (N,) its steps so far.
+    :ivar seen: the observation of the games as they stand.
     """
-    if isinstance(domain, HasBatchGames):
-        return domain.batch_games()
-    raise NotEnumerableError(
-        f'the states of {domain.name} cannot all be listed, so it has no exact models; and it has '
-        'no method batch_games, so it has no sampled ones'
-    )
 
+    def __init__(
+        self,
+        abstraction: StateAbstraction,
+        actions: ActionSet,
+        batch: Any,
+        rng: np.random.Generator,
+    ) -> None:
+        self._abstraction, self._actions, self._rng = abstraction, actions, rng
+        self.batch, self.seen = batch, abstraction.observe(batch)
+        self.option = np.full(len(self.seen.states), -1, dtype=np.intp)
+        self.ran = np.zeros(len(self.option), dtype=np.intp)
 
-@dataclass(frozen=True)
-class View:
-    """What is seen of N games before they step again."""
-
-    batch: Any
-    rows: NDArray[np.int32]  # (N, F)
-    codes: NDArray[np.int64]  # (N,) numbers of the abstract states
-    games: BatchGames
-
-    def take(self, chosen: Ints) -> 'View':
-        """Return what is seen of chosen games (M,)."""
-        batch = self.games.batch_take(self.batch, chosen)
-        return View(batch, self.rows[chosen], self.codes[chosen], self.games)
-
-
-class Watcher:
-    """Looks at batches."""
-
-    def __init__(self, games: BatchGames, *, fine: bool, beside: tuple[int, ...] = ()) -> None:
+    def decide(self, policy: Policy) -> tuple[Ints, Choice]:
         """
-        Prepare for one action set; ``watcher_for`` knows what it needs.
+        Begin an option wherever none runs, or the running one is stopped.
 
-        :param beside: columns of what is not fine that are seen before the fine ones.
-        :raises PlanError: the abstract features have too many values.
+        :return: those games (M,), and the choices in them.
         """
-        self.games, self.fine, self.beside = games, fine, beside
-        coarse = games.abstraction(fine=False).sizes if beside else ()
-        sizes = (*(coarse[column] for column in beside), *games.abstraction(fine=fine).sizes)
-        if np.prod(sizes, dtype=np.float64) > LARGEST_CODE:
-            raise PlanError(f'abstract features of {sizes} values are too fine')
-        self._sizes, self._radix = sizes, np.cumprod([1, *sizes[:-1]], dtype=np.int64)
+        stopped = policy.stops(self.seen, self.option, self._rng)
+        free = np.flatnonzero((self.option < 0) | stopped)
+        choice = policy(self.seen.take(free), self._rng)
+        self.option[free], self.ran[free] = choice.option, 0
+        return free, choice
 
-    def __call__(self, batch: Any) -> View:
-        """Return what is seen of a batch."""
-        rows = self.games.batch_features(batch)
-        features = self.games.abstract_features(batch, rows, fine=self.fine)
-        if self.beside:
-            coarse = self.games.abstract_features(batch, rows, fine=False)
-            features = np.concatenate([coarse[:, list(self.beside)], features], axis=1)
-        return View(batch, rows, features @ self._radix, self.games)
+    def step(self) -> tuple[NDArray[Any], Flags, Flags]:
+        """Take one step; return rewards, which options ended and which games are over, (N,)."""
+        games, actions = self._abstraction.games, self._actions
+        action = actions.actions(self.seen, self.option)
+        reward = games.batch_step(self.batch, action, self._rng)
+        self.seen = self._abstraction.observe(self.batch)
+        self.ran += 1
+        over = games.batch_over(self.batch)
+        ended = over | (self.ran >= actions.limits[self.option])
+        ended |= actions.ends(self.seen, self.option)
+        return reward, ended, over
 
-    @property
-    def context(self) -> tuple[int, ...]:
-        """Columns of the abstract features of context; all that are seen beside the fine ones."""
-        if self.beside:
-            return tuple(range(len(self.beside)))
-        return self.games.abstraction(fine=self.fine).context
+    def restart(self, chosen: Ints) -> None:
+        """Begin chosen games (M,) again."""
+        games = self._abstraction.games
+        fresh = games.batch_reset(len(chosen), self._rng)
+        games.batch_put(self.batch, chosen, fresh)
+        seen = self._abstraction.observe(fresh)
+        self.seen.rows[chosen], self.seen.states[chosen] = seen.rows, seen.states
+        self.option[chosen] = -1
 
-    def without_context(self, codes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the codes (N,) of abstract states as if features of context were all 0."""
-        for column in self.context:
-            radix = self._radix[column]
-            codes = codes - codes // radix % self._sizes[column] * radix
-        return codes
+    def keep(self, chosen: Ints) -> None:
+        """Go on with chosen games (M,) only."""
+        self.batch = self._abstraction.games.batch_take(self.batch, chosen)
+        self.seen = self._abstraction.observe(self.batch)
+        self.option, self.ran = self.option[chosen], self.ran[chosen]
 
 
-def watcher_for(games: BatchGames, action_set: str) -> Watcher:
+def play_games(
+    abstraction: StateAbstraction,
+    actions: ActionSet,
+    policy: Policy,
+    gamma: float,
+    seed: int,
+    episodes: int,
+    progress: Progress | None = None,
+) -> Returns:
     """
-    Return what looks at batches for an action set.
+    Play games from the start of the task by a policy.
 
-    Plans with options and primitive actions see what both need. Without what the options are told,
-    states that look alike would hide where progress is made, and primitive actions, valued step by
-    step, would wander among them.
-
-    :raises PlanError: the abstract features have too many values.
+    :param episodes: how many, E, all side by side; games do not affect each other, but which
+        chance each meets depends on how many there are.
+    :param progress: called with the stage evaluation; what it raises passes through.
+    :raises PlanError: the domain never cuts an episode off, or ``episodes`` is below 1.
     """
-    beside: tuple[int, ...] = ()
-    if action_set not in (*OPTIONS_ONLY, PRIMITIVE):
-        beside = games.abstraction(fine=False).mixture
-    return Watcher(games, fine=action_set not in OPTIONS_ONLY, beside=beside)
+    games = abstraction.games
+    limit = games.domain.max_steps
+    if limit < 1 or episodes < 1:
+        raise PlanError(f'cannot play {episodes} episodes of at most {limit} steps')
+    rng, report = generator(seed, 'play_games'), progress or ignore_progress
+    batch = games.batch_reset(episodes, rng)
+    outcomes = {name: values.copy() for name, values in games.batch_outcome(batch).items()}
+    over = games.batch_over(batch)
+    returns = Returns.of_none(over.copy(), outcomes)
+    runs, at = Runs(abstraction, actions, batch, rng), np.arange(episodes)
+    for step in range(limit):
+        report('evaluation', step / limit, 0, math.nan)
+        if not over.all():
+            _play_step(returns, runs, actions, policy, gamma, at, over)
+            over = games.batch_over(runs.batch)
+        if over.mean() >= FINISHED_SHARE:
+            _keep_outcomes(returns, abstraction, runs, at, over)
+            at, over = at[~over], over[~over]
+            runs.keep(np.flatnonzero(~games.batch_over(runs.batch)))
+        if not len(at):
+            break
+    _keep_outcomes(returns, abstraction, runs, at, np.ones(len(at), dtype=np.bool_))
+    return returns
+
+
+def _play_step(
+    returns: Returns,
+    runs: Runs,
+    actions: ActionSet,
+    policy: Policy,
+    gamma: float,
+    at: Ints,
+    over: Flags,
+) -> None:
+    """
+    Take one step in M games, and add it to their returns.
+
+    :param at: (M,) which of the E games these are.
+    :param over: (M,) which of them are over; they are not counted any more.
+    """
+    live = at[~over]
+    free, choice = runs.decide(policy)
+    going = ~over[free]
+    deciding = at[free[going]]
+    returns.decisions[deciding] += 1
+    returns.fallbacks[deciding] += (choice.option >= actions.first_fallback)[going]
+    returns.unknown[deciding] += choice.unknown[going]
+    reward, ended, now_over = runs.step()
+    runs.option[ended] = -1
+    returns.total[live] += reward[~over]
+    returns.discounted[live] += gamma ** returns.steps[live] * reward[~over]
+    returns.steps[live] += 1
+    returns.successes[at] = now_over
+
+
+def _keep_outcomes(
+    returns: Returns, abstraction: StateAbstraction, runs: Runs, at: Ints, chosen: Flags
+) -> None:
+    """Keep the outcomes of chosen games (M,), which are no longer followed."""
+    for name, values in abstraction.games.batch_outcome(runs.batch).items():
+        returns.outcomes[name][at[chosen]] = values[chosen]
+
+
+class Recording:
+    """T steps of N games."""
+
+    def __init__(self, length: int, count: int) -> None:
+        shape = (length, count)
+        self.state = np.empty(shape, dtype=np.int64)  # abstract
+        self.option = np.empty(shape, dtype=np.int16)
+        self.modelled = np.empty(shape, dtype=np.bool_)
+        self.reward = np.empty(shape)
+        self.ended = np.empty(shape, dtype=np.bool_)
+        self.over = np.empty(shape, dtype=np.bool_)
+        self.successor = np.empty(shape, dtype=np.int64)  # abstract state after the step
+
+    def samples(self, gamma: float) -> Samples:
+        """Return every end of every run, by one pass backwards."""
+        reward = self.reward
+        successor = self.successor
+        discount = np.where(self.over, 0.0, gamma)
+        self.ended[-1] = True
+        for t in range(len(reward) - 2, -1, -1):
+            on = ~self.ended[t]
+            reward[t] += np.where(on, gamma * reward[t + 1], 0.0)
+            discount[t] = np.where(on, gamma * discount[t + 1], discount[t])
+            successor[t] = np.where(on, successor[t + 1], successor[t])
+        kept = self.modelled
+        return Samples(
+            self.state[kept],
+            self.option[kept].astype(np.intp),
+            reward[kept],
+            discount[kept],
+            successor[kept],
+        )
+
+
+class Sampler:
+    """N games that go on from round to round, and whose runs are counted."""
+
+    def __init__(
+        self,
+        abstraction: StateAbstraction,
+        actions: ActionSet,
+        counts: SampleCounts,
+        n_games: int,
+        gamma: float,
+        rng: np.random.Generator,
+    ) -> None:
+        """Begin games at the start of the task."""
+        games = abstraction.games
+        self._actions, self._counts, self._gamma = actions, counts, gamma
+        self._limit = games.domain.max_steps or np.iinfo(np.intp).max
+        self._runs = Runs(abstraction, actions, games.batch_reset(n_games, rng), rng)
+        self._age = np.zeros(n_games, dtype=np.intp)
+
+    def play(self, policy: Policy, steps: int, on_steps: Callable[[int], object]) -> int:
+        """
+        Go on by a policy, and count the runs.
+
+        :param steps: game steps in all, rounded down to whole steps of all games.
+        :param on_steps: called with the game steps so far.
+        :return: game steps taken.
+        """
+        n_games = len(self._age)
+        left, done = steps // n_games, 0
+        while left:
+            recording = Recording(min(left, max(BLOCK // n_games, 1)), n_games)
+            self._runs.option[:] = -1
+            for t in range(len(recording.reward)):
+                self._step(policy, recording, t)
+                done += n_games
+                on_steps(done)
+            self._counts.add(recording.samples(self._gamma))
+            left -= len(recording.reward)
+        return done
+
+    def _step(self, policy: Policy, recording: Recording, t: int) -> None:
+        runs, fallback = self._runs, self._actions.first_fallback
+        decided, _ = runs.decide(policy)
+        if t:
+            recording.ended[t - 1, decided] = True  # those that were stopped
+        inside = self._actions.can_start(runs.seen, runs.option)
+        recording.state[t] = runs.seen.states
+        recording.option[t] = np.where(inside, runs.option, runs.option + fallback)
+        recording.modelled[t] = runs.option < fallback
+        recording.reward[t], ended, over = runs.step()
+        recording.successor[t], recording.over[t] = runs.seen.states, over
+        self._age += 1
+        last = over | (self._age >= self._limit)
+        recording.ended[t] = ended | last
+        runs.option[recording.ended[t]] = -1
+        fresh = np.flatnonzero(last)
+        if fresh.size:
+            runs.restart(fresh)
+            self._age[fresh] = 0

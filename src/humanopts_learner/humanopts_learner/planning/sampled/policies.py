@@ -1,13 +1,13 @@
-"""Policies over the columns of an action set, for many games at once."""
+"""Policies over the options of an action set, for many games at once."""
 
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 from humanopts_learner.planning.arbitration import Execution, greatest_mass, stops, strongest
-from humanopts_learner.planning.sampled.columns import Columns
-from humanopts_learner.planning.sampled.counts import StateIndex
-from humanopts_learner.planning.sampled.games import Flags, Ints, View
+from humanopts_learner.planning.sampled.action_set import ActionSet, Flags
+from humanopts_learner.planning.sampled.sampled_models import StateIndex
+from humanopts_learner.planning.sampled.state_abstraction import Ints, Observation
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,83 +16,83 @@ from numpy.typing import NDArray
 class Choice:
     """What to run next in N games."""
 
-    column: Ints  # (N,)
+    option: Ints  # (N,) indices
     unknown: Flags  # (N,) an option can start, but none of them was sampled enough
 
 
 class Policy(Protocol):
     """Chooses what to run."""
 
-    def __call__(self, view: View, rng: np.random.Generator) -> Choice:
+    def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
         """Return what to run next in each game."""
         ...
 
-    def stops(self, view: View, column: Ints, rng: np.random.Generator) -> Flags:
-        """Tell where what runs, column (N,), is stopped; not asked before its first step."""
+    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
+        """Return (N,): whether the running option is stopped; not asked before its first step."""
         ...
 
 
 class RunningToEnd:
     """A policy that stops nothing."""
 
-    def stops(self, view: View, column: Ints, rng: np.random.Generator) -> Flags:
+    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
         """Stop nothing."""
-        return np.zeros(len(column), dtype=np.bool_)
+        return np.zeros(len(option), dtype=np.bool_)
 
 
 @dataclass(frozen=True)
 class UniformPolicy(RunningToEnd):
-    """Any column that can start, each as likely."""
+    """Any option that can start, all with the same probability."""
 
-    columns: Columns
+    actions: ActionSet
 
-    def __call__(self, view: View, rng: np.random.Generator) -> Choice:
+    def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
         """Return what to run next in each game."""
-        can = self.columns.startable(view)
-        column = np.where(can, rng.random(can.shape), -1.0).argmax(axis=1)
+        can = self.actions.startable(seen.rows)
+        option = np.where(can, rng.random(can.shape), -1.0).argmax(axis=1)
         none = ~can.any(axis=1)
-        column = np.where(none, self.columns.fallback(view), column)
-        return Choice(column, np.zeros(len(column), dtype=np.bool_))
+        option = np.where(none, self.actions.fallback(seen.rows), option)
+        return Choice(option, np.zeros(len(option), dtype=np.bool_))
 
 
 @dataclass(frozen=True)
 class GreedyPolicy(RunningToEnd):
     """
-    The column of the greatest value among those that can start and were sampled enough.
+    The option of the greatest value among those that can start and were sampled enough.
 
     Where none of those that can start was, it is the one that is best in most states.
     """
 
-    columns: Columns
+    actions: ActionSet
     index: StateIndex
     values: NDArray[np.float64]  # (S, O), -inf where not available
 
     @cached_property
     def preference(self) -> NDArray[np.int64]:
-        """(O,) in how many states each column is the best."""
+        """(O,) number of states in which each option is the best."""
         known = np.isfinite(self.values).any(axis=1)
         best = self.values[known].argmax(axis=1)
-        return np.bincount(best, minlength=self.columns.first_fallback)
+        return np.bincount(best, minlength=self.actions.first_fallback)
 
-    def __call__(self, view: View, rng: np.random.Generator) -> Choice:
+    def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
         """Return what to run next in each game."""
-        return self.choose(view)
+        return self.choose(seen)
 
-    def choose(self, view: View) -> Choice:
+    def choose(self, seen: Observation) -> Choice:
         """Return what to run next in each game; nothing is drawn."""
-        return self.choose_among(view, self.columns.startable(view))
+        return self.choose_among(seen, self.actions.startable(seen.rows))
 
-    def choose_among(self, view: View, can: Flags) -> Choice:
-        """Return what to run next in each game of the columns that can start there, (N, O)."""
-        number, seen = self.index.find(view.codes)
-        values = np.where(can & seen[:, None], self.values[number], -np.inf)
+    def choose_among(self, seen: Observation, can: Flags) -> Choice:
+        """Return what to run next in each game, of the options that can start there (N, O)."""
+        number, visited = self.index.find(seen.states)
+        values = np.where(can & visited[:, None], self.values[number], -np.inf)
         known = np.isfinite(values).any(axis=1)
-        column = np.where(
+        option = np.where(
             known, values.argmax(axis=1), np.where(can, self.preference, -1).argmax(axis=1)
         )
         some = np.asarray(can.any(axis=1))
-        column = np.where(some, column, self.columns.fallback(view))
-        return Choice(column, some & ~known)
+        option = np.where(some, option, self.actions.fallback(seen.rows))
+        return Choice(option, some & ~known)
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class ArbitratedPolicy:
     """
     A greedy policy whose options are interrupted, or run as modules.
 
-    :ivar continuation_values: (S, O) value of going on with each column where it cannot start;
+    :ivar continuation_values: (S, O) value of going on with each option where it cannot start;
         where it can, that is the value of choosing it. -inf where not available.
     :ivar execution: not RUN_TO_END.
     :ivar interruption_margin: nothing is stopped for a gain up to this, reward units.
@@ -111,54 +111,55 @@ class ArbitratedPolicy:
     execution: Execution
     interruption_margin: float
 
-    def __call__(self, view: View, rng: np.random.Generator) -> Choice:
+    def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
         """Return what to run next in each game."""
-        choice = self.greedy.choose(view)
+        choice = self.greedy.choose(seen)
         if self.execution is Execution.INTERRUPTED:
             return choice
-        values = self._values(view, self.greedy.columns.startable(view))
+        actions = self.greedy.actions
+        values = self._values(seen, actions.startable(seen.rows))
         known = np.isfinite(values).any(axis=1)
         if self.execution is Execution.MODULAR_STRONGEST:
             winner = strongest(values)
         else:
-            winner = greatest_mass(values, self._actions(view), self.greedy.columns.n_actions)
-        return Choice(np.where(known, winner, choice.column), choice.unknown & ~known)
+            winner = greatest_mass(values, self._actions(seen), actions.n_actions)
+        return Choice(np.where(known, winner, choice.option), choice.unknown & ~known)
 
-    def stops(self, view: View, column: Ints, rng: np.random.Generator) -> Flags:
-        """Tell where what runs is stopped; modules run for one step."""
+    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
+        """Return (N,): whether the running option is stopped; modules run for one step."""
         if self.execution is not Execution.INTERRUPTED:
-            return column >= 0
-        if not (column >= 0).any():
-            return np.zeros(len(column), dtype=np.bool_)
-        can = self.greedy.columns.startable(view)
-        values, choice = self._values(view, can), self.greedy.choose_among(view, can)
-        column = np.where(column < values.shape[1], column, -1)
-        anew = choice.column < values.shape[1]
-        best = values[np.arange(len(column)), np.where(anew, choice.column, 0)]
-        return stops(values, np.where(anew, best, -np.inf), column, self.interruption_margin)
+            return option >= 0
+        if not (option >= 0).any():
+            return np.zeros(len(option), dtype=np.bool_)
+        can = self.greedy.actions.startable(seen.rows)
+        values, choice = self._values(seen, can), self.greedy.choose_among(seen, can)
+        option = np.where(option < values.shape[1], option, -1)
+        modelled = choice.option < values.shape[1]
+        best = values[np.arange(len(option)), np.where(modelled, choice.option, 0)]
+        return stops(values, np.where(modelled, best, -np.inf), option, self.interruption_margin)
 
-    def _values(self, view: View, can: Flags) -> NDArray[np.float64]:
-        """Return what each column wants to act by, (N, O); -inf: it does not, or unknown."""
-        number, seen = self.greedy.index.find(view.codes)
+    def _values(self, seen: Observation, can: Flags) -> NDArray[np.float64]:
+        """Return (N, O): the values by which options compete; -inf: not at all, or unknown."""
+        number, visited = self.greedy.index.find(seen.states)
         found = np.where(can, self.greedy.values[number], -np.inf)
         if self.execution is not Execution.MODULAR_MASS:
             found = np.where(can, found, self.continuation_values[number])
-        return np.where(seen[:, None], found, -np.inf)
+        return np.where(visited[:, None], found, -np.inf)
 
-    def _actions(self, view: View) -> Ints:
-        """Return what each column does, (N, O)."""
-        columns = self.greedy.columns
-        each = [np.full(len(view.codes), c) for c in range(columns.first_fallback)]
-        return np.stack([columns.actions(view, column) for column in each], axis=1)
+    def _actions(self, seen: Observation) -> Ints:
+        """Return (N, O): the primitive action of each option."""
+        actions = self.greedy.actions
+        each = [np.full(len(seen.states), o) for o in range(actions.first_fallback)]
+        return np.stack([actions.actions(seen, option) for option in each], axis=1)
 
 
-def executed(
+def as_executed(
     greedy: GreedyPolicy,
     continuation_values: NDArray[np.float64],
     execution: Execution,
     interruption_margin: float,
 ) -> GreedyPolicy | ArbitratedPolicy:
-    """Return a policy that is carried out in a way; parameters as in ``ArbitratedPolicy``."""
+    """Return a policy as executed in some way; parameters as in ``ArbitratedPolicy``."""
     if execution is Execution.RUN_TO_END:
         return greedy
     return ArbitratedPolicy(greedy, continuation_values, execution, interruption_margin)
@@ -170,18 +171,18 @@ class ExploringPolicy:
 
     greedy: GreedyPolicy
     share: float  # of decisions that explore
-    arbitrated: ArbitratedPolicy | None = None  # how it is carried out; None: to the end
+    arbitrated: ArbitratedPolicy | None = None  # how it is executed; None: run to the end
 
-    def __call__(self, view: View, rng: np.random.Generator) -> Choice:
+    def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
         """Return what to run next in each game."""
-        best = (self.arbitrated or self.greedy)(view, rng)
-        free = UniformPolicy(self.greedy.columns)(view, rng)
-        explore = rng.random(len(best.column)) < self.share
-        return Choice(np.where(explore, free.column, best.column), best.unknown)
+        best = (self.arbitrated or self.greedy)(seen, rng)
+        free = UniformPolicy(self.greedy.actions)(seen, rng)
+        explore = rng.random(len(best.option)) < self.share
+        return Choice(np.where(explore, free.option, best.option), best.unknown)
 
-    def stops(self, view: View, column: Ints, rng: np.random.Generator) -> Flags:
-        """Tell where what runs is stopped."""
+    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
+        """Return (N,): whether the running option is stopped."""
         if self.arbitrated is None:
-            return self.greedy.stops(view, column, rng)
-        stop = self.arbitrated.stops(view, column, rng)
-        return stop & (rng.random(len(column)) >= self.share)
+            return self.greedy.stops(seen, option, rng)
+        stop = self.arbitrated.stops(seen, option, rng)
+        return stop & (rng.random(len(option)) >= self.share)

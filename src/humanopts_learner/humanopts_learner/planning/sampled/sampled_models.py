@@ -1,4 +1,12 @@
-"""Samples of runs, counted into a multi-time model over the planning states that were visited."""
+"""
+Sampled option models: runs counted into a multi-time model of the abstract states visited.
+
+Most abstract states are visited too seldom to tell apart options of nearly the same value. How
+much there is still to gain decides what a state is worth, but hardly which option is the better
+one. So ``shrunk`` moves the *advantage* of an option (its value less that of the best one)
+towards its mean over the states that differ in such context only, as an empirical Bayes estimate
+would be (Efron and Morris 1973).
+"""
 
 from copy import copy
 from dataclasses import dataclass
@@ -10,25 +18,27 @@ from scipy.sparse import coo_array, csr_array
 
 Ints = NDArray[np.intp]
 Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Codes = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Samples:
-    """M finished runs, or ends of runs."""
+    """M finished runs, or final parts of runs."""
 
-    code: NDArray[np.int64]  # (M,) planning state where it began
-    column: NDArray[np.integer]  # (M,)
-    reward: NDArray[np.float64]  # (M,) sum of gamma**i * r[i], i = 0..k-1
-    discount: NDArray[np.float64]  # (M,) gamma**k; 0 where the task was over
-    successor: NDArray[np.int64]  # (M,) planning state where it ended
+    state: Codes  # (M,) abstract state where it began
+    option: NDArray[np.integer]  # (M,) index of the model
+    reward: Floats  # (M,) sum of gamma**i * r[i], i = 0..k-1
+    discount: Floats  # (M,) gamma**k; 0 where the task was over
+    successor: Codes  # (M,) abstract state where it ended
 
 
 class StateIndex:
-    """Numbers the planning states that were seen, in the order of coming."""
+    """Numbers the abstract states that were visited, in order of their first visit."""
 
-    def __init__(self, codes: NDArray[np.int64] | None = None) -> None:
+    def __init__(self, codes: Codes | None = None) -> None:
         """
-        Begin with some planning states.
+        Begin with some abstract states.
 
         :param codes: (S,) ascending; None: none.
         """
@@ -36,14 +46,14 @@ class StateIndex:
         self._number = np.arange(len(self._sorted))
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of states."""
         return len(self._sorted)
 
     def snapshot(self) -> 'StateIndex':
         """Return a copy that does not grow with this one."""
         return copy(self)  # the arrays are never changed in place
 
-    def find(self, codes: NDArray[np.int64]) -> tuple[Ints, NDArray[np.bool_]]:
+    def find(self, codes: Codes) -> tuple[Ints, Flags]:
         """Return the number of each (N,), 0 where it has none, and whether it has one (N,)."""
         if not len(self._sorted):
             return np.zeros(len(codes), dtype=np.intp), np.zeros(len(codes), dtype=np.bool_)
@@ -52,11 +62,11 @@ class StateIndex:
         return np.where(seen, self._number[at], 0), seen
 
     @property
-    def codes(self) -> NDArray[np.int64]:
-        """(S,) the planning states by their numbers."""
+    def codes(self) -> Codes:
+        """(S,) the abstract states by their numbers."""
         return self._sorted[np.argsort(self._number)]
 
-    def add(self, codes: NDArray[np.int64]) -> Ints:
+    def add(self, codes: Codes) -> Ints:
         """Return the number of each (N,), numbering those that are new."""
         unique, inverse = np.unique(codes, return_inverse=True)
         new = unique[~self.find(unique)[1]]
@@ -67,14 +77,14 @@ class StateIndex:
         return self.find(unique)[0][inverse]
 
 
-class Counts:
-    """Sums over samples of S planning states and O columns."""
+class SampleCounts:
+    """Sums over the samples of S abstract states and O options."""
 
     def __init__(self, names: tuple[str, ...], choosable: int = 0) -> None:
         """
         Begin without samples.
 
-        :param names: of the columns that are modelled, (O,).
+        :param names: of the models, (O,).
         :param choosable: how many of them, from the first on, can be chosen; 0: all.
         """
         self.names, self.index = names, StateIndex()
@@ -85,22 +95,22 @@ class Counts:
 
     def add(self, samples: Samples) -> None:
         """Count samples."""
-        codes = np.concatenate([samples.code, samples.successor])
+        codes = np.concatenate([samples.state, samples.successor])
         state, successor = np.split(self.index.add(codes), 2)
-        columns, states = len(self.names), len(self.index)
-        shape = (columns, states)
+        options, states = len(self.names), len(self.index)
+        shape = (options, states)
         self._grow(states)
-        pair = samples.column * states + state
-        self._count += np.bincount(pair, minlength=columns * states).reshape(shape)
-        reward = np.bincount(pair, samples.reward, minlength=columns * states)
+        pair = samples.option * states + state
+        self._count += np.bincount(pair, minlength=options * states).reshape(shape)
+        reward = np.bincount(pair, samples.reward, minlength=options * states)
         self._reward += reward.reshape(shape)
         at = (pair, successor)
-        more = coo_array((samples.discount, at), (columns * states, states))
+        more = coo_array((samples.discount, at), (options * states, states))
         self._rows = self._rows + more.tocsr()
 
     def _grow(self, states: int) -> None:
         """Make room for more states."""
-        columns, old = self._count.shape
+        options, old = self._count.shape
         if states == old:
             return
         more = ((0, 0), (0, states - old))
@@ -108,24 +118,24 @@ class Counts:
         rows = self._rows.tocoo()
         row = rows.row.astype(np.int64) // max(old, 1) * states + rows.row % max(old, 1)
         at = (row, rows.col)
-        self._rows = coo_array((rows.data, at), (columns * states, states)).tocsr()
+        self._rows = coo_array((rows.data, at), (options * states, states)).tocsr()
 
     @property
-    def samples(self) -> NDArray[np.float64]:
-        """(S, O) how many samples there are of each pair."""
+    def samples(self) -> Floats:
+        """(S, O) number of samples of each pair."""
         return self._count.T
 
     def model(self, min_samples: int, penalty: float) -> SparseMultiTimeModel:
         """
         Return the mean of the samples.
 
-        Pairs of state and column with fewer than ``min_samples`` are not available. Nothing is
+        Pairs of state and option with fewer than ``min_samples`` are not available. Nothing is
         known of states without an available pair that can be chosen: samples that end there count
         as if they had ended as the other samples of their pair did, and pairs with no others are
         not available.
 
-        :param penalty: reward units that a pair with one sample is worth less; with n samples it
-            is this by the square root of n.
+        :param penalty: reward units, divided by the square root of the number of samples of a
+            pair, that the pair is valued less.
         """
         enough, rows = self._known(self._count >= max(min_samples, 1))
         count = np.where(enough, self._count, 1.0)
@@ -148,3 +158,33 @@ class Counts:
         rows.data *= np.repeat(scale, np.diff(rows.indptr)) * known[rows.indices]
         rows.eliminate_zeros()
         return enough, rows
+
+
+def shrunk(values: Floats, count: Floats, group: NDArray[np.integer], shrinkage: float) -> Floats:
+    """
+    Return the values (S, O) with advantages shrunk towards those of each state's group.
+
+    A pair that was not sampled in a state, but in others of its group, gets their mean.
+
+    :param values: (S, O), -inf where not available.
+    :param count: (S, O) samples of each pair.
+    :param group: (S,) number of each state's group, from 0.
+    :param shrinkage: number of samples that the mean of the group counts as.
+    """
+    available = np.isfinite(values)
+    known = np.asarray(available.any(axis=1))
+    best = np.where(known, values.max(axis=1), 0.0)[:, None]
+    weight = np.where(available, count, 0.0)
+    advantage = np.where(available, values, best) - best
+    total, samples = _sums(weight * advantage, group), _sums(weight, group)
+    mean = total[group] / np.maximum(samples[group], 1.0)
+    shrunk = (weight * advantage + shrinkage * mean) / np.maximum(weight + shrinkage, 1.0)
+    found: Floats = np.where(
+        np.logical_and(samples[group] > 0, known[:, None]), best + shrunk, -np.inf
+    )
+    return found
+
+
+def _sums(values: Floats, group: NDArray[np.integer]) -> Floats:
+    """Return the sums (G, O) of the rows of each group."""
+    return np.stack([np.bincount(group, column) for column in values.T], axis=1)

@@ -1,61 +1,58 @@
 """Ways to play Pac-Man, compared under the same rules."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
+from humanopts_env.domains.base import feature_columns
 from humanopts_env.domains.pacman.baselines import play_heuristic
 from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_env.domains.pacman.features import look_around
-from humanopts_env.domains.pacman.reference import PacManOption, reference_options
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options as rooms_references
-from humanopts_env.seeding import generator
 from humanopts_learner.options.option import options_from_references
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.errors import ForeignOptionError, PlanCanceled, PlanError
-from humanopts_learner.planning.sampled.comparison import (
+from humanopts_learner.planning.sampled.plan import make_sampled_plan
+from humanopts_teach.evaluation.comparison import (
     Baseline,
     baselines_of,
+    Budgets,
     carried_over,
-    CHANCE,
     compare,
     ComparisonRow,
+    HEURISTIC,
     PLAN,
-    RULE,
-    share_interval,
+    planning_curve,
+    RANDOM,
+    seconds_to_reach,
 )
-from humanopts_learner.planning.sampled.curve import Budgets, planning_curve
-from humanopts_learner.planning.sampled.plan import make_sampled_plan
 import numpy as np
+from numpy.typing import NDArray
 import pytest
 
 GAMES, STEPS, SEED = 40, 8_000, 3
+N_MOVES = 4
 
 
 @dataclass(frozen=True)
-class Scripted:
-    """A reference option as a batch option."""
+class Toward:
+    """Goes to the nearest of some things, as a batch option."""
 
-    option: PacManOption
-    max_steps: int = 200
+    direction: int  # index of the feature
+    name: str
+    max_steps: int = 10
 
-    @property
-    def name(self) -> str:
-        """Name of the option."""
-        return self.option.name
+    def can_start(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return where there is a way to go."""
+        way: NDArray[np.bool_] = rows[:, self.direction] < N_MOVES
+        return way
 
-    def can_start(self, view: Any) -> Any:
-        """Return where it can start."""
-        return self.option.judge(view.batch, look_around(view.batch)).initiation
+    def ends(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Return where there is no way to go."""
+        return ~self.can_start(rows)
 
-    def ends(self, view: Any) -> Any:
-        """Return where it ends."""
-        return self.option.judge(view.batch, look_around(view.batch)).termination
-
-    def action(self, view: Any) -> Any:
-        """Return the first of the best actions."""
-        return self.option.judge(view.batch, look_around(view.batch)).optimal.argmax(axis=1)
+    def greedy_action(self, rows: NDArray[np.int32]) -> NDArray[np.intp]:
+        """Return the first move of a shortest path."""
+        return np.minimum(rows[:, self.direction], N_MOVES - 1).astype(np.intp)
 
 
 @pytest.fixture(scope='module')
@@ -65,30 +62,32 @@ def domain() -> PacMan:
 
 
 @pytest.fixture(scope='module')
-def options(domain: PacMan) -> list[Scripted]:
-    """The four reference options."""
-    return [Scripted(option) for option in reference_options(domain).values()]
+def options(domain: PacMan) -> list[Toward]:
+    """Ways to food, to pills and to scared ghosts."""
+    things = ('food', 'pill', 'prey')
+    columns = feature_columns(domain, [f'{thing}_direction' for thing in things])
+    return [Toward(column, thing) for column, thing in zip(columns, things)]
 
 
 @pytest.fixture(scope='module')
-def contenders(options: list[Scripted]) -> list[Baseline]:
+def baselines(options: list[Toward]) -> list[Baseline]:
     """One of each kind, and primitive actions."""
     return [
         Baseline('planned', PLAN, HUMAN, options, STEPS),
-        Baseline('moves', CHANCE, PRIMITIVE),
-        Baseline('any option', CHANCE, HUMAN, options),
-        Baseline('rule', RULE),
-        Baseline('rule, each step', RULE, to_end=False),
+        Baseline('moves', RANDOM, PRIMITIVE),
+        Baseline('any option', RANDOM, HUMAN, options),
+        Baseline('rule', HEURISTIC),
+        Baseline('rule, each step', HEURISTIC, to_end=False),
     ]
 
 
 @pytest.fixture(scope='module')
-def rows(domain: PacMan, contenders: list[Baseline]) -> list[ComparisonRow]:
+def rows(domain: PacMan, baselines: list[Baseline]) -> list[ComparisonRow]:
     """The comparison."""
-    return compare(domain, contenders, SEED, GAMES)
+    return compare(domain, baselines, SEED, GAMES)
 
 
-def test_every_contender_has_its_row_in_order(rows: list[ComparisonRow]) -> None:
+def test_every_baseline_has_its_row_in_order(rows: list[ComparisonRow]) -> None:
     assert [row.name for row in rows] == [
         'planned',
         'moves',
@@ -106,7 +105,7 @@ def test_every_contender_has_its_row_in_order(rows: list[ComparisonRow]) -> None
 
 
 def test_a_plan_is_judged_as_when_it_is_made_alone(
-    domain: PacMan, options: list[Scripted], rows: list[ComparisonRow]
+    domain: PacMan, options: list[Toward], rows: list[ComparisonRow]
 ) -> None:
     returns = make_sampled_plan(domain, HUMAN, options, STEPS, SEED).play(SEED, GAMES)
     assert rows[0].score.mean == returns.total.mean()
@@ -114,7 +113,7 @@ def test_a_plan_is_judged_as_when_it_is_made_alone(
 
 
 def test_a_curve_has_the_same_score_for_the_same_budget(
-    domain: PacMan, options: list[Scripted], rows: list[ComparisonRow]
+    domain: PacMan, options: list[Toward], rows: list[ComparisonRow]
 ) -> None:
     budgets = Budgets(STEPS // 2, STEPS)
     curve = planning_curve(domain, HUMAN, options, 1e9, SEED, budgets, GAMES)
@@ -122,8 +121,21 @@ def test_a_curve_has_the_same_score_for_the_same_budget(
     assert curve[-1].score == rows[0].score
 
 
+def test_a_curve_ends_where_the_target_is_reached_and_shows_where_it_is_not(
+    domain: PacMan, options: list[Toward]
+) -> None:
+    """Budgets are doubled; there are not so many points to be had."""
+    budgets = Budgets(STEPS, 2 * STEPS)
+    rows = planning_curve(domain, HUMAN, options, 1e9, SEED, budgets, GAMES)
+    assert [row.budget_steps for row in rows] == [STEPS, 2 * STEPS]
+    assert seconds_to_reach(rows, 1e9) is None
+    rows = planning_curve(domain, HUMAN, options, -1e9, SEED, budgets, GAMES)
+    assert [row.budget_steps for row in rows] == [STEPS]
+    assert seconds_to_reach(rows, -1e9) == rows[0].seconds > 0.0
+
+
 def test_a_curve_ends_when_planning_took_long_enough(
-    domain: PacMan, options: list[Scripted]
+    domain: PacMan, options: list[Toward]
 ) -> None:
     curve = planning_curve(
         domain, HUMAN, options, 1e9, SEED, Budgets(STEPS, 8 * STEPS), GAMES, enough_seconds=1e-9
@@ -146,17 +158,15 @@ def test_options_play_better_than_random_moves(rows: list[ComparisonRow]) -> Non
 
 
 def test_the_same_seed_gives_the_same_rows(
-    domain: PacMan, contenders: list[Baseline], rows: list[ComparisonRow]
+    domain: PacMan, baselines: list[Baseline], rows: list[ComparisonRow]
 ) -> None:
-    again = compare(domain, contenders, SEED, GAMES, clock=lambda: 0.0)
+    again = compare(domain, baselines, SEED, GAMES, clock=lambda: 0.0)
     assert again == [replace(row, seconds=None if row.seconds is None else 0.0) for row in rows]
 
 
-def test_progress_rises_over_all_and_can_cancel(
-    domain: PacMan, contenders: list[Baseline]
-) -> None:
+def test_progress_rises_over_all_and_can_cancel(domain: PacMan, baselines: list[Baseline]) -> None:
     told: list[tuple[str, float]] = []
-    compare(domain, contenders[:2], 1, 2, progress=lambda name, share: told.append((name, share)))
+    compare(domain, baselines[:2], 1, 2, progress=lambda name, share: told.append((name, share)))
     shares = [share for _, share in told]
     assert shares == sorted(shares)
     assert {name for name, _ in told} == {'planned', 'moves'}
@@ -166,14 +176,14 @@ def test_progress_rises_over_all_and_can_cancel(
         raise PlanCanceled
 
     with pytest.raises(PlanCanceled):
-        compare(domain, contenders, 1, 2, progress=stop)
+        compare(domain, baselines, 1, 2, progress=stop)
 
 
 def test_only_a_domain_with_a_rule_plays_by_it(domain: PacMan) -> None:
     assert baselines_of(domain).heuristic is not None
     assert baselines_of(Rooms()).heuristic is None
     with pytest.raises(PlanError, match='rooms has no rule'):
-        compare(Rooms(), [Baseline('rule', RULE)], 1)
+        compare(Rooms(), [Baseline('rule', HEURISTIC)], 1)
 
 
 def test_options_go_along_to_other_parameters_but_not_to_other_features() -> None:
@@ -183,17 +193,3 @@ def test_options_go_along_to_other_parameters_but_not_to_other_features() -> Non
     carried_over(option, other).check_domain(other)
     with pytest.raises(ForeignOptionError):
         carried_over(option, PacMan())
-
-
-@pytest.mark.parametrize(('good', 'low', 'high'), [(0, 0.0, 0.278), (5, 0.237, 0.763)])
-def test_shares_have_wilsons_interval(good: int, low: float, high: float) -> None:
-    """Of ten; the values are those of Newcombe (1998)."""
-    found = share_interval(np.arange(10) < good)
-    assert (found.mean, found.low, found.high) == pytest.approx((good / 10, low, high), abs=5e-4)
-
-
-def test_wilsons_interval_covers_shares_near_one() -> None:
-    rng = generator(1, 'shares')
-    found = [share_interval(rng.random(100) < 0.98) for _ in range(1000)]
-    assert sum(i.low <= 0.98 <= i.high for i in found) >= 930
-    assert max(i.high for i in found) <= 1.0
