@@ -124,15 +124,15 @@ class Replay:
 
     def _words(self) -> str:
         """Return where we are, who did what, and what it brought."""
-        episode, moments = self._episode, self._episode.transitions
-        at = moments[self._step]
+        episode, transitions = self._episode, self._episode.transitions
+        at = transitions[self._step]
         parts = [
             f'episode {self._place + 1} of {len(self._episodes)}',
-            f'step {at.step} of {moments[-1].step}',
+            f'step {at.step} of {transitions[-1].step}',
         ]
         if at.previous_action:
             who = actor_of(at, self._actors) or source_of(at)
-            gained = math.fsum(moment.reward for moment in moments[: self._step + 1])
+            gained = math.fsum(transition.reward for transition in transitions[: self._step + 1])
             parts.append(f'{who}: {at.previous_action}')
             parts.append(f'reward {at.reward:g}, in all {gained:g}')
         if self._step == self._last:
