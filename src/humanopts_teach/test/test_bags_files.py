@@ -12,7 +12,7 @@ import subprocess
 import sys
 from typing import Any
 
-from humanopts_teach.bags import reader
+from humanopts_teach.bags import mcap_file, reader
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.errors import BagError, BagWriteError
 from humanopts_teach.bags.info import summarise
@@ -125,6 +125,21 @@ def test_attachments_come_back(tmp_path: Path) -> None:
         writer.attach('option.json', b'{"a": 1}')
     (kept,) = open_bag(tmp_path / 'bag').attached()
     assert (kept.name, kept.data) == ('option.json', b'{"a": 1}')
+
+
+@pytest.mark.parametrize('indexed', [True, False])
+def test_an_attached_file_may_be_larger_than_any_chunk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, indexed: bool
+) -> None:
+    large = os.urandom(50_000)
+    with write_states(tmp_path / 'bag', 3) as writer:
+        writer.attach('large.bin', large)
+    if not indexed:
+        file = tmp_path / 'bag' / 'bag_0.mcap'
+        os.truncate(file, file.stat().st_size - 100)
+    monkeypatch.setattr(mcap_file, 'LARGEST', 20_000)
+    (kept,) = open_bag(tmp_path / 'bag').attached()
+    assert kept.data == large
 
 
 def test_metadata_is_valid_from_the_start(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ from mcap.stream_reader import breakup_chunk, MAGIC_SIZE
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
-LARGEST = 1 << 28  # bytes of a record or an uncompressed chunk; what claims more is damaged
+LARGEST = 1 << 28  # bytes of a chunk; one that claims more is damaged
 OffsetCallback = Callable[[int], object]  # takes the offset up to which a file was read
 _HEAD = struct.Struct('<BQ')  # opcode of a record, length of its content
 _TIMES = struct.Struct('<QQ')  # first and last log time, at the beginning of a chunk's content
@@ -105,6 +105,7 @@ class McapStream(BufferedReader):
     def __init__(self, path: Path) -> None:
         super().__init__(FileIO(path))
         self.size = path.stat().st_size
+        self.limit = LARGEST  # bytes that are read at once
 
     def read(self, size: int | None = -1, /) -> bytes:
         """
@@ -113,7 +114,7 @@ class McapStream(BufferedReader):
         :raises EndOfFile: there are fewer.
         """
         wanted = -1 if size is None else size
-        if wanted > min(self.size, LARGEST):
+        if wanted > min(self.size, self.limit):
             raise EndOfFile(f'a length of {wanted} bytes is damaged')
         data = super().read(wanted)
         if len(data) < wanted:
@@ -177,6 +178,7 @@ def read_attachment(index: FileIndex, name: str) -> Attachment:
         try:
             stream.seek(index.attachments[name].offset)
             _, length = _HEAD.unpack(stream.read(_HEAD.size))
+            stream.limit = stream.size
             content = stream.read(length)
             checksum = int.from_bytes(content[-4:], 'little')
             if checksum and zlib.crc32(content[:-4]) != checksum:  # the package does not compare
@@ -263,7 +265,9 @@ def _check_summary(stream: McapStream, footer: Footer) -> None:
     if stream.read(1)[0] != Opcode.DATA_END:
         raise ValueError('it is not where the end of the file says')
     stream.seek(footer.summary_start)
+    stream.limit = stream.size
     content = stream.read(stream.size - MAGIC_SIZE - footer.summary_start)
+    stream.limit = LARGEST
     if footer.summary_crc and zlib.crc32(content[:-4]) != footer.summary_crc:
         raise ValueError('it does not fit its checksum')
 
@@ -404,6 +408,7 @@ def _add_record(index: FileIndex, stream: McapStream, opcode: int, start: int, e
     :raises Exception: one of ``DAMAGE``, where it is damaged.
     """
     stream.seek(start + _HEAD.size)
+    stream.limit = LARGEST if opcode == Opcode.CHUNK else max(LARGEST, end - start)
     data = ReadDataStream(stream)
     if opcode == Opcode.CHUNK:
         block = Block(start + _HEAD.size, end - start - _HEAD.size, 0, 0, frozenset())
