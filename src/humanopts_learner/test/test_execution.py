@@ -2,9 +2,7 @@
 
 from pathlib import Path
 import re
-from typing import Any
 
-from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_learner.execution import (
     execution_named,
@@ -23,8 +21,13 @@ from humanopts_learner.library import (
     PrimitiveOption,
     UnknownOptionError,
 )
-from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
-from humanopts_learner.options.option import LearnedOption, Mode, OptionError
+from humanopts_learner.options.option import (
+    LearnedOption,
+    Mode,
+    option_from_tables,
+    OptionError,
+    OptionTables,
+)
 from humanopts_learner.planning.arbitration import Execution
 import numpy as np
 from numpy.typing import NDArray
@@ -45,29 +48,12 @@ def option(
     max_steps: int = 50,
 ) -> LearnedOption:
     """Return an option that starts where nobody is aboard; its trees say what is given, (S,)."""
-    encoding = feature_encoding(domain, [feature.name for feature in domain.features])
-    X = encode_rows(encoding, domain.feature_table())
-    column = [feature.name for feature in domain.features].index('passenger_in_taxi')
-    waits = domain.feature_table()[:, column] == 0
-
-    def tree(labels: NDArray[Any] | int, classes: tuple[int, ...]) -> Any:
-        return fit_tree(X, np.broadcast_to(labels, len(X)).astype(int), classes, 0)
-
-    return LearnedOption(
-        name=name,
-        participant=participant,
-        domain=domain.name,
-        domain_parameters=parameters_json(domain),
-        actions=tuple(a.name for a in domain.actions),
-        features=('taxi_row',),
-        encoding=encoding,
-        policy=tree(action, tuple(range(6))),
-        initiation=tree(waits, (0, 1)),
-        termination=tree(ends, (0, 1)),
-        n_demonstrations=1,
-        n_not_here=0,
-        max_steps=max_steps,
-        uuids=(),
+    rows, names = domain.feature_table(), [feature.name for feature in domain.features]
+    waits = rows[:, names.index('passenger_in_taxi')] == 0
+    actions, over = (np.broadcast_to(values, len(rows)) for values in (action, ends))
+    tables = OptionTables(actions.astype(np.intp), waits, over.astype(np.bool_))
+    return option_from_tables(
+        domain, name, names, rows, tables, participant=participant, max_steps=max_steps
     )
 
 

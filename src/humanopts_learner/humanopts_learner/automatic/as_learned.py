@@ -56,12 +56,11 @@ def _learned(
     return option_from_tables(
         domain,
         option.name,
-        participant,
         [domain.features[column].name for column in needed],
         rows,
-        (going & tables.initiation, tables.action),
-        (going, tables.initiation),
-        (going, tables.termination),
+        tables,
+        (going & tables.initiation, going, going),
+        participant,
         option.max_steps,
     )
 

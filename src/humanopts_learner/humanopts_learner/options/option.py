@@ -23,7 +23,6 @@ MEMBER = 1  # class of I and beta
 MEMBERSHIP = (0, MEMBER)
 REFERENCE = 'reference'  # participant of options that are made from reference options
 REFERENCE_MAX_STEPS = 200
-Known = tuple[NDArray[np.bool_], NDArray[Any]]  # (S,) for which states, and the values
 
 
 class OptionError(ValueError):
@@ -195,41 +194,40 @@ def _from_reference(
     return option_from_tables(
         domain,
         reference.name,
-        REFERENCE,
         reference.features,
         domain.feature_table(),
-        (reference.initiation, reference.optimal.argmax(axis=1)),
-        (reference.judged & ~domain.over(), reference.initiation),
-        (reference.judged, reference.termination),
-        max_steps,
+        OptionTables(
+            reference.optimal.argmax(axis=1), reference.initiation, reference.termination
+        ),
+        (reference.initiation, reference.judged & ~domain.over(), reference.judged),
+        max_steps=max_steps,
     )
 
 
 def option_from_tables(
     domain: Domain[Any],
     name: str,
-    participant: str,
     features: Sequence[str],
     rows: NDArray[np.int32],
-    policy: Known,
-    initiation: Known,
-    termination: Known,
-    max_steps: int,
+    tables: OptionTables,
+    known: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]] | None = None,
+    participant: str = REFERENCE,
+    max_steps: int = REFERENCE_MAX_STEPS,
 ) -> LearnedOption:
     """
-    Return the option whose trees say in each state what tables say.
+    Return the option whose trees say in every state what tables say.
 
     :param features: those that the trees look at.
-    :param rows: (S, F) all features of S states.
-    :param policy: the states in which it is known, and an action for every state; so for
-        ``initiation`` and ``termination``, with whether the state is a member or an end.
+    :param rows: (S, F) all features of the S states of the tables.
+    :param known: (S,) the states in which the action, the initiation set and the termination
+        condition are known; None: all.
     :raises DomainError: the features do not tell what it does.
     """
     encoding = feature_encoding(domain, features)
     X = encode_rows(encoding, rows)
+    in_action, in_initiation, in_termination = known or (np.ones(len(rows), dtype=np.bool_),) * 3
 
-    def tree(known: Known, classes: Sequence[int]) -> Tree:
-        states, values = known
+    def tree(states: NDArray[np.bool_], values: NDArray[Any], classes: Sequence[int]) -> Tree:
         seen, labels = X[states], values[states].astype(np.intp)
         fitted = fit_tree(seen, labels, classes, 0)
         if (fitted.likeliest(seen) != labels).any():
@@ -244,9 +242,9 @@ def option_from_tables(
         actions=tuple(action.name for action in domain.actions),
         features=tuple(features),
         encoding=encoding,
-        policy=tree(policy, range(len(domain.actions))),
-        initiation=tree(initiation, MEMBERSHIP),
-        termination=tree(termination, MEMBERSHIP),
+        policy=tree(in_action, tables.action, range(len(domain.actions))),
+        initiation=tree(in_initiation, tables.initiation, MEMBERSHIP),
+        termination=tree(in_termination, tables.termination, MEMBERSHIP),
         n_demonstrations=0,
         n_not_here=0,
         max_steps=max_steps,
