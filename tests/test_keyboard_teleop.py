@@ -27,8 +27,7 @@ from graph_support.live import (
     OPTION_SERVER,
 )
 from humanopts_env.domains.registry import make_domain, reference_options
-from humanopts_env.domains.taxi import TaxiState
-from humanopts_env.domains.taxi_tables import landmark_cells
+from humanopts_env.domains.taxi import landmark_cells, TaxiState
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import ActionRefusal, ExecutionState, GameState, OptionResult
 from humanopts_ros.qos import STREAM

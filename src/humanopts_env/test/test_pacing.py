@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 from humanopts_env.domains.taxi import Taxi
-from humanopts_env.game import Accepted, Command, Game, Reason, Refused, Source
-from humanopts_env.pacing import Pacing, Result
+from humanopts_env.game import Accepted, Command, Game, Pacing, Reason, Refused, Result, Source
 import pytest
 
 FIRST = Command('planner-1', 1, Source.MACHINE, 1, 0, 'north')

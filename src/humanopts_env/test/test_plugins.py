@@ -5,7 +5,7 @@ from pathlib import Path
 import time
 from typing import Any
 
-from humanopts_env.check import check_domain, ContractError
+from humanopts_env.contract import check_domain, ContractError
 from humanopts_env.domains.base import DomainError, Feature, FeatureKind, is_enumerable, Outcome
 from humanopts_env.domains.registry import domain_names, make_domain, reference_options
 from humanopts_env.domains.rooms import Rooms

@@ -5,8 +5,8 @@ from typing import Any
 
 from humanopts_env.contract import DomainContract
 from humanopts_env.domains.base import Domain, DomainError
-from humanopts_env.domains.chance import draw_outcomes, outcome_limits
 from humanopts_env.domains.rooms import ACTIONS, Rooms, RoomsState
+from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
 import numpy as np
 import pytest

@@ -22,7 +22,7 @@ from enum import Enum
 from typing import Any
 
 from humanopts_env.domains.base import EnumerableDomain, Transitions
-from humanopts_env.domains.chance import draw_outcomes, outcome_limits
+from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.planning.action_sets import (

@@ -8,8 +8,7 @@ from humanopts_env.domains.base import Domain, Transitions
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.rooms import Rooms
-from humanopts_env.domains.taxi import Taxi
-from humanopts_env.domains.taxi_tables import ABOARD
+from humanopts_env.domains.taxi import ABOARD, Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
 from humanopts_learner.automatic.extract import AutomaticOptions, find_options

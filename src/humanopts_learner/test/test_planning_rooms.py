@@ -2,9 +2,9 @@
 
 from functools import cache
 
-from humanopts_env.domains.chance import draw_outcomes, outcome_limits
 from humanopts_env.domains.rooms import Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options
+from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, option_tables, options_from_references
 from humanopts_learner.planning.action_sets import build_model, TabledOption

@@ -6,7 +6,7 @@ import inspect
 import json
 from typing import Any, cast
 
-from humanopts_env.check import check_domain
+from humanopts_env.contract import check_domain
 from humanopts_env.domains.base import Domain, DomainError, Parameter
 from humanopts_env.domains.reference import ReferenceOption
 

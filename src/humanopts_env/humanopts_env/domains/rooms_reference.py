@@ -9,8 +9,7 @@ from functools import cached_property
 
 from humanopts_env.domains.base import EnumerableDomain, feature_columns, Transitions
 from humanopts_env.domains.reference import TabularReferenceOption
-from humanopts_env.domains.rooms import NOWHERE, ROOM_VALUES, RoomsState
-from humanopts_env.domains.rooms_board import ROOMS
+from humanopts_env.domains.rooms import NOWHERE, ROOM_VALUES, ROOMS, RoomsState
 from humanopts_env.domains.tabular import distance_to, read_only
 import numpy as np
 from numpy.typing import NDArray

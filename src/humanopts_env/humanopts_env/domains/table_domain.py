@@ -15,9 +15,13 @@ from humanopts_env.domains.base import (
     StateError,
     Transitions,
 )
-from humanopts_env.domains.chance import draw_outcomes, outcome_limits
-from humanopts_env.domains.shared_tables import SharedTables
-from humanopts_env.domains.tabular import reachable, read_only
+from humanopts_env.domains.tabular import (
+    draw_outcomes,
+    outcome_limits,
+    reachable,
+    read_only,
+    SharedTables,
+)
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,6 +1,9 @@
-"""Reachability and shortest paths over the exact transitions of enumerable domains."""
+"""Exact tables of domains: reachability, shortest paths, drawing of outcomes, shared tables."""
 
-from typing import Any, TypeVar
+from abc import ABC, abstractmethod
+from collections.abc import Hashable
+from functools import cached_property
+from typing import Any, Generic, TypeVar
 
 from humanopts_env.domains.base import EnumerableDomain, Transitions
 import numpy as np
@@ -61,3 +64,107 @@ def distance_to(
         optimal[waiting[found]] = nearer[found]
         waiting = waiting[~found]
     return distance, optimal
+
+
+ROUNDING = 1e-9  # how far the probabilities of one action may be from 1 in sum
+
+
+def outcome_limits(transitions: Transitions) -> NDArray[np.float64]:
+    """
+    Return (S, A, B): the probability of each outcome or one before it.
+
+    The last outcome that can happen has 1 exactly, so rounding never leads to an unused one.
+    """
+    limits = np.cumsum(transitions.probability, axis=2)
+    limits[limits > 1 - ROUNDING] = 1.0
+    return limits
+
+
+def draw_outcomes(
+    limits: NDArray[np.float64], state: Any, action: Any, number: Any
+) -> NDArray[np.intp]:
+    """
+    Return which of the B outcomes uniform numbers choose.
+
+    :param limits: from ``outcome_limits``.
+    :param state: index or indices (N,), as ``action``.
+    :param number: in [0, 1), one or (N,).
+    """
+    chosen: NDArray[np.intp] = (limits[state, action] <= np.asarray(number)[..., None]).sum(-1)
+    return chosen
+
+
+S = TypeVar('S', bound=Hashable)
+
+
+class SharedTables(ABC, Generic[S]):
+    """
+    What an ``EnumerableDomain`` reads from its tables.
+
+    Each table is built when it is first asked for, then shared and read-only.
+    """
+
+    @abstractmethod
+    def index(self, state: S) -> int:
+        """Return the state's index, 0..n_states-1."""
+
+    @abstractmethod
+    def state_at(self, index: int) -> S:
+        """Return the state of an index."""
+
+    @abstractmethod
+    def _build_transitions(self) -> Transitions:
+        """Return the exact transitions, with read-only arrays."""
+
+    @abstractmethod
+    def _build_feature_table(self) -> NDArray[np.int32]:
+        """Return (S, F)."""
+
+    @abstractmethod
+    def _build_start_states(self) -> NDArray[np.int32]:
+        """Return the indices of all start states."""
+
+    @abstractmethod
+    def _build_over(self) -> NDArray[np.bool_]:
+        """Return (S,): where the task is over."""
+
+    def reset(self, rng: np.random.Generator) -> S:
+        """Draw a start state of the task."""
+        return self.state_at(int(rng.choice(self.start_states())))
+
+    def feature_values(self, state: S) -> NDArray[np.int32]:
+        """Return the value of every feature, (F,), indices into ``Feature.values``."""
+        values: NDArray[np.int32] = self.feature_table()[self.index(state)]
+        return values
+
+    def transitions(self) -> Transitions:
+        """Return the exact transitions; built once, then shared and read-only."""
+        return self._transitions
+
+    def feature_table(self) -> NDArray[np.int32]:
+        """Return (S, F): ``feature_values`` of every state; shared and read-only."""
+        return self._feature_table
+
+    def start_states(self) -> NDArray[np.int32]:
+        """Return the indices that ``reset`` draws from, uniformly."""
+        return self._start_states
+
+    def over(self) -> NDArray[np.bool_]:
+        """Return (S,): ``is_over`` of every state; shared and read-only."""
+        return self._over
+
+    @cached_property
+    def _transitions(self) -> Transitions:
+        return self._build_transitions()
+
+    @cached_property
+    def _feature_table(self) -> NDArray[np.int32]:
+        return read_only(self._build_feature_table())
+
+    @cached_property
+    def _start_states(self) -> NDArray[np.int32]:
+        return read_only(self._build_start_states())
+
+    @cached_property
+    def _over(self) -> NDArray[np.bool_]:
+        return read_only(self._build_over())

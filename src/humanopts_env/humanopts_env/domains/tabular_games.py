@@ -5,7 +5,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.capabilities import Abstraction
-from humanopts_env.domains.chance import draw_outcomes, outcome_limits
+from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
 import numpy as np
 from numpy.typing import NDArray
 

@@ -7,8 +7,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
-from humanopts_env.game import Accepted, Control, Game, Holder, Source, Transition
-from humanopts_env.pacing import Pacing, Result
+from humanopts_env.game import Accepted, Control, Game, Holder, Pacing, Result, Source, Transition
 from humanopts_env.ros.convert import (
     command_from_message,
     control_to_message,

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain, S
-from humanopts_env.domains.chance import draw_outcomes, outcome_limits
+from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.action_sets import ignore_progress, Progress
 from humanopts_learner.planning.errors import PlanError
