@@ -6,8 +6,8 @@ import json
 from typing import Any
 
 from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import find_options
-from humanopts_learner.automatic.how import Extraction
 from humanopts_teach.report.figures import Drawing
 import numpy as np
 import pytest

@@ -17,9 +17,9 @@ from humanopts_interfaces.msg import (
     PolicyResult,
 )
 from humanopts_interfaces.srv import ListOptions
-from humanopts_learner.automatic.as_learned import learned_options
+from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import AutomaticOptions, find_options
-from humanopts_learner.automatic.how import Extraction
+from humanopts_learner.automatic.to_learned_option import to_learned_options
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.ros.convert import options_from_message
 from humanopts_ros.qos import CURRENT
@@ -96,13 +96,13 @@ def test_who_comes_late_gets_them_whole(
     at_work.graph.until(lambda: heard, 'the options')
     options, problems = options_from_message(heard[-1])
     assert not problems
-    assert options == learned_options(TAXI, found)
+    assert options == to_learned_options(TAXI, found)
 
 
 def test_an_episode_is_played_by_a_plan_of_automatic_options(
     at_work: Planning, extracted: ExtractionResult, found: AutomaticOptions
 ) -> None:
-    plan = make_plan(TAXI, 'automatic', learned_options(TAXI, found))
+    plan = make_plan(TAXI, 'automatic', to_learned_options(TAXI, found))
     result = at_work.plan('automatic')
     assert result.status == PlanResult.STATUS_CONVERGED
     assert tuple(result.option_names) == plan.names

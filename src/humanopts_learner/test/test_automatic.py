@@ -11,10 +11,10 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import ABOARD, Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
+from humanopts_learner.automatic.config import Extraction, USUAL
 from humanopts_learner.automatic.extract import AutomaticOptions, find_options
-from humanopts_learner.automatic.how import Extraction, USUAL
 from humanopts_learner.automatic.search_space import search_space
-from humanopts_learner.automatic.tasks import draw_tasks
+from humanopts_learner.automatic.subgoals import draw_tasks
 from humanopts_learner.planning.action_sets import HUMAN_AND_PRIMITIVE, PRIMITIVE
 from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
 from humanopts_learner.planning.plan import plan_with_tables

@@ -8,9 +8,9 @@ from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
-from humanopts_learner.automatic.as_learned import learned_options
+from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import AutomaticOptions, find_options
-from humanopts_learner.automatic.how import Extraction
+from humanopts_learner.automatic.to_learned_option import to_learned_options
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, option_tables
 from humanopts_learner.planning.any_domain import plan_in, PlanRequest, select_options
@@ -33,7 +33,7 @@ def found(name: str) -> AutomaticOptions:
 @cache
 def options(name: str) -> list[LearnedOption]:
     """Return the same as learned options."""
-    return learned_options(make_domain(name), found(name))
+    return to_learned_options(make_domain(name), found(name))
 
 
 @pytest.mark.parametrize('name', ['taxi', 'rooms', 'gymnasium:CliffWalking-v1'])
@@ -74,7 +74,7 @@ def test_what_the_features_do_not_tell_apart_is_refused() -> None:
     seen = found('rooms')
     dark = replace(seen, space=replace(seen.space, rows=np.zeros_like(seen.space.rows)))
     with pytest.raises(DomainError, match='of rooms do not tell what'):
-        learned_options(Rooms(), dark)
+        to_learned_options(Rooms(), dark)
 
 
 def test_a_file_keeps_an_automatic_option_without_demonstrations() -> None:
@@ -106,7 +106,7 @@ def test_fallbacks_of_automatic_options_are_where_none_can_start() -> None:
 
 def test_people_are_not_taken_for_machines() -> None:
     with pytest.raises(PlanError, match="must begin with 'automatic', not 'ann'"):
-        learned_options(Rooms(), found('rooms'), 'ann')
+        to_learned_options(Rooms(), found('rooms'), 'ann')
 
 
 def test_sets_choose_between_what_people_taught_and_what_was_found() -> None:

@@ -9,20 +9,21 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.search_space import SearchSpace
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
-from humanopts_learner.automatic.how import Extraction, Progress, say_nothing, USUAL
-from humanopts_learner.automatic.reaching import (
+from humanopts_learner.automatic.config import Extraction, ignore_progress, Progress, USUAL
+from humanopts_learner.automatic.search_space import search_space
+from humanopts_learner.automatic.subgoals import (
     check_tables,
-    Errands,
+    draw_tasks,
     greedy_runs,
     learn_to_reach,
+    Subgoals,
     Values,
 )
-from humanopts_learner.automatic.search_space import search_space
-from humanopts_learner.automatic.tabled import BatchTabledOption
-from humanopts_learner.automatic.tasks import draw_tasks
 from humanopts_learner.options.option import OptionTables
 from humanopts_learner.planning.action_sets import TabledOption
 from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.sampled.action_set import Flags, Rows
+from humanopts_learner.planning.sampled.state_abstraction import Ints
 from humanopts_learner.qlearning import TabularSimulator
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +45,32 @@ class AutomaticOption:
 
 
 @dataclass(frozen=True)
+class BatchTabledOption:
+    """A ``BatchOption`` by tables over the S states of a search space."""
+
+    name: str
+    max_steps: int
+    tables: OptionTables  # (S,) each
+    space: SearchSpace
+
+    def can_start(self, rows: Rows) -> Flags:
+        """Return (N,): whether each game is in the initiation set."""
+        inside: Flags = self.tables.initiation[self.space.states_of(rows)]
+        return inside
+
+    def greedy_action(self, rows: Rows) -> Ints:
+        """Return (N,): the action that the option takes."""
+        action: Ints = self.tables.action[self.space.states_of(rows)]
+        return action
+
+    def ends(self, rows: Rows) -> Flags:
+        """Return (N,): whether the game has come to the target, or left the initiation set."""
+        return ~self.can_start(rows)
+
+
+@dataclass(frozen=True)
 class AutomaticOptions:
-    """What was found, and what it cost."""
+    """The options that were found, and the cost of finding them."""
 
     options: tuple[AutomaticOption, ...]  # in the order in which they were found
     space: SearchSpace
@@ -71,7 +96,7 @@ class AutomaticOptions:
 def find_options(
     domain: Domain[Any],
     seed: int,
-    how: Extraction = USUAL,
+    config: Extraction = USUAL,
     progress: Progress | None = None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> AutomaticOptions:
@@ -79,16 +104,16 @@ def find_options(
     Find options by the algorithm of Stolle and Precup (2002).
 
     :param domain: one that has a search space of its own, or whose states can be listed.
-    :param progress: told the stages ``tasks`` and ``policies``.
+    :param progress: called with the stages ``tasks`` and ``policies``.
     :raises PlanError: no tasks can be set in the domain; its subclasses say why.
     :raises PlanCanceled: from ``progress``.
     """
-    space, tell = search_space(domain), progress or say_nothing
+    space, report = search_space(domain), progress or ignore_progress
     began = clock()
-    work = _Extraction(space, seed, how, tell)
+    work = _Extraction(space, seed, config, report)
     visits, solved = work.visit()
-    bottlenecks = find_bottlenecks(visits, how.options)
-    options = work.learn(bottlenecks, domain.max_steps or how.max_steps)
+    bottlenecks = find_bottlenecks(visits, config.options)
+    options = work.learn(bottlenecks, domain.max_steps or config.max_steps)
     return AutomaticOptions(
         options=tuple(options),
         space=space,
@@ -101,29 +126,31 @@ def find_options(
 
 
 class _Extraction:
-    """Options while they are looked for."""
+    """The work of finding options."""
 
-    def __init__(self, space: SearchSpace, seed: int, how: Extraction, tell: Progress) -> None:
-        self._space, self._seed, self._how, self._tell = space, seed, how, tell
-        self._world = TabularSimulator(space.transitions, space.over)
+    def __init__(
+        self, space: SearchSpace, seed: int, config: Extraction, report: Progress
+    ) -> None:
+        self._space, self._seed, self._config, self._report = space, seed, config, report
+        self._simulator = TabularSimulator(space.transitions, space.over)
         self.game_steps, self.episodes = 0, 0
 
     def visit(self) -> tuple[Visits, float]:
-        """Learn random tasks; return the visits of greedy runs, and the share that came home."""
-        how, rng = self._how, generator(self._seed, 'automatic_options', 'tasks')
-        check_tables(self._world, how.tasks)
-        errands = draw_tasks(self._space, how.tasks, rng)
-        values = self._learn('tasks', errands, how.train_episodes, rng)
-        learner = np.repeat(np.arange(how.tasks), how.test_runs)
-        start = errands.draw(learner, rng)
+        """Learn random tasks; return the visits of greedy runs, and the share that succeeded."""
+        config, rng = self._config, generator(self._seed, 'automatic_options', 'tasks')
+        check_tables(self._simulator, config.tasks)
+        subgoals = draw_tasks(self._space, config.tasks, rng)
+        values = self._learn('tasks', subgoals, config.train_episodes, rng)
+        learner = np.repeat(np.arange(config.tasks), config.test_runs)
+        start = subgoals.draw(learner, rng)
         run, state, steps = greedy_runs(
-            self._world, values, errands, learner, start, how.max_steps, rng
+            self._simulator, values, subgoals, learner, start, config.max_steps, rng
         )
         self.game_steps += steps
         if not run.size:
             raise PlanError(
-                f'not one of {how.tasks} tasks was learned in {how.train_episodes} episodes each: '
-                'give more'
+                f'not one of {config.tasks} tasks was learned in {config.train_episodes} episodes '
+                'each: give more'
             )
         return Visits(self._space, run, state), len(np.unique(run)) / len(learner)
 
@@ -136,9 +163,9 @@ class _Extraction:
         initiation = np.array([target.initiation for target in targets])
         target = np.array([target.target for target in targets])
         starts = np.nonzero(initiation)[1]
-        errands = Errands(starts, initiation.sum(axis=1), target, ~(initiation | target))
-        values = self._learn('policies', errands, self._how.option_episodes, rng)
-        reaches = self._reaches(values, errands, rng)
+        subgoals = Subgoals(starts, initiation.sum(axis=1), target, ~(initiation | target))
+        values = self._learn('policies', subgoals, self._config.option_episodes, rng)
+        reaches = self._reaches(values, subgoals, rng)
         return [
             AutomaticOption(
                 found,
@@ -150,27 +177,31 @@ class _Extraction:
         ]
 
     def _learn(
-        self, stage: str, errands: Errands, episodes: int, rng: np.random.Generator
+        self, stage: str, subgoals: Subgoals, episodes: int, rng: np.random.Generator
     ) -> Values:
         before = self.game_steps
         values, steps = learn_to_reach(
-            self._world,
-            errands,
+            self._simulator,
+            subgoals,
             episodes,
-            self._how,
+            self._config,
             rng,
-            lambda done, so_far: self._tell(stage, done, before + so_far),
+            lambda done, so_far: self._report(stage, done, before + so_far),
         )
         self.game_steps += steps
-        self.episodes += episodes * len(errands.counts)
-        self._tell(stage, 1.0, self.game_steps)
+        self.episodes += episodes * len(subgoals.counts)
+        self._report(stage, 1.0, self.game_steps)
         return values
 
-    def _reaches(self, values: Values, errands: Errands, rng: np.random.Generator) -> list[float]:
-        """Return the share of starts of each learner from which one greedy run comes home."""
-        owner = np.repeat(np.arange(len(errands.counts)), errands.counts)
-        limit = self._how.max_steps
-        run, _, _ = greedy_runs(self._world, values, errands, owner, errands.starts, limit, rng)
-        came = np.bincount(owner[np.unique(run)], minlength=len(errands.counts))
-        shares: list[float] = (came / errands.counts).tolist()
+    def _reaches(
+        self, values: Values, subgoals: Subgoals, rng: np.random.Generator
+    ) -> list[float]:
+        """Return for each learner the share of starts whose greedy run reaches the target."""
+        owner = np.repeat(np.arange(len(subgoals.counts)), subgoals.counts)
+        limit = self._config.max_steps
+        run, _, _ = greedy_runs(
+            self._simulator, values, subgoals, owner, subgoals.starts, limit, rng
+        )
+        came = np.bincount(owner[np.unique(run)], minlength=len(subgoals.counts))
+        shares: list[float] = (came / subgoals.counts).tolist()
         return shares

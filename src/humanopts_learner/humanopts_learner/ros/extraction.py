@@ -7,9 +7,9 @@ import uuid
 from humanopts_env.domains.base import Domain
 from humanopts_interfaces.action import ExtractOptions
 from humanopts_interfaces.msg import ExtractionGoal, ExtractionResult, LearnedOptions
-from humanopts_learner.automatic.as_learned import check_participant, learned_options
+from humanopts_learner.automatic.config import Extraction, USUAL
 from humanopts_learner.automatic.extract import AutomaticOptions, find_options
-from humanopts_learner.automatic.how import Extraction, USUAL
+from humanopts_learner.automatic.to_learned_option import check_participant, to_learned_options
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import MACHINE
 from humanopts_learner.ros.convert import options_to_message
@@ -75,7 +75,7 @@ class ExtractionAction(LongAction[ExtractionResult]):
 
         def search() -> tuple[AutomaticOptions, list[LearnedOption]]:
             found = find_options(domain, goal.seed, how, progress)
-            return found, learned_options(domain, found, participant)
+            return found, to_learned_options(domain, found, participant)
 
         found, options = await in_thread(self._node, self._state.pool, search)
         others = [o for o in self._state.automatic if o.participant != participant]

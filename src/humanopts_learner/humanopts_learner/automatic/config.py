@@ -6,7 +6,7 @@ import math
 
 from humanopts_learner.planning.errors import PlanError
 
-# Told the stage (tasks or policies), how far it is (0..1) and the game steps so far; raises
+# Called with the stage (tasks or policies), how far it is (0..1) and the game steps so far; raises
 # ``PlanCanceled`` to stop
 Progress = Callable[[str, float, int], object]
 
@@ -14,7 +14,7 @@ Progress = Callable[[str, float, int], object]
 @dataclass(frozen=True)
 class Extraction:
     """
-    How options are looked for.
+    How options are searched for.
 
     M. Stolle and D. Precup (2002), "Learning Options in Reinforcement Learning", give the
     algorithm. The numbers marked "usual" are those that others use when they repeat it
@@ -57,5 +57,5 @@ class Extraction:
 USUAL = Extraction()
 
 
-def say_nothing(stage: str, fraction: float, game_steps: int) -> None:
-    """Take no note."""
+def ignore_progress(stage: str, fraction: float, game_steps: int) -> None:
+    """Do nothing."""

@@ -1,4 +1,4 @@
-"""Automatic options in the form of learned ones: trees that say the same as their tables."""
+"""Automatic options as learned ones: decision trees that agree with their tables."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def learned_options(
+def to_learned_options(
     domain: Domain[Any], found: AutomaticOptions, participant: str = MACHINE
 ) -> list[LearnedOption]:
     """
@@ -23,7 +23,7 @@ def learned_options(
     tables wherever an episode comes and goes on: I and beta there, and pi in I.
 
     :param found: in this domain.
-    :param participant: whose they are said to be; begins with ``MACHINE``.
+    :param participant: the participant code of the options; begins with ``MACHINE``.
     :raises PlanError: the participant has another code.
     :raises DomainError: the features do not tell apart all that an option does.
     """
@@ -51,8 +51,8 @@ def _learned(
     space: SearchSpace,
 ) -> LearnedOption:
     tables, rows, going = option.tables, space.rows, space.open
-    said = 2 * np.where(tables.initiation, 1 + tables.action, 0) + tables.termination
-    needed = _needed(rows[going], list(space.columns), said[going])
+    decisions = 2 * np.where(tables.initiation, 1 + tables.action, 0) + tables.termination
+    needed = _needed(rows[going], list(space.columns), decisions[going])
     return option_from_tables(
         domain,
         option.name,
@@ -65,16 +65,16 @@ def _learned(
     )
 
 
-def _needed(rows: NDArray[np.int32], columns: list[int], said: Ints) -> list[int]:
-    """Leave out, from the last on, every column without which it is known what is said."""
+def _needed(rows: NDArray[np.int32], columns: list[int], decisions: Ints) -> list[int]:
+    """Return the columns without those, from the last on, that the decisions do not need."""
     for column in reversed(columns):
         others = [other for other in columns if other != column]
-        if others and _determine(rows[:, others], said):
+        if others and _determine(rows[:, others], decisions):
             columns = others
     return columns
 
 
-def _determine(seen: NDArray[np.int32], said: Ints) -> bool:
-    """Tell whether rows that are alike always go with the same word."""
-    both = np.column_stack([seen, said])
+def _determine(seen: NDArray[np.int32], decisions: Ints) -> bool:
+    """Return whether equal rows always come with equal decisions."""
+    both = np.column_stack([seen, decisions])
     return len(np.unique(seen, axis=0)) == len(np.unique(both, axis=0))

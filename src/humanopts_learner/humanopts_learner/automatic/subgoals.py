@@ -1,0 +1,213 @@
+"""
+Subgoals, and Q-learning of policies that reach them (Watkins 1989), many learners side by side.
+
+The subgoals are random tasks at first, from a start to a goal; and then the bottlenecks.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from humanopts_env.domains.search_space import SearchSpace
+from humanopts_learner.automatic.config import Extraction
+from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.qlearning import draw_among, Flags, Ints, TabularSimulator
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+Values = NDArray[np.float32]
+OnProgress = Callable[[float, int], object]  # share of the episodes that are done, steps so far
+REPORT_EVERY = 200  # steps
+LARGEST_TABLES = 2**28  # entries of all learners, 1 GiB
+
+
+@dataclass(frozen=True)
+class Subgoals:
+    """The tasks of L learners: each is to come from a start to a target."""
+
+    starts: Ints  # (M,) those of the first learner, of the second, ...
+    counts: Ints  # (L,) how many each has, 1 or more; an episode begins in any of them
+    target: Flags  # (L, S) worth 1, and ends the episode
+    forbidden: Flags  # (L, S) worth nothing, and ends the episode too
+
+    def draw(self, learners: Ints, rng: np.random.Generator) -> Ints:
+        """Draw a start for each of some learners (N,)."""
+        first = np.cumsum(self.counts) - self.counts
+        drawn: Ints = self.starts[first[learners] + rng.integers(self.counts[learners])]
+        return drawn
+
+
+def draw_tasks(space: SearchSpace, count: int, rng: np.random.Generator) -> Subgoals:
+    """
+    Draw tasks (Stolle and Precup 2002, step 1).
+
+    The goal of a task is another state that the start can be reached from and that can be reached
+    from it; or the domain's own, where episodes begin with random goals. A task also ends, in
+    vain, where the domain's own is over.
+
+    :raises PlanError: no two states can be reached from each other, so there are no goals.
+    """
+    if space.goals is not None:
+        start = rng.choice(space.starts, count)
+        target = np.broadcast_to(space.goals, (count, len(space.goals)))
+    else:
+        start, target = _pairs(space, count, rng)
+    return Subgoals(start, np.ones(count, dtype=np.intp), target, np.zeros_like(target))
+
+
+def _pairs(space: SearchSpace, count: int, rng: np.random.Generator) -> tuple[Ints, Flags]:
+    region = _regions(space)
+    sizes = np.bincount(region[space.starts])
+    starts = space.starts[sizes[region[space.starts]] > 1]
+    if not starts.size:
+        raise PlanError('no two states can be reached from each other, so no tasks can be set')
+    start = rng.choice(starts, count)
+    target = np.zeros((count, len(region)), dtype=np.bool_)
+    for task, state in enumerate(start):
+        there = starts[region[starts] == region[state]]
+        target[task, rng.choice(there[there != state])] = True
+    return start, target
+
+
+def _regions(space: SearchSpace) -> Ints:
+    """Return (S,): numbers of the sets of states that can be reached from each other."""
+    rules, count = space.transitions, len(space.over)
+    possible = (rules.probability > 0) & ~space.over[:, None, None]
+    here, there = np.nonzero(possible)[0], rules.successor[possible]
+    edges = coo_array((np.ones(len(here)), (here, there)), shape=(count, count))
+    region: Ints = connected_components(edges.tocsr(), connection='strong')[1].astype(np.intp)
+    return region
+
+
+class _Learners:
+    """L learners, each in an episode of its own; ``live`` are those that go on."""
+
+    def __init__(
+        self,
+        simulator: TabularSimulator,
+        subgoals: Subgoals,
+        episodes: int,
+        config: Extraction,
+        rng: np.random.Generator,
+    ) -> None:
+        self._simulator, self._subgoals, self._config, self._rng = simulator, subgoals, config, rng
+        self._episodes, count = episodes, len(subgoals.counts)
+        self.live = np.arange(count)
+        self.values = np.zeros((count, *simulator.rules.successor.shape[:2]), dtype=np.float32)
+        self._state = subgoals.draw(self.live, rng)
+        self._ran = np.zeros(count, dtype=np.intp)  # steps of this episode
+        self._episode = np.zeros(count, dtype=np.intp)
+
+    @property
+    def done(self) -> float:
+        """Share of the episodes that are over."""
+        return float(self._episode.mean()) / self._episodes
+
+    def step(self) -> None:
+        """Take a step in every episode that goes on, and learn."""
+        live, subgoals, config = self.live, self._subgoals, self._config
+        state = self._state[live]
+        explore = self._rng.random((len(live), 1)) < config.explore
+        action = draw_among(explore | _best(self.values[live, state]), self._rng)
+        there, _, over = self._simulator.step(state, action, self._rng)
+        hit = subgoals.target[live, there]
+        ended = hit | subgoals.forbidden[live, there] | over
+        goal = np.where(ended, hit, config.gamma * self.values[live, there].max(axis=1))
+        at = live, state, action
+        self.values[at] += config.learning_rate * (goal - self.values[at])
+        self._state[live] = there
+        self._ran[live] += 1
+        self._begin_again(live[ended | (self._ran[live] >= config.max_steps)])
+
+    def _begin_again(self, ended: Ints) -> None:
+        self._episode[ended] += 1
+        self._ran[ended] = 0
+        self._state[ended] = self._subgoals.draw(ended, self._rng)
+        self.live = self.live[self._episode[self.live] < self._episodes]
+
+
+def check_tables(simulator: TabularSimulator, learners: int) -> None:
+    """
+    Check that the tables of so many learners can be held.
+
+    :raises PlanError: they would not fit in memory.
+    """
+    n_states, n_actions, _ = simulator.rules.successor.shape
+    if learners * n_states * n_actions > LARGEST_TABLES:
+        raise PlanError(
+            f'{learners} tasks or options in {n_states} states need tables that are too large: '
+            'ask for fewer'
+        )
+
+
+def learn_to_reach(
+    simulator: TabularSimulator,
+    subgoals: Subgoals,
+    episodes: int,
+    config: Extraction,
+    rng: np.random.Generator,
+    report: OnProgress,
+) -> tuple[Values, int]:
+    """
+    Learn to reach subgoals.
+
+    Every learner has a table of its own, plays ``episodes`` episodes one after another, and steps
+    together with all others.
+
+    :return: values (L, S, A), and the steps taken.
+    :raises PlanError: the tables would not fit in memory.
+    """
+    check_tables(simulator, len(subgoals.counts))
+    learners = _Learners(simulator, subgoals, episodes, config, rng)
+    rounds, game_steps = 0, 0
+    while learners.live.size:
+        game_steps += learners.live.size
+        learners.step()
+        rounds += 1
+        if rounds % REPORT_EVERY == 0:
+            report(learners.done, game_steps)
+    return learners.values, game_steps
+
+
+def greedy_runs(
+    simulator: TabularSimulator,
+    values: Values,
+    subgoals: Subgoals,
+    learner: Ints,
+    start: Ints,
+    max_steps: int,
+    rng: np.random.Generator,
+) -> tuple[Ints, Ints, int]:
+    """
+    Run learners greedily, R runs side by side.
+
+    :param learner: (R,) which of them runs.
+    :param start: (R,) the state in which it begins.
+    :param max_steps: after which a run is cut off.
+    :return: run (V,) and state (V,) of every visit of the runs that came to their target, start
+        and target included, run by run in the order of their steps; and all steps taken.
+    """
+    live, state = np.arange(len(learner)), start.copy()
+    came = np.zeros(len(learner), dtype=np.bool_)
+    visits, game_steps = [np.stack([live, state])], 0
+    for _ in range(max_steps):
+        if not live.size:
+            break
+        who, here = learner[live], state[live]
+        there, _, over = simulator.step(here, draw_among(_best(values[who, here]), rng), rng)
+        state[live] = there
+        visits.append(np.stack([live, there]))
+        came[live] = subgoals.target[who, there]
+        game_steps += live.size
+        live = live[~(came[live] | subgoals.forbidden[who, there] | over)]
+    run, visited = np.concatenate(visits, axis=1)
+    order = np.argsort(run, kind='stable')
+    order = order[came[run[order]]]
+    return run[order], visited[order], game_steps
+
+
+def _best(values: Values) -> Flags:
+    """Return (n, A): the best of each row, all of equals."""
+    best: Flags = values == values.max(axis=1, keepdims=True)
+    return best
