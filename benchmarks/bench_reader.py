@@ -48,7 +48,7 @@ class BenchReader(NodeBase):
                 executor.spin_once(_TAKE_PERIOD)
 
     def close(self) -> None:
-        """Tell how many there were."""
+        """Write how many messages there were."""
         with RecordWriter(self._path) as records:
             records.write(taken=self._taken, waited=self._waited / 1e9)
 

@@ -72,7 +72,7 @@ class BenchSender(NodeBase):
 
     def _finish(self) -> None:
         """
-        Wait until everything has arrived, and tell.
+        Wait until everything has arrived, and write how long it took.
 
         At a steady rate that wait does not count: the middleware asks for the last answer only
         every few seconds.

@@ -92,11 +92,11 @@ def bench(
     chosen = _sections(only)
     _check(chosen, json, figure)
     measured: dict[str, list[Row]] = {}
-    with _progress() as tell:
+    with _progress() as show:
         for name in chosen:
             measure, quick_sizes = SECTIONS[name]
-            measured[name] = measure(partial(tell, name), *(quick_sizes if quick else ()))
-            tell(name, 1.0, 'done')
+            measured[name] = measure(partial(show, name), *(quick_sizes if quick else ()))
+            show(name, 1.0, 'done')
     machine = machine_facts()
     console = Console(highlight=False)
     console.width = max(console.width, _LEAST_WIDTH) if console.is_terminal else _FILE_WIDTH
@@ -149,22 +149,22 @@ def _progress() -> Iterator[Callable[[str, float, str], None]]:
         return
     tasks: dict[str, TaskID] = {}
 
-    def tell(name: str, share: float, text: str) -> None:
+    def show(name: str, share: float, text: str) -> None:
         if name not in tasks:
             tasks[name] = bars.add_task('', total=1.0, name=name)
         bars.update(tasks[name], completed=share, description=text)
 
     with bars:
-        yield tell
+        yield show
 
 
 def _lines() -> Callable[[str, float, str], None]:
     said: list[str] = []
 
-    def tell(name: str, share: float, text: str) -> None:
+    def show(name: str, share: float, text: str) -> None:
         line = f'{name}: {text}'
         if line not in said:
             said.append(line)
             print(f'{line} ({share:.0%})', file=sys.stderr, flush=True)
 
-    return tell
+    return show

@@ -52,7 +52,7 @@ def own_domain() -> Iterator[int]:
 
 
 def _is_free(domain_id: int) -> bool:
-    """Tell whether the port that the first participant of a domain takes is free."""
+    """Return whether the port that the first participant of a domain takes is free."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(('', _FIRST_PORT + _PORTS * domain_id + _DISCOVERY))

@@ -162,9 +162,9 @@ def recording_rows(folder: Path, progress: OnMeasured, loads: Sequence[Load] = L
     return [row for load in loads for row in recording(load, runs[load])]
 
 
-def _part(tell: OnMeasured, begun: float, length: float, text: str) -> OnSent:
-    """Return what tells of a part of the work, as a share of all of it."""
-    return lambda share: tell(begun + share * length, text)
+def _part(progress: OnMeasured, begun: float, length: float, text: str) -> OnSent:
+    """Return the progress of one part of the work, as a share of all of it."""
+    return lambda share: progress(begun + share * length, text)
 
 
 def recording(load: Load, runs: Mapping[str, Sequence[Run]]) -> list[Row]:

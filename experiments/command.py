@@ -61,7 +61,7 @@ def reproduce(
         int, typer.Option(parser=whole(1), metavar='N', help='simulated, in each group')
     ] = 6,
     seeds: Annotated[
-        int, typer.Option(parser=whole(1), metavar='N', help='runs of what goes by chance')
+        int, typer.Option(parser=whole(1), metavar='N', help='runs of whatever depends on chance')
     ] = 10,
     seed: Annotated[
         int, typer.Option(parser=whole(0), metavar='N', help='of every random draw')
@@ -174,14 +174,14 @@ class TrialProgress:
         self._bar.stop()
 
     def begin(self, trials: Sequence[Trial], missing: Sequence[Trial]) -> None:
-        """Take in all trials, and those that are still to be computed."""
+        """Show how many trials are still to be computed."""
         self._began = self._last_line = self._clock()
         self._cost_of_all, self._missing = sum(trial.cost for trial in missing), len(missing)
         self._bar.update(self._task, total=self._cost_of_all, description=self._text())
         self._line(f'{len(trials)} trials, {len(trials) - len(missing)} of them done before')
 
     def done(self, trial: Trial, failed: bool) -> None:
-        """Take in that a trial has ended."""
+        """Show that a trial has ended."""
         self._cost_so_far, self._finished = self._cost_so_far + trial.cost, self._finished + 1
         if failed:
             self._console.print(f'failed: {trial}', markup=False, highlight=False)

@@ -55,7 +55,7 @@ from experiments.trials import code_version, Trial
 NAME = 'fig2'
 TITLE = 'Figure 2: accuracy against demonstrations'
 SHOWN = {'taxi': 60, 'pacman': 40}  # demonstrations of an option by one person
-ASKED = 6  # at most so many start states for each of these, "not here" answers included
+ASKED = 6  # most start states for each of those demonstrations, "not here" answers included
 GROUPS = {'taxi': (CAREFUL, VARIED), 'pacman': (VARIED,)}
 PEOPLE = 'people'  # the group of those in bags
 COSTS = {  # of a trial by domain and strategy; others: 1
@@ -215,7 +215,7 @@ def _case_by_case(frame: pd.DataFrame) -> pd.DataFrame:
 
 def needed_table(people: pd.DataFrame) -> pd.DataFrame:
     """
-    Return what it took people to come to ``LEVELS`` of policy accuracy.
+    Return the demonstrations that people needed for ``LEVELS`` of policy accuracy.
 
     Where somebody did not, the mean is at least that with all demonstrations that were shown.
     """

@@ -60,7 +60,7 @@ class LessonError(RuntimeError):
 
 @dataclass(frozen=True)
 class Taught:
-    """What a lesson came to."""
+    """The results of a lesson."""
 
     demonstrations: tuple[Demonstration, ...]  # of all options, in order
     options: tuple[LearnedOption, ...]  # the last of each option
@@ -162,7 +162,7 @@ class _InProcess:
         self._lesson.saw(moment)
 
     def _learn(self, newest: Demonstration) -> None:
-        """Do the part of the learner, and tell the lesson."""
+        """Learn the option again as the learner does, and report to the lesson."""
         name, enough = newest.option_name, False
         shown = [d for d in self._lesson.demonstrations() if d.option_name == name]
         features = newest.chosen_features

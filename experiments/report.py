@@ -142,7 +142,7 @@ def mean_intervals(
     """
     Return means over independent people or runs, with 95 % intervals by Student's t.
 
-    :param by: columns that tell the means apart; the other rows of a group are averaged.
+    :param by: columns whose values make a group; the other rows of a group are averaged.
     :param least: what a value can be at least; limits are cut off there, and at ``most``.
     :return: ``by``, count (of values that are not NaN), mean, low, high; NaN where there is none,
         as the limits of a single value.

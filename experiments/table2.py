@@ -285,8 +285,8 @@ def plan_exactly(
     :return: rows of plans, of the curve (one for each number of sweeps, doubled until converged),
         and of the gains by state.
     """
-    domain.feature_table()  # built once for all plans, so no part of their time
-    _exact_plan(domain, *asked[0])  # what the first plan loads is no part of it either
+    domain.feature_table()  # built once for all plans, so it does not count as their time
+    _exact_plan(domain, *asked[0])  # nor does what the first plan imports
     return {
         'curve': [
             {'action set': variant.name, **record}

@@ -1,4 +1,4 @@
-"""Table 2 in the report: what the trials came to as tables, beside the paper's, and curves."""
+"""Table 2 in the report: results as tables, beside the paper's numbers, and curves."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -103,7 +103,7 @@ def summary_table(done: Done) -> pd.DataFrame:
 
 
 def curve_table(done: Done) -> pd.DataFrame:
-    """Return mean return by budget; members that have come to an end stay as they are."""
+    """Return mean return by budget; members whose curve has ended keep their last point."""
     points = rows_of(done, 'curve', KEYS)
     found = []
     for key, mine in grouped(points, KEYS):
@@ -253,7 +253,7 @@ def _race(
     Return whether planning with one variant takes less time than with another, and both times.
 
     Plans with exact models end by themselves. Sampled ones take as long as they are let, so they
-    are compared by when they come to what the worse of the two comes to.
+    are compared by the time that each needs for the best return of the worse of the two.
     """
     if game.exact:
         times = [float(rows[name]['total, s']) for name in (first, second)]

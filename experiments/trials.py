@@ -111,17 +111,17 @@ class Progress(Protocol):
     """Shows how far the work is."""
 
     def begin(self, trials: Sequence[Trial], missing: Sequence[Trial]) -> None:
-        """Take in all trials, and those that are still to be computed."""
+        """Show how many trials are still to be computed."""
         ...
 
     def done(self, trial: Trial, failed: bool) -> None:
-        """Take in that a trial has ended."""
+        """Show that a trial has ended."""
         ...
 
 
 @dataclass
 class Outcome:
-    """What the trials of a run came to."""
+    """The results and failures of a run."""
 
     results: dict[str, Any] = field(default_factory=dict)  # by key of the trial
     computed: int = 0  # in this run; the other results were there before
