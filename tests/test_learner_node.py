@@ -44,7 +44,9 @@ class Learning:
         known, before = len(self.statuses), self._readers()
         process = self.graph.start(LEARNER, directory=str(self.folder), seed=SEED)
         self.graph.until(
-            lambda: len(self.statuses) == len(self.options) > known, 'what the learner knows'
+            lambda: len(self.statuses) == len(self.options) > known,
+            'what the learner knows',
+            60.0,
         )
         self.graph.until(
             lambda: (
