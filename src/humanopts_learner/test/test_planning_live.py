@@ -127,7 +127,7 @@ def exact_plan() -> Plan:
 
 @cache
 def sampled_plan(execution: Execution = Execution.RUN_TO_END) -> SampledPlan:
-    """Return a plan over aliased planning states, so that options are often stopped."""
+    """Return a plan over aliased abstract states, so that options are often stopped."""
     config = Sampling(n_games=200, game_steps=LIMIT, interruption_margin=0.1)
     return make_sampled_plan(
         BATCH_TAXI, 'human', options_of(BATCH_TAXI), 24_000, 1, config=config, execution=execution
