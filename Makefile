@@ -83,7 +83,7 @@ lint: setup build/.stubs
 	@$(VENV)/bin/python tools/check_packages.py
 
 docs: $(VENV)/.locked
-	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet
+	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict 2> >(grep -v '^INFO' >&2)
 	@echo 'The documentation is build/site/index.html'
 
 format: setup
