@@ -1,5 +1,5 @@
 """
-What every domain must satisfy: a test class for pytest, and a quick look before a game is played.
+The contract of domains: a test class for pytest, and a quick check before a game is played.
 
 In the tests of a package that adds a domain::
 
@@ -7,9 +7,9 @@ In the tests of a package that adds a domain::
         def make(self) -> Domain[Any]:
             return MyDomain()
 
-``check_domain`` looks at a domain of another package before it is handed out.
+``make_domain`` checks a domain of another package with ``check_domain`` before it returns it.
 
-Tests of an enumerable domain or of a capability do nothing for domains that are none or have none.
+Tests of enumerable domains or of a capability pass for domains that are not enumerable or lack it.
 """
 
 from collections.abc import Iterator
@@ -38,9 +38,9 @@ from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
 
-STEPS = 300  # of the random walk that the tests look at
-MANY = 40  # games of a batch that the tests look at
-DRAWN = 150  # outcomes of one step, among which that of a batch must be
+STEPS = 300  # of the random walk of the tests
+MANY = 40  # games in a batch of the tests
+DRAWN = 150  # outcomes drawn of one step; that of a batch must be among them
 CHECKED = 400  # states and transitions of an enumerable domain compared one by one
 NAME = re.compile(r'[a-z][a-z0-9_]*')
 NAMED_KEYS = {'up', 'down', 'left', 'right'}
@@ -52,11 +52,11 @@ class DomainContract:
 
     def make(self) -> Domain[Any]:
         """Return the domain to test; a new one at every call."""
-        # not abstract: pytest would say that it cannot make the class, and not what is missing
+        # not abstract: pytest would report that it cannot make the class, not what is missing
         raise NotImplementedError('make() must return the domain to test')
 
     def test_names_keys_and_questions_are_distinct_and_well_formed(self) -> None:
-        """A person and a message can tell every feature and action from the others."""
+        """People and messages can name every feature and action without confusion."""
         domain = self.make()
         features, actions = domain.features, domain.actions
         assert features
@@ -86,7 +86,7 @@ class DomainContract:
         assert domain.max_steps >= 0
 
     def test_parameters_make_an_equal_domain(self) -> None:
-        """A message or a file that carries the parameters says which game was played."""
+        """A message or a file with the parameters identifies the game."""
         domain = self.make()
         again = type(domain)(**dict(domain.parameters))
         for field in ('name', 'gamma', 'max_steps'):
@@ -131,7 +131,7 @@ class DomainContract:
             assert refuses(lambda bad=bad: domain.decode(bad)), f'{bad!r} was not refused'
 
     def test_an_action_that_is_not_in_the_domain_is_refused(self) -> None:
-        """Indices are checked, the negative ones too."""
+        """Indices are checked, including negative ones."""
         domain = self.make()
         state = domain.reset(_rng('bad action'))
         for bad in (-1, len(domain.actions)):
@@ -168,7 +168,7 @@ class DomainContract:
         assert not all(allowed), 'any state can follow any other'
 
     def test_states_to_start_from_are_not_over(self) -> None:
-        """A person is never asked to show something where nothing can be done."""
+        """A person is never asked to demonstrate where no step can be taken."""
         domain = self.make()
         states = domain.sample_states(_rng('sample'), 50)
         assert len(states) == 50
@@ -203,7 +203,7 @@ class DomainContract:
         assert all(len(glyph) == 1 for glyph in self.make().glyph_styles)
 
     def test_states_are_numbered_without_gaps(self) -> None:
-        """``index`` and ``state_at`` are each other's inverse."""
+        """``index`` and ``state_at`` are inverse to each other."""
         domain = self.make()
         if is_enumerable(domain):
             for index in _sample(domain):
@@ -212,7 +212,7 @@ class DomainContract:
                 assert refuses(lambda bad=bad: domain.state_at(bad))
 
     def test_tables_have_their_shapes_and_cannot_be_changed(self) -> None:
-        """Shared arrays are safe to hand out."""
+        """Shared arrays are read-only."""
         domain = self.make()
         if not is_enumerable(domain):
             return
@@ -234,7 +234,7 @@ class DomainContract:
         assert domain.transitions() is table, 'the transitions are built again at every call'
 
     def test_transitions_are_probabilities_of_states(self) -> None:
-        """Each state and action leads somewhere, with certainty."""
+        """The probabilities of each state and action sum to 1."""
         domain = self.make()
         if is_enumerable(domain):
             table = domain.transitions()
@@ -254,7 +254,7 @@ class DomainContract:
                 assert domain.is_over(state) == domain.over()[index]
 
     def test_steps_agree_with_the_transitions(self) -> None:
-        """Every outcome that is drawn is in the table, and what is not there cannot follow."""
+        """Every drawn outcome is in the table, and states outside the table cannot follow."""
         domain = self.make()
         if not is_enumerable(domain):
             return
@@ -295,7 +295,7 @@ class DomainContract:
                 assert ((board.states >= -1) & (board.states < domain.n_states)).all()
 
     def test_many_games_are_the_same_game(self) -> None:
-        """Features, ends and the outcome of a step of each are those of its state."""
+        """Features, end and step outcome of each game agree with those of its state."""
         domain = self.make()
         if not isinstance(domain, HasBatchGames):
             return
@@ -322,7 +322,7 @@ class DomainContract:
         assert all(len(values) == len(states) for values in games.batch_outcome(batch).values())
 
     def test_games_are_copied_set_and_over_by_themselves(self) -> None:
-        """Copies are other games; games that are over stay as they are and earn nothing."""
+        """Copies are independent; games that are over do not change and earn nothing."""
         domain = self.make()
         if not isinstance(domain, HasBatchGames):
             return
@@ -347,7 +347,7 @@ class DomainContract:
             assert np.array_equal(games.batch_features(begun)[over], rows[over])
 
     def test_abstract_features_are_within_their_sizes(self) -> None:
-        """So abstract states can be numbered; context and mixture are columns of them."""
+        """Abstract states can be numbered; context and mixture are indices of features."""
         domain = self.make()
         if not isinstance(domain, HasBatchGames):
             return
@@ -364,7 +364,7 @@ class DomainContract:
             assert set(abstraction.mixture) <= set(columns if not fine else ())
 
     def test_a_search_space_is_whole(self) -> None:
-        """Its steps lead to its states, its names are there, and features tell states apart."""
+        """Steps lead to states of the space, every cell has a name, and features differ."""
         domain = self.make()
         if not isinstance(domain, HasSearchSpace):
             return
@@ -389,7 +389,7 @@ class DomainContract:
             assert space.board.states.max() < count
 
     def test_teaching_defaults_are_known(self) -> None:
-        """Thresholds that there are; names of options are in the reference options' tests."""
+        """Thresholds are known; the reference options' tests check names of options."""
         domain = self.make()
         if isinstance(domain, HasTeachingDefaults):
             assert set(domain.teaching.thresholds) <= set(THRESHOLDS)
@@ -397,7 +397,7 @@ class DomainContract:
             assert len(set(domain.teaching.options)) == len(domain.teaching.options)
 
     def test_baselines_play_the_same_game(self) -> None:
-        """Variants can be made, and a heuristic plays by the seed alone."""
+        """Variants can be made, and a heuristic depends on the seed only."""
         domain = self.make()
         if not isinstance(domain, HasBaselines):
             return
@@ -421,7 +421,7 @@ def _rng(*purpose: str | int) -> np.random.Generator:
 
 
 def _walk(domain: Domain[Any], seed: int) -> list[Step]:
-    """Take random actions, beginning again at every end."""
+    """Return random steps, with a reset after every end."""
     rng = _rng('walk', seed)
     steps: list[Step] = []
     state = domain.reset(rng)
@@ -434,7 +434,7 @@ def _walk(domain: Domain[Any], seed: int) -> list[Step]:
 
 
 def _states(domain: Domain[Any]) -> list[Any]:
-    """Return the states of a random walk, its ends and some states to start from."""
+    """Return the states of a random walk, with its ends, and some sampled states."""
     walked = [
         state for before, _, outcome in _walk(domain, 6) for state in (before, outcome.state)
     ]
@@ -446,7 +446,7 @@ def _rows(domain: Domain[Any], states: list[Any]) -> NDArray[np.int32]:
 
 
 def _sample(domain: EnumerableDomain[Any]) -> Iterator[int]:
-    """Return all indices of a small domain, and as many spread evenly over a large one."""
+    """Return all indices of a small domain, or evenly spaced ones of a large domain."""
     yield from range(0, domain.n_states, max(1, domain.n_states // CHECKED))
 
 
@@ -460,7 +460,7 @@ def _visible(domain: Domain[Any], state: Any, shown: set[str] | None) -> tuple[i
 
 
 def refuses(call: Any) -> bool:
-    """Tell whether a call raises DomainError."""
+    """Return whether a call raises DomainError."""
     try:
         call()
     except DomainError:
@@ -470,7 +470,7 @@ def refuses(call: Any) -> bool:
 
 QUICK_STEPS = 60  # of the random walk
 SECONDS = 0.025  # after which no more steps are taken
-SMALL = 20_000  # states of which the tables are looked at
+SMALL = 20_000  # largest number of states whose tables are checked
 FIELDS = ('parameters', 'features', 'actions', 'gamma', 'max_steps', 'glyph_styles')
 METHODS = (
     'reset', 'step', 'is_over', 'can_follow', 'feature_values', 'encode', 'decode',
@@ -479,7 +479,7 @@ METHODS = (
 
 
 class ContractError(DomainError):
-    """A domain breaks what every domain promises; the text says which domain and what."""
+    """A domain breaks the contract; the text says which domain and what is wrong."""
 
 
 class _Breach(Exception):  # noqa: N818 - becomes a ContractError
@@ -488,13 +488,13 @@ class _Breach(Exception):  # noqa: N818 - becomes a ContractError
 
 def check_domain(domain: Domain[Any], name: str) -> None:
     """
-    Look whether a domain keeps the promises that a game relies on, by sampling.
+    Check by sampling that a domain satisfies the contract that a game relies on.
 
-    It takes some hundredths of a second, so it finds what is plainly wrong; the tests of
-    ``DomainContract`` look at everything.
+    It takes some hundredths of a second, so it finds gross errors only; the tests of
+    ``DomainContract`` check everything.
 
-    :param name: under which the domain is registered.
-    :raises ContractError: it breaks a promise, or raises what no domain may raise.
+    :param name: the name under which the domain is registered.
+    :raises ContractError: the domain breaks the contract, or raises an unexpected error.
     """
     try:
         _check_form(domain, name)
@@ -540,7 +540,7 @@ def _check_form(domain: Domain[Any], name: str) -> None:
 
 
 def _check_walk(domain: Domain[Any]) -> None:
-    """Take random steps until the time is over, and the first of them again."""
+    """Take random steps, each twice with the same generator, until the time is over."""
     began, rng = time.perf_counter(), generator(0, 'check')
     state = domain.reset(rng)
     _expect(not domain.is_over(state), f'it begins where the task is over: {state}')

@@ -1,5 +1,5 @@
 """
-The game in lock-step: one accepted command, one step, whoever drives.
+The game in lock-step: one step for each accepted command, of a person or of a machine.
 
 The values mirror the messages of humanopts_interfaces: the enums have the numbers of
 ``ActionCommand``, ``ActionRefusal``, ``ControlState``, ``GameState``, ``ResetGame`` and
@@ -41,7 +41,7 @@ class Holder(IntEnum):
 
 
 class ResetStatus(IntEnum):
-    """What became of a reset."""
+    """The result of a reset."""
 
     OK = 1
     BAD_STATE = 2
@@ -50,7 +50,7 @@ class ResetStatus(IntEnum):
 
 
 class ControlStatus(IntEnum):
-    """What became of a request for control."""
+    """The result of a request for control."""
 
     OK = 1
     NOT_HOLDER = 2
@@ -70,7 +70,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """One ``GameState``: where the game is, and the transition that led there."""
+    """One ``GameState``: the game's state, and the transition that led to it."""
 
     episode: int = 0
     step: int = 0
@@ -116,7 +116,7 @@ class Accepted:
     """A command that was carried out."""
 
     transition: Transition
-    control: Control | None  # where the command claimed control; None: nothing changed
+    control: Control | None  # new, where the command took control; None: unchanged
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ class Refused:
     reason: Reason
     detail: str
     command: Command
-    episode: int  # what is current
+    episode: int  # the current one
     step: int
 
 
@@ -136,7 +136,7 @@ class ResetReply:
 
     status: ResetStatus
     detail: str = ''
-    transition: Transition | None = None  # the first of the new episode; None where refused
+    transition: Transition | None = None  # the first of the new episode; None: refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,16 +145,16 @@ class ControlReply:
 
     status: ControlStatus
     detail: str = ''
-    control: Control | None = None  # the new state of control; None: nothing changed
+    control: Control | None = None  # the new state of control; None: unchanged
 
 
 class Game:
     """
-    One game of a domain. Whatever is refused changes nothing.
+    One game of a domain. A refused request changes nothing.
 
-    :ivar transition: where the game is; episode 0 before the first reset.
-    :ivar control: who drives.
-    :ivar paused: why no command is carried out now; empty: they are.
+    :ivar transition: the newest transition; episode 0 before the first reset.
+    :ivar control: who holds control.
+    :ivar paused: why commands are refused now; empty: they are carried out.
     """
 
     def __init__(self, domain: Domain[Any]) -> None:
@@ -171,7 +171,7 @@ class Game:
         Begin a new episode.
 
         :param start_state: in the domain's notation; empty: drawn from its start states by seed.
-        :param seed: of the draw and of the chance in the episode, 0 or greater.
+        :param seed: of the start state and of all chance in the episode, 0 or greater.
         :param source: a ``Source``; a machine's is refused while a person holds control.
         :raises ValueError: the seed is negative.
         """
@@ -189,7 +189,7 @@ class Game:
         return ResetReply(ResetStatus.OK, '', self.transition)
 
     def command(self, command: Command) -> Accepted | Refused:
-        """Take one step, or say why not."""
+        """Take one step, or return why it is refused."""
         refused = self.refusal(command)
         if refused is not None:
             return refused
@@ -199,7 +199,7 @@ class Game:
         return Accepted(self._step(command), control)
 
     def refusal(self, command: Command) -> Refused | None:
-        """Return how a command would be refused now; None where it would be carried out."""
+        """Return how a command would be refused now; None: it would be carried out."""
         objection = self._objection(command)
         return None if objection is None else self.refuse(command, *objection)
 
@@ -211,7 +211,7 @@ class Game:
         """
         Take control for a person, or give it back.
 
-        :param hold: True: the person drives; False: control is nobody's again.
+        :param hold: True: the person takes control; False: the person gives it back.
         :param holder_id: publisher id of the person's terminal.
         """
         if not holder_id:
@@ -227,12 +227,12 @@ class Game:
         return ControlReply(ControlStatus.OK, control.reason, control)
 
     def release(self, reason: str) -> Control:
-        """Make control nobody's, whoever held it, such as a terminal that is gone."""
+        """Free control without its holder, such as a terminal that has left the graph."""
         self.control = Control(Holder.NOBODY, '', reason)
         return self.control
 
     def _objection(self, command: Command) -> tuple[Reason, str] | None:
-        """Return why the command must be refused; None where it can be carried out."""
+        """Return why the command must be refused; None: it can be carried out."""
         transition, machine = self.transition, command.source == Source.MACHINE
         if self.paused:
             return Reason.PAUSED, self.paused
@@ -310,25 +310,26 @@ Result = Accepted | Refused
 
 class Pacing:
     """
-    Keeps one command of a machine waiting; a person's are never delayed.
+    Delays one command of a machine at a time; commands of a person are never delayed.
 
-    A step is the first command's that answers it, as without pacing: while that one waits, others
-    for the same step are refused as stale. What would be refused in any case does not wait.
+    A step belongs to the first command that answers it, as without pacing: while that one waits,
+    others for the same step are refused as stale. A command that would be refused anyway does not
+    wait.
 
-    :ivar waiting: the command that waits; None: none does.
+    :ivar waiting: the delayed command; None: there is none.
     """
 
     def __init__(self, game: Game) -> None:
-        """Wait for nothing."""
+        """Begin without a delayed command."""
         self._game = game
         self.waiting: Command | None = None
 
     def offer(self, command: Command) -> list[Result]:
         """
-        Take a command that has come.
+        Carry out, refuse or delay a command.
 
-        :return: what came of it and, where it takes the place of a command whose moment has
-            passed, of that one; nothing of a command that waits from now on.
+        :return: its result, unless it is delayed, and the refusal of a delayed command that it
+            replaces because the game has moved on.
         """
         game, before = self._game, self.waiting
         if command.source == Source.PERSON:
@@ -344,6 +345,6 @@ class Pacing:
         return [] if overtaken is None else [overtaken]
 
     def due(self) -> list[Result]:
-        """Carry out the command whose time has come."""
+        """Carry out the delayed command, if there is one."""
         command, self.waiting = self.waiting, None
         return [] if command is None else [self._game.command(command)]

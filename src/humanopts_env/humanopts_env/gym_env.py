@@ -1,5 +1,5 @@
 """
-Our domains as Gymnasium environments.
+The domains of this package as Gymnasium environments.
 
 Importing this module registers them, so any of these works::
 
@@ -39,7 +39,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
     A domain; actions are action indices.
 
     ``info['action_mask']`` (A,) is 1 for the actions that can change something, as in Gymnasium's
-    Taxi; ``action_space.sample(mask)`` draws among them. The others are allowed all the same.
+    Taxi; ``action_space.sample(mask)`` draws among them. The others are allowed too.
 
     :ivar domain: the rules, with ``features``, ``actions`` and ``decode``.
     """
@@ -74,8 +74,9 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         Begin an episode.
 
         :param options: ``{'state': text}`` begins in a state in the domain's notation;
-            ``{'game_seed': number}`` draws as the node game does when reset with that seed.
-        :raises StateError: that text is not a state.
+            ``{'game_seed': number}`` uses the random draws of the node game after a reset with
+            that seed.
+        :raises StateError: the text is not a state.
         """
         super().reset(seed=seed)
         text, game_seed = map((options or {}).get, ('state', 'game_seed'))
@@ -90,7 +91,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         Take one primitive action; the episode is truncated at the domain's ``max_steps``.
 
         :raises ResetNeeded: no episode was begun.
-        :raises DomainError: no such action, or the episode has ended.
+        :raises DomainError: there is no such action, or the episode has ended.
         """
         outcome = self.domain.step(self._state('step'), int(action), self.np_random)
         self._now, self._steps = outcome.state, self._steps + 1
@@ -122,8 +123,9 @@ class TableEnv(DomainEnv):
         """
         Make the environment of a registered domain.
 
-        :param domain: its name; ``parameters`` are its own, such as rows.
-        :raises DomainError: no such domain, it refuses the parameters or is not enumerable.
+        :param domain: the domain's name; ``parameters`` are those of the domain, such as rows.
+        :raises DomainError: there is no such domain, it refuses the parameters, or it is not
+            enumerable.
         """
         rules = make_domain(domain, parameters)
         if not is_enumerable(rules):
@@ -151,7 +153,7 @@ class TableEnv(DomainEnv):
 
     @cached_property
     def P(self) -> Tabular:  # noqa: N802, Gymnasium's own name
-        """The transitions in Gymnasium's tabular form, built when first asked for."""
+        """The transitions in Gymnasium's tabular form, built when they are first used."""
         table = self._table.transitions()
         axes = table.probability, table.successor, table.reward, table.terminated
         rows = zip(*(axis.tolist() for axis in axes))
@@ -205,9 +207,9 @@ class PacManEnv(DomainEnv):
 
 def spec_of(domain: Domain[Any]) -> EnvSpec:
     """
-    Return what ``gymnasium.make`` makes an environment of this domain from.
+    Return the specification from which ``gymnasium.make`` makes a domain's environment.
 
-    :raises DomainError: its states cannot be listed, and it has no environment of its own.
+    :raises DomainError: the domain is not enumerable, and has no environment of its own.
     """
     ours = f'humanopts/{domain.name}-v0'.lower()
     name = next((name for name in ENVIRONMENTS if name.lower() == ours), None)
@@ -222,7 +224,7 @@ def spec_of(domain: Domain[Any]) -> EnvSpec:
 
 
 def register_all() -> None:
-    """Register our environments with Gymnasium, once."""
+    """Register the environments of this package with Gymnasium, once."""
     for name, (kind, kwargs) in ENVIRONMENTS.items():
         if name not in gymnasium.registry:
             gymnasium.register(

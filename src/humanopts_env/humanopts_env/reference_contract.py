@@ -1,7 +1,7 @@
 """
-What the reference options of every domain must satisfy, as a test class for pytest.
+The contract of the reference options of every domain, as a test class for pytest.
 
-In the tests of a package that adds some::
+In the tests of a package that adds reference options::
 
     class TestMyOptions(ReferenceContract):
         def make(self) -> Domain[Any]:
@@ -19,26 +19,26 @@ from humanopts_env.domains.registry import reference_options
 from humanopts_env.seeding import generator
 import numpy as np
 
-ALL = 2000  # a domain with more states is looked at in sampled ones
+ALL = 2000  # the tests use sampled states of a domain with more
 SAMPLE = 600
-ONE_BY_ONE = 40  # states that are asked about one by one, and runs that are played
+ONE_BY_ONE = 40  # states that are judged one by one, and runs that are played
 LONGEST = 1000  # steps of a run, where the domain has no limit of its own
 
 
 class ReferenceContract:
-    """Tests that reference options keep the promises of ``humanopts_env.domains.reference``."""
+    """Tests that reference options satisfy ``humanopts_env.domains.reference``."""
 
     def make(self) -> Domain[Any]:
         """Return the domain whose options are tested."""
-        # not abstract: pytest would say that it cannot make the class, and not what is missing
+        # not abstract: pytest would report that it cannot make the class, not what is missing
         raise NotImplementedError('make() must return the domain whose options are tested')
 
     def options(self, domain: Domain[Any]) -> Mapping[str, ReferenceOption]:
-        """Return its options by name: those that are registered, where nothing else is said."""
+        """Return the options to test by name; by default those that are registered."""
         return reference_options(domain)
 
     def test_a_person_can_be_told_what_each_means(self) -> None:
-        """By a lower-case name, a sentence, and features in the domain's order."""
+        """Each has a lower-case name, a sentence, and features in the domain's order."""
         seen = self._seen
         names = [feature.name for feature in seen.domain.features]
         assert seen.options
@@ -49,25 +49,25 @@ class ReferenceContract:
             assert list(option.features) == chosen != [], name
 
     def test_a_demo_teaches_some_of_them(self) -> None:
-        """Those that the domain names."""
+        """The options that the domain names are reference options."""
         domain = self._seen.domain
         if isinstance(domain, HasTeachingDefaults):
             assert set(domain.teaching.options) <= set(self._seen.options)
 
     def test_each_can_start_somewhere(self) -> None:
-        """An option that cannot is not taught."""
+        """Every initiation set has a state."""
         for name in self._seen.options:
             assert self._seen.of(name).initiation.any(), name
 
     def test_it_acts_where_it_can_start_and_has_ended_elsewhere(self) -> None:
-        """So that a run knows at every step what to do, or that it is done."""
+        """At every step of a run there is an optimal action, or the run has ended."""
         for name in self._seen.options:
             said = self._seen.of(name)
             assert np.array_equal(said.optimal.any(axis=1), said.initiation), name
             assert (said.initiation | said.termination).all(), name
 
     def test_its_features_tell_where_it_starts_and_ends(self) -> None:
-        """States alike in them are alike in I and beta, which can thus be learned from them."""
+        """States with equal features have equal I and beta, which can thus be learned."""
         seen = self._seen
         for name, option in seen.options.items():
             columns = feature_columns(seen.domain, option.features)
@@ -79,7 +79,7 @@ class ReferenceContract:
 
     def test_every_run_comes_to_its_end(self) -> None:
         """
-        By the first of its optimal actions and by the last, before the episode is cut off.
+        Runs by the first and by the last optimal action end before the episode is truncated.
 
         Where the task is over, the option has ended and cannot start.
         """
@@ -91,7 +91,7 @@ class ReferenceContract:
                     assert seen.run_ends(option, seen.states[number], which), name
 
     def test_one_state_is_judged_as_many_are(self) -> None:
-        """Where an option can be asked about many at once."""
+        """Both ways of judging agree."""
         seen = self._seen
         for name, option in seen.options.items():
             said = seen.of(name)
@@ -109,7 +109,7 @@ class ReferenceContract:
 
 
 class _Seen:
-    """The options of a domain, and what they say of its open states or of a sample of them."""
+    """The options of a domain, and their judgements of its open states or of a sample."""
 
     def __init__(self, domain: Domain[Any], options: Mapping[str, ReferenceOption]) -> None:
         self.domain, self.options = domain, options
@@ -118,14 +118,14 @@ class _Seen:
         self._said: dict[str, Judgement] = {}
 
     def of(self, name: str) -> Judgement:
-        """Return what an option says of the states."""
+        """Return the judgement of an option in the states."""
         if name not in self._said:
             option = self.options[name]
             self._said[name] = judge_states(option, self.states, len(self.domain.actions))
         return self._said[name]
 
     def run_ends(self, option: ReferenceOption, state: Any, which: int) -> bool:
-        """Tell whether a run by the first or the last optimal actions comes to its end."""
+        """Return whether a run by the first or the last optimal actions comes to its end."""
         rng = generator(0, 'reference contract', option.name, which)
         for _ in range(self.domain.max_steps or LONGEST):
             outcome = self.domain.step(state, option.optimal_actions(state)[which], rng)

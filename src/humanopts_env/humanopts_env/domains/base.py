@@ -13,7 +13,7 @@ Parameter = int | float | str | bool
 
 
 class DomainError(ValueError):
-    """A domain was asked for something that it does not have; the text says what and why."""
+    """The domain lacks what was requested; the text says what and why."""
 
 
 class StateError(DomainError):
@@ -34,7 +34,7 @@ class Feature:
     name: str  # snake_case
     question: str  # completes "Does OPTION depend on ...?"
     kind: FeatureKind
-    values: tuple[str, ...]  # how each value reads to a person
+    values: tuple[str, ...]  # the text of each value, for people
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Action:
 
 @dataclass(frozen=True, slots=True)
 class Outcome(Generic[S]):
-    """What one primitive step led to."""
+    """The result of one primitive step."""
 
     state: S
     reward: float
@@ -63,11 +63,11 @@ class Domain(Protocol[S]):
     """
 
     name: str  # as registered
-    parameters: Mapping[str, Parameter]  # keyword arguments that make an equal domain
+    parameters: Mapping[str, Parameter]  # keyword arguments that construct an equal domain
     features: Sequence[Feature]
     actions: Sequence[Action]
     gamma: float  # discount per primitive step
-    max_steps: int  # an episode is cut off after so many steps; 0: never
+    max_steps: int  # an episode is truncated after this many steps; 0: never
     glyph_styles: Mapping[str, str]  # style (rich's notation) of single characters of ``render``
 
     def reset(self, rng: np.random.Generator) -> S:
@@ -84,11 +84,11 @@ class Domain(Protocol[S]):
         ...
 
     def is_over(self, state: S) -> bool:
-        """Tell whether the task is over in ``state``, so that no step can be taken."""
+        """Return whether the task is over in ``state``, so that no step can be taken."""
         ...
 
     def can_follow(self, state: S, action: int, successor: S) -> bool:
-        """Tell whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
+        """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
         ...
 
     def feature_values(self, state: S) -> NDArray[np.int32]:
@@ -143,7 +143,7 @@ class Transitions:
 
 @dataclass(frozen=True, slots=True)
 class BoardSlice:
-    """States that differ only in where the agent is, laid out as on the board."""
+    """States that differ only in the agent's position, laid out as on the board."""
 
     title: str
     states: NDArray[np.int32]  # (rows, cols) state indices; -1: no state there
@@ -192,13 +192,13 @@ class EnumerableDomain(Domain[S], Protocol[S]):
 
 
 def is_enumerable(domain: Domain[S]) -> TypeGuard[EnumerableDomain[S]]:
-    """Tell whether the domain's states can all be listed."""
+    """Return whether the domain's states can all be listed."""
     return isinstance(domain, EnumerableDomain)
 
 
 def feature_columns(domain: Domain[S], names: Sequence[str]) -> list[int]:
     """
-    Return the columns of features, in the domain's order whatever the order of ``names``.
+    Return the indices of features, in the domain's order whatever the order of ``names``.
 
     :raises DomainError: a name is not a feature of the domain.
     """

@@ -1,12 +1,12 @@
 """
-What a domain may offer beside its rules. The learner and the tools for teaching ask for these.
+Capabilities that a domain may have beside its rules; the learner and the teaching tools use them.
 
 A domain has a capability by having the method or attribute; nothing is registered.
 
-- ``HasBatchGames``: plays many games at once, so that plans can be made from samples.
-- ``HasSearchSpace``: says where subgoals of automatic options are searched for.
-- ``HasTeachingDefaults``: says what is taught and when it is learned well enough.
-- ``HasBaselines``: says what plans are compared with, and in which variants of the game.
+- ``HasBatchGames``: it plays many games at once, so that plans can be made from samples.
+- ``HasSearchSpace``: it defines where subgoals of automatic options are searched for.
+- ``HasTeachingDefaults``: it names the options to teach and the thresholds of the criteria.
+- ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
 
 ``humanopts_env.contract`` tests each of them in every domain that has it.
 """
@@ -27,20 +27,20 @@ THRESHOLDS = ('return_delta', 'initiation_error', 'termination_error')
 
 @dataclass(frozen=True)
 class Abstraction:
-    """The abstract features of a state abstraction, by their columns (P,)."""
+    """The P abstract features of a state abstraction, named by their indices."""
 
-    sizes: tuple[int, ...]  # how many values each has
-    context: tuple[int, ...] = ()  # columns that hardly decide which option is better
-    mixture: tuple[int, ...] = ()  # those that plans with options and primitive actions get, too
+    sizes: tuple[int, ...]  # number of values of each
+    context: tuple[int, ...] = ()  # indices of features that hardly decide which option is better
+    mixture: tuple[int, ...] = ()  # indices of those also used in plans with both
 
 
 class BatchGames(Protocol):
     """
-    Many games of one domain at once; a batch is whatever it likes, N games that step in place.
+    Many games of one domain at once. A batch is an object of any type: N games that step in place.
 
     Planning sees games through a state abstraction: games with equal abstract features are in one
     abstract state, and these are few enough that each is visited often. Primitive actions need a
-    finer abstraction than options, which know their way.
+    finer abstraction than options, which have policies of their own.
     """
 
     @property
@@ -77,15 +77,15 @@ class BatchGames(Protocol):
         ...
 
     def batch_outcome(self, batch: Any) -> Mapping[str, NDArray[Any]]:
-        """Return what is reported of games beside their return, each (N,), by its name."""
+        """Return the measures that are reported beside the return, each (N,), by name."""
         ...
 
     def abstraction(self, *, fine: bool) -> Abstraction:
         """
-        Return the abstract features that there are.
+        Return the abstract features.
 
-        :param fine: those that primitive actions need; False: those that options need. Only the
-            latter may have a ``mixture``.
+        :param fine: True: the features that primitive actions need; False: those that options
+            need. Only the latter may have a ``mixture``.
         """
         ...
 
@@ -105,32 +105,32 @@ class HasBatchGames(Protocol):
     """A domain that plays many games at once."""
 
     def batch_games(self) -> BatchGames:
-        """Return what plays them."""
+        """Return the object that plays them."""
         ...
 
 
 @runtime_checkable
 class HasSearchSpace(Protocol):
     """
-    A domain that says where subgoals are searched for.
+    A domain that defines where subgoals are searched for.
 
-    In others whose states can be listed, every state is a cell of its own.
+    In other domains with an enumerable state space, every state is a cell of its own.
     """
 
     def search_space(self) -> SearchSpace:
-        """Return the states that tasks are set in, and what their visits count for."""
+        """Return the states of the random tasks, and the cell and situation of each."""
         ...
 
 
 @dataclass(frozen=True)
 class TeachingDefaults:
-    """What is taught where nobody chooses, and when it is learned well enough."""
+    """The options that are taught by default, and the default thresholds of the criteria."""
 
-    options: tuple[str, ...] = ()  # names of reference options that a demo teaches; none: all
+    options: tuple[str, ...] = ()  # names of the reference options that a demo teaches; empty: all
     thresholds: Mapping[str, float] = field(default_factory=dict)
     """
-    Of the stopping criteria, by name, one of THRESHOLDS; others are the learner's own.
-    ``return_delta`` is in reward units: what one small thing is worth in the game.
+    Thresholds of the stopping criteria by name, one of THRESHOLDS; the learner has defaults for
+    others. ``return_delta`` is in reward units, about the smallest reward of the game.
     """
 
 
@@ -143,7 +143,7 @@ class HasTeachingDefaults(Protocol):
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """How to plan from samples; found by hand, on other seeds than anything is reported with."""
+    """How to plan from samples; found by hand, on other seeds than those of reported results."""
 
     gamma: float  # discount per primitive step
     sampling: Mapping[str, Any]  # numbers by the names of the learner's ``Sampling``
@@ -151,7 +151,7 @@ class PlanSettings:
 
 @dataclass(frozen=True)
 class Scores:
-    """What N games came to."""
+    """The results of N games."""
 
     total: NDArray[Any]  # (N,) undiscounted return
     outcomes: Mapping[str, NDArray[Any]]  # (N,) each, as ``BatchGames.batch_outcome``
@@ -164,29 +164,29 @@ class Heuristic(Protocol):
         """
         Play games until they are over or cut off.
 
-        :param to_end: an option runs to its end; False: one is chosen at every step.
+        :param to_end: True: an option runs to its end; False: an option is chosen at every step.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Baselines:
-    """What plans are compared with."""
+    """The baselines that plans are compared with."""
 
     variants: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
-    """Changed parameters of each variant of the game to compare in, by its name."""
+    """Changed parameters of each variant of the game to compare in, by the variant's name."""
     targets: tuple[float, ...] = ()  # mean returns of interest, for these parameters
-    fewer_options: tuple[str, ...] = ()  # names of options that are also planned with alone
+    fewer_options: tuple[str, ...] = ()  # names of options for a plan with these alone
     primitive: PlanSettings | None = None  # for plans with primitive actions
     interrupted: PlanSettings | None = None  # for plans with options that are interrupted
-    interrupted_mixture: PlanSettings | None = None  # and with primitive actions beside them
+    interrupted_mixture: PlanSettings | None = None  # the same with primitive actions beside them
     heuristic: Heuristic | None = None
 
 
 @runtime_checkable
 class HasBaselines(Protocol):
-    """A domain that says what plans are compared with."""
+    """A domain that names the baselines of plans."""
 
     def baselines(self) -> Baselines:
-        """Return what plans are compared with in this variant of the game."""
+        """Return the baselines in this variant of the game."""
         ...

@@ -1,8 +1,9 @@
 """
 Gymnasium environments with a table as domains: ``gymnasium:ENV_ID``.
 
-Everything comes from the environment's table ``P`` (P[state][action] lists probability, successor,
-reward and whether the task is over there), as Taxi, FrozenLake and CliffWalking have it.
+Everything is read from the environment's table ``P`` (P[state][action] lists probability,
+successor, reward and whether the task is over there), which Taxi, FrozenLake and CliffWalking
+have.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -65,19 +66,19 @@ PASSENGER = (*taxi.LANDMARKS, IN_TAXI)
 
 @dataclass(frozen=True)
 class View:
-    """How one environment is shown."""
+    """How one environment is presented."""
 
     features: tuple[Feature, ...]
-    values: Sequence[tuple[int, ...]]  # of the features, by state; no two alike
+    values: Sequence[tuple[int, ...]]  # of the features, by state; all distinct
     actions: tuple[Action, ...]
-    draw: Callable[[int, Mapping[str, str]], str]  # state, what may be seen: feature -> value
+    draw: Callable[[int, Mapping[str, str]], str]  # arguments: state, revealed feature -> value
     slices: list[BoardSlice] = field(default_factory=list)
     glyph_styles: Mapping[str, str] = field(default_factory=dict)
 
 
 def view_of(env: Any, name: str, table: Sequence[Any], starts: set[int], ends: set[int]) -> View:
     """
-    Return the view of an environment: Taxi's, a grid's, or that of numbered states.
+    Return the view of an environment: that of Taxi, of a grid, or of numbered states.
 
     :raises DomainError: it has more actions than there are keys.
     """
@@ -160,7 +161,7 @@ def _taxi_view(env: Any, actions: tuple[Action, ...]) -> View:
 
 
 def _draw_taxi(state: int, seen: Mapping[str, str]) -> str:
-    """Draw the board of our own Taxi, which is the same grid, with what may be seen."""
+    """Draw the board as the domain ``taxi``, the same grid, with the revealed features."""
     known = {feature.name: feature for feature in taxi.taxi_features(5, 5)}
     cells = taxi.landmark_cells(5, 5)
     shown = {name: int(seen[name]) for name in ('taxi_row', 'taxi_col') if name in seen}
@@ -177,7 +178,7 @@ def _draw_taxi(state: int, seen: Mapping[str, str]) -> str:
 
 
 def _drawing(env: Any) -> Callable[[int, Mapping[str, str]], str]:
-    """Return what draws by the environment's own text, where it has one, and in words."""
+    """Return a function that draws by the environment's own text, if it has one, and in words."""
     drawn = 'ansi' in env.metadata.get('render_modes', ()) and hasattr(env, 's')
 
     def draw(state: int, seen: Mapping[str, str]) -> str:
@@ -208,7 +209,7 @@ Table = list[list[list[Entry]]]  # by state, then action
 
 class GymnasiumDomain(TableDomain[int]):
     """
-    One environment; ``gymnasium_domain`` makes the class of each id.
+    The domain of one environment; ``gymnasium_domain`` makes the class of each id.
 
     States are the observations 0..S-1. The parameters are the environment's own keyword arguments.
     """
@@ -221,7 +222,7 @@ class GymnasiumDomain(TableDomain[int]):
 
         :param arguments: of the environment, such as ``is_slippery``; JSON values only.
         :raises DomainError: there is no such environment, it refuses the arguments, or it has no
-            table that says all of its rules.
+            table of all its rules.
         """
         self.name = PREFIX + self.env_id
         made, again = (_make(self.name, self.env_id, arguments) for _ in range(2))
@@ -243,18 +244,18 @@ class GymnasiumDomain(TableDomain[int]):
         self.glyph_styles = self._view.glyph_styles
 
     def outcomes(self, state: int, action: int) -> Sequence[tuple[float, int, float]]:
-        """Return the entries of the table, first the likeliest, of equals what is intended."""
+        """Return the entries of the table, the likeliest first; of equals the intended one."""
         entries = [(share, to, gain) for share, to, gain, _ in self._table[state][action]]
-        if len(entries) == 3:  # slippery grids have what is intended between two slips
+        if len(entries) == 3:  # slippery grids list the intended outcome between two slips
             entries = [entries[1], entries[0], entries[2]]
         return sorted(entries, key=lambda entry: -round(entry[0], 9))
 
     def is_over(self, state: int) -> bool:
-        """Tell whether the table ends the task in ``state``."""
+        """Return whether the table ends the task in ``state``."""
         return state in self._ends
 
     def can_begin(self, state: int) -> bool:
-        """Tell whether an episode can begin in ``state``."""
+        """Return whether an episode can begin in ``state``."""
         return state in self._starts
 
     def reset(self, rng: np.random.Generator) -> int:
@@ -282,7 +283,7 @@ class GymnasiumDomain(TableDomain[int]):
         return self._view.draw(state, self.shown_values(state, shown))
 
     def board_slices(self) -> list[BoardSlice]:
-        """Return the layout of a grid; none where there is no known grid."""
+        """Return the layout of the grid; empty where the states form no grid."""
         return self._view.slices
 
 
@@ -298,7 +299,7 @@ def _make(name: str, env_id: str, arguments: dict[str, Any]) -> Any:
     try:
         json.dumps(arguments)
         with warnings.catch_warnings():
-            warnings.simplefilter('ignore')  # of old versions: errors say what to do
+            warnings.simplefilter('ignore')  # about old versions: errors say what to do
             env = gymnasium.make(env_id, disable_env_checker=True, **arguments)
     except Exception as error:  # whatever a foreign environment raises
         raise DomainError(f'{name} cannot be made: {type(error).__name__}: {error}') from error
@@ -361,7 +362,7 @@ def _end_states(name: str, table: Table, starts: set[int]) -> set[int]:
     """
     Return the states in which the task is over.
 
-    :raises DomainError: an episode can end in a state, and also go on from it.
+    :raises DomainError: some transitions end the task in a state, and others go on from it.
     """
     entered, ended, waiting = set(starts), set(), list(starts)
     while waiting:

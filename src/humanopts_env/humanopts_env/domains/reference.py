@@ -1,7 +1,7 @@
 """
-Reference options: what an expert means by an option, exactly.
+Reference options: options that are known exactly from the rules of a game.
 
-They are the yardstick of accuracy and the knowledge of the simulated teacher. Learning never sees
+Accuracy is measured against them, and the simulated teacher acts by them. Learning never uses
 them.
 """
 
@@ -19,25 +19,25 @@ class ReferenceOption(Protocol):
 
     @property
     def name(self) -> str:
-        """What a person calls it, lower case."""
+        """The name that people use, lower case."""
         ...
 
     @property
     def features(self) -> tuple[str, ...]:
-        """What a person would say that it depends on, in the domain's order."""
+        """The features that the option depends on, in the domain's order."""
         ...
 
     @property
     def definition(self) -> str:
-        """Where it can start, what it does and where it ends, in words."""
+        """The initiation set, policy and termination condition in words."""
         ...
 
     def can_start(self, state: Any) -> bool:
-        """Tell whether the state is in the initiation set."""
+        """Return whether the state is in the initiation set."""
         ...
 
     def ends(self, state: Any) -> bool:
-        """Tell whether the termination condition holds."""
+        """Return whether the termination condition holds."""
         ...
 
     def optimal_actions(self, state: Any) -> tuple[int, ...]:
@@ -47,7 +47,7 @@ class ReferenceOption(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What a reference option says of N states."""
+    """The values of a reference option in N states."""
 
     initiation: NDArray[np.bool_]  # (N,)
     termination: NDArray[np.bool_]  # (N,)
@@ -56,7 +56,7 @@ class Judgement:
 
 @runtime_checkable
 class ManyStates(Protocol):
-    """A reference option that can be asked about many states at once."""
+    """A reference option that judges many states at once."""
 
     def judge_states(self, states: Sequence[Any]) -> Judgement:
         """Judge N states."""
@@ -64,7 +64,7 @@ class ManyStates(Protocol):
 
 
 def judge_states(option: ReferenceOption, states: Sequence[Any], n_actions: int) -> Judgement:
-    """Ask a reference option about N states: at once where it can, else one by one."""
+    """Judge N states by a reference option: at once where it can, else one by one."""
     if isinstance(option, ManyStates):
         return option.judge_states(states)
     optimal = np.zeros((len(states), n_actions), dtype=np.bool_)
@@ -94,11 +94,11 @@ class TabularReferenceOption:
     definition: str = ''  # in words
 
     def can_start(self, state: Any) -> bool:
-        """Tell whether the state is in the initiation set."""
+        """Return whether the state is in the initiation set."""
         return bool(self.initiation[self.domain.index(state)])
 
     def ends(self, state: Any) -> bool:
-        """Tell whether the termination condition holds."""
+        """Return whether the termination condition holds."""
         return bool(self.termination[self.domain.index(state)])
 
     def optimal_actions(self, state: Any) -> tuple[int, ...]:

@@ -23,13 +23,13 @@ def domain_names() -> list[str]:
 
 def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) -> Domain[Any]:
     """
-    Build a registered domain, or that of a Gymnasium environment: ``gymnasium:ENV_ID``.
+    Build a registered domain, or the domain of a Gymnasium environment: ``gymnasium:ENV_ID``.
 
-    A domain of another package is looked at by ``check_domain`` before it is handed out.
+    A domain of another package is checked by ``check_domain`` before it is returned.
 
     :param parameters: keyword arguments of the domain; its defaults where missing.
-    :raises DomainError: no such domain, it refuses the parameters, it cannot be loaded, or it
-        breaks the contract of domains.
+    :raises DomainError: there is no such domain, it refuses the parameters, it cannot be loaded,
+        or it breaks the contract of domains.
     """
     factory, ours = _factory(name)
     try:
@@ -70,7 +70,7 @@ def parameters_json(domain: Domain[Any]) -> str:
 
 def reference_options(domain: Domain[Any]) -> dict[str, ReferenceOption]:
     """
-    Return the domain's scripted options by name; empty where it has none.
+    Return the domain's reference options by name; empty where it has none.
 
     :raises DomainError: they cannot be loaded or made.
     """
@@ -87,7 +87,7 @@ def reference_options(domain: Domain[Any]) -> dict[str, ReferenceOption]:
 
 
 def _factory(name: str) -> tuple[Callable[..., Any], bool]:
-    """Return what makes a domain, and whether it is ours and needs no check."""
+    """Return the factory of a domain, and whether it is in this package and needs no check."""
     if name.startswith(GYMNASIUM):
         from humanopts_env.domains.gymnasium_domain import gymnasium_domain  # imports Gymnasium
 

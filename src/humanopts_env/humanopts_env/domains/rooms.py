@@ -54,7 +54,7 @@ def draw_rooms(goal: Place, agent: Place | None, facts: Mapping[str, str]) -> st
     """
     Draw the rooms, a legend, and facts in words.
 
-    :param agent: where it is; None: that may not be seen.
+    :param agent: the agent's cell; None: it may not be revealed.
     :param facts: names and values of features that the drawing does not express.
     """
     open_places = set(places())
@@ -92,7 +92,7 @@ ROOM_VALUES = (*ROOMS.values(), 'doorway')
 
 @dataclass(frozen=True, slots=True)
 class RoomsState:
-    """Where the agent is."""
+    """The agent's position."""
 
     row: int  # 0 = north edge
     col: int  # 0 = west edge
@@ -111,7 +111,7 @@ class Rooms(TableDomain[RoomsState]):
         """
         Make the rooms.
 
-        :param goal: G1, the east doorway, or G2, a cell of the south-east room; as in the paper.
+        :param goal: G1, the east doorway, or G2, a cell of the south-east room, as in the paper.
         :raises DomainError: there is no such goal.
         """
         if goal not in GOALS:
@@ -136,11 +136,11 @@ class Rooms(TableDomain[RoomsState]):
         return [(p, to, float(to == self.goal)) for p, to in zip(shares, arrivals)]
 
     def is_over(self, state: RoomsState) -> bool:
-        """Tell whether the agent is at the goal."""
+        """Return whether the agent is at the goal."""
         return state == self.goal
 
     def can_begin(self, state: RoomsState) -> bool:
-        """Tell whether the agent is anywhere but at the goal."""
+        """Return whether the agent is anywhere but at the goal."""
         return state != self.goal
 
     def values_of(self, state: RoomsState) -> Sequence[int]:
@@ -168,7 +168,7 @@ class Rooms(TableDomain[RoomsState]):
         return draw_rooms(goal, (state.row, state.col) if seen else None, {} if seen else values)
 
     def board_slices(self) -> list[BoardSlice]:
-        """Return the one layout that there is."""
+        """Return the only layout."""
         cells = np.full((len(LAYOUT), len(LAYOUT[0])), -1, dtype=np.int32)
         for index, place in enumerate(PLACES):
             cells[place] = index
@@ -176,7 +176,7 @@ class Rooms(TableDomain[RoomsState]):
 
 
 def neighbour(place: Place, action: int) -> Place:
-    """Return where a move leads if it goes as intended: next to ``place``, or nowhere."""
+    """Return the cell that an intended move leads to: beside ``place``, or ``place`` itself."""
     to = place[0] + STEPS[action][0], place[1] + STEPS[action][1]
     return to if to in OPEN else place
 

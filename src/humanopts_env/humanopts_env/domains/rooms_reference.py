@@ -26,8 +26,7 @@ class HallwayOption(TabularReferenceOption):
     @cached_property
     def expected_steps(self) -> NDArray[np.float64]:
         """
-        Expected steps (S,) until it ends, by the first of its optimal actions; NaN where it
-        cannot start.
+        Expected steps (S,) to the end by the first optimal action; NaN outside the initiation set.
 
         The solution of t = 1 + Q t, with Q (n, n) the probabilities of going on.
         """
@@ -49,8 +48,8 @@ def reference_options(domain: Domain) -> dict[str, HallwayOption]:
     Return the hallway options by name: two for each room, whatever the goal.
 
     The optimal actions are those with the highest expected gamma**k at the doorway that is walked
-    to, k steps away, where all other ways out of the room count as nothing: shortest ways that
-    avoid stumbling into the other doorway.
+    to, k steps away, where all other exits of the room are worth 0: shortest paths that avoid
+    slipping into the other doorway.
     """
     options = [_build(domain, room, doorway) for room, doorway in _pairs(domain)]
     return {option.name: option for option in options}
@@ -60,12 +59,12 @@ def best_ways(
     transitions: Transitions, target: Mask, allowed: Mask, gamma: float
 ) -> tuple[NDArray[np.float64], Mask]:
     """
-    Find the best ways to a target by value iteration, which ends when rounding does.
+    Find the best paths to a target by value iteration until no value changes.
 
     :param target: (S,), outside ``allowed``.
     :param allowed: (S,), states in which a step can be taken.
-    :return: value (S,), the expected gamma**k at the target, 1 in it and 0 elsewhere outside
-        ``allowed``; optimal (S, A).
+    :return: value (S,), the expected gamma**k at the target, 1 in the target and 0 in other states
+        outside ``allowed``; optimal (S, A).
     """
     value = target.astype(np.float64)
     while True:

@@ -1,10 +1,10 @@
 """
-Where subgoals are searched for: the states that tasks are set in, and what their visits count for.
+The search space of subgoals: the states of the random tasks, and how their visits are counted.
 
-S states, K cells, M situations. Visits are counted over the agent's own cell, in every domain.
-Where a run changes something else than the cell (Taxi: whether the passenger is aboard), that is
-an event. Initiation sets are made of situations: states that differ only in what nothing in the
-domain can change (Taxi: which landmark is the destination) are one situation.
+S states, K cells, M situations. In every domain, visits are counted by the agent's cell. A step
+that changes a status (Taxi: whether the passenger is aboard) is an event. Initiation sets consist
+of situations: states that differ only in what no action can change (Taxi: which landmark is the
+destination) are one situation.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,24 +29,24 @@ Ints = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace:
-    """The states that tasks are set in, what their visits count for, and how they look."""
+    """The states of the random tasks, with the cell, status and situation of each."""
 
     transitions: Transitions
     over: Flags  # (S,) the domain's own task is over
-    reached: Flags  # (S,) an episode can come there
+    reached: Flags  # (S,) an episode can reach it
     goals: Flags | None  # (S,) goals of the domain's own task; None: goals are drawn
     cell: Ints  # (S,) 0..K-1
     cell_names: tuple[str, ...]
-    status: Ints  # (S,) a change of it is an event
+    status: Ints  # (S,) a change of the status is an event
     events: tuple[str, ...]  # name of the event that leads to each status; none: no events
     situation: Ints  # (S,) 0..M-1
-    rows: NDArray[np.int32]  # (S, F) the domain's features; those not in ``columns`` mean nothing
-    columns: tuple[int, ...]  # features that options found here may depend on
+    rows: NDArray[np.int32]  # (S, F) the domain's features; only ``columns`` are meaningful
+    columns: tuple[int, ...]  # indices of the features that the options may depend on
     board: BoardSlice | None = None  # states laid out for a figure
 
     @cached_property
     def open(self) -> Flags:
-        """(S,): an episode can come there and go on."""
+        """(S,): an episode can reach the state, and is not over there."""
         return self.reached & ~self.over
 
     @cached_property
@@ -56,10 +56,10 @@ class SearchSpace:
 
     def states_of(self, rows: NDArray[np.int32]) -> Ints:
         """
-        Return the state of this space in which each of N games is, (N,).
+        Return (N,): the state of this space that each of N games is in.
 
         :param rows: (N, F) features of the games.
-        :raises DomainError: features do not tell the states apart, or fit none of them.
+        :raises DomainError: two states have equal features, or a game's features fit no state.
         """
         known, states = self._by_features
         values = rows[:, list(self.columns)]
@@ -140,16 +140,17 @@ def space_by_features(
     cell_name: Callable[[tuple[int, ...]], str] | None = None,
 ) -> SearchSpace:
     """
-    Return the search space that features of a domain say.
+    Return the search space that is defined by features of a domain.
 
-    :param cell: features that are where the agent is.
-    :param status: a feature, each change of which is an event.
-    :param events: what an event is called, by how the value that ``status`` takes reads.
-    :param situation: all features but those that nothing in the domain can change.
-    :param own_goals: whether goals are those of the domain's own task (what the step with the
-        highest reward that ends it leads to), which is right where these are random, or where
-        little can be undone; else goals are drawn.
-    :param cell_name: names a cell by the values of its features; None: ``cell 2,3``.
+    :param cell: features that hold the agent's position.
+    :param status: a feature; each change of its value is an event.
+    :param events: names of the events, by the text of the value that ``status`` changes to.
+    :param situation: all features but those that no action can change.
+    :param own_goals: True: the goals are those of the domain's own task (where the step that ends
+        it with the highest reward leads), which is right where they are random, or where little
+        can be undone; False: goals are drawn.
+    :param cell_name: returns the name of a cell from the values of its features; None: such as
+        ``cell 2,3``.
     :raises DomainError: the domain has no such feature.
     """
     transitions = domain.transitions()
@@ -178,14 +179,14 @@ def plain_cell_name(values: tuple[int, ...]) -> str:
 
 
 def _groups(domain: EnumerableDomain[Any], names: Sequence[str]) -> tuple[NDArray[np.int32], Ints]:
-    """Return the different values of some features, and which of them each state (S,) has."""
+    """Return the distinct values of some features, and (S,) the index of each state's values."""
     rows = domain.feature_table()[:, feature_columns(domain, names)]
     values, group = np.unique(rows, axis=0, return_inverse=True)
     return values, group.ravel()
 
 
 def _best_ends(transitions: Transitions) -> Flags:
-    """Return (S,): what a step that ends the task with the highest reward leads to."""
+    """Return (S,): whether a step that ends the task with the highest reward leads there."""
     ending = transitions.terminated & (transitions.probability > 0)
     best = ending & (transitions.reward == transitions.reward[ending].max())
     goals = np.zeros(len(transitions.successor), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""A base for domains whose states can all be listed, written as the rules of single states."""
+"""A base class for enumerable domains, which are written as the rules of single states."""
 
 from abc import abstractmethod
 from collections.abc import Collection, Hashable, Mapping, Sequence
@@ -33,7 +33,7 @@ class TableDomain(SharedTables[S]):
     An ``EnumerableDomain`` of up to some 100,000 states.
 
     A subclass sets the attributes of ``Domain``, passes its states to ``__init__`` and writes the
-    abstract methods; all tables are built from these, each when it is first asked for.
+    abstract methods; all tables are built from these, each when it is first used.
     """
 
     name: str
@@ -48,7 +48,7 @@ class TableDomain(SharedTables[S]):
         """
         Number the states.
 
-        :param states: all of them, different ones.
+        :param states: all states, without duplicates.
         """
         self._states = tuple(states)
         self._numbers = {state: number for number, state in enumerate(self._states)}
@@ -56,19 +56,19 @@ class TableDomain(SharedTables[S]):
     @abstractmethod
     def outcomes(self, state: S, action: int) -> Sequence[tuple[float, S, float]]:
         """
-        Return what an action can lead to: probability, successor and reward of each outcome.
+        Return the outcomes of an action: the probability, successor and reward of each.
 
-        Asked of every state, of those where the task is over as well. A figure of the board takes
-        the first outcome for what the action is meant to do.
+        This is called for every state, also where the task is over. Figures of the board draw the
+        first outcome as the intended one.
         """
 
     @abstractmethod
     def is_over(self, state: S) -> bool:
-        """Tell whether the task is over in ``state``, so that no step can be taken."""
+        """Return whether the task is over in ``state``, so that no step can be taken."""
 
     @abstractmethod
     def can_begin(self, state: S) -> bool:
-        """Tell whether an episode can begin in ``state``; all such states are as likely."""
+        """Return whether an episode can begin in ``state``; all such states are equally likely."""
 
     @abstractmethod
     def values_of(self, state: S) -> Sequence[int]:
@@ -144,7 +144,7 @@ class TableDomain(SharedTables[S]):
         return Outcome(successor, float(table.reward[at]), bool(table.terminated[at]))
 
     def can_follow(self, state: S, action: int, successor: S) -> bool:
-        """Tell whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
+        """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
         number, table = self.index(state), self.transitions()
         if self.over()[number] or not 0 <= action < len(self.actions):
             return False
@@ -160,7 +160,7 @@ class TableDomain(SharedTables[S]):
         return []
 
     def shown_values(self, state: S, shown: Collection[str] | None) -> dict[str, str]:
-        """Return the features that may be revealed with what their values read."""
+        """Return the features that may be revealed, with the texts of their values."""
         return {
             feature.name: feature.values[value]
             for feature, value in zip(self.features, self.values_of(state))

@@ -20,7 +20,7 @@ def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
 
 def reachable(domain: EnumerableDomain[Any]) -> NDArray[np.bool_]:
     """
-    Return (S,): which states an episode can come to from the start states.
+    Return (S,): whether an episode can reach each state from the start states.
 
     Nothing is reached through a state where the task is over.
     """
@@ -99,7 +99,7 @@ S = TypeVar('S', bound=Hashable)
 
 class SharedTables(ABC, Generic[S]):
     """
-    What an ``EnumerableDomain`` reads from its tables.
+    The methods of an ``EnumerableDomain`` that read its tables.
 
     Each table is built when it is first asked for, then shared and read-only.
     """
@@ -126,7 +126,7 @@ class SharedTables(ABC, Generic[S]):
 
     @abstractmethod
     def _build_over(self) -> NDArray[np.bool_]:
-        """Return (S,): where the task is over."""
+        """Return (S,): whether the task is over in each state."""
 
     def reset(self, rng: np.random.Generator) -> S:
         """Draw a start state of the task."""

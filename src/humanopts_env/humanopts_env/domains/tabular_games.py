@@ -1,4 +1,4 @@
-"""Many games at once of a domain whose states can all be listed."""
+"""Many games at once of an enumerable domain."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

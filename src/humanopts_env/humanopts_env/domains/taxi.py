@@ -1,5 +1,5 @@
 """
-Taxi: fetch a passenger from one of four landmarks and deliver to another.
+Taxi: fetch a passenger from one of four landmarks and deliver the passenger to another.
 
 T. G. Dietterich (2000), "Hierarchical Reinforcement Learning with the MAXQ Value Function
 Decomposition", section 2, figure 1. The 5 x 5 grid has the states, actions, walls and transitions
@@ -77,8 +77,8 @@ def transition_table(rows: int, cols: int) -> Transitions:
     """
     Return the exact transitions, B = 1.
 
-    Rewards: 0 for a legal pickup, +1 for a dropoff at the destination, -1 for all else. A dropoff
-    at another landmark lets the passenger out there, and anywhere else does nothing.
+    Rewards: 0 for a legal pickup, +1 for a dropoff at the destination, -1 otherwise. A dropoff at
+    another landmark lets the passenger out there; a dropoff in any other cell does nothing.
     """
     cell, passenger, destination = state_parts(rows, cols)
     landmarks = _landmark_numbers(rows, cols)
@@ -171,7 +171,7 @@ def _passenger_cells(rows: int, cols: int) -> Column:
     return np.where(passenger == ABOARD, cell, waiting_at).astype(np.int32)
 
 
-EMPTY_TAXI, FULL_TAXI, SOME_TAXI = '□', '■', '▒'  # some: whether it is empty is not shown
+EMPTY_TAXI, FULL_TAXI, SOME_TAXI = '□', '■', '▒'  # SOME: whether it is empty is not shown
 PASSENGER, DESTINATION, FLOOR = '☻', '⚑', '·'
 GLYPH_STYLES = {
     EMPTY_TAXI: 'bold bright_yellow',
@@ -206,7 +206,7 @@ def draw_board(
     shown: Sequence[tuple[Feature, int]],
 ) -> str:
     """
-    Draw the grid, a legend, and in words whatever of ``shown`` the drawing cannot express.
+    Draw the grid, a legend, and in words the features of ``shown`` that the drawing lacks.
 
     :param wall_east: (rows, cols), whether a wall or the edge is east of each cell.
     :param landmarks: letter and cell of each.
@@ -322,7 +322,7 @@ class Taxi(SharedTables[TaxiState]):
 
     def step(self, state: TaxiState, action: int, rng: np.random.Generator) -> Outcome[TaxiState]:
         """
-        Take one primitive action; there is no chance in it.
+        Take one primitive action; the outcome is deterministic.
 
         :raises DomainError: the action is not in the domain, or the passenger was delivered.
         """
@@ -335,11 +335,11 @@ class Taxi(SharedTables[TaxiState]):
         return Outcome(successor, float(table.reward[at]), bool(table.terminated[at]))
 
     def is_over(self, state: TaxiState) -> bool:
-        """Tell whether the passenger is at the destination."""
+        """Return whether the passenger is at the destination."""
         return state.passenger == state.destination
 
     def can_follow(self, state: TaxiState, action: int, successor: TaxiState) -> bool:
-        """Tell whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
+        """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
         if self.is_over(state) or not 0 <= action < len(ACTIONS):
             return False
         found = self.transitions().successor[self.index(state), action, 0]

@@ -1,7 +1,7 @@
 """
-The Taxi buttons that people named, as exact options.
+The Taxi options that people named in the paper, exactly.
 
-Subramanian, Isbell and Thomaz (2011), table 1. Each option runs by shortest ways from its
+Subramanian, Isbell and Thomaz (2011), table 1. Each option follows shortest paths from its
 initiation set to its goal, and ends wherever it has left that set. States in which the task is
 over are in no initiation set.
 """
@@ -20,18 +20,18 @@ Taxi = EnumerableDomain[TaxiState]
 
 @dataclass(frozen=True, slots=True)
 class _Button:
-    """One option before its shortest ways are known."""
+    """One option before its shortest paths are computed."""
 
     name: str
     definition: str
     features: tuple[str, ...]
     initiation: NDArray[np.bool_]  # (S,); states that are over or not reachable leave it later
-    goal: NDArray[np.bool_]  # (S, A), the transitions that it is meant to end with
+    goal: NDArray[np.bool_]  # (S, A), the transitions that reach its goal
     ends_episode: bool = False  # whether one of them can
 
 
 def reference_options(domain: Taxi) -> dict[str, TabularReferenceOption]:
-    """Return every Taxi button of the paper's table 1 by name."""
+    """Return every Taxi option of the paper's table 1 by name."""
     return {button.name: _build(domain, button) for button in _buttons(domain)}
 
 
@@ -107,7 +107,7 @@ def _column(domain: Taxi, name: str) -> NDArray[np.int32]:
 
 
 def _build(domain: Taxi, button: _Button) -> TabularReferenceOption:
-    """Add the shortest ways to the goal within the initiation set."""
+    """Add the shortest paths to the goal within the initiation set."""
     visited, over = reachable(domain), domain.over()
     initiation = button.initiation & visited & ~over
     distance, optimal = distance_to(domain.transitions(), button.goal, initiation)

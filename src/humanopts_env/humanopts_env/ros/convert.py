@@ -1,4 +1,4 @@
-"""Messages to domain values and back: the only module of this package that knows both."""
+"""Conversion between messages and domain values."""
 
 from collections.abc import Hashable
 from dataclasses import asdict, fields
@@ -48,9 +48,9 @@ def domain_to_info(domain: Domain[Any]) -> DomainInfo:
 
 def domain_from_info(info: DomainInfo) -> Domain[Hashable]:
     """
-    Build the domain that game announced.
+    Build the domain that the node game published.
 
-    :raises DomainError: it is not registered here, or its features or actions are other ones.
+    :raises DomainError: it is not registered here, or its features or actions differ.
     """
     domain = domain_from_json(info.domain, info.parameters)
     here = domain_to_info(domain)
@@ -63,7 +63,7 @@ def domain_from_info(info: DomainInfo) -> Domain[Hashable]:
 
 
 def transition_to_message(transition: Transition) -> GameState:
-    """Encode where the game is; header, publisher_id and sequence are left to the publisher."""
+    """Encode a transition; header, publisher_id and sequence are left to the publisher."""
     values = asdict(transition)
     values['features'] = list(transition.features)
     values['action_source'] = int(transition.action_source)
@@ -93,7 +93,7 @@ def refusal_to_message(refused: Refused) -> ActionRefusal:
 
 
 def control_to_message(control: Control) -> ControlState:
-    """Encode who drives."""
+    """Encode who holds control."""
     return ControlState(
         holder=int(control.holder), holder_id=control.holder_id, reason=control.reason
     )

@@ -1,4 +1,4 @@
-"""The node ``game``: owns the game, and takes one command a step."""
+"""The node ``game``, which owns the game and takes one step for each accepted command."""
 
 from collections import deque
 import json
@@ -30,13 +30,13 @@ from humanopts_ros.publisher import PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, STREAM
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
-_RETRY_PERIOD = 0.5  # s between attempts to send what could not be sent
-_HOLDER_PERIOD = 1.0  # s between looks whether the person's terminal is still there
-_HOLDER_LOOKS = 2  # that must miss it in a row, since a new node is heard before it is listed
+_RETRY_PERIOD = 0.5  # s between attempts to publish messages again
+_HOLDER_PERIOD = 1.0  # s between checks that the person's terminal is still on the graph
+_HOLDER_LOOKS = 2  # checks in a row that must miss it: a new node publishes before it is listed
 
 
 class GameNode(NodeBase):
-    """Publishes what the game comes to, and refuses in words what it does not take."""
+    """Publishes the states of the game, and refuses other commands with the reason."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('game', **options)
@@ -66,7 +66,7 @@ class GameNode(NodeBase):
         self.create_timer(_HOLDER_PERIOD, self._check_holder)
 
     def on_ready(self) -> None:
-        """Announce the rules, and begin a first episode."""
+        """Publish the domain, and begin the first episode."""
         self._info.publish(domain_to_info(self._game.domain))
         self._send_control(self._game.control)
         self._game.reset('', self._seed, Source.MACHINE)
@@ -123,7 +123,7 @@ class GameNode(NodeBase):
         return response
 
     def _check_holder(self) -> None:
-        """Free control that a terminal holds which is no longer there."""
+        """Free control when the terminal that holds it has left the graph."""
         control = self._game.control
         name = control.holder_id.split('#')[0]
         there = {
@@ -142,13 +142,13 @@ class GameNode(NodeBase):
             self._send(publisher, transition_to_message(transition))
 
     def _send(self, publisher: StampedPublisher[Any], message: Any) -> None:
-        """Publish a message; where something waits on its topic already, it waits behind it."""
+        """Publish a message, after those that already wait on its topic."""
         self._unsent[publisher].append(message)
         if len(self._unsent[publisher]) == 1:
             self._push(publisher)
 
     def _push(self, publisher: StampedPublisher[Any]) -> None:
-        """Publish what waits on a topic, in order; where that fails, pause until it can be."""
+        """Publish the waiting messages of a topic in order; pause the game while that fails."""
         waiting = self._unsent[publisher]
         try:
             while waiting:

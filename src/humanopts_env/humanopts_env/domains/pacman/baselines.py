@@ -1,9 +1,9 @@
 """
-What plans in Pac-Man are compared with, under the same rules.
+The baselines of plans in Pac-Man, under the same rules.
 
-The heuristic is a short hand-written rule over the reference options. An option that was chosen
-runs to its end, or is chosen again at every step. The plan settings were found by hand in the
-default maze, with the reference options.
+The heuristic is a short hand-written rule over the reference options. A chosen option runs to its
+end, or one is chosen at every step. The plan settings were found by hand in the default maze, with
+the reference options.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ import numpy as np
 if TYPE_CHECKING:
     from humanopts_env.domains.pacman.domain import PacMan
 
-TOO_NEAR = 3  # steps to a dangerous ghost at which the hand-written rule takes to flight
+TOO_NEAR = 3  # steps to a dangerous ghost at which the hand-written rule flees
 
 
 PRIMITIVE = PlanSettings(0.95, {'rounds': 16})  # with either rule of the ghosts
@@ -48,9 +48,9 @@ PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et a
 
 def pacman_baselines(domain: 'PacMan', *, usual: bool) -> Baselines:
     """
-    Return what plans are compared with in one variant of the game.
+    Return the baselines in one variant of the game.
 
-    :param usual: it has the default parameters, of which it is known which scores can be reached.
+    :param usual: it has the default parameters, for which ``TARGETS`` are known to be reachable.
     """
     ghosts = domain.rules.ghosts
     return Baselines(
@@ -71,17 +71,18 @@ def play_heuristic(domain: 'PacMan', games: int, seed: int, *, to_end: bool) -> 
     return play_options(options, choose, games, domain.max_steps, seed, to_end=to_end)
 
 
-# From games, what is around, which options can start (O, N) and chance, the options' indices (N,).
+# Arguments: games, surroundings, (O, N) whether each option can start, and a generator. Returns
+# (N,) option indices.
 Chooser = Callable[[PacManBatch, Surroundings, Flags, np.random.Generator], Ints]
 
 
 def hand_rule(options: Sequence[PacManOption]) -> Chooser:
     """
-    Return the hand-written rule over the four buttons of table 1, in any order, among others.
+    Return the hand-written rule over the four options of table 1, in any order, among others.
 
-    Eat a scared ghost that can be caught in time, unless a dangerous one is beside; else, where a
-    dangerous ghost is too near, go to a power pill that is nearer, or avoid the ghost; else go to
-    the closest food.
+    The rule is: eat a scared ghost that can be caught in time, unless a dangerous one is near;
+    else, where a dangerous ghost is too near, go to a power pill that is nearer, or avoid the
+    ghost; else go to the closest food.
     """
     names = [option.name for option in options]
     food, avoid, pill, eat = map(names.index, (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST))
@@ -113,9 +114,9 @@ def play_options(
     to_end: bool = True,
 ) -> Scores:
     """
-    Play with options; among equally good moves, the first.
+    Play games with options, with the first of equally good moves.
 
-    :param to_end: an option runs to its end; False: one is chosen at every step.
+    :param to_end: True: an option runs to its end; False: an option is chosen at every step.
     """
     rng = generator(seed, 'baseline', 'options')
     running = np.full(games, -1, dtype=np.intp)

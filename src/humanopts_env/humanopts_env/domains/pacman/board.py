@@ -9,7 +9,7 @@ from humanopts_env.domains.pacman.state import eaten_names, PacManState
 
 PACMAN, FOOD, PILL, FRUIT, LIFE, LOST = 'C', '·', '●', '♣', '♥', '♡'
 GHOSTS, SCARED = 'ΩΨΦΔ', 'ωψφδ'
-WALLS = '■╵╴╯╶╰─┴╷│╮┤╭├┬┼'  # by where a wall goes on: bits 0 north, 1 west, 2 east, 3 south
+WALLS = '■╵╴╯╶╰─┴╷│╮┤╭├┬┼'  # by sides that continue: bits 0 north, 1 west, 2 east, 3 south
 GLYPH_STYLES = {
     **dict.fromkeys(WALLS, 'blue'),
     **dict(zip(GHOSTS, ('bold red', 'bold magenta', 'bold cyan', 'bold green'))),
@@ -21,7 +21,7 @@ GLYPH_STYLES = {
     LIFE: 'bold bright_yellow',
     LOST: 'dim',
 }
-Thing = tuple[str, str, Cell]  # glyph, name, where; the first in a cell are in front
+Thing = tuple[str, str, Cell]  # glyph, name, cell; the first in a cell is in front
 
 
 def draw_state(maze: Maze, state: PacManState, lives: int) -> str:
@@ -55,7 +55,7 @@ def draw_state(maze: Maze, state: PacManState, lives: int) -> str:
 
 def draw_features(maze: Maze, shown: Sequence[tuple[Feature, int]]) -> str:
     """
-    Draw the maze, a legend, and in words whatever of ``shown`` the drawing does not express.
+    Draw the maze, a legend, and in words the features of ``shown`` that the drawing lacks.
 
     :param shown: features that may be revealed, with their values; nothing else is used.
     """
@@ -77,7 +77,7 @@ def draw_features(maze: Maze, shown: Sequence[tuple[Feature, int]]) -> str:
 
 
 def _movable(maze: Maze, values: Mapping[str, int]) -> list[tuple[str, str, str]]:
-    """Return prefix of feature names, glyph and name of all that features give a place to."""
+    """Return prefix of feature names, glyph and name of each thing with a row and column."""
     ghosts = []
     for number in range(1, len(maze.homes) + 1):
         scared = values.get(f'ghost_{number}_scared')
@@ -93,7 +93,7 @@ def _movable(maze: Maze, values: Mapping[str, int]) -> list[tuple[str, str, str]
 
 
 def _expressed_by(feature: str) -> set[str]:
-    """Return what must be in the drawing for a feature to be read from it."""
+    """Return the things that must be drawn for a feature to be read from the drawing."""
     if feature == 'legal_moves':
         return {'pacman'}
     prefix, _, part = feature.rpartition('_')
@@ -105,7 +105,7 @@ def _expressed_by(feature: str) -> set[str]:
 
 
 def _grid(maze: Maze, things: Sequence[Thing]) -> list[str]:
-    """Draw the walls with what is in front in each cell, and what is behind it beside it."""
+    """Draw the walls, and in each cell the thing in front, with the one behind beside it."""
     inside: dict[Cell, str] = {}
     for glyph, _, cell in things:
         inside[cell] = inside.get(cell, '') + glyph
@@ -117,7 +117,7 @@ def _grid(maze: Maze, things: Sequence[Thing]) -> list[str]:
 
 @lru_cache(maxsize=16)
 def _empty(maze: Maze) -> tuple[tuple[str, ...], ...]:
-    """Return the two characters of each cell where nothing is in the maze, border included."""
+    """Return the two characters of each cell of the empty maze, border included."""
     walls = _walls(maze)
     return tuple(
         tuple(walls.get((row, col), '  ') for col in range(-1, maze.cols + 1))
@@ -126,7 +126,7 @@ def _empty(maze: Maze) -> tuple[tuple[str, ...], ...]:
 
 
 def _walls(maze: Maze) -> dict[Cell, str]:
-    """Return the two characters of each wall: a line wherever one side of it is not all wall."""
+    """Return the two characters of each wall: a line unless all cells around it are walls."""
     lines = maze.text.split('\n')
     solid = {
         (row - 1, col - 1)
@@ -162,13 +162,13 @@ def _inside(maze: Maze, cell: Cell) -> bool:
 
 
 def _buried(maze: Maze, solid: set[Cell], cell: Cell) -> bool:
-    """Tell whether all around a wall is wall."""
+    """Return whether all cells around a wall are walls."""
     around = [(cell[0] + down, cell[1] + east) for down in (-1, 0, 1) for east in (-1, 0, 1)]
     return all(place in solid or not _inside(maze, place) for place in around)
 
 
 def _hidden(things: Sequence[Thing]) -> list[str]:
-    """Say what is in a cell behind two other things."""
+    """Return in words the things in a cell behind two others."""
     seen: dict[Cell, int] = {}
     hidden = []
     for _, name, cell in things:

@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 KEYS = ('up', 'left', 'right', 'down')  # in the order of MOVES
 MOST_LIVES, MOST_STEPS = 9, 1_000_000
-# What the participants of the paper were asked to teach (section 7), and one option more.
+# The options that the participants of the paper taught (section 7), and one more.
 DEMO_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST)
 ONE_DOT = 10.0  # points
 
@@ -57,13 +57,13 @@ class PacMan:
         """
         Set up a maze.
 
-        :param maze: the name of one of ours, the path of a file in Berkeley's notation, or its
-            text. Among ``parameters`` it is the name or the text, never a path, so that whoever
-            reads them elsewhere plays the same maze.
+        :param maze: the name of a maze in this package, the path of a file in Berkeley's notation,
+            or its text. ``parameters`` hold the name or the text, never a path, so that they make
+            the same maze on another machine.
         :param ghosts: 'random', where dangerous ghosts move at random, or 'chase', where they
             come towards Pac-Man with probability 0.8.
         :param lives: at the beginning, 1 to 9.
-        :param max_steps: an episode is cut off after so many.
+        :param max_steps: an episode is truncated after this many steps.
         :raises MazeError: there is no such maze, or it cannot be played.
         :raises DomainError: another parameter is out of range.
         """
@@ -100,7 +100,7 @@ class PacMan:
         self.teaching = TeachingDefaults(DEMO_OPTIONS, {'return_delta': ONE_DOT})
 
     def reset(self, rng: np.random.Generator) -> PacManState:
-        """Return the one start state: everyone where the maze put them."""
+        """Return the only start state: Pac-Man and all ghosts in their first cells."""
         return self.rules.start()
 
     def step(
@@ -121,11 +121,11 @@ class PacMan:
         return Outcome(after, float(after.score - state.score), self.is_over(after))
 
     def is_over(self, state: PacManState) -> bool:
-        """Tell whether the maze is cleared of food, or the last life lost."""
+        """Return whether the food is all eaten, or the last life lost."""
         return self.rules.is_over(state)
 
     def can_follow(self, state: PacManState, action: int, successor: PacManState) -> bool:
-        """Tell whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
+        """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
         if self.is_over(state) or not 0 <= action < len(MOVES):
             return False
         return self.rules.can_follow(state, action, successor)
@@ -148,7 +148,7 @@ class PacMan:
         return notation.decode(self.rules.maze, self.rules.lives, text)
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[PacManState]:
-        """Draw states from the middle of games that are played in many ways, never over."""
+        """Draw states from games that are played with several aims, never over."""
         return sample_games(self.rules, rng, count).states()
 
     def render(self, state: PacManState, shown: Collection[str] | None = None) -> str:
@@ -164,11 +164,11 @@ class PacMan:
         return draw_features(self.rules.maze, visible)
 
     def batch_games(self) -> PacManGames:
-        """Return what plays many games at once."""
+        """Return the object that plays many games at once."""
         return PacManGames(self)
 
     def search_space(self) -> SearchSpace:
-        """Return the maze without its ghosts: its cells, and the moves between them."""
+        """Return the cells of the maze and the moves between them, without the ghosts."""
         maze, moves = self.rules.maze, self.rules.paths.step[:, :STAY, None].astype(np.int32)
         transitions = Transitions(
             moves, np.ones(moves.shape), np.zeros(moves.shape), np.zeros(moves.shape, np.bool_)
@@ -184,5 +184,5 @@ class PacMan:
         return plain_space(transitions, over, ~over, rows, columns, names, board)
 
     def baselines(self) -> Baselines:
-        """Return what plans are compared with in this variant of the game."""
+        """Return the baselines in this variant of the game."""
         return pacman_baselines(self, usual=self.parameters == PacMan().parameters)

@@ -1,10 +1,10 @@
 """
-The features of Pac-Man, and what is nearest of each kind, in many games at once.
+The features of Pac-Man, and the nearest thing of each kind, in many games at once.
 
-"Nearest" is by steps of a shortest path; among several it is the first, row by row. A direction
-is the first move of a shortest path, the first in the order of moves where there are several.
-What is not there (no pill is left, no ghost is scared) is in the last row, column and distance,
-which read "none".
+"Nearest" is by steps of a shortest path; among several it is the first, row by row. A direction is
+the first move of a shortest path, the first in the order of moves where there are several. A thing
+that is absent (no pill is left, no ghost is scared) has the last value of row, column, direction
+and distance, "none".
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ THINGS = {  # prefix of feature names: what it is to a person
 
 
 def pacman_features(rules: Rules) -> tuple[Feature, ...]:
-    """Return all features, in the order of the columns of ``FeatureReader``."""
+    """Return all features, in the order of ``FeatureReader``."""
     features = _place(rules, 'pacman', 'Pac-Man', can_miss=False)
     for number in range(1, len(rules.maze.homes) + 1):
         name, words = f'ghost_{number}', f'ghost {number}'
@@ -104,10 +104,10 @@ def _sets(names: Callable[[int], list[str]], empty: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Nearest:
-    """Distances from each cell to each of some things, and where they are."""
+    """Distances from each cell to each of K things, and their cells."""
 
-    distance: NDArray[np.unsignedinteger]  # (C, K + 1), 0 in the last column
-    cells: NDArray[np.intp]  # (K + 1,), the last one stands for none: C
+    distance: NDArray[np.unsignedinteger]  # (C, K + 1), 0 in the last entry
+    cells: NDArray[np.intp]  # (K + 1,), the last entry, C, stands for none
 
 
 class FeatureReader:
@@ -132,7 +132,7 @@ class FeatureReader:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the columns."""
+        """Names of the features."""
         return tuple(feature.name for feature in pacman_features(self.rules))
 
     def __call__(
@@ -208,13 +208,13 @@ class FeatureReader:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What is nearest of each kind in N games, and the first moves of all shortest ways there."""
+    """The nearest thing of each kind in N games, and the first moves of shortest paths to it."""
 
     food: NDArray[np.intp]  # (N,) steps; ``far`` where there is none
     pill: NDArray[np.intp]
     danger: NDArray[np.intp]  # dangerous ghost
     prey: NDArray[np.intp]  # scared ghost
-    fear: NDArray[np.intp]  # (N,) for how long the nearest scared ghost is scared
+    fear: NDArray[np.intp]  # (N,) steps for which the nearest scared ghost is scared
     to_food: Masks  # (N,)
     to_pill: Masks
     to_prey: Masks
@@ -255,8 +255,8 @@ def look_around(batch: PacManBatch) -> Surroundings:
 def _nearest_things(
     batch: PacManBatch, cells: Sequence[int], taken: Taken
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Masks]:
-    """Return steps to the nearest thing that is there, its cell, and moves to all as near."""
-    paths, items = batch.rules.paths, [*cells, 0]  # the last column of ``taken`` is no thing
+    """Return steps to the nearest thing left, its cell, and first moves to all as near."""
+    paths, items = batch.rules.paths, [*cells, 0]  # the last entry of ``taken`` is no thing
     steps = paths.distance[:, items][batch.pacman] | taken
     at = steps[:, :-1].argmin(axis=1) if cells else np.zeros(len(batch), dtype=np.intp)
     least = np.where(taken[:, :-1] == 0, steps[:, :-1], paths.far).min(axis=1, initial=paths.far)

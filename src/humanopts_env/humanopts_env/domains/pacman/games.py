@@ -1,12 +1,12 @@
 """
 Many games of Pac-Man at once for planning from samples: play, state abstractions, sampled games.
 
-Options see buckets of distances, times and numbers: what decides which one is worth starting.
-"Arrival" at a cell is in how many steps a dangerous ghost can be there, if it wants to: dangerous
-ghosts do not turn round unless they must, so that one that has just passed is farther away than
-its distance says. What an option risks is the arrival at the cell that its first step leads to,
-where 1 may cost a life at once. Primitive actions see, finer, where walls are, and the way to each
-thing, where it is near enough to matter.
+The abstraction for options has buckets of the distances, times and numbers that decide which
+option is worth starting. "Arrival" at a cell is the fewest steps in which a dangerous ghost can
+reach it. Dangerous ghosts do not turn round unless they must, so a ghost that has just passed
+arrives later than its distance says. The risk of an option is the arrival at the cell of its first
+step, where 1 may cost a life at once. The finer abstraction for primitive actions has the walls
+around Pac-Man, and the direction of each thing that is near enough to matter.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,15 +31,15 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from humanopts_env.domains.pacman.domain import PacMan
 
-AFAR = 1000  # more than any bucket of a distance that is one; what is not there is farther
+AFAR = 1000  # above all distances; stands for the distance of what is not there
 N_DIRECTIONS = len(DIRECTIONS)
-# For primitive actions: the first distance of each bucket but the nearest. In the last one the
+# For primitive actions: the first distance of each bucket but the nearest. In the last bucket the
 # direction is left out, but for food.
 NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL = (2, 3, 4, 5, 7), (3, 5), (3, 6, 13), (3, 9)
 NEAR_FOOD = (2, 3, 5, 9)
 LONGEST = 300  # steps that are played before a state is drawn
-CHANGES = 0.1  # probability of wanting something else at a step
-WANTS = ('food', 'food', 'pill', 'prey', None)  # each as often; None: to move at random
+CHANGES = 0.1  # probability of a new aim at a step
+WANTS = ('food', 'food', 'pill', 'prey', None)  # aims, each equally likely; None: random moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Bucketed:
 
     @property
     def count(self) -> int:
-        """How many values it has."""
+        """The number of values."""
         return len(self.edges) + 1
 
 
@@ -64,13 +64,13 @@ ABSTRACT_FEATURES = (
     Bucketed('food_distance', (2, 3, 5, 9)),
     Bucketed('pill_distance', (2, 4, 7, 11, AFAR)),
     Bucketed('prey_distance', (2, 4, 7, 11, AFAR)),  # nearest scared ghost
-    Bucketed('prey_time', (0, 3, 8)),  # for how much longer than the way there it is scared
+    Bucketed('prey_time', (0, 3, 8)),  # steps scared beyond those to reach it
     Bucketed('fruit_distance', (10,)),
     Bucketed('food_left', (6, 36)),
     Bucketed('pills_left', (1, 2)),
     Bucketed('lives', (2,)),
 )
-CONTEXT = ('food_left', 'pills_left')  # what is left to gain, rather than what is near
+CONTEXT = ('food_left', 'pills_left')  # remaining points, not things nearby
 
 
 class PacManGames:
@@ -117,9 +117,9 @@ class PacManGames:
 
     def abstraction(self, *, fine: bool) -> Abstraction:
         """
-        Return the abstract features that there are.
+        Return the abstract features.
 
-        For options the context is what is left to gain, and the mixture what is near.
+        For options, the context is the remaining points, and the mixture the things nearby.
         """
         if fine:
             near = (NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL)
@@ -157,7 +157,7 @@ class PacManGames:
         return _near(direction, self._of(rows, f'{thing}_distance'), near)
 
     def _prey(self, batch: PacManBatch, rows: NDArray[np.int32]) -> Ints:
-        """Return the way to the nearest scared ghost, while there is time to come to it."""
+        """Return the way to the nearest scared ghost that can be reached while it is scared."""
         away = self._of(rows, 'prey_distance')
         fear = batch.scared.max(axis=0, initial=0)
         return _near(
@@ -165,7 +165,7 @@ class PacManGames:
         )
 
     def _dangers(self, batch: PacManBatch, rows: NDArray[np.int32]) -> tuple[Ints, Ints]:
-        """Return the ways to the nearest dangerous ghost and to the one after that."""
+        """Return the ways to the nearest and the second nearest dangerous ghost."""
         ghosts = [f'ghost_{number + 1}' for number in range(len(batch.ghosts))]
         away = np.full((len(rows), len(ghosts) + 2), AFAR)
         direction = np.zeros((len(rows), len(ghosts) + 2), dtype=np.int32)
@@ -181,7 +181,7 @@ class PacManGames:
 
 
 def batch_outcome(batch: PacManBatch) -> Mapping[str, NDArray[Any]]:
-    """Return what is reported of games beside their score."""
+    """Return the measures that are reported beside the score."""
     return {'cleared': batch.food_left == 0, 'lives left': batch.lives}
 
 
@@ -197,8 +197,8 @@ def abstract_features(batch: PacManBatch, seen: Surroundings | None = None) -> N
     """
     Return the buckets of every game.
 
-    :param seen: what ``look_around`` found, if that is known already.
-    :return: (N, P), columns as in ABSTRACT_FEATURES.
+    :param seen: the result of ``look_around``, if it is computed already.
+    :return: (N, P), in the order of ABSTRACT_FEATURES.
     """
     seen = seen or look_around(batch)
     paths, here = batch.rules.paths, batch.pacman
@@ -248,7 +248,7 @@ def arrival_steps(paths: Paths) -> NDArray[np.int16]:
 
 
 def _arrival(batch: PacManBatch, cell: Ints) -> Ints:
-    """Return in how many steps the soonest dangerous ghost can be in a cell (N,)."""
+    """Return the fewest steps (N,) in which a dangerous ghost can be in a cell (N,)."""
     steps = arrival_steps(batch.rules.paths)[batch.ghosts, batch.headings, cell].astype(np.intp)
     soonest: Ints = np.where(batch.scared > 0, AFAR, steps).min(axis=0, initial=AFAR)
     return soonest
@@ -278,13 +278,13 @@ def _or_afar(steps: Ints, seen: Surroundings) -> Ints:
 
 def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBatch:
     """
-    Draw states that games come to, none of them over.
+    Draw states that games pass through, none of them over.
 
-    Each game is played for a number of steps drawn uniformly below LONGEST, and begins again
-    where it ends. For a while at a time Pac-Man goes towards the nearest food, pill or scared
-    ghost, or moves at random, as he does where what he wants is not there.
+    Each game is played for a number of steps drawn uniformly below LONGEST, and begins again where
+    it ends. Pac-Man has an aim for a while: he goes towards the nearest food, pill or scared
+    ghost, or moves at random, which he also does where his aim is not in the maze.
 
-    :param count: how many, N.
+    :param count: number of states, N.
     """
     batch, drawn, read = PacManBatch(rules, count), PacManBatch(rules, count), FeatureReader(rules)
     columns = np.array([read.names.index(f'{want}_direction') for want in WANTS if want])

@@ -2,8 +2,8 @@
 Mazes as text, in the notation of the Berkeley Pac-Man projects.
 
 ``%`` is a wall, ``.`` food, ``o`` a capsule (power pill), ``P`` Pac-Man and ``G`` a ghost; ghosts
-may also be numbered ``1`` to ``4``. Anything blank is open floor. Space around
-lines and empty lines around the text do not count.
+may also be numbered ``1`` to ``4``. A space is open floor. Space around lines and empty lines
+around the text are ignored.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from pathlib import Path
 from humanopts_env.domains.base import DomainError
 
 WALL, FOOD, PILL, PACMAN, GHOST, BLANK = '%.oPG '
-NUMBERED = '1234'  # ghosts, in this order; G is as 1
+NUMBERED = '1234'  # ghosts, in this order; G counts as 1
 LARGEST_SIDE, MOST_CELLS, MOST_GHOSTS = 66, 1500, 4
 Cell = tuple[int, int]  # row, 0 = north; column, 0 = west; both inside the border
 
@@ -27,11 +27,11 @@ class Maze:
     """
     A maze that can be played.
 
-    Cells are those that Pac-Man can reach, row by row; everything else is named by its number in
-    ``cells``. Blank floor that is shut off is in no cell.
+    Cells are those that Pac-Man can reach, row by row; positions are indices into ``cells``. Floor
+    that Pac-Man cannot reach is no cell.
     """
 
-    text: str  # lines of one length, no space around them; what mazes are compared by
+    text: str  # lines of one length, no space around them; alone decides equality
     rows: int = field(compare=False)  # inside the border
     cols: int = field(compare=False)
     cells: tuple[Cell, ...] = field(compare=False)
@@ -43,7 +43,7 @@ class Maze:
 
 
 def maze_names() -> list[str]:
-    """Return the names of our own mazes."""
+    """Return the names of the mazes in this package."""
     folder = files('humanopts_env') / 'mazes'
     return sorted(file.name.removesuffix('.lay') for file in folder.iterdir())
 
@@ -52,7 +52,7 @@ def load_maze(source: str) -> Maze:
     """
     Return a maze.
 
-    :param source: the name of one of ours, the path of a file, or the text itself.
+    :param source: the name of a maze in this package, the path of a file, or the text itself.
     :raises MazeError: there is no such maze, or its text is not one.
     """
     if '\n' in source or source.startswith(WALL):
@@ -124,7 +124,7 @@ def parse_maze(text: str) -> Maze:
 
 
 def _check_shape(lines: list[str]) -> None:
-    """Refuse what is not a rectangle of known characters within walls."""
+    """Check that the text is a rectangle of known characters within walls."""
     if not lines:
         raise MazeError('the maze is empty')
     known = {WALL, FOOD, PILL, PACMAN, GHOST, BLANK, *NUMBERED}
@@ -152,7 +152,7 @@ def _check_shape(lines: list[str]) -> None:
 
 
 def _check_contents(found: dict[Cell, str], reached: set[Cell]) -> None:
-    """Refuse a maze that cannot be cleared, or in which something is shut off from Pac-Man."""
+    """Check that the maze can be cleared, and that Pac-Man can reach everything in it."""
     for characters, thing in (
         (FOOD, 'food'),
         (PILL, 'a power pill'),
@@ -175,7 +175,7 @@ def _check_contents(found: dict[Cell, str], reached: set[Cell]) -> None:
 
 
 def _flood(open_cells: set[Cell], start: Cell) -> set[Cell]:
-    """Return all cells that can be walked to."""
+    """Return all open cells that can be reached from a cell."""
     reached, waiting = {start}, [start]
     while waiting:
         row, col = waiting.pop()

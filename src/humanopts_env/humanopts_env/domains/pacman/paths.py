@@ -2,8 +2,8 @@
 Moves and shortest paths of a maze, as arrays.
 
 C cells; moves are numbered 0 north, 1 west, 2 east, 3 south, so that the opposite of m is 3 - m,
-and a set of moves is a mask with bit m. STAY is a fifth move that goes nowhere; as a heading it
-means that a ghost has none.
+and a set of moves is a mask with bit m. STAY is a fifth move that stays in the cell; as a heading
+it means that a ghost has no heading.
 """
 
 from dataclasses import dataclass
@@ -21,31 +21,31 @@ DELTAS = ((-1, 0), (0, -1), (0, 1), (1, 0))  # row, column
 STAY = 4
 Masks = NDArray[np.uint8]
 
-# (16, 4): which moves a mask holds; (16,): the first of them, STAY where there is none.
+# (16, 4): whether a mask holds each move; (16,): its first move, STAY where it has none.
 HAS_MOVE = read_only((np.arange(16)[:, None] >> np.arange(4) & 1).astype(np.bool_))
 FIRST_MOVE = read_only(np.where(HAS_MOVE.any(axis=1), HAS_MOVE.argmax(axis=1), STAY))
 
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """What a maze's walls decide, computed once."""
+    """Moves, distances and shortest paths of a maze, computed once."""
 
-    step: NDArray[np.intp]  # (C, 5) the cell after a move: the same where a wall is
+    step: NDArray[np.intp]  # (C, 5) the cell after a move; the same cell at a wall
     legal: Masks  # (C,) moves that no wall blocks
     distance: NDArray[np.unsignedinteger]  # (C, C) steps of a shortest path, below ``far - 1``
     shortest: Masks  # (C, C) first moves of all shortest paths from one cell to another
-    allowed: Masks  # (C, 5) moves of a ghost by its heading: no way back unless it must
-    towards: Masks  # (C, 5, C) the allowed ones that lead nearest to a cell
-    away: Masks  # (C, 5, C) the allowed ones that lead farthest from it
+    allowed: Masks  # (C, 5) moves of a ghost by its heading; it turns back only where it must
+    towards: Masks  # (C, 5, C) the allowed moves that lead nearest to a cell
+    away: Masks  # (C, 5, C) the allowed moves that lead farthest from it
 
     @cached_property
     def longest(self) -> int:
-        """Steps between the two cells that are farthest apart."""
+        """Number of steps between the two cells that are farthest apart."""
         return int(self.distance.max())
 
     @cached_property
     def far(self) -> int:
-        """Stands for no distance at all: the largest number of the type of ``distance``."""
+        """The largest number of the type of ``distance``, which stands for no distance."""
         return int(np.iinfo(self.distance.dtype).max)
 
 
@@ -81,7 +81,7 @@ def _steps(maze: Maze) -> NDArray[np.intp]:
 
 
 def _distances(step: NDArray[np.intp], passable: NDArray[np.bool_]) -> NDArray[np.unsignedinteger]:
-    """Search breadth-first from every cell; bytes where they hold the numbers and two above."""
+    """Return all distances, as bytes where these hold them and two numbers above."""
     count = len(step)
     here, move = np.nonzero(passable)
     graph = coo_array((np.ones(len(here)), (here, step[here, move])), shape=(count, count))

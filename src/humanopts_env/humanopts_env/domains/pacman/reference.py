@@ -1,9 +1,9 @@
 """
-The Pac-Man buttons that people named, and one for the fruit, as exact options.
+The Pac-Man options that people named in the paper, and one for the fruit, exactly.
 
-Subramanian, Isbell and Thomaz (2011), table 1; nobody there named the fruit. They
-are judged for many games at once; one state is a batch of one. Where the game is over, none can
-start and all have ended.
+Subramanian, Isbell and Thomaz (2011), table 1, which has no option for the fruit. Options are
+judged in many games at once; one state is a batch of one. Where the game is over, none can start
+and all have ended.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,11 +33,11 @@ AVOID_GHOST = 'avoid ghost'
 NEAREST_PILL = 'go to the nearest power pellet'
 EAT_GHOST = 'eat the ghost'
 TO_FRUIT = 'go to the fruit'
-DANGER = 4  # a dangerous ghost is avoided from so many steps away on
+DANGER = 4  # steps within which a dangerous ghost is avoided
 
 
 def _flight(batch: PacManBatch) -> Flags:
-    """Return (N, 4): the legal moves to where the nearest dangerous ghost is farthest."""
+    """Return (N, 4): the legal moves after which the nearest dangerous ghost is farthest."""
     paths = batch.rules.paths
     after = paths.step[batch.pacman, :4]  # (N, 4)
     steps = paths.distance[batch.ghosts[:, :, None], after].astype(np.intp)  # (G, N, 4)
@@ -65,12 +65,12 @@ def _eat_ghost(batch: PacManBatch, seen: Surroundings) -> Judgement:
 
 
 def _to_fruit(batch: PacManBatch, seen: Surroundings) -> Judgement:
-    ways = batch.rules.paths.shortest[batch.pacman, batch.fruit_at]  # any where there is no fruit
+    ways = batch.rules.paths.shortest[batch.pacman, batch.fruit_at]  # arbitrary without fruit
     return _judge(batch, batch.fruit > 0, ATE_FRUIT, HAS_MOVE[ways])
 
 
 def _judge(batch: PacManBatch, can_start: Flags, meal: int, best: Flags) -> Judgement:
-    """Say of an option that it ends where it cannot start, and where its meal was eaten."""
+    """Judge an option that ends where it cannot start, and where its meal was eaten."""
     initiation = can_start & ~batch.over
     return Judgement(initiation, ~initiation | (batch.ate & meal > 0), best & initiation[:, None])
 
@@ -89,11 +89,11 @@ class PacManOption:
     judge: Judge  # of many games at once
 
     def can_start(self, state: PacManState) -> bool:
-        """Tell whether the state is in the initiation set."""
+        """Return whether the state is in the initiation set."""
         return bool(self.judge_states([state]).initiation[0])
 
     def ends(self, state: PacManState) -> bool:
-        """Tell whether the termination condition holds."""
+        """Return whether the termination condition holds."""
         return bool(self.judge_states([state]).termination[0])
 
     def optimal_actions(self, state: PacManState) -> tuple[int, ...]:
@@ -107,7 +107,7 @@ class PacManOption:
 
 
 def reference_options(domain: 'PacMan') -> dict[str, PacManOption]:
-    """Return every Pac-Man button of the paper's table 1 by name, and the one for the fruit."""
+    """Return every Pac-Man option of the paper's table 1 by name, and the one for the fruit."""
     rules = domain.rules
     options = [
         PacManOption(

@@ -3,23 +3,26 @@ Pac-Man's rules, for many games at once; one game is a batch of one.
 
 A step, in this order:
 
-1. Pac-Man and the ghosts move at once; ghosts go by where he was. A move into a wall goes nowhere.
-2. Pac-Man eats what is in his cell.
+1. Pac-Man and the ghosts move at the same time; the ghosts react to his cell before the move. A
+   move into a wall has no effect.
+2. Pac-Man eats food, a pill or fruit in his cell.
 3. He meets the ghosts that are now in his cell, or have changed places with him. He eats the
    scared ones; they are home at once, and dangerous. A dangerous one costs him a life, unless the
-   last food was just eaten: everyone goes back to where the maze put them; the rest stays.
-4. Fear and fruit are one step nearer to their end.
+   last food was just eaten: Pac-Man and all ghosts return to their first cells; food, pills and
+   fruit stay.
+4. The times of scared ghosts and of fruit go down by one step.
 
-A pill scares all ghosts for 40 steps. They may turn back once, then move away from Pac-Man, at
-half speed: while the steps that are left to them are even. After the 30th and the 65th food, fruit
-is for 60 steps where food is left that is nearest to the middle.
+A pill scares all ghosts for 40 steps. They may turn back once, then move away from Pac-Man at half
+speed: in steps in which the time that is left is even. After the 30th and the 65th food, fruit
+lies for 60 steps in the cell of the remaining food that is nearest to the middle.
 
-All chance is in one draw for each ghost and step, a whole number below DRAWS, whether it moves or
-not. A chasing ghost goes a shortest way towards Pac-Man with draws below CHASE_DRAWS, else as a
-random one. Where k moves are equally good, the draw picks among them with equal shares.
+All chance is in one draw for each ghost and step, a whole number below DRAWS, whether the ghost
+moves or not. A chasing ghost follows a shortest path towards Pac-Man with draws below CHASE_DRAWS,
+and otherwise moves like a random one. Where k moves are equally good, the draw picks among them
+with equal shares.
 
-N games, G ghosts, C cells, K food, P pills; one array for each part of the state. What happens
-rarely (meeting a ghost, eating a pill, fruit) is done for the few games that it happens in.
+N games, G ghosts, C cells, K food, P pills; one array for each part of the state. Rare events
+(meeting a ghost, eating a pill, fruit) are computed only for the games in which they happen.
 """
 
 from collections.abc import Sequence
@@ -53,7 +56,7 @@ GHOST_RULES = ('random', 'chase')
 
 
 def _picks() -> NDArray[np.uint8]:
-    """Return (16, 60): the move that a draw picks from a mask."""
+    """Return (16, DRAWS): the move that a draw picks from a mask."""
     picks = np.full((16, DRAWS), STAY, dtype=np.uint8)
     for mask in range(1, 16):
         moves = np.flatnonzero(HAS_MOVE[mask])
@@ -68,15 +71,15 @@ PICKS = _picks()
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """The maze as flat arrays, for one look-up in each."""
+    """The maze as flat arrays, so that each quantity is one look-up."""
 
     step: Ints  # (C * 5,) cell after a move
     allowed: NDArray[np.uint8]  # (C * 5,) moves of a ghost by cell and heading
     towards: NDArray[np.uint8]  # (C * 5 * C,) and by Pac-Man's cell
     away: NDArray[np.uint8]
     picks: NDArray[np.intp]  # (16 * DRAWS,) move of a draw from a mask
-    food_at: Ints  # (C,) which food is in a cell; K: none
-    pill_at: Ints  # (C,) which pill; P: none
+    food_at: Ints  # (C,) index of the food in a cell; K: none
+    pill_at: Ints  # (C,) index of the pill in a cell; P: none
     homes: Ints  # (G, 1)
 
 
@@ -119,7 +122,7 @@ class Rules:
 
     @property
     def chase_draws(self) -> int:
-        """Draws below this make a dangerous ghost chase."""
+        """The number below which a draw makes a dangerous ghost chase."""
         return CHASE_DRAWS if self.ghosts == 'chase' else 0
 
     def start(self) -> PacManState:
@@ -138,7 +141,7 @@ class Rules:
         )
 
     def is_over(self, state: PacManState) -> bool:
-        """Tell whether the maze is cleared of food, or the last life lost."""
+        """Return whether the food is all eaten, or the last life lost."""
         return state.food == 0 or state.lives == 0
 
     def advance(self, state: PacManState, move: int, draws: Sequence[int]) -> PacManState:
@@ -150,7 +153,7 @@ class Rules:
         return self._advance(state, move, np.array([draws], dtype=np.intp).T)[0]
 
     def can_follow(self, state: PacManState, move: int, successor: PacManState) -> bool:
-        """Tell whether some draws lead from a state that is not over to another."""
+        """Return whether some draws lead from a state that is not over to another."""
         probe = PacManBatch.from_states(self, [state] * DRAWS)
         every = np.broadcast_to(np.arange(DRAWS), probe.ghosts.shape)
         probe.move_ghosts(probe.pacman, np.ones(DRAWS, dtype=np.bool_), every)
@@ -164,7 +167,7 @@ class Rules:
     def _advance(
         self, state: PacManState, move: int, draws: NDArray[np.intp]
     ) -> list[PacManState]:
-        """Return what each of some draws (G, N) leads to."""
+        """Return the state that each of N draws (G, N) leads to."""
         count = draws.shape[1]
         batch = PacManBatch.from_states(self, [state] * count)
         batch.step(np.full(count, move), draws)
@@ -175,22 +178,23 @@ class PacManBatch:
     """
     N games of the same rules.
 
-    What is taken is marked with ``Paths.far``, else 0, so that a bitwise or with distances leaves
-    those of what is still there. Both arrays have one more column for cells with nothing to take,
-    marked with ``far - 1``: nearer than all that is taken, and farther than all that is there.
+    Food and pills that are taken are marked with ``Paths.far``, others with 0, so that a bitwise
+    or with distances keeps the distances of those that are left. Both arrays have one more entry
+    for cells with nothing to take, marked with ``far - 1``: nearer than all that is taken, and
+    farther than all that is left.
 
     :ivar pacman: (N,) cells.
     :ivar ghosts: (G, N) cells.
-    :ivar headings: (G, N) last moves.
-    :ivar scared: (G, N) steps that are left.
+    :ivar headings: (G, N) last moves; STAY: none.
+    :ivar scared: (G, N) steps for which each ghost is still scared.
     :ivar food_taken: (N, K + 1).
     :ivar pills_taken: (N, P + 1).
-    :ivar food_left: (N,) how many.
-    :ivar fruit: (N,) steps that it is still there.
-    :ivar fruit_at: (N,) its cell; means nothing where there is none.
+    :ivar food_left: (N,) number of food left.
+    :ivar fruit: (N,) steps for which the fruit is still there.
+    :ivar fruit_at: (N,) cell of the fruit; meaningless where there is none.
     :ivar lives: (N,).
     :ivar score: (N,) points.
-    :ivar ate: (N,) masks of what the last step ate.
+    :ivar ate: (N,) masks of the last step's meals.
     """
 
     pacman: Ints
@@ -210,7 +214,7 @@ class PacManBatch:
         """
         Begin games.
 
-        :param count: how many, N.
+        :param count: number of games, N.
         """
         maze, groups = rules.maze, len(rules.maze.homes)
         self.rules = rules
@@ -296,7 +300,7 @@ class PacManBatch:
         self.put(games, PacManBatch(self.rules, len(games)))
 
     def draws(self, rng: np.random.Generator) -> Ints:
-        """Draw the chance of one step, (G, N)."""
+        """Return the random draws of one step, (G, N)."""
         return rng.integers(DRAWS, size=self.ghosts.shape, dtype=np.uint8).astype(np.intp)
 
     def step(self, moves: NDArray[np.integer], draws: NDArray[np.integer]) -> Ints:
@@ -338,14 +342,14 @@ class PacManBatch:
         self.lives[lost] -= 1
 
     def _send_home(self, games: Ints, which: Flags) -> None:
-        """Put ghosts (G, M) of some games (M,) back where the maze put them."""
+        """Move ghosts (G, M) of some games (M,) to their first cells."""
         ghost, at = which.nonzero()
         self.ghosts[ghost, games[at]] = self.tables.homes[ghost, 0]
         self.headings[ghost, games[at]] = STAY
         self.scared[ghost, games[at]] = 0
 
     def _eat(self, live: Flags) -> None:
-        """Eat what is in Pac-Man's cell."""
+        """Eat the food, pill or fruit in Pac-Man's cell."""
         at_fruit: Flags = (self.pacman == self.fruit_at) & (self.fruit > 0) & live
         self._eat_fruit(at_fruit.nonzero()[0])
         fed = self._take(self.food_taken, self.tables.food_at, live)
@@ -379,7 +383,7 @@ class PacManBatch:
         self.ate[games] |= ATE_FRUIT
 
     def _take(self, taken: Taken, number_at: Ints, live: Flags) -> Flags:
-        """Take what is in Pac-Man's cell, and tell where something was."""
+        """Take the food or pill in Pac-Man's cell; return (N,) whether there was one."""
         width = taken.shape[1]
         place = number_at[self.pacman]
         place += np.arange(0, taken.size, width)
@@ -389,7 +393,7 @@ class PacManBatch:
         return found
 
     def move_ghosts(self, pacman: Ints, live: Flags, draws: NDArray[np.integer]) -> None:
-        """Move ghosts by where Pac-Man was."""
+        """Move the ghosts in reaction to Pac-Man's cell before the step."""
         tables, count = self.tables, len(self.rules.maze.cells)
         where = self.ghosts * 5 + self.headings
         masks = tables.allowed[where]
@@ -405,7 +409,7 @@ class PacManBatch:
 
 
 def _taken(rules: Rules, count: int, masks: Sequence[int]) -> Taken:
-    """Return (N, count + 1): what is taken of some things, by the masks of what is there."""
+    """Return (N, count + 1): the marks of taken things, from the masks of those that are left."""
     far, width = rules.paths.far, (count + 7) // 8
     packed = np.frombuffer(b''.join(m.to_bytes(width, 'little') for m in masks), dtype=np.uint8)
     bits = np.unpackbits(packed.reshape(len(masks), width), axis=1, bitorder='little')

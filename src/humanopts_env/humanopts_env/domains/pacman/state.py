@@ -12,7 +12,7 @@ FRUIT_STEPS = 60
 EATEN = ('food', 'power pill', 'fruit', 'ghost')  # bits of ``PacManState.ate``
 HEADINGS = (*MOVES, 'none')
 NO_CELL = -1
-MOST_POINTS = 10**9  # of a state that is read
+MOST_POINTS = 10**9  # of a state text that is decoded
 _GHOST = re.compile(rf'ghost (\d+),(\d+) heading ({"|".join(HEADINGS)}) scared (\d+)')
 _STATE = re.compile(
     r'pacman (\d+),(\d+)((?: ghost \S+ heading \S+ scared \d+)*) food ([0-9a-f]+) '
@@ -27,19 +27,19 @@ class Ghost:
     """One ghost."""
 
     cell: int
-    heading: int = STAY  # its last move; STAY: none, it may go anywhere
-    scared: int = 0  # steps that are left in which Pac-Man can eat it
+    heading: int = STAY  # its last move; STAY: none, so that it may go in any direction
+    scared: int = 0  # steps for which Pac-Man can still eat it
 
 
 @dataclass(frozen=True, slots=True)
 class PacManState:
-    """All that the rules look at; cells, food and pills are numbered as in the maze."""
+    """The whole state of a game; cells, food and pills are numbered as in the maze."""
 
     pacman: int  # cell
     ghosts: tuple[Ghost, ...]
     food: int  # bit k: food k is there
     pills: int  # bit k: pill k is there
-    fruit: int  # steps that it is there still; 0: there is none
+    fruit: int  # steps for which it is still there; 0: there is none
     fruit_at: int  # its cell; NO_CELL: there is none
     lives: int
     score: int  # points earned
@@ -47,7 +47,7 @@ class PacManState:
 
 
 def encode(maze: Maze, state: PacManState) -> str:
-    """Return the state as one line; food is a hexadecimal mask, pills a digit each, last first."""
+    """Return the state as one line; food as a hexadecimal mask, pills a digit each, last first."""
     ghosts = ''.join(
         f' ghost {_place(maze, ghost.cell)} heading {HEADINGS[ghost.heading]} '
         f'scared {ghost.scared}'
@@ -67,7 +67,7 @@ def decode(maze: Maze, lives: int, text: str) -> PacManState:
     """
     Return the state that ``encode`` wrote.
 
-    :param lives: the most that there can be.
+    :param lives: the largest number of lives.
     :raises StateError: the text is in another notation, or no state of this maze.
     """
     match = _STATE.fullmatch(text)
@@ -99,12 +99,12 @@ def decode(maze: Maze, lives: int, text: str) -> PacManState:
 
 
 def eaten_names(ate: int) -> list[str]:
-    """Return what a mask of ``PacManState.ate`` holds."""
+    """Return the names in a mask of ``PacManState.ate``."""
     return [name for bit, name in enumerate(EATEN) if ate >> bit & 1]
 
 
 def _check(maze: Maze, lives: int, state: PacManState) -> None:
-    """Refuse what no game in this maze can hold."""
+    """Check that a game in this maze can have the state."""
     if len(state.ghosts) != len(maze.homes):
         raise StateError(f'{len(state.ghosts)} ghosts, and the maze has {len(maze.homes)}')
     if any(ghost.scared > SCARED_STEPS for ghost in state.ghosts):
