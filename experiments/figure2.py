@@ -42,7 +42,7 @@ from experiments.report import (
     compared,
     Comparison,
     Done,
-    draw_band,
+    draw_curves,
     goal,
     grouped,
     mean_intervals,
@@ -352,15 +352,11 @@ def _draw(shown: pd.DataFrame, work: Drawing) -> None:
     plots = work.figure.subplots(1, 3, sharey=True)
     for axes, (measure, title) in zip(plots, MEASURES.items()):
         mine = shown[shown['measure'] == measure]
-        for (strategy,), curve in grouped(mine, ['start states by']):
-            color, line = STYLES[strategy]
-            draw_band(axes, curve['demonstrations'], curve, color, ls=line, lw=1.5, label=strategy)
+        draw_curves(axes, mine, 'start states by', 'demonstrations', STYLES, lw=1.5)
         muted = matplotlib.rcParams['axes.edgecolor']
         axes.axvline(paper.DEMONSTRATIONS, color=muted, ls=':', lw=1)
         axes.set(title=title, xlabel='demonstrations', ylim=(None, 1.02))
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-        axes.grid(axis='y')
-        axes.tick_params(length=0)
     plots[0].set_ylabel('share of states')
     plots[0].legend(loc='lower right')

@@ -11,16 +11,12 @@ from functools import partial
 from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
-from humanopts_env.seeding import generator
-from humanopts_learner.automatic.extract import find_options
-from humanopts_learner.options.option import option_tables
 from humanopts_learner.planning.action_sets import (
     AUTOMATIC,
     AUTOMATIC_AND_PRIMITIVE,
     HUMAN,
     HUMAN_AND_PRIMITIVE,
     PRIMITIVE,
-    TabledOption,
 )
 from humanopts_learner.qlearning import best_rates, drawn_rates, learn, Method, option_table
 from humanopts_teach.report.figures import Drawing
@@ -28,13 +24,23 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 import pandas as pd
 
 from experiments import paper
-from experiments.people import options_of, Study, teachers
+from experiments.people import (
+    as_table,
+    MACHINE,
+    NOBODY,
+    options_of,
+    owner_seed,
+    owners,
+    PERSON,
+    Study,
+)
 from experiments.report import (
     compared,
     Comparison,
     Done,
-    draw_band,
+    draw_curves,
     grouped,
+    listed,
     mean_intervals,
     Picture,
     Section,
@@ -45,11 +51,11 @@ from experiments.trials import code_version, Trial
 NAME, DOMAIN = 'fig4', 'taxi'
 TITLE = 'Figure 4: steps per episode of Q-learning'
 SETS = {  # what is learned with: whose options, and the action set
-    'primitive': ('nobody', PRIMITIVE),
-    'human': ('person', HUMAN),
-    'automatic': ('machine', AUTOMATIC),
-    'human + primitive': ('person', HUMAN_AND_PRIMITIVE),
-    'automatic + primitive': ('machine', AUTOMATIC_AND_PRIMITIVE),
+    'primitive': (NOBODY, PRIMITIVE),
+    'human': (PERSON, HUMAN),
+    'automatic': (MACHINE, AUTOMATIC),
+    'human + primitive': (PERSON, HUMAN_AND_PRIMITIVE),
+    'automatic + primitive': (MACHINE, AUTOMATIC_AND_PRIMITIVE),
 }
 STYLES = {  # colour and line of each action set
     'primitive': ('C0', '-'),
@@ -68,13 +74,7 @@ KEYS = ['method', 'action set']
 
 def trials(study: Study) -> list[Trial]:
     """Return one trial for each method, action set, and person, extraction or repetition."""
-    people = teachers(study, DOMAIN)
-    numbers = range(1, (len(people) or study.participants) + 1)
-    sources: dict[str, list[dict[str, Any]]] = {
-        'nobody': [{'number': number} for number in numbers],
-        'person': [{'teacher': teacher} for teacher in people],
-        'machine': [{'extraction': study.seed + number - 1} for number in numbers],
-    }
+    sources = owners(study, DOMAIN)
     return [
         Trial(
             NAME,
@@ -102,10 +102,12 @@ def learn_curve(parameters: Mapping[str, Any]) -> dict[str, Any]:
     :return: mean steps of the learners by episode, the rates, and the names of the options.
     """
     domain, chosen = Taxi(), SETS[parameters['set']][1]
-    options = _options(parameters, domain)
+    options = [as_table(o, domain) for o in options_of(parameters, domain).options]
     choices = option_table(domain, chosen, options)
     method, episodes = Method(parameters['method']), parameters['episodes']
-    search, judging = (_seed(parameters, purpose) for purpose in ('search', 'judging'))
+    search, judging = (
+        owner_seed(parameters, 'figure 4', purpose) for purpose in ('search', 'judging')
+    )
     rates = drawn_rates(parameters['seed'], TRIED)
     best = best_rates(domain, choices, rates, TRIALS, episodes, search, method, LIMIT)
     learners = [best] * parameters['learners']
@@ -116,22 +118,6 @@ def learn_curve(parameters: Mapping[str, Any]) -> dict[str, Any]:
         'explore': best.explore,
         'options': [option.name for option in options],
     }
-
-
-def _options(parameters: Mapping[str, Any], domain: Taxi) -> list[TabledOption]:
-    if 'teacher' in parameters:
-        taught = options_of(parameters['teacher'], domain).options
-        return [TabledOption(o.name, o.max_steps, option_tables(o, domain)) for o in taught]
-    if 'extraction' in parameters:
-        return list(find_options(domain, parameters['extraction']).tabled)
-    return []
-
-
-def _seed(parameters: Mapping[str, Any], purpose: str) -> int:
-    """Return a seed that differs between trials that differ in whose options they have."""
-    source = [str(parameters.get(name)) for name in ('number', 'teacher', 'extraction')]
-    rng = generator(parameters['seed'], 'figure 4', purpose, *source)
-    return int(rng.integers(2**31))
 
 
 def episode_table(done: Done) -> pd.DataFrame:
@@ -185,7 +171,7 @@ def present(done: Done) -> Section:
     return Section(
         NAME,
         TITLE,
-        _comparisons(summary, curves),
+        _comparisons(summary),
         _pictures(curves),
         [
             Table('fig4-summary', 'Steps while learning', summary),
@@ -195,30 +181,15 @@ def present(done: Done) -> Section:
     )
 
 
-def _comparisons(summary: pd.DataFrame, curves: pd.DataFrame) -> list[Comparison]:
+def _comparisons(summary: pd.DataFrame) -> list[Comparison]:
     found = []
     for (method,), rows in grouped(summary, ['method']):
         totals = dict(zip(rows['action set'], rows['steps in all']))
         if {'human', 'automatic'} <= set(totals):
-            text = '; '.join(f'{name} {total:,.0f}' for name, total in totals.items())
+            text = listed({name: f'{total:,.0f}' for name, total in totals.items()})
             faster = bool(totals['human'] < totals['automatic'])
             text = f'{method}, steps in all {paper.EPISODES} episodes: {text}'
-            found.append(compared(paper.FIGURE_4['faster'], text, faster))
-    for mixture in ('human + primitive', 'automatic + primitive'):
-        mixed = summary[summary['action set'] == mixture]
-        if len(mixed):
-            text = '; '.join(
-                f'{row["method"]} {row["first 10 episodes"]:.0f} in the first 10, '
-                f'{row["last 10"]:.0f} in the last 10'
-                for _, row in mixed.iterrows()
-            )
-            text = f'{mixture}, steps per episode: {text}'
-            found.append(compared(paper.FIGURE_4['mixtures'], text, None))
-    first = curves[(curves['episode'] == 1) & (curves['method'] == METHODS['smdp'])]
-    if len(first):
-        text = '; '.join(f'{row["action set"]} {row["mean"]:.0f}' for _, row in first.iterrows())
-        text = f'{METHODS["smdp"]}, steps of the first episode: {text}'
-        found.append(compared(paper.FIGURE_4['axis'], text, None))
+            found.append(compared(paper.FIGURE_4_FASTER, text, faster))
     return found
 
 
@@ -243,10 +214,8 @@ def _pictures(curves: pd.DataFrame) -> list[Picture]:
 
 def _draw(curves: pd.DataFrame, title: str, as_in_paper: bool, work: Drawing) -> None:
     axes = work.axes
-    for (name,), curve in grouped(curves, ['action set']):
-        if name in paper.CURVES or not as_in_paper:
-            color, line = STYLES[name]
-            draw_band(axes, curve['episode'], curve, color, ls=line, lw=1.4, label=name)
+    shown = curves[curves['action set'].isin(paper.CURVES)] if as_in_paper else curves
+    draw_curves(axes, shown, 'action set', 'episode', STYLES, lw=1.4)
     axes.set(title=title, xlabel='episode', ylabel='steps per episode')
     if as_in_paper:
         axes.set_ylim(0, paper.MOST_STEPS)
@@ -256,6 +225,4 @@ def _draw(curves: pd.DataFrame, title: str, as_in_paper: bool, work: Drawing) ->
         axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
     axes.margins(x=0.01)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
-    axes.grid(axis='y')
-    axes.tick_params(length=0)
     work.figure.legend(loc='outside lower center', ncols=3)

@@ -1,5 +1,5 @@
 """
-Who teaches: simulated participants, a table drawn from a seed, or the people recorded in bags.
+Whose options there are: those of people in bags or simulated ones, of extractions, of nobody.
 
 There are two groups of simulated participants, since the paper's claims are of two kinds.
 *Careful* people make no error; they differ only in which of several equally good actions they
@@ -15,11 +15,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 import hashlib
 from pathlib import Path
+import time
 from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.seeding import generator
+from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
@@ -29,7 +31,8 @@ from humanopts_learner.demonstrations import (
 )
 from humanopts_learner.options.criteria import judge, usual_thresholds
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.option import LearnedOption, option_tables
+from humanopts_learner.planning.action_sets import TabledOption
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
@@ -41,6 +44,8 @@ from humanopts_teach.lesson.start_states import LessonRules
 from experiments import paper
 from experiments.lessons import teach
 
+NOBODY, PERSON, MACHINE = 'nobody', 'person', 'machine'  # kinds of owner
+CLOCK = time.process_time
 CAREFUL, VARIED = 'careful', 'varied'
 MOST_ERRORS = 0.05
 MOST_NEEDLESS = 0.2
@@ -148,20 +153,42 @@ def taught_in(bag: Bag, domain: Domain[Any]) -> dict[tuple[str, str], list[Demon
 
 
 @dataclass(frozen=True)
-class TaughtOptions:
-    """The options of one person, and what they cost."""
+class OwnedOptions:
+    """Options, and what it cost to get them; None: it is not of that kind."""
 
-    options: tuple[LearnedOption, ...]
-    demonstrations: int  # trajectories
-    minutes: float  # of teaching: by the clock for people, at an assumed pace for simulated ones
+    options: tuple[Any, ...] = ()  # learned, or as an extraction has them for the domain's planner
+    demonstrations: int | None = None  # trajectories
+    minutes: float | None = None  # of teaching: by the clock, or of simulated people as assumed
+    seconds: float | None = None  # of a processor, for an extraction
+    game_steps: int | None = None
+
+    def __add__(self, other: 'OwnedOptions') -> 'OwnedOptions':
+        """Return what one person taught in two lessons."""
+        return OwnedOptions(
+            self.options + other.options,
+            (self.demonstrations or 0) + (other.demonstrations or 0),
+            (self.minutes or 0.0) + (other.minutes or 0.0),
+        )
 
 
-def teachers(study: Study, domain: str) -> list[dict[str, Any]]:
+def owners(study: Study, domain: str) -> dict[str, list[dict[str, Any]]]:
     """
-    Return who teaches in a domain: the people in bags, else the varied simulated ones.
+    Return whose options an experiment is repeated with: as many without options and extractions
+    as people.
 
-    :return: parameters of ``options_of`` for each of them, JSON data.
+    :return: parameters of ``options_of`` by kind of owner, JSON data. People are those in bags,
+        else the varied simulated ones; there are none where those in bags taught something else.
     """
+    people = _teachers(study, domain)
+    count = len(people) or study.participants
+    return {
+        NOBODY: [{'number': number} for number in range(1, count + 1)],
+        PERSON: [{'teacher': teacher} for teacher in people],
+        MACHINE: [{'extraction': study.seed + number} for number in range(count)],
+    }
+
+
+def _teachers(study: Study, domain: str) -> list[dict[str, Any]]:
     if not study.bags:
         people = participants(VARIED, study.participants, study.seed)
         return [{'person': asdict(person)} for person in people]
@@ -176,22 +203,41 @@ def teachers(study: Study, domain: str) -> list[dict[str, Any]]:
     ]
 
 
+def owner_seed(parameters: Mapping[str, Any], *key: str) -> int:
+    """Return a seed that differs between trials that differ in whose options they have."""
+    source = [str(parameters.get(name)) for name in ('number', 'teacher', 'extraction')]
+    return int(generator(parameters['seed'], *key, *source).integers(2**31))
+
+
 def options_of(
-    teacher: Mapping[str, Any], domain: Domain[Any], names: Sequence[str] = ()
-) -> TaughtOptions:
+    owner: Mapping[str, Any], domain: Domain[Any], names: Sequence[str] = ()
+) -> OwnedOptions:
     """
-    Return all that one person taught, in lessons that end when the criteria hold.
+    Return the options of one owner; those of people are from lessons until the criteria hold.
 
-    :param teacher: one of ``teachers``.
-    :param names: what a simulated one teaches; empty: what the paper's participants did.
+    :param owner: one of ``owners``.
+    :param names: what a simulated person teaches; empty: what the paper's participants did.
     """
-    if 'person' in teacher:
-        person = Participant(**teacher['person'])
+    if 'extraction' in owner:
+        found = find_options(domain, owner['extraction'], clock=CLOCK)
+        options = found.tabled if is_enumerable(domain) else found.batched
+        return OwnedOptions(tuple(options), seconds=found.seconds, game_steps=found.game_steps)
+    if 'teacher' not in owner:
+        return OwnedOptions()
+    if 'person' in owner['teacher']:
+        person = Participant(**owner['teacher']['person'])
         return _from_lesson(person, domain, names or paper.TAUGHT[domain.name])
-    return _from_bag(teacher)
+    return _from_bag(owner['teacher'])
 
 
-def _from_lesson(person: Participant, domain: Domain[Any], names: Sequence[str]) -> TaughtOptions:
+def as_table(option: LearnedOption | TabledOption, domain: EnumerableDomain[Any]) -> TabledOption:
+    """Return an option as planning with exact models takes it."""
+    if isinstance(option, TabledOption):
+        return option
+    return TabledOption(option.name, option.max_steps, option_tables(option, domain))
+
+
+def _from_lesson(person: Participant, domain: Domain[Any], names: Sequence[str]) -> OwnedOptions:
     rules, limits = LessonRules(STRATEGY, BUDGET, person.seed), usual_thresholds(domain)
     taught = teach(
         domain,
@@ -201,10 +247,10 @@ def _from_lesson(person: Participant, domain: Domain[Any], names: Sequence[str])
         until_no_failures=True,
     )
     shown = _trajectories(taught.demonstrations)
-    return TaughtOptions(taught.options, shown, taught.seconds / 60)
+    return OwnedOptions(taught.options, shown, taught.seconds / 60)
 
 
-def _from_bag(teacher: Mapping[str, Any]) -> TaughtOptions:
+def _from_bag(teacher: Mapping[str, Any]) -> OwnedOptions:
     bag = open_bag(Path(teacher['bag']))
     domain = read_domain(bag)
     groups = [
@@ -214,7 +260,7 @@ def _from_bag(teacher: Mapping[str, Any]) -> TaughtOptions:
     ]
     options = tuple(learn_option(demos, domain, teacher['seed']) for demos in groups)
     shown = [demo for demos in groups for demo in demos]
-    return TaughtOptions(options, _trajectories(shown), sum(d.seconds for d in shown) / 60)
+    return OwnedOptions(options, _trajectories(shown), sum(d.seconds for d in shown) / 60)
 
 
 def _trajectories(demonstrations: Sequence[Demonstration]) -> int:

@@ -163,15 +163,33 @@ def grouped(
     yield from groups
 
 
-def draw_band(axes: Axes, x: Any, curve: pd.DataFrame, color: str, **style: Any) -> None:
-    """
-    Draw a mean and, where there are any, its limits.
+def listed(values: Mapping[Any, str]) -> str:
+    """Return names and values as one line."""
+    return '; '.join(f'{name} {value}' for name, value in values.items())
 
-    :param curve: columns mean, low, high.
+
+def draw_curves(
+    axes: Axes,
+    curves: pd.DataFrame,
+    by: str,
+    x: str,
+    styles: Mapping[str, Sequence[Any]],
+    **style: Any,
+) -> None:
     """
-    axes.plot(x, curve['mean'], color=color, **style)
-    if curve['low'].notna().any():
-        axes.fill_between(x, curve['low'], curve['high'], color=color, alpha=0.15, lw=0)
+    Draw means and, where there are any, their limits.
+
+    :param curves: columns ``by``, ``x``, mean, low, high; a curve for each value of ``by``.
+    :param styles: colour, line and, where there are any, marker of each curve.
+    :param style: of all of them.
+    """
+    for (name,), curve in grouped(curves, [by]):
+        color, *_ = styles[name]
+        own = dict(zip(('color', 'ls', 'marker'), styles[name]))
+        axes.plot(curve[x], curve['mean'], label=name, **own, **style)
+        if curve['low'].notna().any():
+            axes.fill_between(curve[x], curve['low'], curve['high'], color=color, alpha=0.15, lw=0)
+    axes.grid(axis='y')
 
 
 def write_reproduction(folder: Path, data: Reproduction) -> None:

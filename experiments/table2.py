@@ -10,7 +10,6 @@ sampled, a search that is equally long for all variants comes first, and then fr
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 import math
-import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
@@ -18,8 +17,7 @@ from humanopts_env.domains.pacman.baselines import INTERRUPTED
 from humanopts_env.domains.pacman.baselines import PRIMITIVE as PRIMITIVE_SETTINGS
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
-from humanopts_learner.automatic.extract import find_options
-from humanopts_learner.options.option import LearnedOption, option_tables
+from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import (
     AUTOMATIC,
     AUTOMATIC_AND_PRIMITIVE,
@@ -40,14 +38,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments import paper
-from experiments.people import options_of, Study, teachers
+from experiments.people import (
+    as_table,
+    CLOCK,
+    MACHINE,
+    NOBODY,
+    options_of,
+    OwnedOptions,
+    owner_seed,
+    owners,
+    PERSON,
+    Study,
+)
 from experiments.trials import Trial
 
 NAME = 'table2'
-NOBODY, PERSON, MACHINE = 'nobody', 'person', 'machine'  # whose options
 AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')
-CLOCK = time.process_time
 REPEATS = 7  # makings of one exact plan, for its seconds
 COSTS = {  # of a trial, about seconds, by domain and whose options
     ('pacman', NOBODY): 45.0,
@@ -135,13 +142,9 @@ def trials(study: Study) -> list[Trial]:
     """Return one trial for each domain that is taught, and person, extraction, repetition."""
     found = []
     for domain in dict.fromkeys(game.domain for game in GAMES):
-        people = teachers(study, domain)
-        count = len(people)
-        sources: dict[str, list[dict[str, Any]]] = {
-            NOBODY: [{'number': number} for number in range(1, count + 1)],
-            PERSON: [{'teacher': teacher} for teacher in people],
-            MACHINE: [{'extraction': study.seed + number} for number in range(count)],
-        }
+        sources = owners(study, domain)
+        if not (count := len(sources[PERSON])):
+            continue
         for whose, members in sources.items():
             for source in members:
                 parameters = {
@@ -167,7 +170,7 @@ def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, An
     """
     effort, owned = Effort(**parameters['effort']), _options_by_variant(parameters)
     found: dict[str, list[dict[str, Any]]] = {
-        'costs': [{'action set': variant.name, **options.cost} for variant, options in owned],
+        'costs': [_cost(variant, options) for variant, options in owned],
         **{name: [] for name in ('plans', 'curve', 'gains', 'settings')},
     }
     for game in GAMES:
@@ -178,11 +181,20 @@ def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, An
         if is_enumerable(domain):
             tables = plan_exactly(domain, asked, parameters['plans'])
         else:
-            seed = _seed(parameters, game.name)
+            seed = owner_seed(parameters, NAME, game.name)
             tables = plan_from_samples(domain, asked, parameters['plans'], effort, seed)
         for name, rows in tables.items():
             found[name] += [{'game': game.name, **row} for row in rows]
     return found
+
+
+def _cost(variant: Variant, owned: OwnedOptions) -> dict[str, Any]:
+    names = ('demonstrations', 'minutes', 'seconds', 'game_steps')
+    return {
+        'action set': variant.name,
+        'options': len(owned.options),
+        **{name: getattr(owned, name) for name in names},
+    }
 
 
 def _in_game(options: Sequence[Any], domain: Any) -> list[Any]:
@@ -193,60 +205,19 @@ def _in_game(options: Sequence[Any], domain: Any) -> list[Any]:
     ]
 
 
-@dataclass(frozen=True)
-class OwnedOptions:
-    """Options, and what it cost to get them; None: it is not of that kind."""
-
-    options: Sequence[Any]  # as planning in the domain takes them
-    demonstrations: int | None = None
-    minutes: float | None = None  # of teaching
-    seconds: float | None = None  # of a processor, for an extraction
-    game_steps: int | None = None
-
-    @property
-    def cost(self) -> dict[str, Any]:
-        """The cost as JSON data."""
-        names = ('demonstrations', 'minutes', 'seconds', 'game_steps')
-        return {'options': len(self.options), **{name: getattr(self, name) for name in names}}
-
-
 def _options_by_variant(parameters: Mapping[str, Any]) -> list[tuple[Variant, OwnedOptions]]:
-    """Return the variants of a trial, each with its options."""
+    """Return the variants of a trial, each with its options; some have only those of section 7."""
     domain, whose = make_domain(parameters['domain']), parameters['whose']
-    mine = [v for v in VARIANTS if v.whose == whose and not v.of_section_7]
-    if whose == PERSON:
-        return _taught(parameters['teacher'], domain, mine)
-    owned = OwnedOptions(())
-    if whose == MACHINE:
-        found = find_options(domain, parameters['extraction'], clock=CLOCK)
-        options = found.tabled if is_enumerable(domain) else found.batched
-        owned = OwnedOptions(options, seconds=found.seconds, game_steps=found.game_steps)
-    return [(variant, owned) for variant in mine]
-
-
-def _taught(
-    teacher: Mapping[str, Any], domain: Domain[Any], variants: Sequence[Variant]
-) -> list[tuple[Variant, OwnedOptions]]:
-    """Return variants with all that a person taught, and where that is more, with section 7's."""
-    first = options_of(teacher, domain)
-    paper_only = OwnedOptions(first.options, first.demonstrations, first.minutes)
-    names = paper.ALSO_NAMED.get(domain.name, ())
-    if not names or 'person' not in teacher:
-        return [(variant, paper_only) for variant in variants]
-    more = options_of(teacher, domain, names)
-    everything = OwnedOptions(
-        first.options + more.options,
-        first.demonstrations + more.demonstrations,
-        first.minutes + more.minutes,
-    )
-    of_section_7 = [(variant, paper_only) for variant in VARIANTS if variant.of_section_7]
-    return [*((variant, everything) for variant in variants), *of_section_7]
-
-
-def _seed(parameters: Mapping[str, Any], game: str) -> int:
-    """Return a seed that differs between games, and between those whose options they are."""
-    source = [str(parameters.get(name)) for name in ('number', 'teacher', 'extraction')]
-    return int(generator(parameters['seed'], NAME, game, *source).integers(2**31))
+    everything = of_section_7 = options_of(parameters, domain)
+    also = paper.ALSO_NAMED.get(domain.name, ())
+    more = bool(also) and 'person' in parameters.get('teacher', {})
+    if more:
+        everything = of_section_7 + options_of(parameters, domain, also)
+    mine = [variant for variant in VARIANTS if variant.whose == whose]
+    return [
+        *((variant, everything) for variant in mine if not variant.of_section_7),
+        *((variant, of_section_7) for variant in mine if variant.of_section_7 and more),
+    ]
 
 
 def _record(budget: int, plan: AnyPlan, returns: Returns, done: NDArray[Any]) -> dict[str, Any]:
@@ -330,18 +301,12 @@ def _exact_plan(
 ) -> tuple[Plan, Plan]:
     """Return a plan, with all its seconds, and the one that executes it."""
     began = CLOCK()
-    tabled = [_tabled(option, domain) for option in options]
+    tabled = [as_table(option, domain) for option in options]
     limits: Any = {'max_sweeps': max_sweeps, 'clock': CLOCK, 'table_seconds': CLOCK() - began}
     plan = plan_with_tables(domain, variant.action_set, tabled, domain.gamma, **limits)
     began = CLOCK()
     executed = as_executed(plan, variant.execution)
     return replace(plan, model_seconds=plan.model_seconds + CLOCK() - began), executed
-
-
-def _tabled(option: LearnedOption | TabledOption, domain: EnumerableDomain[Any]) -> TabledOption:
-    if isinstance(option, TabledOption):
-        return option
-    return TabledOption(option.name, option.max_steps, option_tables(option, domain))
 
 
 def _judged_exactly(budget: int, plan: Plan, executed: Plan) -> dict[str, Any]:
@@ -430,90 +395,69 @@ def plan_from_samples(
     :return: rows of plans, of the curve (one for each budget), of the gains (one for each plan
         that runs options to their end), and of the settings that were chosen.
     """
-    settings = settings_to_try(domain.gamma, effort.tried)
     names = ('plans', 'curve', 'gains', 'settings')
     found: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
-    for variant, options in asked:
-        task = _SampledTask(domain, variant, options, effort, seed)
-        named = {'action set': variant.name}
-        few, most = effort.steps(variant)
-        tried = [task.search(setting, few) for setting in settings]
-        best = settings[int(np.argmax(tried))]
-        *curve, last = [task.judge(best, budget, 0) for budget in effort.budgets(variant)]
-        judged = [last, *(task.judge(best, most, number) for number in range(1, plans))]
-        found['curve'] += [{**named, **one.record} for one in (*curve, last)]
-        found['plans'] += [{**named, **one.record} for one in judged]
-        found['settings'].append(
-            {
-                **named,
-                **best.to_dict(),
-                'return in the search': max(tried),
-                'mean of all tried': float(np.mean(tried)),
-            }
-        )
-        if variant == TO_END:
-            found['gains'] += [
-                {'carried out as': other.name, 'mean': task.gain(one, other.execution)}
-                for other in INTERRUPTING
-                for one in judged
-            ]
+    for variant in asked:
+        for name, rows in _plan_variant(domain, variant, plans, effort, seed).items():
+            found[name] += rows
     return found
 
 
-@dataclass(frozen=True)
-class _JudgedPlan:
-    """A plan, and the games that it was judged in."""
+def _plan_variant(
+    domain: Domain[Any],
+    asked: tuple[Variant, BatchOptions],
+    plans: int,
+    effort: Effort,
+    seed: int,
+) -> dict[str, list[dict[str, Any]]]:
+    variant, options = asked
+    named = {'action set': variant.name}
+    few, most = effort.steps(variant)
 
-    number: int
-    budget: int
-    plan: SampledPlan
-    returns: Returns
+    def draw(purpose: str, number: int = 0) -> int:
+        return int(generator(seed, 'table 2', purpose, number).integers(2**31))
 
-    @property
-    def record(self) -> dict[str, Any]:
-        """What is kept of it."""
-        return _record(self.budget, self.plan, self.returns, self.returns.outcomes['cleared'])
-
-
-@dataclass(frozen=True)
-class _SampledTask:
-    """Planning and playing with one variant."""
-
-    domain: Domain[Any]
-    variant: Variant
-    options: BatchOptions
-    effort: Effort
-    seed: int
-
-    def search(self, setting: Setting, budget: int) -> float:
-        """Return the mean return of a small plan in a few games."""
-        seed = self._seed('search', 0)
-        plan = self._plan(setting, budget, seed)
-        return float(plan.play(seed, self.effort.search_games).total.mean())
-
-    def judge(self, setting: Setting, budget: int, number: int) -> _JudgedPlan:
-        """Make one of the plans that are judged, and play."""
-        plan = self._plan(setting, budget, self._seed('plan', number))
-        returns = plan.play(self._seed('games', number), self.effort.games, None)
-        return _JudgedPlan(number, budget, plan, returns)
-
-    def gain(self, one: _JudgedPlan, execution: Execution) -> float:
-        """Return what is gained when the same plan is executed in another way."""
-        returns = one.plan.play(self._seed('games', one.number), self.effort.games, execution)
-        return float(returns.total.mean() - one.returns.total.mean())
-
-    def _plan(self, setting: Setting, budget: int, seed: int) -> SampledPlan:
+    def make(setting: Setting, budget: int, seed: int) -> SampledPlan:
+        how = setting.gamma, setting.sampling
         return make_sampled_plan(
-            self.domain,
-            self.variant.action_set,
-            self.options,
+            domain,
+            variant.action_set,
+            options,
             budget,
             seed,
-            setting.gamma,
-            setting.sampling,
+            *how,
             clock=CLOCK,
-            execution=self.variant.execution,
+            execution=variant.execution,
         )
 
-    def _seed(self, purpose: str, number: int) -> int:
-        return int(generator(self.seed, 'table 2', purpose, number).integers(2**31))
+    settings, search = settings_to_try(domain.gamma, effort.tried), draw('search')
+    tried = [
+        float(make(one, few, search).play(search, effort.search_games).total.mean())
+        for one in settings
+    ]
+    best = settings[int(np.argmax(tried))]
+
+    def judge(budget: int, number: int) -> tuple[SampledPlan, Returns, dict[str, Any]]:
+        plan = make(best, budget, draw('plan', number))
+        returns = plan.play(draw('games', number), effort.games, None)
+        return plan, returns, _record(budget, plan, returns, returns.outcomes['cleared'])
+
+    def gain(number: int, execution: Execution) -> float:
+        plan, returns, _ = judged[number]
+        other = plan.play(draw('games', number), effort.games, execution)
+        return float(other.total.mean() - returns.total.mean())
+
+    curve = [judge(budget, 0) for budget in effort.budgets(variant)]
+    judged = [curve[-1], *(judge(most, number) for number in range(1, plans))]
+    chosen = {'return in the search': max(tried), 'mean of all tried': float(np.mean(tried))}
+    return {
+        'curve': [{**named, **record} for _, _, record in curve],
+        'plans': [{**named, **record} for _, _, record in judged],
+        'settings': [{**named, **best.to_dict(), **chosen}],
+        'gains': [
+            {'carried out as': other.name, 'mean': gain(number, other.execution)}
+            for other in INTERRUPTING
+            for number in range(plans)
+            if variant == TO_END
+        ],
+    }

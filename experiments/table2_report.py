@@ -16,9 +16,10 @@ from experiments.report import (
     compared,
     Comparison,
     Done,
-    draw_band,
+    draw_curves,
     goal,
     grouped,
+    listed,
     mean_intervals,
     Picture,
     Section,
@@ -42,6 +43,20 @@ KEYS = ['game', 'action set']
 ROUNDING = 1e-9  # reward units
 WANTED_UNIFORM, WANTED_MORE = 1900.0, 300.0  # points
 TENTH = 10.0
+GOALS = (
+    (
+        UNIFORM,
+        'Random ghosts: interrupted or as modules, human options come to '
+        f'{WANTED_UNIFORM:,.0f} points and to no less than primitive actions, in a tenth of the '
+        'planning time.',
+    ),
+    (
+        CHASE,
+        'Chasing ghosts: interrupted or as modules, human options come to '
+        f'{WANTED_MORE:.0f} points more than run to their end, and to no less than primitive '
+        'actions.',
+    ),
+)
 STYLES = {  # colour, line, marker by variant
     'primitive': ('C0', '-', 'o'),
     'human': ('C1', '-', 's'),
@@ -180,19 +195,22 @@ def setting_table(done: Done) -> pd.DataFrame:
 def present(done: Done) -> Section:
     """Return what the report shows."""
     summary, curves, gains = summary_table(done), curve_table(done), gain_table(done)
-    costs = cost_table(done)
     games = [game for game in GAMES if game.name in summary.index]
     return Section(
         table2.NAME,
         TITLE,
-        [*_comparisons(summary, curves, costs), *_compare_gains(gains)],
+        [*_comparisons(summary, curves), *_compare_goals(summary), *_compare_gains(gains)],
         [_picture(game, curves[curves['game'] == game.name]) for game in games],
         [
             *(
                 Table(f'table2-{_slug(game)}', game.name, summary.loc[game.name].reset_index())
                 for game in games
             ),
-            Table('table2-acquisition', 'What it cost to get the options, mean of each', costs),
+            Table(
+                'table2-acquisition',
+                'What it cost to get the options, mean of each',
+                cost_table(done),
+            ),
             Table(
                 'table2-executions',
                 'What the same plan gains over running each option to its end',
@@ -217,172 +235,111 @@ def _slug(game: ComparedGame) -> str:
     return re.sub(r'[^a-z]+', '-', game.name.lower())
 
 
-Rows = Mapping[str, 'pd.Series[Any]']  # of ``summary_table`` in one game, by variant
-
-
-def _comparisons(
-    summary: pd.DataFrame, curves: pd.DataFrame, costs: pd.DataFrame
-) -> list[Comparison]:
+def _comparisons(summary: pd.DataFrame, curves: pd.DataFrame) -> list[Comparison]:
     """Return what can be compared with the variants that there are."""
-    known = summary.reset_index()
-    by_game: dict[str, Rows] = {
-        game.name: {
-            str(row['action set']): row for _, row in known[known['game'] == game.name].iterrows()
-        }
-        for game in GAMES
-    }
-    found: list[Comparison] = []
+    found = []
     for game in GAMES:
-        rows, mine = by_game[game.name], curves[curves['game'] == game.name]
+        if game.name not in summary.index:
+            continue
+        rows: Any = summary.loc[game.name]
+        mine = curves[curves['game'] == game.name]
         curve = {name: points for (name,), points in grouped(mine, ['action set'])}
-        if 'primitive' in rows:
-            found += _compare_with_primitive(game, rows, curve)
-        if {'human', 'automatic'} <= set(rows):
-            faster, text = _race(game, rows, curve, 'human', 'automatic')
-            better = rows['human']['mean return'] > rows['automatic']['mean return']
-            text += f'; {_returns(rows, ["human", "automatic"])}; {_not_counted(game, costs)}'
-            agrees = bool(faster and better)
-            found.append(compared(paper.TABLE_2_SAID['efficient'], text, agrees))
-    return [*found, *_compare_goals(by_game[UNIFORM.name], by_game[CHASE.name])]
+        options = [name for name in ('human', 'automatic') if name in rows.index]
+        if 'primitive' in rows.index and options:
+            for name in options:
+                faster, text = _race(game, rows, curve, name, 'primitive')
+                found.append(compared(paper.TABLE_2_SAID[f'{name} faster'], text, faster))
+            text = f'{game.name}, {_returns(rows, ["primitive", *options])}'
+            returns = rows['mean return']
+            worse = bool(returns[options].max() < returns['primitive'] - ROUNDING)
+            found.append(compared(paper.TABLE_2_SAID['never as good'], text, worse))
+        if len(options) > 1:
+            faster, text = _race(game, rows, curve, *options)
+            better = bool(rows.at['human', 'mean return'] > rows.at['automatic', 'mean return'])
+            text += f'; {_returns(rows, options)}'
+            found.append(compared(paper.TABLE_2_SAID['efficient'], text, faster and better))
+    return found
 
 
 def _race(
-    game: ComparedGame, rows: Rows, curve: Mapping[str, pd.DataFrame], first: str, second: str
+    game: ComparedGame,
+    rows: Any,
+    curve: Mapping[str, pd.DataFrame],
+    first: str,
+    second: str,
 ) -> tuple[bool, str]:
     """
     Return whether planning with one variant takes less time than with another, and both times.
 
+    :param rows: data frame of a game, indexed by variant, as in ``_returns``.
     Plans with exact models end by themselves. Sampled ones take as long as they are let, so they
     are compared by the time that each needs for the best return of the worse of the two.
     """
     if game.exact:
-        times = [float(rows[name]['total, s']) for name in (first, second)]
+        times = {name: float(rows.at[name, 'total, s']) for name in (first, second)}
         until = ''
     else:
-        level = min(float(curve[name]['mean return'].max()) for name in (first, second))
-        reached = [curve[name][curve[name]['mean return'] >= level] for name in (first, second)]
-        times = [float(points['seconds'].iloc[0]) for points in reached]
+        both = {name: curve[name] for name in (first, second)}
+        level = min(float(points['mean return'].max()) for points in both.values())
+        times = {
+            name: float(points.loc[points['mean return'] >= level, 'seconds'].iloc[0])
+            for name, points in both.items()
+        }
         until = f' until {level:,.0f} points'
-    text = f'{first} {_duration(times[0])}; {second} {_duration(times[1])}'
-    return times[0] < times[1], f'{game.name}, planning{until}: {text}'
+    text = listed({name: _duration(seconds) for name, seconds in times.items()})
+    return times[first] < times[second], f'{game.name}, planning{until}: {text}'
 
 
-def _compare_with_primitive(
-    game: ComparedGame, rows: Rows, curve: Mapping[str, pd.DataFrame]
-) -> list[Comparison]:
+def _compare_goals(summary: pd.DataFrame) -> list[Comparison]:
+    """Compare the best way to interrupt human options with the goals of this project."""
     found = []
-    options = [name for name in ('human', 'automatic') if name in rows]
-    for name in options:
-        faster, text = _race(game, rows, curve, name, 'primitive')
-        found.append(compared(paper.TABLE_2_SAID[f'{name} faster'], text, faster))
-    if options:
-        best = max(float(rows[name]['mean return']) for name in options)
-        text = f'{game.name}, {_returns(rows, ["primitive", *options])}'
-        if not game.exact and len(curve['primitive']) > 1:
-            before, last = curve['primitive']['mean return'].iloc[-2:]
-            text += f'; the last doubling of game steps brought primitive {last - before:+,.0f}'
-        agrees = best < float(rows['primitive']['mean return']) - ROUNDING
-        found.append(compared(paper.TABLE_2_SAID['never as good'], text, agrees))
-    if game in (TAXI, UNIFORM):
-        shown = ['primitive', *options, *([AS_IN_PAPER] if AS_IN_PAPER in rows else [])]
-        known = paper.TABLE_2[game.domain].items()
-        seconds = '; '.join(f'{name} {row.seconds:g} s' for name, row in known)
-        returns = '; '.join(f'{name} {row.mean_return:g}' for name, row in known)
-        for what, theirs, ours in (
-            ('seconds', seconds, _times(rows, shown)),
-            ('returns', returns, _returns(rows, shown)),
-        ):
-            said = paper.TABLE_2_SAID[what]
-            statement = paper.Statement(f'{said.text[:-1]}: {theirs}.', said.where)
-            found.append(compared(statement, f'{game.name}, {ours}', None))
-    return found
-
-
-def _not_counted(game: ComparedGame, costs: pd.DataFrame) -> str:
-    """Return what planning times leave out: the cost of getting the options."""
-    mine = costs[costs['domain'] == game.domain].set_index('action set')
-    minutes = mine['teaching minutes'].get('human', 0.0)
-    seconds = mine['extraction seconds'].get('automatic', 0.0)
-    return f'not counted: {minutes:.1f} min of teaching, {_duration(seconds)} of extraction'
-
-
-def _compare_goals(uniform: Rows, chase: Rows) -> list[Comparison]:
-    found = []
-    names = [variant.name for variant in INTERRUPTING]
-    if mine := [name for name in names if name in uniform and 'primitive' in uniform]:
-        best = max(mine, key=lambda name: uniform[name]['mean return'])
-        value, primitive = uniform[best]['mean return'], uniform['primitive']['mean return']
-        quick = TENTH * uniform[best]['total, s'] <= uniform['primitive']['total, s']
-        shown = [best, 'primitive']
-        found.append(
-            goal(
-                'Random ghosts: interrupted or as modules, human options come to '
-                f'{WANTED_UNIFORM:,.0f} points and to no less than primitive actions, in a tenth '
-                'of the planning time.',
-                f'{UNIFORM.name}, {_returns(uniform, shown)}; {_times(uniform, shown)}',
-                bool(value >= max(WANTED_UNIFORM, primitive) and quick),
-            )
-        )
-    if mine := [name for name in names if name in chase and {'primitive', 'human'} <= set(chase)]:
-        best = max(mine, key=lambda name: chase[name]['mean return'])
-        value, primitive = chase[best]['mean return'], chase['primitive']['mean return']
-        wanted = chase['human']['mean return'] + WANTED_MORE
-        found.append(
-            goal(
-                f'Chasing ghosts: interrupted or as modules, human options come to '
-                f'{WANTED_MORE:.0f} points more than run to their end, and to no less than '
-                'primitive actions.',
-                f'{CHASE.name}, {_returns(chase, [best, "human", "primitive"])}',
-                bool(value >= max(wanted, primitive)),
-            )
-        )
+    for game, said in GOALS:
+        rows: Any = summary.loc[game.name] if game.name in summary.index else summary
+        mine = [variant.name for variant in INTERRUPTING if variant.name in rows.index]
+        if not mine or not {'primitive', 'human'} <= set(rows.index):
+            continue
+        best = str(rows.loc[mine, 'mean return'].idxmax())
+        shown = [best, 'human', 'primitive']
+        value, human, primitive = rows.loc[shown, 'mean return']
+        text = f'{game.name}, {_returns(rows, shown)}'
+        wanted, quick = human + WANTED_MORE, True
+        if game == UNIFORM:
+            seconds = rows.loc[[best, 'primitive'], 'total, s']
+            wanted, quick = WANTED_UNIFORM, TENTH * seconds[best] <= seconds['primitive']
+            text += f'; planning: {listed({name: _duration(s) for name, s in seconds.items()})}'
+        found.append(goal(said, text, bool(value >= max(wanted, primitive) and quick)))
     return found
 
 
 def _compare_gains(gains: pd.DataFrame) -> list[Comparison]:
     """Compare what it gains to stop the options of the same plan."""
     found = []
-    theorem = gains[gains['game'] == TAXI.name]
-    theorem = theorem[~theorem['carried out as'].str.contains('greatest mass')]  # it has none
+    theorem = gains[gains['game'] == TAXI.name].set_index('carried out as')['least of all states']
+    theorem = theorem[~theorem.index.str.contains('greatest mass')]  # it has none
     if len(theorem):
-        least = dict(zip(theorem['carried out as'], theorem['least of all states']))
-        found.append(
-            goal(
-                'Exact models: interrupted, or with the strongest module, no state is worth less '
-                'than run to the end.',
-                'least of all states and people: '
-                + '; '.join(f'{name} {value:+.2g}' for name, value in least.items()),
-                min(least.values()) >= -ROUNDING,
-            )
+        text = listed({name: f'{value:+.2g}' for name, value in theorem.items()})
+        said = (
+            'Exact models: interrupted, or with the strongest module, no state is worth less '
+            'than run to the end.'
         )
+        text = f'least of all states and people: {text}'
+        found.append(goal(said, text, bool(theorem.min() >= -ROUNDING)))
     for game in (UNIFORM, CHASE):
-        mine = gains[gains['game'] == game.name]
+        mine = gains[gains['game'] == game.name].set_index('carried out as')
         if len(mine):
-            text = '; '.join(
-                f'{row["carried out as"]} {_interval(row, "mean")}' for _, row in mine.iterrows()
-            )
-            least_gains = mine['low'].fillna(mine['mean'])
-            found.append(
-                compared(
-                    paper.TABLE_2_SAID['interrupted'],
-                    f'{game.name}, points gained by the same plan over running to the end: {text}',
-                    bool((least_gains > 0.0).any()),
-                )
-            )
+            text = listed({name: _interval(row, 'mean') for name, row in mine.iterrows()})
+            text = f'{game.name}, points gained by the same plan over running to the end: {text}'
+            gained = bool((mine['low'].fillna(mine['mean']) > 0.0).any())
+            found.append(compared(paper.TABLE_2_SAID['interrupted'], text, gained))
     return found
 
 
-def _times(rows: Rows, names: Sequence[str]) -> str:
-    times = (f'{name} {_duration(rows[name]["total, s"])}' for name in names)
-    return f'planning: {"; ".join(times)}'
+def _returns(rows: Any, names: Sequence[str]) -> str:
+    means = {name: _interval(rows.loc[name], 'mean return') for name in names}
+    return f'return: {listed(means)}'
 
 
-def _returns(rows: Rows, names: Sequence[str]) -> str:
-    means = (f'{name} {_interval(rows[name], "mean return")}' for name in names)
-    return f'return: {"; ".join(means)}'
-
-
-def _interval(row: 'pd.Series[Any]', name: str) -> str:
+def _interval(row: Any, name: str) -> str:
     """Return a mean with its limits; of one member, the mean alone."""
     mean = float(row[name])
     if pd.isna(row['low']):
@@ -411,15 +368,11 @@ def _draw(game: ComparedGame, curves: pd.DataFrame, work: Drawing) -> None:
     axes, unit, scale = work.axes, 's', 1.0
     if game.exact:
         unit, scale = 'ms', 1e3
-    for (name,), curve in grouped(curves, ['action set']):
-        color, line, marker = STYLES[name]
-        drawn = curve.rename(columns={'mean return': 'mean'})
-        style: dict[str, Any] = {'ls': line, 'marker': marker, 'ms': 4, 'lw': 1.3, 'label': name}
-        draw_band(axes, scale * curve['seconds'], drawn, color, **style)
+    drawn = curves.assign(mean=curves['mean return'], seconds=scale * curves['seconds'])
+    draw_curves(axes, drawn, 'action set', 'seconds', STYLES, ms=4, lw=1.3)
     axes.set(title=game.name, xlabel=f'planning time of a processor, {unit}', ylabel='mean return')
     axes.set_xscale('log')
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.grid(axis='y')
     axes.legend(loc='center left', bbox_to_anchor=(1.01, 0.5))

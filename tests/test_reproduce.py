@@ -18,7 +18,7 @@ from humanopts_teach.lesson.start_states import LessonRules
 import pytest
 
 from experiments.lessons import teach
-from experiments.people import options_of, read_bag_lessons, Study, teachers
+from experiments.people import options_of, owners, PERSON, read_bag_lessons, Study
 
 
 def without_time(demonstrations: list[Demonstration]) -> list[dict[str, Any]]:
@@ -68,11 +68,12 @@ def test_bags_stand_in_for_simulated_people(demo: DemoRun, tmp_path: Path) -> No
 
 
 def test_options_from_a_bag_are_those_that_were_taught(demo: DemoRun) -> None:
-    (person,) = teachers(Study(bags=tuple(read_bag_lessons(demo.bag))), 'taxi')
+    (person,) = owners(Study(bags=tuple(read_bag_lessons(demo.bag))), 'taxi')[PERSON]
     taught = options_of(person, make_domain('taxi'))
     blocks = demo.summary['options']
     assert [option.name for option in taught.options] == [block['name'] for block in blocks]
     assert taught.demonstrations == sum(block['n_demonstrations'] for block in blocks)
+    assert taught.minutes is not None
     assert 0 < taught.minutes < 5
 
 
