@@ -22,7 +22,7 @@ from rclpy.action.client import ActionClient
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 
-from benchmarks.records import RecordWriter
+from benchmarks.measure import add_record
 
 _MOVES = ('north', 'south')
 _MEASURED = ('game', 'option_server', 'bench_peer')
@@ -231,13 +231,12 @@ class BenchClient(NodeBase):
             executor.spin_once(0.1)
         parties = _Parties(self._plan)
         rounds = self._plan['rounds']
-        with RecordWriter(self._path) as records:
-            for number in range(rounds + 1):
-                if stop():
-                    break
-                found = parties.measure()
-                share = (number + 1) / (rounds + 1)
-                records.write(counted=number > 0, share=share, samples=found)
+        for number in range(rounds + 1):
+            if stop():
+                break
+            found = parties.measure()
+            share = (number + 1) / (rounds + 1)
+            add_record(self._path, counted=number > 0, share=share, samples=found)
         parties.close()
         super().serve(executor, stop)
 

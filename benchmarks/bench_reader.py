@@ -13,7 +13,7 @@ from humanopts_teach.ros.raw_subscriber import RawSubscriber
 from rclpy.executors import Executor
 
 from benchmarks.bench_sender import KINDS
-from benchmarks.records import RecordWriter
+from benchmarks.measure import add_record
 
 _LOOK_PERIOD = 0.05  # s between looks at the graph
 _TAKE_PERIOD = 0.004  # s between takes, as the recorder has it while messages come
@@ -49,8 +49,7 @@ class BenchReader(NodeBase):
 
     def close(self) -> None:
         """Write how many messages there were."""
-        with RecordWriter(self._path) as records:
-            records.write(taken=self._taken, waited=self._waited / 1e9)
+        add_record(self._path, taken=self._taken, waited=self._waited / 1e9)
 
     def _take(self) -> None:
         times = [t.received for t in self._intake.take() if t.topic in self._topics]

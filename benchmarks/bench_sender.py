@@ -14,7 +14,7 @@ from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import serialize_message
 
-from benchmarks.records import RecordWriter
+from benchmarks.measure import add_record
 
 KINDS = {'game_state': GameState, 'action': ActionCommand, 'current_state': GameState}
 _PATIENCE = 60.0  # s
@@ -56,8 +56,7 @@ class BenchSender(NodeBase):
         """Begin."""
         if not self._rate:
             self._prepared = [self._message(number) for number in range(self._count)]
-        with RecordWriter(self._path) as records:
-            records.write(begun=True)
+        add_record(self._path, begun=True)
         self._begun = time.monotonic()
         self._timer = self.create_timer(_PERIOD, self._send_due)
 
@@ -84,8 +83,7 @@ class BenchSender(NodeBase):
             if not publisher.wait_for_all_acked(Duration(seconds=_PATIENCE)):
                 raise PublishError(f'{self._reader} has not taken all after {_PATIENCE:g} s')
         seconds = sent if self._rate else time.monotonic() - self._begun
-        with RecordWriter(self._path) as records:
-            records.write(seconds=seconds, bytes=self._bytes)
+        add_record(self._path, seconds=seconds, bytes=self._bytes)
 
     def _send(self, message: bytes) -> None:
         """

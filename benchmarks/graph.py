@@ -14,10 +14,9 @@ from humanopts_learner.options.rollout import rollouts
 from humanopts_teach.launching.processes import processes, Setup
 import numpy as np
 
-from benchmarks.measure import compare, OnMeasured, Row
+from benchmarks.measure import compare, OnMeasured, read_records, Row
 from benchmarks.planning import TaxiCase
 from benchmarks.processes import bench_spec, launched, wait
-from benchmarks.records import read_records
 
 SIDE = 5  # of the Taxi grid
 LENGTHS = (1, 8)  # steps of the runs that are timed

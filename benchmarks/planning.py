@@ -153,16 +153,22 @@ class Solver:
     cost: Callable[[TaxiCase], float] = lambda case: 0.0  # seconds to get what it is given
 
 
-def composed(case: TaxiCase) -> Solved:
-    """Plan with the options as tables; models by composing the successor table with itself."""
-    plan = plan_with_tables(case.domain, HUMAN, case.optimal, GAMMA, TOLERANCE, MAX_SWEEPS)
+def _planned(
+    case: TaxiCase, action_set: str, options: Sequence[TabledOption], table_seconds: float = 0.0
+) -> Solved:
+    plan = plan_with_tables(case.domain, action_set, options, GAMMA, TOLERANCE, MAX_SWEEPS)
     return Solved(
         plan.solution.values,
-        0.0,
+        table_seconds,
         plan.model_seconds,
         plan.sweep_seconds,
         plan.solution.sweeps,
     )
+
+
+def composed(case: TaxiCase) -> Solved:
+    """Plan with the options as tables; models by composing the successor table with itself."""
+    return _planned(case, HUMAN, case.optimal)
 
 
 def composed_from_trees(case: TaxiCase) -> Solved:
@@ -172,17 +178,7 @@ def composed_from_trees(case: TaxiCase) -> Solved:
         TabledOption(option.name, option.max_steps, option_tables(option, case.domain))
         for option in case.learned
     ]
-    seconds = time.perf_counter() - began
-    plan = plan_with_tables(
-        case.domain, HUMAN, tabled, GAMMA, TOLERANCE, MAX_SWEEPS, table_seconds=seconds
-    )
-    return Solved(
-        plan.solution.values,
-        plan.table_seconds,
-        plan.model_seconds,
-        plan.sweep_seconds,
-        plan.solution.sweeps,
-    )
+    return _planned(case, HUMAN, tabled, time.perf_counter() - began)
 
 
 def iterated(case: TaxiCase) -> Solved:
@@ -220,14 +216,7 @@ def _run_out(
 
 def primitive(case: TaxiCase) -> Solved:
     """Sweep over all actions of all states."""
-    plan = plan_with_tables(case.domain, PRIMITIVE, (), GAMMA, TOLERANCE, MAX_SWEEPS)
-    return Solved(
-        plan.solution.values,
-        0.0,
-        plan.model_seconds,
-        plan.sweep_seconds,
-        plan.solution.sweeps,
-    )
+    return _planned(case, PRIMITIVE, ())
 
 
 def backwards(case: TaxiCase) -> Solved:

@@ -20,9 +20,8 @@ from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import ProcessSpec
 from humanopts_teach.launching.usage import look, Usage
 
-from benchmarks.measure import OnMeasured, Row
+from benchmarks.measure import OnMeasured, read_records, Row
 from benchmarks.processes import bench_spec, launched, NAMESPACE, wait
-from benchmarks.records import read_records
 
 _PATIENCE = 120.0  # s, beside the time that messages take at their rate
 _USUAL_RATE = 20_000  # messages a second, where a reader takes them as fast as it can

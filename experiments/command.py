@@ -1,7 +1,6 @@
 """``humanopts reproduce``: the paper's figures and tables, computed again."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 import os
 from pathlib import Path
@@ -22,25 +21,18 @@ import typer
 from experiments import figure2, figure3, figure4, table2, table2_report
 from experiments.people import BagLesson, Participant, read_bag_lessons, Study
 from experiments.report import Done, PAGE, Reproduction, Section, write_reproduction
-from experiments.trials import ClusterError, LIBRARIES, run_trials, Trial
+from experiments.trials import ClusterError, LIBRARIES, Outcome, run_trials, Trial
 
 _LINE_EVERY = 15.0  # s between lines, where there is no terminal
 app = typer.Typer(**PLAIN)
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """One figure or table of the paper."""
-
-    trials: Callable[[Study], list[Trial]]
-    present: Callable[[Done], Section]
-
-
-EXPERIMENTS = {  # by name on the command line
-    figure2.NAME: Experiment(figure2.trials, figure2.present),
-    figure3.NAME: Experiment(figure3.trials, figure3.present),
-    figure4.NAME: Experiment(figure4.trials, figure4.present),
-    table2.NAME: Experiment(table2.trials, table2_report.present),
+# By name on the command line: what is computed for a study, and what the report shows of it.
+EXPERIMENTS: dict[str, tuple[Callable[[Study], list[Trial]], Callable[[Done], Section]]] = {
+    figure2.NAME: (figure2.trials, figure2.present),
+    figure3.NAME: (figure3.trials, figure3.present),
+    figure4.NAME: (figure4.trials, figure4.present),
+    table2.NAME: (table2.trials, table2_report.present),
 }
 
 
@@ -87,7 +79,7 @@ def reproduce(
     """Compute what is missing, and write everything; return the exit status."""
     study = Study(participants, seeds, seed, _read_bags(bags))
     wanted = list(EXPERIMENTS) if what == 'all' else [what]
-    trials = {name: EXPERIMENTS[name].trials(study) for name in wanted}
+    trials = {name: EXPERIMENTS[name][0](study) for name in wanted}
     every = [trial for name in wanted for trial in trials[name]]
     jobs = jobs or len(os.sched_getaffinity(0))
     began = time.monotonic()
@@ -108,7 +100,7 @@ def reproduce(
                 [f'Python {platform.python_version()}', *(f'{n} {version(n)}' for n in LIBRARIES)]
             ),
         }
-        sections = [EXPERIMENTS[name].present(outcome.done(trials[name])) for name in wanted]
+        sections = [EXPERIMENTS[name][1](outcome.done(trials[name])) for name in wanted]
         missing = list(outcome.failures.values())
         write_reproduction(out, Reproduction(sections, _people(every), study, missing, facts))
     except (ClusterError, SummaryError) as error:
@@ -163,8 +155,7 @@ class TrialProgress:
         )
         self._task = self._bar.add_task('', total=None, left='')
         self._began = self._last_line = clock()
-        self._cost_of_all = self._cost_so_far = 0.0
-        self._missing = self._finished = 0  # trials
+        self._cost = 0.0  # of the trials that have ended
 
     def __enter__(self) -> 'TrialProgress':
         self._bar.start()
@@ -173,34 +164,30 @@ class TrialProgress:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def begin(self, trials: Sequence[Trial], missing: Sequence[Trial]) -> None:
-        """Show how many trials are still to be computed."""
-        self._began = self._last_line = self._clock()
-        self._cost_of_all, self._missing = sum(trial.cost for trial in missing), len(missing)
-        self._bar.update(self._task, total=self._cost_of_all, description=self._text())
-        self._line(f'{len(trials)} trials, {len(trials) - len(missing)} of them done before')
-
-    def done(self, trial: Trial, failed: bool) -> None:
-        """Show that a trial has ended."""
-        self._cost_so_far, self._finished = self._cost_so_far + trial.cost, self._finished + 1
-        if failed:
-            self._console.print(f'failed: {trial}', markup=False, highlight=False)
+    def __call__(self, outcome: Outcome, ended: Trial | None) -> None:
+        """Show how far the work is: with no trial at its begin, then with each that has ended."""
+        finished, count = outcome.finished, len(outcome.missing)
+        cost_of_all = sum(trial.cost for trial in outcome.missing)
+        now, left = self._clock(), ''
+        if ended is None:
+            self._began = self._last_line = now
+            before = len(outcome.results)
+            self._line(f'{before + count} trials, {before} of them done before')
+        else:
+            self._cost += ended.cost
+            spent = now - self._began
+            left = f'about {duration(spent * (cost_of_all / self._cost - 1))} left'
+            if finished == count:
+                left = 'done'
+            if ended.key in outcome.failures:
+                self._console.print(f'failed: {ended}', markup=False, highlight=False)
+            if now - self._last_line >= _LINE_EVERY or finished == count:
+                self._last_line = now
+                self._line(f'{finished} of {count} trials, {left}')
+        text = f'{finished} of {count} trials'
         self._bar.update(
-            self._task, completed=self._cost_so_far, description=self._text(), left=self.left()
+            self._task, total=cost_of_all, completed=self._cost, description=text, left=left
         )
-        if self._clock() - self._last_line >= _LINE_EVERY or self._finished == self._missing:
-            self._last_line = self._clock()
-            self._line(f'{self._text()}, {self.left()}')
-
-    def left(self) -> str:
-        """Return in words about how long it still takes, by what the trials cost so far."""
-        if self._finished == self._missing:
-            return 'done'
-        spent = self._clock() - self._began
-        return f'about {duration(spent * (self._cost_of_all / self._cost_so_far - 1))} left'
-
-    def _text(self) -> str:
-        return f'{self._finished} of {self._missing} trials'
 
     def _line(self, text: str) -> None:
         if not self._console.is_terminal:

@@ -31,7 +31,6 @@ DOMAINS = {'taxi': 'Taxi', 'pacman': 'Pac-Man'}
 CENTRE = 'go to cell 2,2'  # of the 5 x 5 grid
 MIDDLE = 12  # index of that cell
 PAPERS = (*(f'{event} at {name}' for event in ('pickup', 'dropoff') for name in 'RGYB'), CENTRE)
-Found = Mapping[str, Mapping[int, Mapping[str, Any]]]  # results by domain and seed
 
 
 def trials(study: Study) -> list[Trial]:
@@ -70,28 +69,26 @@ def extract(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 def present(done: Done) -> Section:
     """Return what the report shows."""
-    found: dict[str, dict[int, Any]] = {}
-    for parameters, result in done:
-        found.setdefault(parameters['domain'], {})[parameters['seed']] = result
-    options, extractions = option_table(found), extraction_table(found)
-    in_taxi = list(found.get('taxi', {}).values())
+    found: dict[str, list[Any]] = {}  # extractions by domain
+    for parameters, one in done:
+        found.setdefault(parameters['domain'], []).append(one)
     return Section(
         NAME,
         TITLE,
-        _comparisons(in_taxi) if in_taxi else [],
-        [_picture(domain, next(iter(by_seed.values()))) for domain, by_seed in found.items()],
+        _comparisons(found['taxi']) if 'taxi' in found else [],
+        [_picture(domain, first) for domain, (first, *_) in found.items()],
         [
             *(
                 Table(
                     f'fig3-found-{domain}',
                     f'{DOMAINS[domain]}: which options were found, and how often',
-                    found_table(domain, list(by_seed.values())),
+                    found_table(domain, extractions),
                     shown=domain == 'taxi',
                 )
-                for domain, by_seed in found.items()
+                for domain, extractions in found.items()
             ),
-            Table('fig3-options', 'The options', options, shown=False),
-            Table('fig3-extractions', 'Each extraction, and what it cost', extractions),
+            Table('fig3-options', 'The options', option_table(done), shown=False),
+            Table('fig3-extractions', 'Each extraction, and what it cost', extraction_table(done)),
         ],
         {'code': code_version()},
     )
@@ -108,48 +105,44 @@ def found_table(domain: str, found: Sequence[Mapping[str, Any]]) -> pd.DataFrame
     return pd.DataFrame(rows, columns=['option', 'in the paper', 'found in', 'of extractions'])
 
 
-def option_table(found: Found) -> pd.DataFrame:
+def option_table(done: Done) -> pd.DataFrame:
     """Return a row for each option of each extraction."""
     rows = [
         {
-            'domain': DOMAINS[domain],
-            'seed': seed,
+            'domain': DOMAINS[parameters['domain']],
+            'seed': parameters['seed'],
             'number': number,
             'option': option['name'],
             'visits': option['visits'],
             'share of states where it can start': option['can_start'],
             'share of these from which it came to its target': option['reaches'],
         }
-        for domain, by_seed in found.items()
-        for seed, one in by_seed.items()
+        for parameters, one in done
         for number, option in enumerate(one['options'], start=1)
     ]
     return pd.DataFrame(rows)
 
 
-def extraction_table(found: Found) -> pd.DataFrame:
+def extraction_table(done: Done) -> pd.DataFrame:
     """Return a row for each extraction."""
-    rows = []
-    for domain, by_seed in found.items():
-        for seed, one in by_seed.items():
-            events = _events(one)
-            rows.append(
-                {
-                    'domain': DOMAINS[domain],
-                    'seed': seed,
-                    'options': len(one['options']),
-                    'pickups': events['pickup'],
-                    'dropoffs': events['dropoff'],
-                    'cells': events[''],
-                    'share that comes to the target': float(
-                        np.mean([option['reaches'] for option in one['options']])
-                    ),
-                    'seconds': one['seconds'],
-                    'game steps': one['game_steps'],
-                    'episodes': one['episodes'],
-                    'share of runs that came to their goals': one['solved'],
-                }
-            )
+    rows = [
+        {
+            'domain': DOMAINS[parameters['domain']],
+            'seed': parameters['seed'],
+            'options': len(one['options']),
+            'pickups': _events(one)['pickup'],
+            'dropoffs': _events(one)['dropoff'],
+            'cells': _events(one)[''],
+            'share that comes to the target': float(
+                np.mean([option['reaches'] for option in one['options']])
+            ),
+            'seconds': one['seconds'],
+            'game steps': one['game_steps'],
+            'episodes': one['episodes'],
+            'share of runs that came to their goals': one['solved'],
+        }
+        for parameters, one in done
+    ]
     return pd.DataFrame(rows)
 
 

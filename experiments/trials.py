@@ -19,7 +19,7 @@ from pathlib import Path
 import signal
 import threading
 import time
-from typing import Any, Protocol
+from typing import Any
 
 from humanopts_teach.evaluation.summary import write_text
 from joblib import delayed, Parallel, parallel_config
@@ -107,29 +107,27 @@ def save_result(folder: Path, trial: Trial, result: Any, seconds: float) -> None
     write_text(folder / f'{trial.key}.json', text + '\n')
 
 
-class Progress(Protocol):
-    """Shows how far the work is."""
-
-    def begin(self, trials: Sequence[Trial], missing: Sequence[Trial]) -> None:
-        """Show how many trials are still to be computed."""
-        ...
-
-    def done(self, trial: Trial, failed: bool) -> None:
-        """Show that a trial has ended."""
-        ...
-
-
 @dataclass
 class Outcome:
     """The results and failures of a run."""
 
+    missing: list[Trial] = field(default_factory=list)  # those to compute in this run
     results: dict[str, Any] = field(default_factory=dict)  # by key of the trial
     computed: int = 0  # in this run; the other results were there before
     failures: dict[str, str] = field(default_factory=dict)  # by key: the trial, and what happened
 
+    @property
+    def finished(self) -> int:
+        """How many of the missing trials have ended."""
+        return self.computed + len(self.failures)
+
     def done(self, trials: Iterable[Trial]) -> list[tuple[Mapping[str, Any], Any]]:
         """Return parameters and result of those trials that have one."""
         return [(t.parameters, self.results[t.key]) for t in trials if t.key in self.results]
+
+
+# Shows how far the work is; called with None first, and then with each trial that has ended.
+OnTrial = Callable[[Outcome, Trial | None], object]
 
 
 @dataclass(frozen=True)
@@ -143,7 +141,7 @@ class _Reply:
 
 
 def run_trials(
-    trials: Sequence[Trial], folder: Path, progress: Progress, jobs: int, dask: str = ''
+    trials: Sequence[Trial], folder: Path, progress: OnTrial, jobs: int, dask: str = ''
 ) -> Outcome:
     """
     Compute what is not done yet; each result is on disk as soon as it is there.
@@ -159,22 +157,21 @@ def run_trials(
     """
     folder.mkdir(parents=True, exist_ok=True)
     outcome = Outcome()
-    missing = []
     for trial in {trial.key: trial for trial in trials}.values():
         if (result := load_result(folder, trial)) is None:
-            missing.append(trial)
+            outcome.missing.append(trial)
         else:
             outcome.results[trial.key] = result
-    progress.begin(trials, missing)
-    for reply in _replies(missing, jobs, dask):
-        trial = missing[reply.number]
+    progress(outcome, None)
+    for reply in _replies(outcome.missing, jobs, dask):
+        trial = outcome.missing[reply.number]
         if reply.error:
             outcome.failures[trial.key] = f'{trial}: {reply.error}'
         else:
             save_result(folder, trial, reply.result, reply.seconds)
             outcome.results[trial.key] = reply.result
             outcome.computed += 1
-        progress.done(trial, bool(reply.error))
+        progress(outcome, trial)
     return outcome
 
 

@@ -22,11 +22,10 @@ from rich.console import Console
 from benchmarks.games import BATCH, game_rows
 from benchmarks.graph import latencies, LENGTHS, SIDE, start_of
 from benchmarks.learning import demonstrations, learning_rows
-from benchmarks.measure import compare, in_turns, machine_facts
+from benchmarks.measure import add_record, compare, in_turns, machine_facts, read_records
 from benchmarks.planning import OPTIONS, planning_rows, solvers, TaxiCase
 from benchmarks.processes import DOMAIN_IDS, own_domain
 from benchmarks.recording import Load, READERS, RECORDER, recording, Run
-from benchmarks.records import read_records, RecordWriter
 from benchmarks.show import duration, ratio, section_table, SUFFIXES, write_figure
 
 SOLVERS = ('options by composition', 'primitive value iteration')
@@ -130,9 +129,8 @@ def test_processor_time_and_memory_of_a_process_are_seen() -> None:
 def test_record_that_is_not_complete_yet_is_left_for_later(tmp_path: Path) -> None:
     path = tmp_path / 'records'
     assert list(read_records(path)) == []
-    with RecordWriter(path) as records:
-        records.write(share=0.5)
-        assert list(read_records(path)) == [{'share': 0.5}]
+    add_record(path, share=0.5)
+    assert list(read_records(path)) == [{'share': 0.5}]
     with path.open('a') as file:
         file.write('{"share": ')
     assert list(read_records(path)) == [{'share': 0.5}]

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import figure2, figure3, figure4, paper
+from experiments import figure2, figure3, figure4, paper, table2_report
 from experiments.people import BagLesson, CAREFUL, participants, Study, VARIED
 from experiments.report import (
     Comparison,
@@ -82,9 +82,9 @@ def test_bad_input_is_one_line(
     assert said in errors[0]
 
 
-@pytest.mark.parametrize('present', [figure2.present, figure3.present, figure4.present])
-def test_nothing_is_said_of_trials_that_failed(present: Any) -> None:
-    section = present([])
+@pytest.mark.parametrize('module', [figure2, figure3, figure4, table2_report])
+def test_nothing_is_said_of_trials_that_failed(module: Any) -> None:
+    section = module.present([])
     assert not section.comparisons
     assert not section.pictures
     assert all(not table.rows for table in section.tables)

@@ -281,13 +281,6 @@ def test_curves_in_the_table_are_those_that_are_drawn() -> None:
             assert len(mine) == 2
 
 
-def test_nothing_is_said_of_trials_that_failed() -> None:
-    section = present([])
-    assert not section.comparisons
-    assert not section.pictures
-    assert all(not table.rows for table in section.tables)
-
-
 def test_every_variant_has_a_line_of_its_own() -> None:
     assert set(STYLES) == {variant.name for variant in VARIANTS}
     assert len(set(STYLES.values())) == len(VARIANTS)

@@ -20,14 +20,8 @@ from experiments.trials import ClusterError, digest, Outcome, run_trials, Trial
 PICKUP = 'go to passenger and pickup'
 
 
-class Quiet:
-    """A progress that shows nothing."""
-
-    def begin(self, trials: Sequence[Trial], missing: Sequence[Trial]) -> None:
-        pass
-
-    def done(self, trial: Trial, failed: bool) -> None:
-        pass
+def quiet(outcome: Outcome, ended: Trial | None) -> None:
+    """Show nothing."""
 
 
 class Work:
@@ -48,7 +42,7 @@ class Work:
         return [Trial('squares', {'number': n}, self.square) for n in numbers]
 
     def run(self, trials: Sequence[Trial]) -> Outcome:
-        return run_trials(trials, self.folder, Quiet(), jobs=1)
+        return run_trials(trials, self.folder, quiet, jobs=1)
 
 
 def tiny(*strategies: str) -> list[Trial]:
@@ -133,7 +127,7 @@ def test_costliest_trials_are_begun_first(tmp_path: Path) -> None:
 
 def test_two_processes_compute_what_one_does(tmp_path: Path) -> None:
     trials = tiny('random', 'coverage')
-    one, two = (run_trials(trials, tmp_path / str(jobs), Quiet(), jobs) for jobs in (1, 2))
+    one, two = (run_trials(trials, tmp_path / str(jobs), quiet, jobs) for jobs in (1, 2))
     assert one.results == two.results
     assert len(one.results) == 2
 
@@ -141,11 +135,13 @@ def test_two_processes_compute_what_one_does(tmp_path: Path) -> None:
 def test_time_left_is_estimated_by_the_cost_of_what_is_done() -> None:
     now, out = [0.0], io.StringIO()
     trials = [Trial('squares', {'number': n}, len, cost) for n, cost in enumerate((3.0, 1.0))]
+    outcome = Outcome(trials)
     with TrialProgress(Console(file=out), clock=lambda: now[0]) as progress:
-        progress.begin(trials, trials)
-        now[0] = 60.0
-        progress.done(trials[0], failed=False)
-        progress.done(trials[1], failed=True)
+        progress(outcome, None)
+        now[0], outcome.computed = 60.0, 1
+        progress(outcome, trials[0])
+        outcome.failures[trials[1].key] = 'why'
+        progress(outcome, trials[1])
     assert out.getvalue().splitlines() == [
         '2 trials, 0 of them done before',
         '1 of 2 trials, about 20.0 s left',
@@ -173,7 +169,7 @@ def test_without_dask_it_is_said_what_is_missing(tmp_path: Path) -> None:
         import distributed  # noqa: F401
     except ImportError:
         with pytest.raises(ClusterError, match='dask and distributed'):
-            run_trials(tiny('random'), tmp_path, Quiet(), 1, 'tcp://127.0.0.1:1')
+            run_trials(tiny('random'), tmp_path, quiet, 1, 'tcp://127.0.0.1:1')
 
 
 @pytest.fixture
@@ -213,7 +209,7 @@ def cluster() -> Iterator[str]:
 def test_dask_cluster_computes_what_this_machine_does(tmp_path: Path, cluster: str) -> None:
     trials = tiny('random', 'coverage', 'failures')
     here, there = (
-        run_trials(trials, tmp_path / name, Quiet(), 1, address)
+        run_trials(trials, tmp_path / name, quiet, 1, address)
         for name, address in (('here', ''), ('there', cluster))
     )
     assert there.failures == {}
@@ -223,4 +219,4 @@ def test_dask_cluster_computes_what_this_machine_does(tmp_path: Path, cluster: s
 def test_scheduler_that_does_not_answer_is_named(tmp_path: Path) -> None:
     pytest.importorskip('distributed')
     with pytest.raises(ClusterError, match='answers at tcp:'):
-        run_trials(tiny('random'), tmp_path, Quiet(), 1, 'tcp://127.0.0.1:1')
+        run_trials(tiny('random'), tmp_path, quiet, 1, 'tcp://127.0.0.1:1')
