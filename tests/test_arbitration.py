@@ -127,7 +127,7 @@ def test_a_plan_stops_an_option_that_anybody_runs(acting: Acting) -> None:
         (
             {'execution': 'interrupted', 'plan_id': 'mine'},
             'NO_VALUES',
-            'those of plan mine did not come; there are those of ',
+            'the option values of plan mine did not come; the newest are those of ',
         ),
     ],
 )

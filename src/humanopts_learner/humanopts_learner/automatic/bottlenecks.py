@@ -6,11 +6,11 @@ with most visits is the target of an option; those states from which it is reach
 more visits than the mean on paths through it, completed to a contiguous region, are its
 initiation set; then the visits of all paths through the target are subtracted, and so on.
 
-What is ours: the visited states are cells. A cell in which runs have events (``status`` changes)
-gives one option for each kind of event, not one for being there. Initiation sets count
-visits between the event before and the target only, since the way on is no way to it. The region
-is completed with what has more than half of its neighbours in it, and what has no way to the
-target within the region is left out.
+Our additions: the visited states are cells. A cell in which runs have events (``status`` changes)
+gives one option for each kind of event, not one for being there. Initiation sets count visits
+between the previous event and the target only, since the path after the target does not lead to
+it. The region is completed with situations that have more than half of their neighbours in it, and
+loses states from which the target cannot be reached within it.
 """
 
 from collections.abc import Iterator
@@ -30,15 +30,15 @@ class Bottleneck:
 
     name: str
     cell: int
-    event: str  # pickup or dropoff, for instance; empty: being in the cell
-    visits: int  # of the cell, when it was the most visited
+    event: str  # such as pickup or dropoff; empty: being in the cell
+    visits: int  # visits of the cell when it was the most visited
     target: Flags  # (S,)
     initiation: Flags  # (S,)
 
 
 @dataclass(frozen=True)
 class Visits:
-    """What greedy runs visited, run by run, each in the order of its steps."""
+    """The visits of greedy runs, run by run, each in the order of its steps."""
 
     space: SearchSpace
     run: Ints  # (V,)
@@ -134,7 +134,7 @@ def _neighbours(space: SearchSpace) -> csr_array:
 
 
 def _completed(chosen: Flags, neighbours: csr_array) -> Flags:
-    """Add what has more than half of its neighbours inside, until there is nothing such."""
+    """Add situations with more than half of their neighbours inside, until there are none."""
     half = neighbours.sum(axis=1) / 2
     while True:
         larger: Flags = chosen | (neighbours @ chosen.astype(np.float64) > half)

@@ -6,26 +6,26 @@ import math
 
 from humanopts_learner.planning.errors import PlanError
 
-# Called with the stage (tasks or policies), how far it is (0..1) and the game steps so far; raises
-# ``PlanCanceled`` to stop
+# Called with the stage (tasks or policies), the share done (0..1) and the game steps so far;
+# raises ``PlanCanceled`` to stop
 Progress = Callable[[str, float, int], object]
 
 
 @dataclass(frozen=True)
 class Extraction:
     """
-    How options are searched for.
+    The parameters of the search for options.
 
     M. Stolle and D. Precup (2002), "Learning Options in Reinforcement Learning", give the
-    algorithm. The numbers marked "usual" are those that others use when they repeat it
-    (utkd/bottleneck-options-learning); the others are ours, and say why.
+    algorithm. The numbers marked "usual" are those of another implementation
+    (utkd/bottleneck-options-learning); the others are ours, with their reasons.
     """
 
-    options: int = 25  # at most; on Taxi visits run out after nine, with few seeds after eight
-    tasks: int = 400  # usual: 20, too few for every landmark of Taxi to be a bottleneck
+    options: int = 25  # largest number; Taxi gives nine, with few seeds eight
+    tasks: int = 400  # usual: 20, too few to find every landmark of Taxi
     train_episodes: int = 200  # of Q-learning for each task, N_train: usual
     test_runs: int = 10  # greedy ones for each task, N_test: usual
-    option_episodes: int = 2000  # for each option; usual: 200, but they begin all over I
+    option_episodes: int = 2000  # for each option; usual: 200, but these begin all over I
     learning_rate: float = 0.1  # usual
     explore: float = 0.1  # share of random actions while learning: usual
     gamma: float = 0.9  # while learning: usual; the reward is 1 at the target, 0 elsewhere
@@ -58,4 +58,4 @@ USUAL = Extraction()
 
 
 def ignore_progress(stage: str, fraction: float, game_steps: int) -> None:
-    """Do nothing."""
+    """Ignore the progress."""

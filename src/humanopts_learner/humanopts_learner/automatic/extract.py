@@ -31,12 +31,12 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class AutomaticOption:
-    """One option, by tables over the states that it was looked for in."""
+    """One option, as tables over the states of the search space."""
 
     target: Bottleneck
     tables: OptionTables
     max_steps: int
-    reaches: float  # share of its initiation set from which a run came to its target
+    reaches: float  # share of its initiation set from which a run reached its target
 
     @property
     def name(self) -> str:
@@ -64,7 +64,7 @@ class BatchTabledOption:
         return action
 
     def ends(self, rows: Rows) -> Flags:
-        """Return (N,): whether the game has come to the target, or left the initiation set."""
+        """Return (N,): whether the game has reached the target, or left the initiation set."""
         return ~self.can_start(rows)
 
 
@@ -74,15 +74,15 @@ class AutomaticOptions:
 
     options: tuple[AutomaticOption, ...]  # in the order in which they were found
     space: SearchSpace
-    visits: NDArray[np.intp]  # (K,) of all greedy runs that came to their goals, by cell
+    visits: NDArray[np.intp]  # (K,) visits of all greedy runs that reached their goals, by cell
     seconds: float
     game_steps: int  # primitive steps of learning and of greedy runs
     episodes: int  # of Q-learning: tasks and internal policies
-    solved: float  # share of the greedy runs that came to their goals
+    solved: float  # share of the greedy runs that reached their goals
 
     @property
     def tabled(self) -> tuple[TabledOption, ...]:
-        """The options for planning with exact models, in domains whose states can be listed."""
+        """The options for planning with exact models, in enumerable domains."""
         return tuple(TabledOption(o.name, o.max_steps, o.tables) for o in self.options)
 
     @property
@@ -103,7 +103,7 @@ def find_options(
     """
     Find options by the algorithm of Stolle and Precup (2002).
 
-    :param domain: one that has a search space of its own, or whose states can be listed.
+    :param domain: an enumerable domain, or one with a search space of its own.
     :param progress: called with the stages ``tasks`` and ``policies``.
     :raises PlanError: no tasks can be set in the domain; its subclasses say why.
     :raises PlanCanceled: from ``progress``.
@@ -126,7 +126,7 @@ def find_options(
 
 
 class _Extraction:
-    """The work of finding options."""
+    """One search for options."""
 
     def __init__(
         self, space: SearchSpace, seed: int, config: Extraction, report: Progress
@@ -196,7 +196,7 @@ class _Extraction:
     def _reaches(
         self, values: Values, subgoals: Subgoals, rng: np.random.Generator
     ) -> list[float]:
-        """Return for each learner the share of starts whose greedy run reaches the target."""
+        """Return each learner's share of starts from which its greedy run reaches the target."""
         owner = np.repeat(np.arange(len(subgoals.counts)), subgoals.counts)
         limit = self._config.max_steps
         run, _, _ = greedy_runs(

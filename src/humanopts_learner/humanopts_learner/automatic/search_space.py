@@ -1,4 +1,4 @@
-"""Where subgoals are searched for in any domain."""
+"""The search space of subgoals in any domain."""
 
 from typing import Any
 
@@ -10,9 +10,9 @@ from humanopts_learner.planning.errors import NotEnumerableError
 
 def search_space(domain: Domain[Any]) -> SearchSpace:
     """
-    Return where subgoals are searched for: what the domain says, else all of its states.
+    Return the search space that the domain defines, else all of its states.
 
-    :raises NotEnumerableError: it says nothing, and its states cannot all be listed.
+    :raises NotEnumerableError: the domain defines none, and its states cannot all be listed.
     """
     if isinstance(domain, HasSearchSpace):
         return domain.search_space()

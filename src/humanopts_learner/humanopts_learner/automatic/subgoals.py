@@ -1,7 +1,7 @@
 """
 Subgoals, and Q-learning of policies that reach them (Watkins 1989), many learners side by side.
 
-The subgoals are random tasks at first, from a start to a goal; and then the bottlenecks.
+The subgoals are first the goals of random tasks, and then the bottlenecks.
 """
 
 from collections.abc import Callable
@@ -17,19 +17,19 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 Values = NDArray[np.float32]
-OnProgress = Callable[[float, int], object]  # share of the episodes that are done, steps so far
+OnProgress = Callable[[float, int], object]  # share of the episodes done, steps so far
 REPORT_EVERY = 200  # steps
 LARGEST_TABLES = 2**28  # entries of all learners, 1 GiB
 
 
 @dataclass(frozen=True)
 class Subgoals:
-    """The tasks of L learners: each is to come from a start to a target."""
+    """The tasks of L learners: each learns to reach a target from its starts."""
 
-    starts: Ints  # (M,) those of the first learner, of the second, ...
-    counts: Ints  # (L,) how many each has, 1 or more; an episode begins in any of them
-    target: Flags  # (L, S) worth 1, and ends the episode
-    forbidden: Flags  # (L, S) worth nothing, and ends the episode too
+    starts: Ints  # (M,) start states of the first learner, of the second, ...
+    counts: Ints  # (L,) number of each learner's starts, 1 or more, drawn anew for each episode
+    target: Flags  # (L, S) reward 1; ends the episode
+    forbidden: Flags  # (L, S) reward 0; ends the episode too
 
     def draw(self, learners: Ints, rng: np.random.Generator) -> Ints:
         """Draw a start for each of some learners (N,)."""
@@ -42,9 +42,9 @@ def draw_tasks(space: SearchSpace, count: int, rng: np.random.Generator) -> Subg
     """
     Draw tasks (Stolle and Precup 2002, step 1).
 
-    The goal of a task is another state that the start can be reached from and that can be reached
-    from it; or the domain's own, where episodes begin with random goals. A task also ends, in
-    vain, where the domain's own is over.
+    The goal of a task is another state, where each of start and goal can be reached from the
+    other; or the domain's own goal, where episodes begin with random goals. A task also ends,
+    without reward, where the domain's own task is over.
 
     :raises PlanError: no two states can be reached from each other, so there are no goals.
     """
@@ -81,7 +81,7 @@ def _regions(space: SearchSpace) -> Ints:
 
 
 class _Learners:
-    """L learners, each in an episode of its own; ``live`` are those that go on."""
+    """L learners, each in an episode of its own; ``live`` marks the unfinished ones."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class _Learners:
         return float(self._episode.mean()) / self._episodes
 
     def step(self) -> None:
-        """Take a step in every episode that goes on, and learn."""
+        """Take a step in every unfinished episode, and learn from it."""
         live, subgoals, config = self.live, self._subgoals, self._config
         state = self._state[live]
         explore = self._rng.random((len(live), 1)) < config.explore
@@ -152,8 +152,8 @@ def learn_to_reach(
     """
     Learn to reach subgoals.
 
-    Every learner has a table of its own, plays ``episodes`` episodes one after another, and steps
-    together with all others.
+    Every learner has a table of its own and plays ``episodes`` episodes one after another; all
+    learners step together.
 
     :return: values (L, S, A), and the steps taken.
     :raises PlanError: the tables would not fit in memory.
@@ -182,10 +182,10 @@ def greedy_runs(
     """
     Run learners greedily, R runs side by side.
 
-    :param learner: (R,) which of them runs.
+    :param learner: (R,) index of the learner of each run.
     :param start: (R,) the state in which it begins.
     :param max_steps: after which a run is cut off.
-    :return: run (V,) and state (V,) of every visit of the runs that came to their target, start
+    :return: run (V,) and state (V,) of every visit of the runs that reached their target, start
         and target included, run by run in the order of their steps; and all steps taken.
     """
     live, state = np.arange(len(learner)), start.copy()
@@ -208,6 +208,6 @@ def greedy_runs(
 
 
 def _best(values: Values) -> Flags:
-    """Return (n, A): the best of each row, all of equals."""
+    """Return (n, A): whether each action is a best one of its row."""
     best: Flags = values == values.max(axis=1, keepdims=True)
     return best

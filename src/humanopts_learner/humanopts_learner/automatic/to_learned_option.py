@@ -19,13 +19,13 @@ def to_learned_options(
     """
     Return the options so that they can be saved, sent, served and planned with like others.
 
-    Each depends on as few features as tell apart what its tables do. The trees agree with the
-    tables wherever an episode comes and goes on: I and beta there, and pi in I.
+    Each depends on as few features as its tables need. The trees agree with the tables in every
+    state that an episode passes through: I and beta in all of them, and pi in I.
 
-    :param found: in this domain.
+    :param found: automatic options of this domain.
     :param participant: the participant code of the options; begins with ``MACHINE``.
     :raises PlanError: the participant has another code.
-    :raises DomainError: the features do not tell apart all that an option does.
+    :raises DomainError: two states with equal features have different entries in the tables.
     """
     check_participant(participant)
     return [_learned(domain, option, participant, found.space) for option in found.options]
@@ -33,9 +33,9 @@ def to_learned_options(
 
 def check_participant(code: str) -> None:
     """
-    Check under which code automatic options are to be known.
+    Check the participant code of automatic options.
 
-    :raises PlanError: a person could have it.
+    :raises PlanError: it could be the code of a person.
     """
     if not code.startswith(MACHINE):
         raise PlanError(
@@ -66,7 +66,7 @@ def _learned(
 
 
 def _needed(rows: NDArray[np.int32], columns: list[int], decisions: Ints) -> list[int]:
-    """Return the columns without those, from the last on, that the decisions do not need."""
+    """Return the feature indices without those, tried from the last, that are not needed."""
     for column in reversed(columns):
         others = [other for other in columns if other != column]
         if others and _determine(rows[:, others], decisions):

@@ -1,4 +1,4 @@
-"""What option_server knows of plans: option values and executions, as planner publishes them."""
+"""The option values and executions that option_server needs to arbitrate, from planner."""
 
 from operator import is_
 
@@ -13,28 +13,30 @@ from humanopts_ros.qos import CURRENT
 
 
 class Arbitration:
-    """Keeps the newest option values, makes arbiters of them, and follows executions."""
+    """Keeps the newest option values and execution, and makes arbiters of them."""
 
     def __init__(self, node: NodeBase) -> None:
         self._node = node
         self._message: OptionValues | None = None
         self._state: ExecutionState | None = None
-        self._arbiters: dict[Execution, Arbiter] = {}  # by the newest values, for these options
+        self._arbiters: dict[Execution, Arbiter] = {}  # of the newest values, for these options
         self._made_for: tuple[OptionLibrary | None, list[LearnedOption]] = (None, [])
         node.create_subscription(OptionValues, 'option_values', self._on_values, CURRENT)
         node.create_subscription(ExecutionState, 'execution', self._on_execution, CURRENT)
 
     def has(self, plan_id: str) -> bool:
-        """Return whether the values of a plan are here."""
+        """Return whether the values of a plan are the newest."""
         return self._message is not None and self._message.plan_id == plan_id
 
     def newest(self) -> str:
-        """Return the plan whose values are here, in words."""
-        return f'there are those of {self._message.plan_id}' if self._message else 'none came yet'
+        """Return in words which plan the newest values belong to."""
+        if self._message is None:
+            return 'none came yet'
+        return f'the newest are those of {self._message.plan_id}'
 
     def arbiter(self, execution: Execution, library: OptionLibrary) -> Arbiter:
         """
-        Return the arbiter of the plan whose values are here.
+        Return the arbiter of the newest values.
 
         :raises UnknownOptionError: an option of the plan is not in the library.
         :raises ValueError: the values do not fit the options or their domain.
@@ -52,7 +54,7 @@ class Arbitration:
 
     def options(self, library: OptionLibrary) -> dict[str, RunnableOption]:
         """
-        Return by name all that can act by the plan whose values are here, primitives too.
+        Return all options of the plan of the newest values by name, with primitive actions.
 
         :raises UnknownOptionError: an option of the plan is not in the library.
         """
@@ -62,10 +64,10 @@ class Arbitration:
 
     def wanted(self, execution: Execution, sequence: int, plan_id: str) -> Execution:
         """
-        Return the execution that a run shall have now.
+        Return the execution that is in force for a run.
 
-        :param execution: that it was asked for with.
-        :param sequence: of the ExecutionState that this is from; 0: it never changes.
+        :param execution: the execution in the request of the run.
+        :param sequence: of the ExecutionState of the request; 0: the execution never changes.
         """
         state = self._state
         newer = state is not None and 0 < sequence < state.sequence

@@ -1,4 +1,4 @@
-"""Messages to learning and planning values and back: the one module here that knows both."""
+"""Conversion between messages and the values of learning and planning."""
 
 from array import array
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
 
 
 def status_to_message(option: LearnedOption, judgement: Judgement) -> msg.OptionStatus:
-    """Say how far an option is learned."""
+    """Encode how well an option is learned."""
     return msg.OptionStatus(
         option_name=option.name,
         participant=option.participant,
@@ -71,7 +71,7 @@ def status_to_message(option: LearnedOption, judgement: Judgement) -> msg.Option
 
 
 def not_learnable_status(demos: list[Demonstration]) -> msg.OptionStatus:
-    """Say that there are only "not here" answers so far."""
+    """Encode that there are only "not here" answers so far."""
     newest = demos[-1]
     return msg.OptionStatus(
         option_name=newest.option_name,
@@ -86,7 +86,7 @@ def not_learnable_status(demos: list[Demonstration]) -> msg.OptionStatus:
 
 
 def options_from_message(message: msg.LearnedOptions) -> tuple[list[LearnedOption], list[str]]:
-    """Return the options that can be read, and what is wrong with the others."""
+    """Return the options that can be read, and the errors of the others."""
     options, problems = [], []
     for entry in message.options:
         try:
@@ -97,7 +97,7 @@ def options_from_message(message: msg.LearnedOptions) -> tuple[list[LearnedOptio
 
 
 def options_to_message(options: Sequence[LearnedOption]) -> msg.LearnedOptions:
-    """Encode options with what is in their files."""
+    """Encode options with the contents of their files."""
     return msg.LearnedOptions(
         options=[
             msg.OptionFile(name=o.name, participant=o.participant, model=option_to_json(o))
@@ -107,7 +107,7 @@ def options_to_message(options: Sequence[LearnedOption]) -> msg.LearnedOptions:
 
 
 def plan_request_from_goal(goal: Plan.Goal) -> PlanRequest:
-    """Decode what a plan shall be from a goal of the action plan."""
+    """Decode a plan request from a goal of the action plan."""
     return PlanRequest(
         action_set=goal.action_set,
         gamma=goal.gamma,
@@ -150,7 +150,7 @@ def refused_plan(action_set: str) -> msg.PlanResult:
 def plan_to_message(
     plan: AnyPlan, plan_id: str, performance: Performance | None
 ) -> msg.PlanResult:
-    """Say what planning came to, and how the plan did in the episodes it was judged by."""
+    """Encode the result of planning, with the returns of the plan's evaluation episodes."""
     solution, result = plan.solution, msg.PlanResult
     return msg.PlanResult(
         status=result.STATUS_CONVERGED if solution.converged else result.STATUS_NOT_CONVERGED,
@@ -172,7 +172,7 @@ def plan_to_message(
 
 
 def _performance_fields(found: Performance | None) -> dict[str, Any]:
-    """Return the fields of ``PlanResult`` that say how a plan did."""
+    """Return the fields of ``PlanResult`` with the plan's returns."""
     if found is None:
         names = ('mean_return', 'mean_return_low', 'mean_return_high', 'mean_discounted_return')
         return dict.fromkeys(names, math.nan)
@@ -194,7 +194,7 @@ def _performance_fields(found: Performance | None) -> dict[str, Any]:
 def option_values_to_message(
     values: OptionValues, plan_id: str, participant: str
 ) -> msg.OptionValues:
-    """Encode what arbitration needs; arrays keep their bytes, since there may be millions."""
+    """Encode the values for arbitration; arrays are sent as bytes, since they may be large."""
     parts = values.flat()
     for name, code in (('states', 'q'), ('option_values', 'd'), ('continuation_values', 'd')):
         parts[name] = array(code, np.ascontiguousarray(parts[name]).tobytes())

@@ -1,4 +1,4 @@
-"""Finding options without a person: the action extract_options, and all that it found."""
+"""Automatic options: the action extract_options, and the options that it found."""
 
 from collections.abc import Callable
 from typing import Any
@@ -20,7 +20,7 @@ from rclpy.callback_groups import CallbackGroup
 
 
 class ExtractionAction(LongAction[ExtractionResult]):
-    """Looks for options; those of a participant replace older ones."""
+    """Searches for options; those of a participant replace the participant's older ones."""
 
     goal_noun = 'search for options'
     good = (ExtractionResult.STATUS_DONE,)
@@ -36,7 +36,7 @@ class ExtractionAction(LongAction[ExtractionResult]):
         return ExtractionResult(participant=goal.participant or MACHINE)
 
     def feedback(self, stage: str, *numbers: Any) -> ExtractOptions.Feedback:
-        """Say how far the search is."""
+        """Encode the progress of the search."""
         progress, steps = numbers
         return ExtractOptions.Feedback(stage=stage, progress=progress, game_steps=steps)
 
@@ -60,7 +60,7 @@ class ExtractionAction(LongAction[ExtractionResult]):
         )
         participant = result.participant
         check_participant(participant)
-        result.extraction_id = str(uuid.uuid4())  # from here on it is accepted
+        result.extraction_id = str(uuid.uuid4())  # the result from here on
         self._goals.publish(
             ExtractionGoal(
                 extraction_id=result.extraction_id,

@@ -1,4 +1,4 @@
-"""The node ``learner``: fits and judges an option after every demonstration."""
+"""The node ``learner``, which fits and judges an option after every demonstration."""
 
 from pathlib import Path
 import sys
@@ -29,7 +29,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
 
 class LearnerNode(NodeBase):
-    """Takes demonstrations, keeps them, and publishes what was learned from them."""
+    """Stores demonstrations, and publishes the options that are learned from them."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('learner', **options)
@@ -47,11 +47,11 @@ class LearnerNode(NodeBase):
         self.create_subscription(Demonstration, 'demonstrations', self._on_demonstration, STREAM)
 
     def waits_for(self) -> str | None:
-        """Wait for the rules of the game."""
+        """Return what the node waits for: the domain of the game."""
         return None if self._trainer else 'domain_info'
 
     def on_ready(self) -> None:
-        """Publish what was learned in earlier sessions."""
+        """Publish the options of earlier sessions."""
         if self._trainer is not None:
             self._publish(self._trainer)
 
@@ -95,7 +95,7 @@ class LearnerNode(NodeBase):
         self._receipts.publish(receipt)
 
     def _log_problems(self, trainer: OptionTrainer) -> None:
-        """Log what is wrong with the folder since the last time."""
+        """Log new errors in the folder since the last call."""
         while trainer.problems:
             self.get_logger().warning(trainer.problems.pop(0))
 

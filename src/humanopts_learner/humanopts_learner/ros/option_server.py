@@ -1,4 +1,4 @@
-"""The node ``option_server``: runs learned options, and answers what they would do."""
+"""The node ``option_server``, which runs learned options, and answers queries about them."""
 
 from pathlib import Path
 import sys
@@ -28,14 +28,13 @@ _DONE = (
     OptionResult.STATUS_EPISODE_OVER,
     OptionResult.STATUS_STOPPED_BY_PLAN,
 )
-_FAREWELL = 0.5  # s to answer who asked for the run under way, when the node ends
+_FAREWELL = 0.5  # s to answer the client of the current run when the node ends
 
 
 class OptionServerNode(NodeBase):
     """
-    Serves the options that ``learner`` publishes, and before that those found as files.
-
-    Beside them it serves the automatic ones of ``planner``.
+    Serves the options that ``learner`` publishes, and until then those in the option files. It
+    also serves the automatic options of ``planner``.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -55,7 +54,7 @@ class OptionServerNode(NodeBase):
             'a run ends when game is silent for so long, s',
             floating_point_range=[patience],
         )
-        self._learned: list[LearnedOption] | None = None  # None: nobody has said yet
+        self._learned: list[LearnedOption] | None = None  # None: not published yet
         self._automatic: list[LearnedOption] = []
         self._results = self.stamped_publisher(OptionResult, 'option_results')
         self._runner = Runner(self, Mode(mode), seed, deadline)
@@ -69,11 +68,11 @@ class OptionServerNode(NodeBase):
         self.recorded_action(ExecuteOption, 'execute_option', self._execute, group)
 
     def waits_for(self) -> str | None:
-        """Wait for the rules of the game."""
+        """Return what the node waits for: the domain of the game."""
         return None if self._runner.library is not None else 'domain_info'
 
     def close(self) -> None:
-        """End the run under way, and answer who asked for it."""
+        """End the current run, and answer its client."""
         self._runner.stop()
         self.finish(lambda: self._runner.busy, _FAREWELL)
 

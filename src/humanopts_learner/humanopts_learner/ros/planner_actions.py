@@ -1,4 +1,4 @@
-"""What the actions of the planner share: what it knows, long work, and one goal at a time."""
+"""The common parts of the planner's actions: its state, worker threads, and one goal at a time."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -28,33 +28,33 @@ ResultT = TypeVar('ResultT', PlanResult, ExtractionResult)
 
 @dataclass(frozen=True)
 class MadePlan:
-    """A plan, and the options that were known when it was made."""
+    """A plan, and the options from which it was made."""
 
     plan: AnyPlan
     plan_id: str
-    participant: str  # as it was asked for
+    participant: str  # the request that it answers
     known_options: list[LearnedOption]
 
 
 @dataclass
 class PlannerState:
-    """What the planner knows; a list of options is replaced, never changed."""
+    """The state of the planner; a list of options is replaced, never changed."""
 
     domain: Domain[Any] | None = None
     taught: list[LearnedOption] = field(default_factory=list)
-    taught_sequence: int = 0  # of the LearnedOptions that they came with
+    taught_sequence: int = 0  # of the LearnedOptions with these options
     automatic: list[LearnedOption] = field(default_factory=list)
-    plans: dict[tuple[str, str], MadePlan] = field(default_factory=dict)  # by set and participant
+    plans: dict[tuple[str, str], MadePlan] = field(default_factory=dict)  # set, participant
     pool: ThreadPoolExecutor = field(default_factory=ThreadPoolExecutor)  # for long work
-    stopping: bool = False  # the node ends
+    stopping: bool = False  # set when the node ends
 
     def options(self, action_set: str) -> list[LearnedOption]:
-        """Return what an action set can have; another list whenever it changed."""
+        """Return the options of an action set; a new list whenever they change."""
         return self.automatic if action_set in OF_MACHINES else self.taught
 
 
 async def in_thread(node: NodeBase, pool: ThreadPoolExecutor, work: Callable[[], T]) -> T:
-    """Do long work beside the executor of a node; return, or raise, what comes of it."""
+    """Run a function in a worker thread; return its result or raise its error."""
     executor = node.executor
     assert executor is not None, 'a callback of the node waits for this'
     done = Future(executor=executor)
@@ -70,9 +70,9 @@ async def in_thread(node: NodeBase, pool: ThreadPoolExecutor, work: Callable[[],
 
 class LongAction(ABC, Generic[ResultT]):
     """
-    An action whose work takes long, one goal at a time.
+    An action with long computations, one goal at a time.
 
-    :ivar busy: whether a goal is under way.
+    :ivar busy: whether a goal is executed.
     """
 
     goal_noun: str  # of "the planner is at work on another ..."
@@ -91,7 +91,7 @@ class LongAction(ABC, Generic[ResultT]):
         Serve the action.
 
         :param kind: its type.
-        :param results: publishes the result of every goal, refused ones too.
+        :param results: publisher of the result of every goal, also of refused ones.
         """
         self.busy = False
         self._results: StampedPublisher[ResultT] = results
@@ -100,11 +100,11 @@ class LongAction(ABC, Generic[ResultT]):
 
     @abstractmethod
     def blank(self, goal: Any) -> ResultT:
-        """Return the result of a goal that came to nothing; status and detail are left out."""
+        """Return an empty result; status and detail are left to the caller."""
 
     @abstractmethod
     def feedback(self, stage: str, *numbers: Any) -> Any:
-        """Return the feedback that says how far the work is."""
+        """Return the feedback with the progress."""
 
     @abstractmethod
     async def work(
@@ -115,12 +115,12 @@ class LongAction(ABC, Generic[ResultT]):
         progress: Callable[..., None],
     ) -> ResultT:
         """
-        Work towards a goal, and return its result.
+        Execute a goal, and return its result.
 
-        :param result: what ``blank`` returned; where an error is raised, this is the result.
+        :param result: the result of ``blank``; it is sent where an error is raised.
         :param progress: called with the arguments of ``feedback``; raises PlanCanceled.
         :raises NoOptionsError: there are no options to plan with.
-        :raises PlanError: or DomainError: the request makes no sense.
+        :raises PlanError: or DomainError: the request is invalid.
         """
 
     async def _execute(self, handle: ServerGoalHandle) -> Any:
@@ -150,14 +150,14 @@ class LongAction(ABC, Generic[ResultT]):
             result.status, result.detail = result.STATUS_CANCELED, 'canceled by the client'
             if self._state.stopping:
                 result.status, result.detail = result.STATUS_FAILED, STOPS
-        except Exception as error:  # such as no memory for the tables of so many states
+        except Exception as error:  # such as too little memory for the tables
             result.status, result.detail = result.STATUS_FAILED, repr(error)
         finally:
             self.busy = False
         return result
 
     def _progress(self, handle: ServerGoalHandle) -> Callable[..., None]:
-        """Return what publishes feedback when a stage begins and now and then in it."""
+        """Return a function that publishes feedback at the start of a stage and at intervals."""
         known, due = '', 0.0
 
         def progress(stage: str, *numbers: Any) -> None:

@@ -1,4 +1,4 @@
-"""The node ``planner``: SMDP value iteration, and acting by the policy over options it gives."""
+"""The node ``planner``: SMDP value iteration, and acting by the resulting policy over options."""
 
 from collections.abc import Callable
 import sys
@@ -33,12 +33,12 @@ from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 
-_OPTIONS_SECONDS = 5.0  # to wait for the options that a request wants
-_FAREWELL = 1.0  # s to answer who asked for what is under way, when the node ends
+_OPTIONS_SECONDS = 5.0  # s to wait for the options of a request
+_FAREWELL = 1.0  # s to answer the clients of current goals when the node ends
 
 
 class PlanAction(LongAction[PlanResult]):
-    """Plans with an action set, and judges the plan where that is asked for."""
+    """Plans with an action set, and evaluates the plan if the goal has episodes."""
 
     goal_noun = 'plan'
     good = (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED)
@@ -53,7 +53,7 @@ class PlanAction(LongAction[PlanResult]):
         return refused_plan(goal.action_set)
 
     def feedback(self, stage: str, *numbers: Any) -> Plan.Feedback:
-        """Say how far planning is."""
+        """Encode the progress of planning."""
         progress, sweeps, residual = numbers
         return Plan.Feedback(stage=stage, progress=progress, sweeps=sweeps, residual=residual)
 
@@ -67,13 +67,13 @@ class PlanAction(LongAction[PlanResult]):
         """
         Plan with the options that the goal names.
 
-        :raises PlanError: the request makes no sense, or its options did not come.
+        :raises PlanError: the request is invalid, or its options were not received in time.
         """
         await self._wait_for_options(goal.options_sequence)
         known = self._state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)
         request = check_plan_request(domain, options, plan_request_from_goal(goal))
-        result.plan_id = plan_id = str(uuid.uuid4())  # from here on it is accepted
+        result.plan_id = plan_id = str(uuid.uuid4())  # the result from here on
         self._goals.publish(plan_goal_to_message(goal, plan_id, request, options))
 
         def compute() -> tuple[AnyPlan, Performance | None]:
@@ -89,9 +89,9 @@ class PlanAction(LongAction[PlanResult]):
 
     async def _wait_for_options(self, sequence: int) -> None:
         """
-        Wait until the options are at least as new as a goal wants.
+        Wait until the options are at least as new as a goal requires.
 
-        :raises PlanError: they do not come.
+        :raises PlanError: they are not received in time.
         """
         state = self._state
         come = await self._node.waiting.until(
@@ -104,7 +104,7 @@ class PlanAction(LongAction[PlanResult]):
 
 
 class PlannerNode(NodeBase):
-    """Plans, and looks for options, in threads of its own; plays through the option server."""
+    """Plans and searches for options in worker threads; plays through the option server."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('planner', **options)
@@ -116,11 +116,11 @@ class PlannerNode(NodeBase):
         self._actions = PlanAction(*shared), ExtractionAction(*shared)
 
     def waits_for(self) -> str | None:
-        """Wait for the rules of the game."""
+        """Return what the node waits for: the domain of the game."""
         return None if self._state.domain is not None else 'domain_info'
 
     def close(self) -> None:
-        """End what is under way, and answer who asked for it."""
+        """End the current goals, and answer their clients."""
         self._state.stopping = True
         self._policies.stop()
         self.finish(

@@ -1,4 +1,4 @@
-"""Acting by the policies of plans: the action run_policy, and who changes it while it runs."""
+"""Acting by the policies of plans: the action run_policy, and changes of its execution."""
 
 from dataclasses import dataclass
 import math
@@ -28,7 +28,7 @@ from humanopts_ros.qos import LATCHED, LATCHED_LARGE
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 
-_RESET_SECONDS = 5.0  # to wait for an answer
+_RESET_SECONDS = 5.0  # s to wait for an answer
 # To wait for a run: modules may run for a whole episode that is paced; the server itself does not
 # wait long for game.
 _RUN_SECONDS = 86_400.0
@@ -42,7 +42,7 @@ _GO_ON = (
 
 
 class _Ended(Exception):  # noqa: N818 - no error: the run is over before its last episode
-    """The policy run is over: its status in ``PolicyResult``, and the detail."""
+    """The policy run has ended early, with a status of ``PolicyResult`` and the detail."""
 
     def __init__(self, status: int, detail: str) -> None:
         super().__init__(detail)
@@ -58,11 +58,11 @@ class _PolicyRun:
     execution: Execution
     result: PolicyResult
     limit: int  # decisions in an episode
-    execution_sequence: int = 0  # of the ExecutionState that says the execution
-    canceled: bool = False  # the client wants no more
+    execution_sequence: int = 0  # of the ExecutionState with the execution
+    canceled: bool = False  # the client has canceled
 
     def publish_feedback(self) -> None:
-        """Say how far it is."""
+        """Encode the progress of the run."""
         result = self.result
         self.handle.publish_feedback(
             RunPolicy.Feedback(
@@ -76,7 +76,7 @@ class _PolicyRun:
         )
 
     def count(self, ran: OptionResult, decisions: int) -> None:
-        """Add what an option, or the modules, came to."""
+        """Add the result of an option or of the modules."""
         plan = self.made.plan
         fallback = plan.names[plan.first_fallback :]
         acted = zip(ran.acted_names, ran.acted_steps)
@@ -89,9 +89,9 @@ class PolicyServer:
     """
     Plays episodes by the newest plans, one policy at a time.
 
-    Game begins the episodes, and option_server runs the options. Values go to option_server once
-    a policy needs them. Which option acts is decided there; the execution can be changed from
-    here at any time, and is in force from the next action on.
+    Game begins the episodes, and option_server runs the options. Option values are sent to
+    option_server when a policy needs them, and option_server decides which option acts. The
+    execution can be changed here at any time, and takes effect from the next action on.
     """
 
     def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
@@ -142,7 +142,7 @@ class PolicyServer:
         self, handle: ServerGoalHandle, goal: RunPolicy.Goal, result: PolicyResult
     ) -> _PolicyRun:
         """
-        Return the run that a goal asks for.
+        Return the run of a goal.
 
         :raises _Ended: it cannot be played.
         """
@@ -173,7 +173,7 @@ class PolicyServer:
         """
         Play all episodes.
 
-        :raises _Ended: the run is over before that.
+        :raises _Ended: the run ends before that.
         """
         result = run.result
         result.run_id = str(uuid.uuid4())
@@ -207,7 +207,7 @@ class PolicyServer:
         """
         Play an episode; return its return and its discounted return.
 
-        :raises _Ended: the run is over before the episode is.
+        :raises _Ended: the run ends before the episode does.
         """
         plan = run.made.plan
         episode = await self._reset(plan, start, seed)
@@ -241,7 +241,7 @@ class PolicyServer:
         """
         Begin an episode; return its number.
 
-        :raises _Ended: game does not.
+        :raises _Ended: the game does not begin one.
         """
         request = ResetGame.Request(
             source=ResetGame.Request.SOURCE_MACHINE,
@@ -265,7 +265,7 @@ class PolicyServer:
         Run an option, or all of them as modules.
 
         :param name: of the option; empty: modules.
-        :param left: steps that modules may take.
+        :param left: largest number of steps of the modules.
         :raises _Ended: option_server does not answer.
         """
         request = RunOption.Request(
@@ -286,9 +286,9 @@ class PolicyServer:
 
     def _check_wanted(self, run: _PolicyRun) -> None:
         """
-        Check that somebody wants more.
+        Check that the run is not canceled and the node goes on.
 
-        :raises _Ended: nobody does.
+        :raises _Ended: it is canceled, or the node ends.
         """
         if run.canceled:
             raise _Ended(PolicyResult.STATUS_CANCELED, 'canceled by the client')
@@ -296,7 +296,7 @@ class PolicyServer:
             raise _Ended(PolicyResult.STATUS_FAILED, STOPS)
 
     async def _publish_values(self, made: MadePlan) -> None:
-        """Give option_server what it needs to arbitrate by a plan, unless it has that."""
+        """Send option_server the values for arbitration by a plan, unless it has them."""
         if self._published == made.plan_id:
             return
         plan = made.plan
@@ -313,7 +313,7 @@ class PolicyServer:
     def _publish_execution(
         self, run: _PolicyRun, previous: str = '', *, canceled: bool = False
     ) -> None:
-        """Say how the run is carried out, or that it is to end at once."""
+        """Publish how the run is executed, or that it is to end at once."""
         self._executions.publish(
             ExecutionState(
                 run_id=run.result.run_id,
@@ -327,7 +327,7 @@ class PolicyServer:
             run.execution_sequence = self._executions.sequence
 
     def _on_cancel(self, handle: ServerGoalHandle) -> None:
-        """End the option or the modules that run, so that it need not be waited for."""
+        """Stop the option or the modules that run, so that the run ends at once."""
         run = self._run
         if run is not None and run.handle is handle:
             run.canceled = True
@@ -336,7 +336,7 @@ class PolicyServer:
     async def _on_set(
         self, request: SetExecution.Request, response: SetExecution.Response
     ) -> SetExecution.Response:
-        """Change how the run is carried out."""
+        """Change the execution of the run."""
         run = self._run
         try:
             if not request.execution:

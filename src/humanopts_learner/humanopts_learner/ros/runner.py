@@ -1,4 +1,4 @@
-"""The one runner: drives one run at a time over the graph, in lock-step with game."""
+"""The runner, which executes one run at a time over the graph, in lock-step with game."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -37,21 +37,21 @@ from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, STREAM
 from rclpy.task import Future
 
-_CHECK_PERIOD = 0.1  # s between looks at the deadline of a command
+_CHECK_PERIOD = 0.1  # s between checks of the deadline of a command
 
 
-class RunCanceled(Exception):  # noqa: N818 - no error: the client wants no more
+class RunCanceled(Exception):  # noqa: N818 - no error: the client has canceled
     """A run was canceled before its first action."""
 
 
 @dataclass(frozen=True)
 class RunRequest:
     """
-    What a service or action asks to be run.
+    The request of a run, from a service or an action.
 
     :ivar via: name of the service or action.
-    :ivar execution_sequence: of the ExecutionState that the execution is from; 0: it is fixed.
-    :ivar canceled: tells whether the client wants no more.
+    :ivar execution_sequence: of the ExecutionState with the execution; 0: it is fixed.
+    :ivar canceled: returns whether the client has canceled.
     :ivar on_step: called after each step with the run and the state that the step led to.
     """
 
@@ -64,39 +64,39 @@ class RunRequest:
 
 @dataclass
 class _Active:
-    """The run under way."""
+    """The current run."""
 
     run: Run
     run_id: str
     request: RunRequest
     library: OptionLibrary
     execution: Execution
-    arbiter: Arbiter | None  # that may stop the run
+    arbiter: Arbiter | None  # it may stop the run
     episode: int
-    step: int  # of the state that the command under way answers
+    step: int  # of the state that the current command answers
     done: Future = field(default_factory=Future)
     deadline: float = 0.0
-    command: int = 0  # sequence of the command that is not answered yet
+    command: int = 0  # sequence of the command that the game has not answered yet
 
 
 class Runner:
     """
     Runs options, or modules, in the current episode; a second request is answered BUSY.
 
-    Whether the run goes on is decided here, after each state and before each command, so that no
-    command is on its way when it ends, be it canceled or not. So is what a plan arbitrates: the
-    same states, values and execution give the same run. A person who takes over, or a reset,
-    ends it as interrupted; silence of game ends it after a deadline.
+    The runner decides after each state and before each command whether the run continues, so no
+    command is pending when the run ends, canceled or not. It also arbitrates: the same states,
+    values and execution give the same run. A person who takes control, or a reset, ends the run as
+    interrupted; silence of the game ends it after a deadline.
 
-    :ivar library: what can be run; None: the game is not known yet.
-    :ivar state: the newest state of the game; None: none came.
+    :ivar library: the options that can be run; None: the game is not known yet.
+    :ivar state: the newest state of the game; None: none received yet.
     """
 
     def __init__(self, node: NodeBase, mode: Mode, seed: int, patience: float) -> None:
         """
         Subscribe to the game.
 
-        :param seed: of what the sampled mode draws.
+        :param seed: of the random draws in sampled mode.
         :param patience: s to wait for game, and for the values of a plan.
         """
         self._node, self._mode, self._seed, self._patience = node, mode, seed, patience
@@ -104,7 +104,7 @@ class Runner:
         self.library: OptionLibrary | None = None
         self.state: GameState | None = None
         self._taken_by = ''  # the option or execution of the request; empty: the runner is free
-        self._active: _Active | None = None  # from its first command on
+        self._active: _Active | None = None  # set from the first command on
         self._stopping = False
         self._actions = node.stamped_publisher(ActionCommand, 'action')
         self._goals = node.stamped_publisher(OptionGoal, 'option_goals')
@@ -115,11 +115,11 @@ class Runner:
 
     @property
     def busy(self) -> bool:
-        """Whether a run is under way, or waits for its first state."""
+        """Whether there is a run, or a request that waits for its first state."""
         return bool(self._taken_by)
 
     def stop(self) -> None:
-        """End the run under way, or the wait for its first state, because the node ends."""
+        """End the current run, or the wait for its first state, because the node ends."""
         self._stopping = True
         if self._active is not None:
             self._finish(self._active.run.end(RunStatus.FAILED, 'option_server stops'))
@@ -148,12 +148,14 @@ class Runner:
     async def _drive(
         self, request: RunRequest, execution: Execution, library: OptionLibrary
     ) -> OptionResult:
-        """Wait for the values to decide by and the state to start from, and run from there."""
+        """Wait for the option values and the start state, and run from there."""
         plan_id = request.goal.plan_id
         if execution is not Execution.RUN_TO_END:
             await self._wait(request, lambda: self._plans.has(plan_id))
             if not self._plans.has(plan_id):
-                raise PlanError(f'those of plan {plan_id} did not come; {self._plans.newest()}')
+                raise PlanError(
+                    f'the option values of plan {plan_id} did not come; {self._plans.newest()}'
+                )
         state = await self._first_state(request)
         if state is None:
             return _refused(request, RunStatus.NO_EPISODE, self._missing(request))
@@ -173,9 +175,9 @@ class Runner:
 
     async def _wait(self, request: RunRequest, condition: Callable[[], bool]) -> None:
         """
-        Wait for what a run needs to begin, though not for ever.
+        Wait for a condition of the start of a run, with a deadline.
 
-        :raises RunCanceled: the client wants no more.
+        :raises RunCanceled: the client has canceled.
         """
         await self._node.waiting.until(
             lambda: condition() or self._stopping or self._canceled(request), self._patience
@@ -185,9 +187,9 @@ class Runner:
 
     async def _first_state(self, request: RunRequest) -> GameState | None:
         """
-        Return the state that a run is to start from; None: it does not come.
+        Return the state that a run is to start from; None: it is not received in time.
 
-        :raises RunCanceled: the client wants no more.
+        :raises RunCanceled: the client has canceled.
         """
         before, wanted = self.state, (request.goal.episode, request.goal.step)
 
@@ -195,7 +197,7 @@ class Runner:
             state = self.state
             return state is not None and wanted == (state.episode, state.step)
 
-        def is_past() -> bool:  # a game that was started again counts from 1
+        def is_past() -> bool:  # a game that was restarted counts from 1
             state = self.state
             if state is None:
                 return False
@@ -208,7 +210,7 @@ class Runner:
         return self.state if is_here() and not self._stopping else None
 
     def _missing(self, request: RunRequest) -> str:
-        """Say which state is missing."""
+        """Return in words which state is missing."""
         goal, state = request.goal, self.state
         if state is None or not goal.episode:
             return 'no state came from game'
@@ -224,7 +226,7 @@ class Runner:
         library: OptionLibrary,
         moment: tuple[int, int],
     ) -> tuple[Run, Arbiter | None]:
-        """Return the run, and what may stop it; errors are those of ``run``."""
+        """Return the run, and the arbiter that may stop it; errors are those of ``run``."""
         goal, domain = request.goal, library.domain
         rng = generator(self._seed, 'run', goal.option_name or execution, *moment)
         rest = domain, domain.gamma, goal.max_steps, self._mode, rng
@@ -264,7 +266,7 @@ class Runner:
         active.command = self._actions.sequence
 
     def _on_state(self, message: GameState) -> None:
-        """Take the next state; ``current_state`` repeats those that ``game_state`` brought."""
+        """Handle the next state; ``current_state`` repeats those of ``game_state``."""
         known, moment = self.state, (message.episode, message.step)
         same_game = known is not None and known.publisher_id == message.publisher_id
         if known is not None and same_game and moment <= (known.episode, known.step):
@@ -280,7 +282,7 @@ class Runner:
             self._on_step(active, message)
 
     def _on_step(self, active: _Active, message: GameState) -> None:
-        """Take the state that the command under way led to, or another driver's."""
+        """Handle the state that the current command led to, or that another driver's led to."""
         mine = message.action_publisher_id == self._node.publisher_id
         if not mine or message.action_sequence != active.command:
             text = f'{message.action_publisher_id} took {message.previous_action}'
@@ -297,7 +299,7 @@ class Runner:
             self._send(active)
 
     def _stopped(self, active: _Active) -> RunResult | None:
-        """Return how the run ends before its next command; None: it goes on."""
+        """Return how the run ends before its next command; None: it continues."""
         run, request, before = active.run, active.request, active.execution
         if self._canceled(request):
             return run.end(RunStatus.CANCELED)
@@ -313,7 +315,7 @@ class Runner:
         return run.stopped(active.arbiter) if active.arbiter is not None else None
 
     def _change(self, active: _Active, wanted: Execution) -> None:
-        """Carry an option out in another way, unless the values for it are still on their way."""
+        """Change the execution of an option, unless the values for it are not received yet."""
         if wanted is Execution.RUN_TO_END:
             active.execution, active.arbiter = wanted, None
         elif self._plans.has(active.request.goal.plan_id):
@@ -324,7 +326,7 @@ class Runner:
         return request.canceled() or self._plans.canceled(request.execution_sequence)
 
     def _on_refusal(self, message: ActionRefusal) -> None:
-        """End the run whose command game refused."""
+        """End the run because the game refused its command."""
         active = self._active
         mine = message.command_publisher_id == self._node.publisher_id
         if active is None or not mine or message.command_sequence != active.command:
@@ -346,9 +348,9 @@ class Runner:
 
 def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary) -> Execution:
     """
-    Check what can be checked before the state is here.
+    Check the parts of a request that do not depend on the start state.
 
-    :raises RunError: the request makes no sense.
+    :raises RunError: the request is invalid.
     :raises UnknownOptionError: there is no such option.
     """
     execution = execution_named(goal.execution)

@@ -1,1 +1,1 @@
-"""Planning from samples, in domains whose states cannot all be listed."""
+"""Planning from samples, in domains that are not enumerable."""

@@ -18,7 +18,7 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2**64 by the golden ratio, odd: for ha
 
 
 class BatchOption(Protocol):
-    """An option in greedy mode, by the features (N, F) of many games; learned ones are such."""
+    """A greedy option that is evaluated on the features (N, F) of many games."""
 
     @property
     def name(self) -> str:
@@ -39,7 +39,7 @@ class BatchOption(Protocol):
         ...
 
     def ends(self, rows: Rows) -> Flags:
-        """Return (N,): whether the option ends there; not asked before its first step."""
+        """Return (N,): whether the option ends there; called only after its first step."""
         ...
 
 
@@ -59,9 +59,8 @@ def check_options(domain: Domain[Any], options: Sequence[BatchOption]) -> None:
 
 class ActionSet:
     """
-    Options, then all primitive actions as options of one step; both are named by option index.
-
-    Those from ``first_fallback`` on run only where no option can start.
+    Options, then all primitive actions as options of one step, by option index. Those from
+    ``first_fallback`` on run only where no option can start.
     """
 
     def __init__(
@@ -80,7 +79,7 @@ class ActionSet:
 
     @property
     def modelled(self) -> tuple[str, ...]:
-        """Names of the models: of starting each option, then of going on where it cannot start."""
+        """Names of the models: starting each option, then continuing where it cannot start."""
         names = self.names[: self.first_fallback]
         return (*names, *(f'going on: {option.name}' for option in self.options))
 
@@ -95,8 +94,8 @@ class ActionSet:
         """
         Return (N,): the index of the primitive action where no option can start.
 
-        A hash of all features chooses among all actions evenly: the same for equal features, and
-        another one when something moves.
+        A hash of all features chooses among all actions evenly: always the same action for equal
+        features, and most often another one when a feature changes.
         """
         weights = 2 * np.arange(rows.shape[1], dtype=np.uint64) + GOLDEN
         mixed = (rows.astype(np.uint64) + np.uint64(1)) * weights

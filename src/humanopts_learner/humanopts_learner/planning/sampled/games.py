@@ -1,12 +1,12 @@
 """
-Running options in many games side by side: to evaluate a policy, or to sample option models.
+Runs of options in many games side by side, to evaluate a policy or to sample option models.
 
-Sampling counts every end of a run. A run of option o from s0 to sk, where o could also have
-started at s1, .., sk-1, shows as well what running it from each of those leads to, since a Markov
-option does not look back (Precup 2000, chapter 4). The same from where it could not have started
-shows what going on there leads to. Runs that are cut off (by ``max_steps``, the length of an
-episode, or the end of the sampling) and runs that the policy stops count as having ended where
-they were.
+Sampling counts every suffix of a run. A run of option o from s0 to sk, where o could also have
+started at s1, .., sk-1, is a sample of running it from each of those states too, since a Markov
+option does not depend on earlier states (Precup 2000, chapter 4). From a state where o could not
+have started, it is a sample of continuing o there. Runs that are cut off (by ``max_steps``, the
+length of an episode, or the end of the sampling) and runs that the policy stops count as having
+ended where they were.
 """
 
 from collections.abc import Callable
@@ -32,9 +32,9 @@ class Runs:
     """
     N games in each of which one option runs at a time.
 
-    :ivar option: (N,) index of the running option; -1: to be decided.
-    :ivar ran: (N,) its steps so far.
-    :ivar seen: the observation of the games as they stand.
+    :ivar option: (N,) index of the running option; -1: a choice is due.
+    :ivar ran: (N,) steps of the running option so far.
+    :ivar seen: the current observation of the games.
     """
 
     def __init__(
@@ -51,9 +51,9 @@ class Runs:
 
     def decide(self, policy: Policy) -> tuple[Ints, Choice]:
         """
-        Begin an option wherever none runs, or the running one is stopped.
+        Begin an option wherever none runs or the running one is stopped.
 
-        :return: those games (M,), and the choices in them.
+        :return: indices of these games (M,), and the choices in them.
         """
         stopped = policy.stops(self.seen, self.option, self._rng)
         free = np.flatnonzero((self.option < 0) | stopped)
@@ -83,7 +83,7 @@ class Runs:
         self.option[chosen] = -1
 
     def keep(self, chosen: Ints) -> None:
-        """Go on with chosen games (M,) only."""
+        """Keep chosen games (M,) only."""
         self.batch = self._abstraction.games.batch_take(self.batch, chosen)
         self.seen = self._abstraction.observe(self.batch)
         self.option, self.ran = self.option[chosen], self.ran[chosen]
@@ -101,8 +101,8 @@ def play_games(
     """
     Play games from the start of the task by a policy.
 
-    :param episodes: how many, E, all side by side; games do not affect each other, but which
-        chance each meets depends on how many there are.
+    :param episodes: number of episodes, E, all side by side; games do not affect each other, but
+        the random draws of each depend on E.
     :param progress: called with the stage evaluation; what it raises passes through.
     :raises PlanError: the domain never cuts an episode off, or ``episodes`` is below 1.
     """
@@ -143,8 +143,8 @@ def _play_step(
     """
     Take one step in M games, and add it to their returns.
 
-    :param at: (M,) which of the E games these are.
-    :param over: (M,) which of them are over; they are not counted any more.
+    :param at: (M,) indices of these games among the E.
+    :param over: (M,) whether each is over; these are not counted.
     """
     live = at[~over]
     free, choice = runs.decide(policy)
@@ -164,7 +164,7 @@ def _play_step(
 def _keep_outcomes(
     returns: Returns, abstraction: StateAbstraction, runs: Runs, at: Ints, chosen: Flags
 ) -> None:
-    """Keep the outcomes of chosen games (M,), which are no longer followed."""
+    """Keep the outcomes of chosen games (M,) when they are dropped."""
     for name, values in abstraction.games.batch_outcome(runs.batch).items():
         returns.outcomes[name][at[chosen]] = values[chosen]
 
@@ -183,7 +183,7 @@ class Recording:
         self.successor = np.empty(shape, dtype=np.int64)  # abstract state after the step
 
     def samples(self, gamma: float) -> Samples:
-        """Return every end of every run, by one pass backwards."""
+        """Return every suffix of every run, by one pass backwards."""
         reward = self.reward
         successor = self.successor
         discount = np.where(self.over, 0.0, gamma)
@@ -204,7 +204,7 @@ class Recording:
 
 
 class Sampler:
-    """N games that go on from round to round, and whose runs are counted."""
+    """N games that continue from round to round; their runs are counted as samples."""
 
     def __init__(
         self,
@@ -224,7 +224,7 @@ class Sampler:
 
     def play(self, policy: Policy, steps: int, on_steps: Callable[[int], object]) -> int:
         """
-        Go on by a policy, and count the runs.
+        Continue by a policy, and count the runs.
 
         :param steps: game steps in all, rounded down to whole steps of all games.
         :param on_steps: called with the game steps so far.

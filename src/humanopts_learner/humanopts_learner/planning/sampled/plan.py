@@ -35,23 +35,23 @@ from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 import numpy as np
 from numpy.typing import NDArray
 
-IMPROVEMENTS = 4  # of the policy by shrunk values, each evaluated, after value iteration
+IMPROVEMENTS = 4  # policy improvements by shrunk values after value iteration, each evaluated
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How samples are drawn, and what is made of them."""
+    """How samples are drawn, and how plans are made from them."""
 
-    rounds: int = 8  # of play; every one but the first by the policy so far
+    rounds: int = 8  # rounds of play; all but the first follow the policy so far
     n_games: int = 1000  # side by side, at most
-    game_steps: int = 400  # that each of them is played in all, at least
-    explore: float = 0.2  # share of decisions that are drawn, from the second round on
+    game_steps: int = 400  # smallest number of steps of each game in all
+    explore: float = 0.2  # share of random decisions, from the second round on
     min_samples: int = 1  # pairs of state and option with fewer are not available
     penalty: float = 0.0  # reward units, by the square root of the number of samples
-    shrinkage: float = 0.0  # samples that the mean over states of other context counts as
-    primitive_penalty: float = 0.0  # reward units off a primitive action's value beside options
-    interruption_margin: float = 10.0  # reward units that stopping an option in play must gain
+    shrinkage: float = 0.0  # weight, in samples, of the mean over states of other context
+    primitive_penalty: float = 0.0  # reward units off a primitive action's value
+    interruption_margin: float = 10.0  # reward units that stopping an option must gain
 
     def __post_init__(self) -> None:
         """
@@ -60,9 +60,9 @@ class Sampling:
         :raises PlanError: one is out of range.
         """
         if min(self.rounds - 1, self.n_games, self.min_samples) < 1:
-            raise PlanError(f'{self} needs two rounds, one game and one sample, at least')
+            raise PlanError(f'{self} needs at least two rounds, one game and one sample')
         if self.game_steps < self.rounds:
-            raise PlanError(f'{self} needs a step of each game in every round, at least')
+            raise PlanError(f'{self} needs at least one step of each game in every round')
         numbers = (
             self.penalty,
             self.shrinkage,
@@ -71,7 +71,7 @@ class Sampling:
         )
         finite = all(0.0 <= number < math.inf for number in numbers)
         if not 0.0 <= self.explore <= 1.0 or not finite:
-            raise PlanError(f'{self} needs a share from 0 to 1; others finite, from 0')
+            raise PlanError(f'{self} needs explore from 0 to 1, and the others finite, 0 or more')
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,9 @@ class SampledPlan:
     """
     A greedy policy over options, by the abstract states that were visited.
 
-    Option indices count the options and then the primitive actions. In the set ``human`` these
-    are the fallback, drawn by a hash of the features where no option can start; models do not
-    cover them.
+    Option indices count the options and then the primitive actions. In the set ``human`` the
+    primitive actions are the fallback, chosen by a hash of the features where no option can start;
+    they have no models.
     """
 
     domain: Domain[Any]
@@ -91,13 +91,13 @@ class SampledPlan:
     solution: Solution
     policy: GreedyPolicy
     continuation_values: Floats  # (S, O) where the option cannot start; or -inf
-    execution: Execution  # that it was sampled by
-    interruption_margin: float  # reward units; nothing is stopped for less
+    execution: Execution  # how it was executed while sampling
+    interruption_margin: float  # reward units; no option is stopped for a smaller gain
     abstraction: StateAbstraction
     game_steps: int  # that were sampled
     model_seconds: float  # sampling and counting
     sweep_seconds: float
-    table_seconds: float = 0.0  # exact plans evaluate options in tables; sampled ones have none
+    table_seconds: float = 0.0  # 0: sampled plans have no option tables
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -106,7 +106,7 @@ class SampledPlan:
 
     @property
     def first_fallback(self) -> int:
-        """Option index from which on a choice is a fallback; the number of names if none is."""
+        """The first option index that is a fallback; the number of names if there is none."""
         return self.actions.first_fallback
 
     @property
@@ -116,7 +116,7 @@ class SampledPlan:
 
     def choose(self, state: Any) -> Decision:
         """
-        Return what the policy runs in a state of the domain.
+        Return the option or action that the policy chooses in a state of the domain.
 
         :raises PlanError: the task is over in it.
         """
@@ -127,7 +127,7 @@ class SampledPlan:
         return Decision(self.names[option], option >= self.first_fallback)
 
     def as_executed(self, execution: Execution | None = None) -> Policy:
-        """Return the policy as executed in some way; None: as it was sampled."""
+        """Return the policy with a way of execution; None: the one it was sampled with."""
         execution = self.execution if execution is None else execution
         return as_executed(
             self.policy, self.continuation_values, execution, self.interruption_margin
@@ -143,7 +143,7 @@ class SampledPlan:
         """
         Play episodes in the real game.
 
-        :param execution: how the policy is executed; None: as it was sampled.
+        :param execution: how the policy is executed; None: as it was while sampling.
         :param progress: called with the stage evaluation.
         """
         policy = self.as_executed(execution)
@@ -152,7 +152,7 @@ class SampledPlan:
         )
 
     def option_values(self) -> OptionValues:
-        """Return the values that arbitration decides by, for the abstract states visited."""
+        """Return the values for arbitration in the abstract states visited."""
         order = np.argsort(codes := self.policy.index.codes)
         return OptionValues(
             action_set=self.action_set,
@@ -186,9 +186,9 @@ def make_sampled_plan(
     :param budget_steps: game steps that are sampled in all; rounds get equal parts.
     :param gamma: discount per primitive step; None: the domain's own.
     :param tol: largest change allowed in the last sweep, in reward units.
-    :param execution: how the policy so far is executed from the second round on. Where options
-        are interrupted, the models are of interrupted options (Sutton, Precup and Singh 1999,
-        section 4: interruption can be repeated on what it led to).
+    :param execution: how the policy so far is executed from the second round on. Where options are
+        interrupted, the models are of interrupted options (Sutton, Precup and Singh 1999, section
+        4: interrupted options can be interrupted again).
     :param progress: called with the stages ``models`` and ``sweeps``, anew in each round.
     :raises PlanError: the request makes no sense; its subclasses say which part.
     :raises PlanCanceled: from ``progress``.
@@ -279,13 +279,13 @@ class _Estimate:
         self._set_policy(values)
 
     def exploring(self, execution: Execution) -> ExploringPolicy:
-        """Return the policy to sample by, without a margin where options are interrupted."""
+        """Return the policy for sampling, without an interruption margin."""
         policy = as_executed(self.policy, self.continuation_values, execution, 0.0)
         arbitrated = policy if isinstance(policy, ArbitratedPolicy) else None
         return ExploringPolicy(self.policy, self._config.explore, arbitrated)
 
     def _shrunk(self, values: Floats) -> Floats:
-        """Return the values of the options that can be chosen, shrunk if that is asked for."""
+        """Return the values of the options that can be chosen, shrunk if ``shrinkage`` is set."""
         option_values = values[:, : self._actions.first_fallback]
         if not self._shrinks:
             return option_values

@@ -14,29 +14,29 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Choice:
-    """What to run next in N games."""
+    """The next options in N games."""
 
     option: Ints  # (N,) indices
-    unknown: Flags  # (N,) an option can start, but none of them was sampled enough
+    unknown: Flags  # (N,) whether options can start, but none was sampled enough
 
 
 class Policy(Protocol):
-    """Chooses what to run."""
+    """Chooses the options to run."""
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        """Return what to run next in each game."""
+        """Return the next option in each game."""
         ...
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
-        """Return (N,): whether the running option is stopped; not asked before its first step."""
+        """Return (N,): whether the running option is stopped; called only after its first step."""
         ...
 
 
 class RunningToEnd:
-    """A policy that stops nothing."""
+    """A policy that never stops a running option."""
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
-        """Stop nothing."""
+        """Return False for every game."""
         return np.zeros(len(option), dtype=np.bool_)
 
 
@@ -47,7 +47,7 @@ class UniformPolicy(RunningToEnd):
     actions: ActionSet
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        """Return what to run next in each game."""
+        """Return the next option in each game."""
         can = self.actions.startable(seen.rows)
         option = np.where(can, rng.random(can.shape), -1.0).argmax(axis=1)
         none = ~can.any(axis=1)
@@ -60,7 +60,7 @@ class GreedyPolicy(RunningToEnd):
     """
     The option of the greatest value among those that can start and were sampled enough.
 
-    Where none of those that can start was, it is the one that is best in most states.
+    Where none of those that can start was, it is the option that is the best in most states.
     """
 
     actions: ActionSet
@@ -75,15 +75,15 @@ class GreedyPolicy(RunningToEnd):
         return np.bincount(best, minlength=self.actions.first_fallback)
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        """Return what to run next in each game."""
+        """Return the next option in each game."""
         return self.choose(seen)
 
     def choose(self, seen: Observation) -> Choice:
-        """Return what to run next in each game; nothing is drawn."""
+        """Return the next option in each game, without random draws."""
         return self.choose_among(seen, self.actions.startable(seen.rows))
 
     def choose_among(self, seen: Observation, can: Flags) -> Choice:
-        """Return what to run next in each game, of the options that can start there (N, O)."""
+        """Return the next option in each game, among those that can start there (N, O)."""
         number, visited = self.index.find(seen.states)
         values = np.where(can & visited[:, None], self.values[number], -np.inf)
         known = np.isfinite(values).any(axis=1)
@@ -100,10 +100,10 @@ class ArbitratedPolicy:
     """
     A greedy policy whose options are interrupted, or run as modules.
 
-    :ivar continuation_values: (S, O) value of going on with each option where it cannot start;
-        where it can, that is the value of choosing it. -inf where not available.
+    :ivar continuation_values: (S, O) value of continuing each option where it cannot start; where
+        it can start, the value of choosing it. -inf where not available.
     :ivar execution: not RUN_TO_END.
-    :ivar interruption_margin: nothing is stopped for a gain up to this, reward units.
+    :ivar interruption_margin: options are stopped only for a larger gain, reward units.
     """
 
     greedy: GreedyPolicy
@@ -112,7 +112,7 @@ class ArbitratedPolicy:
     interruption_margin: float
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        """Return what to run next in each game."""
+        """Return the next option in each game."""
         choice = self.greedy.choose(seen)
         if self.execution is Execution.INTERRUPTED:
             return choice
@@ -139,7 +139,7 @@ class ArbitratedPolicy:
         return stops(values, np.where(modelled, best, -np.inf), option, self.interruption_margin)
 
     def _values(self, seen: Observation, can: Flags) -> NDArray[np.float64]:
-        """Return (N, O): the values by which options compete; -inf: not at all, or unknown."""
+        """Return (N, O): the values that options compete with; -inf: unavailable or unknown."""
         number, visited = self.greedy.index.find(seen.states)
         found = np.where(can, self.greedy.values[number], -np.inf)
         if self.execution is not Execution.MODULAR_MASS:
@@ -159,7 +159,7 @@ def as_executed(
     execution: Execution,
     interruption_margin: float,
 ) -> GreedyPolicy | ArbitratedPolicy:
-    """Return a policy as executed in some way; parameters as in ``ArbitratedPolicy``."""
+    """Return a policy with a way of execution; parameters as in ``ArbitratedPolicy``."""
     if execution is Execution.RUN_TO_END:
         return greedy
     return ArbitratedPolicy(greedy, continuation_values, execution, interruption_margin)
@@ -167,14 +167,14 @@ def as_executed(
 
 @dataclass(frozen=True)
 class ExploringPolicy:
-    """A greedy policy that now and then runs anything that can start, and does not stop it."""
+    """A greedy policy that sometimes runs a random option that can start, and does not stop it."""
 
     greedy: GreedyPolicy
     share: float  # of decisions that explore
     arbitrated: ArbitratedPolicy | None = None  # how it is executed; None: run to the end
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        """Return what to run next in each game."""
+        """Return the next option in each game."""
         best = (self.arbitrated or self.greedy)(seen, rng)
         free = UniformPolicy(self.greedy.actions)(seen, rng)
         explore = rng.random(len(best.option)) < self.share

@@ -1,11 +1,10 @@
 """
 Sampled option models: runs counted into a multi-time model of the abstract states visited.
 
-Most abstract states are visited too seldom to tell apart options of nearly the same value. How
-much there is still to gain decides what a state is worth, but hardly which option is the better
-one. So ``shrunk`` moves the *advantage* of an option (its value less that of the best one)
-towards its mean over the states that differ in such context only, as an empirical Bayes estimate
-would be (Efron and Morris 1973).
+Most abstract states are visited too seldom to rank options of nearly the same value. The remaining
+points decide the value of a state, but hardly which option is the best there. So ``shrunk`` moves
+the *advantage* of an option (its value less that of the best one) towards its mean over the states
+that differ in such context only, as an empirical Bayes estimate would be (Efron and Morris 1973).
 """
 
 from copy import copy
@@ -34,7 +33,7 @@ class Samples:
 
 
 class StateIndex:
-    """Numbers the abstract states that were visited, in order of their first visit."""
+    """Numbers abstract states in the order of their first visit."""
 
     def __init__(self, codes: Codes | None = None) -> None:
         """
@@ -54,7 +53,7 @@ class StateIndex:
         return copy(self)  # the arrays are never changed in place
 
     def find(self, codes: Codes) -> tuple[Ints, Flags]:
-        """Return the number of each (N,), 0 where it has none, and whether it has one (N,)."""
+        """Return each code's state number (N,), 0 where it has none, and (N,) whether it has."""
         if not len(self._sorted):
             return np.zeros(len(codes), dtype=np.intp), np.zeros(len(codes), dtype=np.bool_)
         at = np.minimum(np.searchsorted(self._sorted, codes), len(self._sorted) - 1)
@@ -67,7 +66,7 @@ class StateIndex:
         return self._sorted[np.argsort(self._number)]
 
     def add(self, codes: Codes) -> Ints:
-        """Return the number of each (N,), numbering those that are new."""
+        """Return each code's state number (N,), and number the new ones."""
         unique, inverse = np.unique(codes, return_inverse=True)
         new = unique[~self.find(unique)[1]]
         numbers = np.concatenate([self._number, len(self) + np.arange(len(new))])
@@ -85,7 +84,7 @@ class SampleCounts:
         Begin without samples.
 
         :param names: of the models, (O,).
-        :param choosable: how many of them, from the first on, can be chosen; 0: all.
+        :param choosable: the number of them, from the first, that can be chosen; 0: all.
         """
         self.names, self.index = names, StateIndex()
         self._choosable = choosable or len(names)
@@ -129,13 +128,13 @@ class SampleCounts:
         """
         Return the mean of the samples.
 
-        Pairs of state and option with fewer than ``min_samples`` are not available. Nothing is
-        known of states without an available pair that can be chosen: samples that end there count
-        as if they had ended as the other samples of their pair did, and pairs with no others are
-        not available.
+        Pairs of state and option with fewer than ``min_samples`` are not available. States without
+        an available pair that can be chosen have no value: samples that end there count as if they
+        had ended like the other samples of their pair, and pairs with no other samples are not
+        available.
 
-        :param penalty: reward units, divided by the square root of the number of samples of a
-            pair, that the pair is valued less.
+        :param penalty: reward units that are subtracted from the value of a pair, divided by the
+            square root of its number of samples.
         """
         enough, rows = self._known(self._count >= max(min_samples, 1))
         count = np.where(enough, self._count, 1.0)
@@ -143,7 +142,7 @@ class SampleCounts:
         return SparseMultiTimeModel(self.names, reward.T, enough.T, rows)
 
     def _known(self, enough: Flags) -> tuple[Flags, Rows]:
-        """Return the pairs (O, S) that lead to states with such pairs, and where they lead."""
+        """Return the pairs (O, S) that lead to states with such pairs, and their successors."""
         total = self._rows.sum(axis=1)
         while True:
             known = np.asarray(enough[: self._choosable].any(axis=0))
@@ -164,12 +163,12 @@ def shrunk(values: Floats, count: Floats, group: NDArray[np.integer], shrinkage:
     """
     Return the values (S, O) with advantages shrunk towards those of each state's group.
 
-    A pair that was not sampled in a state, but in others of its group, gets their mean.
+    A pair that was not sampled in a state, but was in others of its group, gets their mean.
 
     :param values: (S, O), -inf where not available.
     :param count: (S, O) samples of each pair.
     :param group: (S,) number of each state's group, from 0.
-    :param shrinkage: number of samples that the mean of the group counts as.
+    :param shrinkage: weight of the mean of the group, in samples.
     """
     available = np.isfinite(values)
     known = np.asarray(available.any(axis=1))

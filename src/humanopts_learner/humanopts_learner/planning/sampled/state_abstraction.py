@@ -1,8 +1,8 @@
 """
-State abstraction: how sampled planning tells the states of many games apart.
+The state abstraction of sampled planning.
 
-Games with equal abstract features are in one abstract state. These are few enough that each is
-visited often.
+Games with equal abstract features are in one abstract state. Abstract states are few enough that
+each is visited often.
 """
 
 from dataclasses import dataclass
@@ -22,9 +22,9 @@ LARGEST_CODE = 2**53  # abstract states are numbered below this
 
 def batch_games(domain: Domain[Any]) -> BatchGames:
     """
-    Return the capability of a domain to play many games at once.
+    Return the object that plays many games of a domain at once.
 
-    :raises NotEnumerableError: it has none, so it can be planned in neither way.
+    :raises NotEnumerableError: the domain cannot do that, so neither kind of planning is possible.
     """
     if isinstance(domain, HasBatchGames):
         return domain.batch_games()
@@ -36,7 +36,7 @@ def batch_games(domain: Domain[Any]) -> BatchGames:
 
 @dataclass(frozen=True)
 class Observation:
-    """What options and policies see of N games before they step again."""
+    """The features and abstract states of N games, for options and policies."""
 
     rows: NDArray[np.int32]  # (N, F) all features
     states: Codes  # (N,) codes of the abstract states
@@ -53,9 +53,9 @@ class StateAbstraction:
         """
         Choose the abstract features that an action set needs.
 
-        Plans with options and primitive actions get those of both. Without the features of the
-        options, states that look alike would hide where progress is made, and primitive actions,
-        valued step by step, would wander among them.
+        Plans with options and primitive actions use the features of both. With the fine features
+        alone, states that differ in the progress of the game would be one abstract state, and
+        primitive actions, which are valued step by step, would wander among them.
 
         :raises PlanError: the abstract features have too many values.
         """
@@ -68,7 +68,7 @@ class StateAbstraction:
             raise PlanError(f'abstract features of {sizes} values are too fine')
         self._sizes, self._radix = sizes, np.cumprod([1, *sizes[:-1]], dtype=np.int64)
         self.context = tuple(range(len(self._mixture))) if self._mixture else own.context
-        """Indices of the abstract features that hardly decide which option is better."""
+        """Indices of the abstract features that hardly decide which option is the best."""
 
     def observe(self, batch: Any) -> Observation:
         """Return the observation of a batch."""
@@ -80,7 +80,7 @@ class StateAbstraction:
         return Observation(rows, features @ self._radix)
 
     def without_context(self, states: Codes) -> Codes:
-        """Return the codes (N,) of abstract states as if features of context were all 0."""
+        """Return the codes (N,) of abstract states with all context features set to 0."""
         for feature in self.context:
             radix = self._radix[feature]
             states = states - states // radix % self._sizes[feature] * radix
