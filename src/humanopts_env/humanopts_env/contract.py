@@ -321,6 +321,25 @@ class DomainContract:
             assert came in possible, domain.encode(states[number])
         assert all(len(values) == len(states) for values in games.batch_outcome(batch).values())
 
+    def test_many_games_with_chance_of_their_own_are_single_games(self) -> None:
+        """Each comes to what a step of the rules comes to, and draws the same from its chance."""
+        domain = self.make()
+        if not isinstance(domain, HasBatchGames):
+            return
+        games, rng = domain.batch_games(), _rng('batch', 'each')
+        states = [s for s in _states(domain) if not domain.is_over(s)][:MANY]
+        actions = rng.integers(len(domain.actions), size=len(states))
+        ours, theirs = ([_rng('each', n) for n in range(len(states))] for _ in range(2))
+        batch = games.batch_of(states)
+        rewards = games.batch_step_each(batch, actions, ours)
+        outcomes = [domain.step(*each) for each in zip(states, actions.tolist(), theirs)]
+        assert list(rewards) == [outcome.reward for outcome in outcomes]
+        assert list(games.batch_over(batch)) == [outcome.terminated for outcome in outcomes]
+        assert np.array_equal(
+            games.batch_features(batch), _rows(domain, [outcome.state for outcome in outcomes])
+        )
+        assert [own.random() for own in ours] == [own.random() for own in theirs]
+
     def test_games_are_copied_set_and_over_by_themselves(self) -> None:
         """Copies are independent; games that are over do not change and earn nothing."""
         domain = self.make()

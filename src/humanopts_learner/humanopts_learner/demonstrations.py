@@ -16,6 +16,7 @@ from humanopts_env.domains.base import (
     feature_columns,
     is_enumerable,
 )
+from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.registry import parameters_json
 import numpy as np
 from numpy.typing import NDArray
@@ -168,7 +169,7 @@ def make_demonstration(
         number=number,
         chosen_features=names if features is None else tuple(features),
         feature_names=names,
-        features=tuple(tuple(domain.feature_values(state).tolist()) for state in states),
+        features=tuple(map(tuple, feature_rows(domain, states).tolist())),
         states=tuple(map(domain.encode, states)),
         actions=tuple(actions),
         rewards=tuple(_rewards(domain, states, actions) if rewards is None else rewards),
@@ -314,8 +315,8 @@ def _check_steps(demo: Demonstration, domain: Domain[Any]) -> None:
         actions = [action_index(domain, name) for name in demo.actions]
     except DomainError as error:
         raise DemonstrationError(str(error)) from None
-    for row, state in enumerate(states):
-        if tuple(domain.feature_values(state).tolist()) != demo.features[row]:
+    for row, values in enumerate(feature_rows(domain, states).tolist()):
+        if tuple(values) != demo.features[row]:
             raise DemonstrationError(f'the features of state {row} are not those of its state')
     for t, action in enumerate(actions):
         if domain.is_over(states[t]):

@@ -5,15 +5,24 @@ from dataclasses import replace
 from typing import Any
 import uuid
 
+from humanopts_env.domains.base import DomainError
+from humanopts_env.domains.capabilities import feature_rows, HasBatchGames
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.pacman.reference import CLOSEST_FOOD
+from humanopts_env.domains.pacman.reference import reference_options as pacman_options
+from humanopts_env.domains.reference import judge_states
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
 from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
 from humanopts_learner.options.option import (
     Mode,
+    option_from_tables,
     option_tables,
     OptionError,
+    OptionTables,
 )
 from humanopts_learner.options.rollout import rollouts
 import numpy as np
@@ -244,3 +253,44 @@ def test_classification_accuracy_of_a_perfect_and_of_a_careless_option(fetching:
     judged = reference.judged & ~TAXI.over()
     share = reference.initiation[judged].mean()
     assert classification_accuracy(careless, TAXI, reference)[0] == pytest.approx(share)
+
+
+class OneByOne(PacMan):
+    """Pac-Man without what plays many games at once."""
+
+    batch_games = None  # type: ignore[assignment]
+
+
+@pytest.mark.parametrize('mode', Mode)
+def test_runs_in_one_batch_are_those_of_single_steps(mode: Mode) -> None:
+    """Where a domain plays many games at once, every run keeps chance of its own."""
+    domain, single = PacMan('yard', 'chase'), OneByOne('yard', 'chase')
+    assert not isinstance(single, HasBatchGames)
+    reference = pacman_options(domain)[CLOSEST_FOOD]
+    states = domain.sample_states(generator(1, 'runs'), 80)
+    rows = feature_rows(domain, states)
+    said = judge_states(reference, states, len(domain.actions))
+    tables = OptionTables(said.optimal.argmax(axis=1), said.initiation, said.termination)
+    option = option_from_tables(domain, CLOSEST_FOOD, reference.features, rows, tables)
+    ours, theirs = (
+        rollouts(option, game, states, 5, mode=mode, max_steps=25) for game in (domain, single)
+    )
+    for part in ('total_reward', 'steps', 'reached', 'over'):
+        assert np.array_equal(getattr(ours, part), getattr(theirs, part))
+    assert ours.steps.max() > 2
+    assert len(set(ours.total_reward.tolist())) > 2
+
+
+def test_no_run_starts_where_the_task_is_over() -> None:
+    """One game in a batch that is over is refused, as a step from it is."""
+    domain = PacMan('yard')
+    states = domain.sample_states(generator(1, 'runs'), 2)
+    option = option_from_tables(
+        domain,
+        'stays',
+        ['pacman_row'],
+        feature_rows(domain, states),
+        OptionTables(np.zeros(2, np.intp), np.ones(2, np.bool_), np.zeros(2, np.bool_)),
+    )
+    with pytest.raises(DomainError, match='over'):
+        rollouts(option, domain, [states[0], replace(states[1], lives=0)])

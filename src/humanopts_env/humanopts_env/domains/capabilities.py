@@ -68,6 +68,17 @@ class BatchGames(Protocol):
         """Take one step in every game that is not over, in place; return the rewards (N,)."""
         ...
 
+    def batch_step_each(
+        self, batch: Any, actions: Ints, rngs: Sequence[np.random.Generator]
+    ) -> NDArray[Any]:
+        """
+        Take the step of ``Domain.step`` in every game, in place; return the rewards (N,).
+
+        :param batch: games that are not over.
+        :param rngs: (N,) the chance of each game, drawn from as ``Domain.step`` does.
+        """
+        ...
+
     def batch_over(self, batch: Any) -> Flags:
         """Return (N,): whether each game is over."""
         ...
@@ -107,6 +118,15 @@ class HasBatchGames(Protocol):
     def batch_games(self) -> BatchGames:
         """Return the object that plays them."""
         ...
+
+
+def feature_rows(domain: Domain[Any], states: Sequence[Any]) -> NDArray[np.int32]:
+    """Return the features of N states, (N, F), all at once where the domain can."""
+    if isinstance(domain, HasBatchGames):
+        games = domain.batch_games()
+        return games.batch_features(games.batch_of(states))
+    values = [domain.feature_values(state) for state in states]
+    return np.array(values, dtype=np.int32).reshape(len(states), len(domain.features))
 
 
 @runtime_checkable

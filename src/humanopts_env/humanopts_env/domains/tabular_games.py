@@ -1,6 +1,7 @@
 """Many games at once of an enumerable domain."""
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain
@@ -18,9 +19,13 @@ class TabularGames:
     """
 
     def __init__(self, domain: EnumerableDomain[Any]) -> None:
-        """Lay out the tables."""
+        """Take the tables of a domain."""
         self.domain: Domain[Any] = domain
-        self._listed, self._limits = domain, outcome_limits(domain.transitions())
+        self._listed = domain
+
+    @cached_property
+    def _limits(self) -> NDArray[np.float64]:
+        return outcome_limits(self._listed.transitions())
 
     def batch_reset(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
         """Begin games."""
@@ -44,8 +49,25 @@ class TabularGames:
         self, batch: NDArray[np.int64], actions: NDArray[np.intp], rng: np.random.Generator
     ) -> NDArray[np.float64]:
         """Take one step in every game that is not over, in place; return the rewards (N,)."""
+        return self._step(batch, actions, rng.random(len(actions)))
+
+    def batch_step_each(
+        self,
+        batch: NDArray[np.int64],
+        actions: NDArray[np.intp],
+        rngs: Sequence[np.random.Generator],
+    ) -> NDArray[np.float64]:
+        """Take one step in every game, each with chance of its own; return the rewards (N,)."""
+        numbers = np.zeros(len(rngs))
+        if not self._listed.transitions().deterministic:
+            numbers[:] = [rng.random() for rng in rngs]
+        return self._step(batch, actions, numbers)
+
+    def _step(
+        self, batch: NDArray[np.int64], actions: NDArray[np.intp], numbers: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         live = ~self.batch_over(batch)
-        outcome = draw_outcomes(self._limits, batch[0], actions, rng.random(len(actions)))
+        outcome = draw_outcomes(self._limits, batch[0], actions, numbers)
         at = batch[0], actions, outcome
         rules = self._listed.transitions()
         reward: NDArray[np.float64] = np.where(live, rules.reward[at], 0.0)

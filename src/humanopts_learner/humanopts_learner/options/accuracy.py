@@ -11,12 +11,12 @@ where it is asked:
   enters is no error.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
+from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.reference import (
     judge_states,
     ReferenceOption,
@@ -123,7 +123,7 @@ def _sample(game: _DomainKey, count: int) -> tuple[list[Any], NDArray[np.int32]]
     """Return states from all parts of the game, never over, and their features (count, F)."""
     domain = game.domain
     states = domain.sample_states(generator(0, 'accuracy', 'states', game.name), count)
-    return states, _features(domain, states)
+    return states, feature_rows(domain, states)
 
 
 @lru_cache(maxsize=32)
@@ -146,12 +146,6 @@ def _of_a_sample(game: _DomainKey, meaning: _ReferenceKey) -> Yardstick:
         said.optimal[acts],
         rows,
         said.initiation,
-        np.concatenate((rows[acts], _features(domain, ends))),
+        np.concatenate((rows[acts], feature_rows(domain, ends))),
         np.concatenate((said.termination[acts], then.termination[left])),
     )
-
-
-def _features(domain: Domain[Any], states: Sequence[Any]) -> NDArray[np.int32]:
-    """Return the features of N states (N, F)."""
-    values = [domain.feature_values(state) for state in states]
-    return np.array(values, dtype=np.int32).reshape(len(states), len(domain.features))

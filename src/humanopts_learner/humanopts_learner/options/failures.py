@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain
+from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.tabular import distance_to, reachable
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.cross_validation import fit_leave_fold_out, fold_of
@@ -139,7 +140,7 @@ def sample_failures(
     :param demonstrations: those that the option was learned from.
     """
     states = domain.sample_states(rng, SAMPLE)
-    rows = np.array([domain.feature_values(state) for state in states])
+    rows = feature_rows(domain, states)
     member = option.can_start(rows)
     failing = in_doubt(option, rows, demonstrations)
     failing |= committee_disagrees(option, domain, demonstrations, rows, int(rng.integers(2**31)))

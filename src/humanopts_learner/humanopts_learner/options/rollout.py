@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
-from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
+from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain, is_enumerable
+from humanopts_env.domains.capabilities import feature_rows, HasBatchGames
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, Mode, option_tables
 import numpy as np
@@ -79,9 +80,12 @@ def rollouts_of(
     """
     Run an option of its own from every start state, all in step, by the rules of any domain.
 
+    Each run has chance of its own, so what it comes to does not depend on the others.
+
     :param options: (N,), the same one as often as it runs.
     :param keys: (N,) names of the runs.
     :param limits: (N,) where they are cut off, 1 or more.
+    :raises DomainError: the task is over in a start state.
     """
     count, total = len(starts), np.zeros(len(starts))
     several = {id(option): option for option in options}
@@ -91,23 +95,63 @@ def rollouts_of(
     rngs = [generator(seed, 'rollout', o.name, key) for o, key in zip(options, keys, strict=True)]
     steps = np.zeros(count, dtype=np.int64)
     reached, over = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
-    at, going = list(starts), np.arange(count)
-    rows = np.array([domain.feature_values(state) for state in at])
+    games = domain.batch_games() if isinstance(domain, HasBatchGames) else _StateGames(domain)
+    going, batch = np.arange(count), games.batch_of(starts)
+    if games.batch_over(batch).any():
+        raise DomainError('the task is over in a start state, so no step can be taken')
+    rows = games.batch_features(batch)
     while going.size:
+        own, running = [rngs[run] for run in going], which[going]
+        actions = np.empty(len(going), dtype=np.intp)
         for key, option in several.items():
-            runs = going[which[going] == key]
-            actions = option.choose_actions(rows[runs], mode, [rngs[run] for run in runs])
-            for run, action in zip(runs.tolist(), actions):
-                outcome = domain.step(at[run], action, rngs[run])
-                at[run], rows[run] = outcome.state, domain.feature_values(outcome.state)
-                total[run] += outcome.reward
-                over[run] = outcome.terminated or domain.is_over(outcome.state)
-            on = runs[~over[runs]]
-            reached[on] = option.choose_ends(rows[on], mode, [rngs[run] for run in on])
+            at = np.flatnonzero(running == key)
+            if at.size:
+                actions[at] = option.choose_actions(rows[at], mode, [own[k] for k in at])
+        total[going] += games.batch_step_each(batch, actions, own)
         steps[going] += 1
-        reached |= over
-        going = going[~reached[going] & (steps[going] < limits[going])]
+        rows, ended = games.batch_features(batch), games.batch_over(batch)
+        over[going] = ended
+        for key, option in several.items():
+            at = np.flatnonzero((running == key) & ~over[going])
+            if at.size:
+                ended[at] = option.choose_ends(rows[at], mode, [own[k] for k in at])
+        reached[going] = ended
+        on = np.flatnonzero(~ended & (steps[going] < limits[going]))
+        if len(on) < len(going):
+            going, rows, batch = going[on], rows[on], games.batch_take(batch, on)
     return Rollouts(total, steps, reached, over)
+
+
+class _StateGames:
+    """What rollouts need of ``BatchGames``, in any domain; a batch is a list of states."""
+
+    def __init__(self, domain: Domain[Any]) -> None:
+        self._domain = domain
+
+    def batch_of(self, states: Sequence[Any]) -> list[Any]:
+        return list(states)
+
+    def batch_take(self, batch: list[Any], games: NDArray[np.intp]) -> list[Any]:
+        return [batch[game] for game in games]
+
+    def batch_step_each(
+        self,
+        batch: list[Any],
+        actions: NDArray[np.intp],
+        rngs: Sequence[np.random.Generator],
+    ) -> NDArray[np.float64]:
+        outcomes = [
+            self._domain.step(state, action, rng)
+            for state, action, rng in zip(batch, actions.tolist(), rngs, strict=True)
+        ]
+        batch[:] = [outcome.state for outcome in outcomes]
+        return np.array([outcome.reward for outcome in outcomes], dtype=np.float64)
+
+    def batch_over(self, batch: list[Any]) -> NDArray[np.bool_]:
+        return np.array([self._domain.is_over(state) for state in batch], dtype=np.bool_)
+
+    def batch_features(self, batch: list[Any]) -> NDArray[np.int32]:
+        return feature_rows(self._domain, batch)
 
 
 def deterministic_rollouts(

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is_enumerable
+from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.tabular import reachable
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding
@@ -83,7 +84,7 @@ def _coverage(
         return _random(domain, option, demonstrations, rng)
     states = _candidates(domain, rng)
     if option is not None:
-        rows = _rows(domain, states)
+        rows = feature_rows(domain, states)
         kept = option.can_start(rows) | in_doubt(option, rows, demonstrations)
         states = [state for state, keep in zip(states, kept) if keep] or states
     return _farthest(domain, states, demonstrations, rng)
@@ -171,7 +172,7 @@ def _farthest(
     ]
     shown = np.unique(np.concatenate([demo.feature_rows for demo in demonstrations]), axis=0)
     here, there = (
-        encode_rows(encoding, r) * np.array(scale) for r in (_rows(domain, states), shown)
+        encode_rows(encoding, r) * np.array(scale) for r in (feature_rows(domain, states), shown)
     )
     distance = np.zeros((len(here), len(there)))
     for ours, theirs in zip(here.T, there.T):
@@ -191,10 +192,6 @@ def _states(
     """Return at most ``SAMPLE`` of the chosen states (S,)."""
     some = rng.permutation(np.flatnonzero(chosen))[:SAMPLE]
     return [domain.state_at(int(index)) for index in some]
-
-
-def _rows(domain: Domain[Any], states: Sequence[Any]) -> NDArray[np.int32]:
-    return np.array([domain.feature_values(state) for state in states])
 
 
 def _best(score: Floats, rng: np.random.Generator) -> int:

@@ -31,7 +31,7 @@ from humanopts_env.domains.pacman.reference import (
     EAT_GHOST,
     NEAREST_PILL,
 )
-from humanopts_env.domains.pacman.rules import DRAWS, GHOST_RULES, PacManBatch, Rules
+from humanopts_env.domains.pacman.rules import GHOST_RULES, PacManBatch, Rules
 from humanopts_env.domains.pacman.state import PacManState
 from humanopts_env.domains.search_space import plain_cell_name, plain_space, SearchSpace
 import numpy as np
@@ -82,7 +82,7 @@ class PacMan:
                     f'{name} is {value!r}, and must be a whole number from 1 to {most}'
                 )
         self.rules = Rules(load_maze(maze), ghosts, lives)
-        self._read = FeatureReader(self.rules)
+        self.read_features = FeatureReader(self.rules)
         self.name = 'pacman'
         self.parameters: Mapping[str, Parameter] = {
             'maze': maze if maze in maze_names() else self.rules.maze.text,
@@ -116,8 +116,7 @@ class PacMan:
         if self.is_over(state):
             why = 'the maze is cleared' if state.lives else 'the last life is lost'
             raise DomainError(f'{why}, so no step can be taken')
-        draws = rng.integers(DRAWS, size=len(state.ghosts)).tolist()
-        after = self.rules.advance(state, action, draws)
+        after = self.rules.advance(state, action, self.rules.draws(rng))
         return Outcome(after, float(after.score - state.score), self.is_over(after))
 
     def is_over(self, state: PacManState) -> bool:
@@ -132,8 +131,9 @@ class PacMan:
 
     def feature_values(self, state: PacManState) -> NDArray[np.int32]:
         """Return the value of every feature, (F,), indices into ``Feature.values``."""
-        found: NDArray[np.int32] = self._read(PacManBatch.from_states(self.rules, [state]))[0]
-        return found
+        batch = PacManBatch.from_states(self.rules, [state])
+        values: NDArray[np.int32] = self.read_features(batch)[0]
+        return values
 
     def encode(self, state: PacManState) -> str:
         """Return the state as one line."""

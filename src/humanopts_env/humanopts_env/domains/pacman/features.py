@@ -166,6 +166,16 @@ class FeatureReader:
         out[:, column + 1] = self._legal[here]
         return out
 
+    def directions(self, batch: PacManBatch) -> dict[str, NDArray[np.int32]]:
+        """Return the directions of the nearest food, pill and prey alone, (N,) by name."""
+        here, (food, pills) = batch.pacman, self._items
+        cells = {
+            'food': self._find(food, here, batch.food_taken),
+            'pill': self._find(pills, here, batch.pills_taken),
+            'prey': self._ghost(batch, scared=True),
+        }
+        return {name: self._way_to(here, at)[:, 0] for name, at in cells.items()}
+
     def _write(
         self, out: NDArray[np.int32], here: NDArray[np.intp], cells: NDArray[np.intp]
     ) -> None:

@@ -38,6 +38,7 @@ N_DIRECTIONS = len(DIRECTIONS)
 NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL = (2, 3, 4, 5, 7), (3, 5), (3, 6, 13), (3, 9)
 NEAR_FOOD = (2, 3, 5, 9)
 LONGEST = 300  # steps that are played before a state is drawn
+DROPPED = 16  # a game that is drawn is played at most so many steps more
 CHANGES = 0.1  # probability of a new aim at a step
 WANTS = ('food', 'food', 'pill', 'prey', None)  # aims, each equally likely; None: random moves
 
@@ -80,7 +81,7 @@ class PacManGames:
         """Prepare the tables of a maze."""
         self.domain = domain
         self._rules = domain.rules
-        self._read = FeatureReader(domain.rules)
+        self._read = domain.read_features
         self._column = {name: column for column, name in enumerate(self._read.names)}
 
     def batch_reset(self, count: int, rng: np.random.Generator) -> PacManBatch:
@@ -102,6 +103,13 @@ class PacManGames:
     def batch_step(self, batch: PacManBatch, actions: Ints, rng: np.random.Generator) -> Ints:
         """Take one step in every game that is not over, in place; return the points (N,)."""
         return batch.step(actions, batch.draws(rng))
+
+    def batch_step_each(
+        self, batch: PacManBatch, actions: Ints, rngs: Sequence[np.random.Generator]
+    ) -> Ints:
+        """Take one step in every game, each with chance of its own; return the points (N,)."""
+        draws = [self._rules.draws(rng) for rng in rngs]
+        return batch.step(actions, np.array(draws, dtype=np.intp).reshape(len(draws), -1).T)
 
     def batch_over(self, batch: PacManBatch) -> NDArray[np.bool_]:
         """Return (N,): whether each game is over."""
@@ -287,16 +295,20 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
     :param count: number of states, N.
     """
     batch, drawn, read = PacManBatch(rules, count), PacManBatch(rules, count), FeatureReader(rules)
-    columns = np.array([read.names.index(f'{want}_direction') for want in WANTS if want])
+    playing = np.arange(count)  # those that ``batch`` holds
     length = rng.integers(LONGEST, size=count)
     want = rng.integers(len(WANTS), size=count)
     for step in range(int(length.max(initial=-1)) + 1):
-        ready = np.flatnonzero(length == step)
-        drawn.put(ready, batch.take(ready))
+        ready = np.flatnonzero(length[playing] == step)
+        drawn.put(playing[ready], batch.take(ready))
+        if step % DROPPED == 0:
+            on = np.flatnonzero(length[playing] > step)
+            playing, batch = playing[on], batch.take(on)
         want = np.where(rng.random(count) < CHANGES, rng.integers(len(WANTS), size=count), want)
-        wanted = np.append(read(batch)[:, columns], np.full((count, 1), len(MOVES)), axis=1)
-        move = wanted[np.arange(count), want]
-        move = np.where(move < len(MOVES), move, rng.integers(len(MOVES), size=count))
-        batch.step(move, batch.draws(rng))
+        at_random, draws = rng.integers(len(MOVES), size=count), drawn.draws(rng)
+        ways = {**read.directions(batch), None: np.full(len(batch), len(MOVES), dtype=np.int32)}
+        wanted = np.stack([ways[thing] for thing in WANTS])
+        move = wanted[want[playing], np.arange(len(batch))]
+        batch.step(np.where(move < len(MOVES), move, at_random[playing]), draws[:, playing])
         batch.restart(np.flatnonzero(batch.over))
     return drawn

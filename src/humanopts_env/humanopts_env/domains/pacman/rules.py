@@ -144,6 +144,11 @@ class Rules:
         """Return whether the food is all eaten, or the last life lost."""
         return state.food == 0 or state.lives == 0
 
+    def draws(self, rng: np.random.Generator) -> list[int]:
+        """Draw the chance of one step of one game, (G,)."""
+        numbers: list[int] = rng.integers(DRAWS, size=len(self.maze.homes)).tolist()
+        return numbers
+
     def advance(self, state: PacManState, move: int, draws: Sequence[int]) -> PacManState:
         """
         Take one step from a state that is not over; the points are the difference in score.
