@@ -306,8 +306,8 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
             playing, batch = playing[on], batch.take(on)
         want = np.where(rng.random(count) < CHANGES, rng.integers(len(WANTS), size=count), want)
         at_random, draws = rng.integers(len(MOVES), size=count), drawn.draws(rng)
-        ways = {**read.directions(batch), None: np.full(len(batch), len(MOVES), dtype=np.int32)}
-        wanted = np.stack([ways[thing] for thing in WANTS])
+        ways, nowhere = read.directions(batch), np.full(len(batch), len(MOVES), dtype=np.int32)
+        wanted = np.stack([ways[thing] if thing else nowhere for thing in WANTS])
         move = wanted[want[playing], np.arange(len(batch))]
         batch.step(np.where(move < len(MOVES), move, at_random[playing]), draws[:, playing])
         batch.restart(np.flatnonzero(batch.over))

@@ -36,6 +36,7 @@ from humanopts_env.domains.pacman.paths import HAS_MOVE, maze_paths, Paths, STAY
 from humanopts_env.domains.pacman.state import (
     FRUIT_STEPS,
     Ghost,
+    HEADINGS,
     NO_CELL,
     PacManState,
     SCARED_STEPS,
@@ -159,12 +160,12 @@ class Rules:
 
     def can_follow(self, state: PacManState, move: int, successor: PacManState) -> bool:
         """Return whether some draws lead from a state that is not over to another."""
-        probe = PacManBatch.from_states(self, [state] * DRAWS)
+        probe = PacManBatch.from_states(self, [state]).take(np.zeros(DRAWS, dtype=np.intp))
         every = np.broadcast_to(np.arange(DRAWS), probe.ghosts.shape)
         probe.move_ghosts(probe.pacman, np.ones(DRAWS, dtype=np.bool_), every)
         different = [
-            np.unique(np.stack(ghost), axis=1, return_index=True)[1]
-            for ghost in zip(probe.ghosts, probe.headings)
+            np.unique(place, return_index=True)[1]
+            for place in probe.ghosts * len(HEADINGS) + probe.headings
         ]
         draws = np.array(list(product(*different)), dtype=np.intp)
         return successor in self._advance(state, move, draws.T)
@@ -174,7 +175,9 @@ class Rules:
     ) -> list[PacManState]:
         """Return the state that each of N draws (G, N) leads to."""
         count = draws.shape[1]
-        batch = PacManBatch.from_states(self, [state] * count)
+        batch = PacManBatch.from_states(self, [state])
+        if count > 1:
+            batch = batch.take(np.zeros(count, dtype=np.intp))
         batch.step(np.full(count, move), draws)
         return batch.states()
 
