@@ -18,8 +18,8 @@ from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate,
     EvaluationError,
+    with_games,
 )
-from humanopts_teach.evaluation.bag_games import with_games
 from humanopts_teach.evaluation.comparison import Budgets, CurveRow, HEURISTIC, PLAN, RANDOM
 from humanopts_teach.evaluation.games import (
     Curve,

@@ -2,7 +2,7 @@
 Multi-time models of a semi-Markov decision process (SMDP), in two forms that plan alike.
 
 Axes: S states, O options; a primitive action is an option of one step. An option that takes k
-primitive steps counts its successor with gamma**k (Sutton, Precup and Singh 1999, section 4).
+primitive steps counts its successor with gamma**k (Sutton, Precup and Singh 1999, section 3.1).
 ``MultiTimeModel`` has one successor for each state and option, ``SparseMultiTimeModel`` a sparse
 row of them.
 """

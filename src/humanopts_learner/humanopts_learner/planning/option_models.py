@@ -1,8 +1,8 @@
 """
 Exact models of options: the expected reward, and the discounted distribution of the final state.
 
-Such a multi-time model (Precup 2000, chapter 3; Sutton, Precup and Singh 1999, section 4) follows
-from running the option. ``max_steps`` counts here as it does in execution.
+Such a multi-time model (Precup 2000, chapter 3; Sutton, Precup and Singh 1999, section 3.1)
+follows from running the option. ``max_steps`` counts here as it does in execution.
 
 Where every action has one outcome, running an option n steps from all states at once needs about
 log2(n) compositions of the successor table with itself.

@@ -1,4 +1,4 @@
-"""SMDP value iteration: synchronous, over options (Sutton, Precup and Singh 1999, section 4)."""
+"""SMDP value iteration: synchronous, over options (Sutton, Precup and Singh 1999, section 3.1)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -13,8 +13,12 @@ from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands.bag import progress_bar, ProgressCallback
 from humanopts_teach.commands.ending import CommandError
-from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag
-from humanopts_teach.evaluation.bag_games import check_games, with_games
+from humanopts_teach.evaluation.bag_evaluation import (
+    BagEvaluation,
+    check_games,
+    evaluate_bag,
+    with_games,
+)
 from humanopts_teach.evaluation.difference import compare, difference_text, read_lesson
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.evaluation.text import evaluation_text

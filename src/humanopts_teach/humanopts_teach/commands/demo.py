@@ -31,8 +31,8 @@ from humanopts_teach.evaluation.bag_evaluation import (
     evaluate_bag,
     EvaluationError,
     judged_by,
+    with_games,
 )
-from humanopts_teach.evaluation.bag_games import with_games
 from humanopts_teach.evaluation.summary import (
     BagFacts,
     differences,

@@ -23,11 +23,13 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.any_domain import AnyPlan, judge_plan, plan_in, PlanRequest
 from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.sampled.state_abstraction import batch_games
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, open_bag
-from humanopts_teach.evaluation.games import GAMES, GamesEvaluation
+from humanopts_teach.evaluation.comparison import Report
+from humanopts_teach.evaluation.games import evaluate_games, GAMES, GamesEvaluation
 from humanopts_teach.evaluation.summary import (
     accuracies,
     finite,
@@ -355,3 +357,47 @@ def software_notes(facts: Mapping[str, str]) -> list[str]:
 
 def _named(key: Key) -> str:
     return f'{key[1]!r} by {key[0]}'
+
+
+def check_games(domain: Domain[Any]) -> None:
+    """
+    Check that plans can be compared in many games.
+
+    :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
+    """
+    if is_enumerable(domain):
+        raise EvaluationError(f'plans in {domain.name} are exact: there is nothing to estimate')
+    try:
+        batch_games(domain)
+    except PlanError as error:
+        raise EvaluationError(f'the games cannot be played: {error}') from error
+
+
+def with_games(
+    evaluation: BagEvaluation, games: int = GAMES, progress: Report | None = None
+) -> BagEvaluation:
+    """
+    Have each participant's options play many games, beside what they are compared with.
+
+    :param games: that everything is judged by, two or more.
+    :param progress: told what is under way and the share that is done.
+    :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
+    """
+    domain = evaluation.domain
+    check_games(domain)
+    people = list(dict.fromkeys(option.participant for option in evaluation.options))
+    found = {}
+    for number, person in enumerate(people):
+        options = [o.option for o in evaluation.options if o.participant == person]
+
+        def tell(what: str, share: float, before: int = number) -> None:
+            if progress is not None:
+                progress(what, (before + share) / len(people))
+
+        try:
+            found[person] = evaluate_games(
+                domain, options, evaluation.settings.seed, games, progress=tell
+            )
+        except PlanError as error:
+            raise EvaluationError(f'the games cannot be played: {error}') from error
+    return replace(evaluation, games=found)

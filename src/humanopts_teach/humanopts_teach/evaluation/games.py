@@ -35,7 +35,6 @@ from humanopts_teach.evaluation.comparison import (
     Report,
     seconds_to_reach,
 )
-from humanopts_teach.evaluation.games_progress import CurveTeller, Parts
 
 GAMES = 1000  # that everything is judged by
 TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
@@ -137,7 +136,7 @@ def evaluate_games(
     :raises PlanError: the domain cannot play many games, or the options are of another one.
     """
     variants = _variants(domain)
-    parts = Parts(progress, len(variants) + 2)
+    parts = PartProgress(progress, len(variants) + 2)
     settings = []
     for name, variant in variants.items():
         contenders = _contenders(variant, options, game_steps)
@@ -223,7 +222,7 @@ def _curves(
     games: int,
     budgets: Budgets,
     targets: Sequence[float],
-    parts: Parts,
+    parts: 'PartProgress',
 ) -> tuple[Curve, ...]:
     """Measure the options, and then primitive actions until they took ten times as long."""
     moved = [carried_over(option, domain) for option in options]
@@ -234,7 +233,9 @@ def _curves(
     )
     for one in measured:
         enough = PATIENCE if not curves else TENFOLD * _needed(curves[0], targets)
-        teller = CurveTeller(parts.begin('score by planning time'), one.name, budgets, enough)
+        curve_progress = CurveProgress(
+            parts.begin('score by planning time'), one.name, budgets, enough
+        )
         rows = planning_curve(
             domain,
             one.action_set,
@@ -245,12 +246,12 @@ def _curves(
             games,
             one.sampling,
             one.gamma,
-            progress=teller.on_progress,
-            on_row=teller.on_row,
+            progress=curve_progress.on_progress,
+            on_row=curve_progress.on_row,
             enough_seconds=enough,
             clock=CLOCK,
         )
-        teller.end()
+        curve_progress.end()
         curves.append(Curve(one.name, tuple(rows)))
     return tuple(curves)
 
@@ -260,3 +261,48 @@ def _needed(curve: Curve, targets: Sequence[float]) -> float:
     reached = [curve.seconds_to_reach(target) for target in sorted(targets, reverse=True)]
     best = max(curve.rows, key=lambda row: row.score.mean).seconds
     return next((seconds for seconds in reached if seconds is not None), best)
+
+
+class CurveProgress:
+    """Reports the progress of a curve by seconds: each plan takes about twice as long as the last."""
+
+    def __init__(self, tell: Report, name: str, budgets: Budgets, enough: float) -> None:
+        self._tell, self._name, self._enough = tell, name, enough
+        self._left = iter(budgets)
+        self._budget, self._seconds, self._share = next(self._left), 0.0, 0.0
+
+    def on_progress(self, stage: str, fraction: float, sweeps: int, residual: float) -> None:
+        """Report how far a plan is."""
+        if stage == 'models':
+            self._say(f'{self._name}, {self._budget:,} game steps', (1 + fraction) * self._seconds)
+
+    def on_row(self, row: CurveRow) -> None:
+        """Report what a plan came to."""
+        mean, steps = row.score.mean, f'{row.budget_steps:,}'
+        self._seconds, self._budget = row.seconds, next(self._left, self._budget)
+        self._say(f'{self._name}, {steps} game steps: score {mean:,.0f}', row.seconds)
+
+    def end(self) -> None:
+        """Report that there is no more to come."""
+        self._say(f'{self._name}: done', math.inf)
+
+    def _say(self, what: str, seconds: float) -> None:
+        self._share = max(self._share, min(seconds / self._enough, 1.0))
+        self._tell(what, self._share)
+
+
+class PartProgress:
+    """The parts of the work, each taken to be as long as any other."""
+
+    def __init__(self, tell: Report | None, count: int) -> None:
+        self._tell, self._count, self._begun = tell, count, 0
+
+    def begin(self, name: str) -> Report:
+        """Begin the next part, and return its progress callback."""
+        before, self._begun = self._begun, self._begun + 1
+
+        def tell(what: str, share: float) -> None:
+            if self._tell is not None:
+                self._tell(f'{name}: {what}' if name else what, (before + share) / self._count)
+
+        return tell
