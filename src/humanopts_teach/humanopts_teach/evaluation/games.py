@@ -264,7 +264,7 @@ def _needed(curve: Curve, targets: Sequence[float]) -> float:
 
 
 class CurveProgress:
-    """Reports the progress of a curve by seconds: each plan takes about twice as long as the last."""
+    """Progress of a curve by seconds: each plan takes about twice as long as the last."""
 
     def __init__(self, tell: Report, name: str, budgets: Budgets, enough: float) -> None:
         self._tell, self._name, self._enough = tell, name, enough
