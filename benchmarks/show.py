@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from humanopts_teach.report.figures import file_settings
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
@@ -18,20 +19,6 @@ _LEAST = 14  # characters of a column of text
 _UNITS = ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs'), (1e-9, 'ns'))
 SUFFIXES = ('.svg', '.png')
 MARKERS = 'osD^vP'
-COLORS = ('#0072b2', '#56b4e9', '#009e73', '#d55e00', '#000000', '#cc79a7')  # Okabe and Ito
-_SETTINGS: dict[Any, Any] = {
-    'axes.spines.top': False,
-    'axes.spines.right': False,
-    'axes.axisbelow': True,
-    'axes.titlelocation': 'left',
-    'axes.titleweight': 'bold',
-    'axes.titlesize': 10.5,
-    'grid.color': '#dddddd',
-    'legend.frameon': False,
-    'legend.fontsize': 9,
-    'svg.fonttype': 'none',
-    'svg.hashsalt': 'bench',
-}
 
 
 def duration(seconds: float) -> str:
@@ -153,7 +140,7 @@ def write_figure(path: Path, rows: Sequence[Row]) -> None:
     :raises OSError: it cannot be written.
     """
     frame = pd.DataFrame(rows)
-    with matplotlib.rc_context(_SETTINGS):
+    with matplotlib.rc_context({**file_settings('bench'), 'svg.fonttype': 'none'}):
         figure = Figure(figsize=(6.5, 5.0), layout='constrained')
         axes = figure.add_subplot()
         for number, (solver, own) in enumerate(frame.groupby('solver', sort=False)):
@@ -161,7 +148,6 @@ def write_figure(path: Path, rows: Sequence[Row]) -> None:
                 own['n_states'],
                 own['seconds'],
                 marker=MARKERS[number],
-                color=COLORS[number],
                 label=solver,
             )
         axes.set(

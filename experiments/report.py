@@ -1,19 +1,15 @@
 """The report of a reproduction: the paper's claims beside what was found, tables, figures."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import cache
 import json
 from pathlib import Path
-import re
 from typing import Any
 
-from cycler import cycler
 from humanopts_teach.evaluation.summary import write_text
-from humanopts_teach.report.figures import Drawing, drawing, SERIES, SETTINGS, VARIABLES
-from humanopts_teach.report.pages import page_style, template
+from humanopts_teach.report.figures import Drawing, drawing, file_settings
+from humanopts_teach.report.pages import template
 from humanopts_teach.report.words import Finding, number, percent
 from markupsafe import Markup
 import matplotlib
@@ -256,41 +252,19 @@ def _written(value: Any) -> str:
 
 def _svg_for_page(picture: Picture) -> Markup:
     """Return an ``<svg>`` element that is coloured by the page."""
-    with (
-        _series_colours(SERIES),
-        drawing(picture.name, picture.label, *picture.size) as work,
-    ):
+    with drawing(picture.name, picture.label, *picture.size) as work:
         picture.draw(work)
     return Markup(work.svg)
 
 
 def _write_picture(folder: Path, picture: Picture) -> None:
     """
-    Write a figure as PNG and SVG, in the colours of a light page.
+    Write a figure as PNG and SVG.
 
     :raises OSError: they cannot be written.
     """
-    colours = light_colours()
-    settings: dict[Any, Any] = {
-        **{name: colours.get(str(value), value) for name, value in SETTINGS.items()},
-        'figure.facecolor': 'white',
-        'svg.fonttype': 'path',
-        'svg.hashsalt': picture.name,
-    }
-    with matplotlib.rc_context(settings), _series_colours([colours[name] for name in SERIES]):
+    with matplotlib.rc_context(file_settings(picture.name)):
         work = Drawing(*picture.size)
         picture.draw(work)
         work.figure.savefig(folder / f'{picture.name}.png', dpi=DPI)
         work.figure.savefig(folder / f'{picture.name}.svg', metadata={'Date': None})
-
-
-def _series_colours(colours: Sequence[str]) -> AbstractContextManager[None]:
-    return matplotlib.rc_context({'axes.prop_cycle': cycler(color=colours)})
-
-
-@cache
-def light_colours() -> dict[str, str]:
-    """Return what stands for each colour of ``report.figures`` on a light page."""
-    first = page_style().split('@media')[0]
-    values = dict(re.findall(r'(--[a-z0-9]+): (#[0-9a-f]{6})', first))
-    return {colour: values[variable] for colour, variable in VARIABLES.items()}

@@ -1,15 +1,18 @@
-"""Figures as SVG that takes its colours from the page, light or dark."""
+"""Figures: as SVG that takes its colours from the page, light or dark, and as files."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 import io
 import re
 from typing import Any
 
+from humanopts_teach.report.pages import page_style
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.rcsetup import cycler
 
 # Colours that stand for the page's own; the SVG refers to them by CSS variable.
 INK, MUTED, GRID, PAPER = '#010101', '#020202', '#030303', '#040404'
@@ -36,6 +39,7 @@ SETTINGS: dict[Any, Any] = {
     'axes.spines.top': False,
     'axes.spines.right': False,
     'axes.axisbelow': True,
+    'axes.prop_cycle': cycler(color=SERIES),
     'figure.facecolor': 'none',
     'grid.color': GRID,
     'grid.linewidth': 0.8,
@@ -47,6 +51,26 @@ SETTINGS: dict[Any, Any] = {
     'xtick.labelcolor': INK,
     'ytick.labelcolor': INK,
 }
+
+
+@cache
+def light_colours() -> dict[str, str]:
+    """Return what stands for each of ``VARIABLES`` on a light page."""
+    first = page_style().split('@media')[0]
+    values = dict(re.findall(r'(--[a-z0-9]+): (#[0-9a-f]{6})', first))
+    return {colour: values[variable] for colour, variable in VARIABLES.items()}
+
+
+def file_settings(name: str) -> dict[Any, Any]:
+    """Return the settings of a figure in a file of its own, in the colours of a light page."""
+    colours = light_colours()
+    return {
+        **{key: colours.get(str(value), value) for key, value in SETTINGS.items()},
+        'axes.prop_cycle': cycler(color=[colours[color] for color in SERIES]),
+        'figure.facecolor': 'white',
+        'svg.fonttype': 'path',
+        'svg.hashsalt': name,
+    }
 
 
 @dataclass(frozen=True)
