@@ -1,1 +1,1 @@
-"""What every humanopts node shares; it knows no game and no option."""
+"""The common parts of all humanopts nodes, independent of games and options."""

@@ -8,6 +8,6 @@ PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  
 
 
 def prepare_discovery() -> None:
-    """Have Fast DDS announce this process often, unless the user has chosen profiles."""
+    """Make Fast DDS announce this process often, unless the user has chosen profiles."""
     if not any(name in os.environ for name in PROFILES):
         os.environ[PROFILES[0]] = str(files('humanopts_ros') / 'quick_discovery.xml')

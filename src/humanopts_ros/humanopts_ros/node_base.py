@@ -1,4 +1,4 @@
-"""What every humanopts node shares: parameters, recorded endpoints, readiness, a clean end."""
+"""The base class of all nodes: parameters, recorded endpoints, readiness, a clean end."""
 
 from collections.abc import Callable
 import time
@@ -26,9 +26,9 @@ RECORDER = 'recorder'
 _RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
 _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
-_PRESENCE_PERIOD = 1.0  # s between looks whether a server that was asked is still there
-_PROVISION = 5.0  # s that a request waits for what its server still needs
-_CHECK_PERIOD = 0.02  # s between looks at what the start or the end of a node waits for
+_PRESENCE_PERIOD = 1.0  # s between checks that the server of a request still exists
+_PROVISION = 5.0  # s that a request waits until the node is ready for it
+_CHECK_PERIOD = 0.02  # s between checks while a node starts or ends
 
 
 class StartError(RuntimeError):
@@ -37,15 +37,15 @@ class StartError(RuntimeError):
 
 class NodeBase(Node):
     """
-    A node that says when it is ready.
+    A node that publishes when it is ready.
 
-    It is ready once nothing is left that it ``waits_for`` and, where a recorder is expected, the
+    The node is ready once ``waits_for`` returns None and, where a recorder is expected, the
     recorder has matched every publisher, so that the first message is in the bag.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
         """
-        Declare the parameters that all nodes have, and say that the node starts.
+        Declare the parameters that all nodes have, and publish that the node starts.
 
         :param options: as of rclpy's Node, such as context and namespace.
         :raises StartError: a parameter is wrong.
@@ -64,7 +64,7 @@ class NodeBase(Node):
         )
         self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
         self.ready = False
-        self.failed = False  # the process ends with status 1, though it came to its end
+        self.failed = False  # the process ends with status 1 although it was stopped normally
         self.set_status(NodeStatus.STATE_STARTING)
         self._deadline_group = ReentrantCallbackGroup()
         self.waiting = Waiting(self)  # of this node's coroutines
@@ -76,7 +76,7 @@ class NodeBase(Node):
         return logger
 
     def destroy_node(self) -> None:
-        """Give up everything that the node has on the graph."""
+        """Destroy all endpoints that the node has on the graph."""
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     def setting(self, name: str, default: Any, description: str, **limits: Any) -> Any:
@@ -135,7 +135,7 @@ class NodeBase(Node):
         """
         Create an action server that accepts every goal and every cancel.
 
-        :param on_cancel: told the handle of the goal, just before the handle says so itself.
+        :param on_cancel: called with the handle of the goal, just before the goal is canceling.
         """
         self._hidden += [f'{name}/_action/feedback', f'{name}/_action/status']
 
@@ -154,21 +154,21 @@ class NodeBase(Node):
         )
 
     def is_recorded(self, topic: str, recorders: int = 1) -> bool:
-        """Return whether so many recorders subscribe to a topic, or are told to leave it out."""
+        """Return whether that many recorders subscribe to a topic, or it is not to be recorded."""
         if not self.selection.wants(self.resolve_topic_name(topic)):
             return True
         readers = self.get_subscriptions_info_by_topic(topic)
         return len([1 for reader in readers if reader.node_name == RECORDER]) >= recorders
 
     def records(self, publisher: StampedPublisher[Any], recorders: int = 1) -> bool:
-        """Return whether the subscriptions of so many recorders are matched."""
+        """Return whether that many recorders subscribe, and their subscriptions are matched."""
         return publisher.is_matched() and self.is_recorded(publisher.topic, recorders)
 
     async def answer(self, client: Client, request: Any, seconds: float) -> Any:
         """
         Call a service from a coroutine.
 
-        A request that is sent before the server is found is lost, so that is waited for.
+        A request that is sent before the server is found is lost, so this waits for the server.
 
         :return: the response; None when there is none after ``seconds``, or the server is gone.
         """
@@ -191,7 +191,7 @@ class NodeBase(Node):
             client.remove_pending_request(future)
 
     async def provided(self) -> bool:
-        """Wait in a coroutine for what the node ``waits_for``; False: it did not come."""
+        """Wait in a coroutine until ``waits_for`` returns None; False: it did not in time."""
         return await self.waiting.until(lambda: self.waits_for() is None, _PROVISION)
 
     def set_status(self, state: int, text: str = '') -> None:
@@ -203,14 +203,14 @@ class NodeBase(Node):
             self.get_logger().error(str(error))
 
     def waits_for(self) -> str | None:
-        """Say what the node still needs before it is ready; None: nothing. To be overridden."""
+        """Return in words what the node still needs; None: it can be ready. To be overridden."""
         return None
 
     def on_ready(self) -> None:
-        """Do what comes first, such as publishing a first state. To be overridden."""
+        """Run once the node is ready, such as to publish a first state. To be overridden."""
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
-        """Carry out callbacks until ``stop``. To be overridden by a node that reads more."""
+        """Carry out callbacks until ``stop`` returns True. To be overridden to read input."""
         while not stop():
             executor.spin_once(0.1)
 
@@ -218,7 +218,7 @@ class NodeBase(Node):
         """Finish work before the node ends. To be overridden."""
 
     def finish(self, busy: Callable[[], bool], seconds: float) -> None:
-        """Carry out callbacks until nothing is under way and the answers to it are sent."""
+        """Carry out callbacks until ``busy`` returns False and the responses are sent."""
         deadline, executor = time.monotonic() + seconds, self.executor
         assert executor is not None, 'the node serves, or did'
         while busy() and time.monotonic() < deadline:

@@ -37,7 +37,7 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     """
     Run a node until SIGINT, SIGTERM or SIGHUP.
 
-    The node is closed however it ends. An error that nobody expected goes on to the caller, so
+    The node is closed however it ends. An unexpected error is raised to the caller, so
     that the traceback is shown and the exit status is 1.
 
     :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
@@ -47,7 +47,7 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     prepare_discovery()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # such as arguments that it cannot read
+    except RuntimeError as error:  # such as invalid arguments
         print(f'humanopts: ROS cannot start: {without_source(error)}', file=sys.stderr)
         return 2
     executor = SingleThreadedExecutor()
@@ -57,7 +57,7 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
         executor.add_node(node)
         try:
             node.serve(executor, stop)
-        finally:  # whatever ended it, so that its files are complete
+        finally:  # after any error too, so that its files are complete
             node.close()
         node.set_status(NodeStatus.STATE_STOPPING)
         node.drain()

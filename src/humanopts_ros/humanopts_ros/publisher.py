@@ -28,7 +28,7 @@ class StampedPublisher(Generic[M]):
     """
     Publishes on one topic, filling in header, publisher_id and sequence.
 
-    :ivar sequence: of the last message that was sent; 0: none was.
+    :ivar sequence: of the last message that was sent; 0: none was sent.
     """
 
     def __init__(

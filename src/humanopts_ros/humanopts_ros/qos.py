@@ -14,8 +14,8 @@ def _profile(durability: DurabilityPolicy, depth: int) -> QoSProfile:
     )
 
 
-# Publishes current values: who comes late gets the last ones. Depth 1 would lose messages that the
-# recorder has not taken yet, since a newer one replaces them even unsent.
+# Publishes current values: a late subscriber gets the last ones. Depth 1 would lose messages that
+# the recorder has not taken yet, since a newer one replaces them even unsent.
 LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 100)
 # The same for current values of many megabytes, of which a hundred would fill the memory.
 LATCHED_LARGE = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 4)

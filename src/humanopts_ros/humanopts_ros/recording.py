@@ -1,12 +1,12 @@
-"""Which topics are recorded: the recorder asks, and every node that waits for it."""
+"""The selection of recorded topics, for the recorder and for the nodes that wait for it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 GLOBAL = ('/rosout', '/parameter_events')  # recorded whatever the namespace
-MOST_BYTES = 2**62  # that can be asked for as the size of a file
-NEEDED = ('demonstrations', 'domain_info')  # what an offline evaluation learns from
+MOST_BYTES = 2**62  # largest allowed size of a file
+NEEDED = ('demonstrations', 'domain_info')  # topics that an offline evaluation needs
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Selection:
 
     namespace: str = '/'
     include: Sequence[str] = ()  # patterns; none: every topic
-    exclude: Sequence[str] = ()  # patterns; these win
+    exclude: Sequence[str] = ()  # patterns; they take precedence
 
     def wants(self, topic: str) -> bool:
         """Return whether a topic, by its full name, is recorded."""

@@ -7,15 +7,15 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.task import Future
 
-_PERIOD = 0.02  # s between looks at what is waited for
+_PERIOD = 0.02  # s between checks of the conditions
 
 
 class Waiting:
     """
     Conditions that coroutines of one node wait for.
 
-    The coroutines must be in a reentrant callback group. Conditions are looked at regularly while
-    there are any; ``look`` wakes at once who waits for what has just come about.
+    The coroutines must be in a reentrant callback group. Conditions are checked regularly while
+    there are any; ``look`` checks them at once.
     """
 
     def __init__(self, node: Node) -> None:
@@ -26,7 +26,7 @@ class Waiting:
         )
 
     def look(self) -> None:
-        """Wake those whose condition holds or whose time is over."""
+        """Wake the coroutines whose condition holds or whose time is over."""
         now = time.monotonic()
         still = []
         for entry in self._open:
