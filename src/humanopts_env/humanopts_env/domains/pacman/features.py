@@ -126,7 +126,10 @@ class FeatureReader:
         first[:, :count] = FIRST_MOVE[paths.shortest]
         steps = np.full((count, count + 1), self.none, dtype=np.int32)
         steps[:, :count] = paths.distance
-        self._way = np.stack((first, steps), axis=2).reshape(-1, 2)  # (C * (C + 1), 2)
+        way = np.stack((first, steps), axis=2)
+        place = np.broadcast_to(self._place, (count, count + 1, 2))
+        self._way = way.reshape(-1, 2)  # (C * (C + 1), 2)
+        self._place_and_way = np.concatenate((place, way), axis=2).reshape(-1, 4)
         self._items = [self._nearest(items) for items in (maze.food, maze.pills)]
         self._legal = paths.legal.astype(np.int32)
 
@@ -180,8 +183,7 @@ class FeatureReader:
         self, out: NDArray[np.int32], here: NDArray[np.intp], cells: NDArray[np.intp]
     ) -> None:
         """Write row, column, direction and distance of a cell in each game."""
-        out[:, :2] = self._place[cells]
-        out[:, 2:] = self._way_to(here, cells)
+        out[:] = self._place_and_way[here * len(self._place) + cells]
 
     def _way_to(self, here: NDArray[np.intp], cells: NDArray[np.intp]) -> NDArray[np.int32]:
         way: NDArray[np.int32] = self._way[here * len(self._place) + cells]

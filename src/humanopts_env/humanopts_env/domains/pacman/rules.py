@@ -156,11 +156,14 @@ class Rules:
 
         :param draws: (G,) one number below DRAWS for each ghost.
         """
-        return self._advance(state, move, np.array([draws], dtype=np.intp).T)[0]
+        batch = PacManBatch.from_states(self, [state])
+        batch.step(np.array([move]), np.array([draws], dtype=np.intp).T)
+        return batch.states()[0]
 
     def can_follow(self, state: PacManState, move: int, successor: PacManState) -> bool:
         """Return whether some draws lead from a state that is not over to another."""
-        probe = PacManBatch.from_states(self, [state]).take(np.zeros(DRAWS, dtype=np.intp))
+        now = PacManBatch.from_states(self, [state])
+        probe = now.take(np.zeros(DRAWS, dtype=np.intp))
         every = np.broadcast_to(np.arange(DRAWS), probe.ghosts.shape)
         probe.move_ghosts(probe.pacman, np.ones(DRAWS, dtype=np.bool_), every)
         different = [
@@ -168,18 +171,9 @@ class Rules:
             for place in probe.ghosts * len(HEADINGS) + probe.headings
         ]
         draws = np.array(list(product(*different)), dtype=np.intp)
-        return successor in self._advance(state, move, draws.T)
-
-    def _advance(
-        self, state: PacManState, move: int, draws: NDArray[np.intp]
-    ) -> list[PacManState]:
-        """Return the state that each of N draws (G, N) leads to."""
-        count = draws.shape[1]
-        batch = PacManBatch.from_states(self, [state])
-        if count > 1:
-            batch = batch.take(np.zeros(count, dtype=np.intp))
-        batch.step(np.full(count, move), draws)
-        return batch.states()
+        after = now.take(np.zeros(len(draws), dtype=np.intp))
+        after.step(np.full(len(draws), move), draws.T)
+        return successor in after.states()
 
 
 class PacManBatch:
@@ -359,17 +353,20 @@ class PacManBatch:
     def _eat(self, live: Flags) -> None:
         """Eat the food, pill or fruit in Pac-Man's cell."""
         at_fruit: Flags = (self.pacman == self.fruit_at) & (self.fruit > 0) & live
-        self._eat_fruit(at_fruit.nonzero()[0])
+        if at_fruit.any():
+            self._eat_fruit(at_fruit.nonzero()[0])
         fed = self._take(self.food_taken, self.tables.food_at, live)
         self.food_left -= fed
         self.score += FOOD_POINTS * fed
         self.ate |= ATE_FOOD * fed
         for after in FRUIT_AFTER:
             left = len(self.rules.maze.food) - after
-            if left > 0:
+            if left > 0 and fed.any():
                 reached: Flags = fed & (self.food_left == left)
                 self._lay_fruit(reached.nonzero()[0])
         games = self._take(self.pills_taken, self.tables.pill_at, live).nonzero()[0]
+        if not games.size:
+            return
         self.score[games] += PILL_POINTS
         self.ate[games] |= ATE_PILL
         self.scared[:, games] = SCARED_STEPS + 1
@@ -409,7 +406,8 @@ class PacManBatch:
             ghost, game = (draws < self.rules.chase_draws).nonzero()
             masks[ghost, game] = tables.towards[where[ghost, game] * count + pacman[game]]
         ghost, game = self.scared.nonzero()
-        masks[ghost, game] = tables.away[where[ghost, game] * count + pacman[game]]
+        if ghost.size:
+            masks[ghost, game] = tables.away[where[ghost, game] * count + pacman[game]]
         move = tables.picks[masks * np.intp(DRAWS) + draws]
         moving = live & (self.scared & 1 == 0)
         np.copyto(self.headings, move, where=moving)
