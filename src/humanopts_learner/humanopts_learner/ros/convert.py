@@ -122,7 +122,7 @@ def plan_goal_to_message(
     goal: Plan.Goal, plan_id: str, request: PlanRequest, options: Sequence[LearnedOption]
 ) -> msg.PlanGoal:
     """
-    Say what is being planned.
+    Encode the plan request that is in force.
 
     :param goal: of the action plan.
     :param request: in force.
@@ -203,7 +203,7 @@ def option_values_to_message(
 
 def option_values_from_message(message: msg.OptionValues) -> OptionValues:
     """
-    Decode what arbitration needs.
+    Decode the values for arbitration.
 
     :raises ModelError: the parts contradict each other.
     """
@@ -213,7 +213,7 @@ def option_values_from_message(message: msg.OptionValues) -> OptionValues:
 
 def end_to_message(end: RunResult, run_id: str, execution: str = '') -> msg.OptionResult:
     """
-    Say how a run ended.
+    Encode how a run ended.
 
     :param run_id: empty for a refusal.
     :param execution: in force at the end; empty for a refusal.

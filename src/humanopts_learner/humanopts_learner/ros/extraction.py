@@ -48,7 +48,7 @@ class ExtractionAction(LongAction[ExtractionResult]):
         progress: Callable[..., None],
     ) -> ExtractionResult:
         """
-        Look for options.
+        Search for options.
 
         :raises PlanError: the domain, or the participant's code, cannot be used for this.
         """

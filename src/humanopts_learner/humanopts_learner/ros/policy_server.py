@@ -51,7 +51,7 @@ class _Ended(Exception):  # noqa: N818 - no error: the run is over before its la
 
 @dataclass
 class _PolicyRun:
-    """The policy that runs."""
+    """The policy run that is in progress."""
 
     handle: ServerGoalHandle
     made: MadePlan

@@ -125,7 +125,7 @@ class Runner:
             self._finish(self._active.run.end(RunStatus.FAILED, 'option_server stops'))
 
     async def run(self, request: RunRequest) -> OptionResult:
-        """Run to the end, or refuse."""
+        """Execute a run to its end, or refuse it."""
         if self.library is None:
             return _refused(request, RunStatus.NO_EPISODE, 'game has not announced itself')
         if self._taken_by:
