@@ -335,7 +335,7 @@ def test_a_key_takes_the_wheel_from_the_machine(graph: TerminalGraph) -> None:
 
 def test_a_key_changes_how_the_machine_plays_within_the_episode(graph: TerminalGraph) -> None:
     graph.start_all(step_period=0.3)
-    graph.run('humanopts_learner.ros.planner_node')
+    graph.start('humanopts_learner.ros.planner_node')
     terminal = graph.sit_down()
     terminal.press('3')
     terminal.see('Plan with what?')

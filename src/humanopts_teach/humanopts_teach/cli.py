@@ -140,12 +140,12 @@ def demo(
 def up(
     launch: LaunchOptions,
     domain: DomainArgument,
-    record: Annotated[bool, typer.Option('--no-record', help='do not write a bag')] = True,
+    no_record: Annotated[bool, typer.Option('--no-record', help='do not write a bag')] = False,
 ) -> int:
     """Launch the nodes and stay."""
     from humanopts_teach.commands.launch import stay_up
 
-    return stay_up(domain, launch, record=record)
+    return stay_up(domain, launch, record=not no_record)
 
 
 @app.command(help="launch, and teach from this terminal's keyboard")
