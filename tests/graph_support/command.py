@@ -129,7 +129,7 @@ class DemoRun:
         return values
 
 
-def run_demo(folder: Path, domain_id: int, *arguments: Any, seconds: float = 110.0) -> DemoRun:
+def run_demo(folder: Path, domain_id: int, *arguments: Any, seconds: float = 300.0) -> DemoRun:
     """Run a demo to its end, within some seconds; its files are in ``folder/out``."""
     command = Command(['demo', '--out', folder / 'out', *arguments], folder, domain_id)
     try:
