@@ -110,7 +110,7 @@ class _InProcess:
             domain, store, self._starts, rules, clock=lambda: self._seconds, today=lambda: ''
         )
         self._game = Game(domain)
-        self._moment: Transition | None = None
+        self._transition: Transition | None = None
         self._options: dict[str, LearnedOption] = {}
         self._progress: dict[str, OptionStatus] = {}  # by option
 
@@ -119,7 +119,7 @@ class _InProcess:
         cut_short = ''
         try:
             while not isinstance(
-                act := self._teacher.next_act(self._lesson.view, self._moment), Finish
+                act := self._teacher.next_act(self._lesson.view, self._transition), Finish
             ):
                 self._do(act)
         except TeacherError as error:
@@ -144,11 +144,11 @@ class _InProcess:
                     self._learn(answer.demonstration)
 
     def _begin(self, prepared: Answer) -> None:
-        moment = self._game.reset(prepared.state, prepared.seed, Source.PERSON).transition
-        if moment is None:
+        transition = self._game.reset(prepared.state, prepared.seed, Source.PERSON).transition
+        if transition is None:
             raise LessonError(f'the game does not begin in {prepared.state}')
-        self._lesson.began(moment.episode, moment.state)
-        self._see(moment)
+        self._lesson.began(transition.episode, transition.state)
+        self._see(transition)
 
     def _drive(self, act: Drive) -> None:
         command = Command('teacher', 0, Source.PERSON, act.episode, act.step, act.action)
@@ -157,9 +157,9 @@ class _InProcess:
             raise LessonError(f'the game refused {act.action}: {reply.detail}')
         self._see(reply.transition)
 
-    def _see(self, moment: Transition) -> None:
-        self._moment = moment
-        self._lesson.saw(moment)
+    def _see(self, transition: Transition) -> None:
+        self._transition = transition
+        self._lesson.saw(transition)
 
     def _learn(self, newest: Demonstration) -> None:
         """Learn the option again as the learner does, and report to the lesson."""

@@ -21,7 +21,7 @@ Open = Callable[[], OptionTrainer]
 
 @pytest.fixture
 def reopen(tmp_path: Path) -> Open:
-    """Open the course in the test's folder; every call is a new process's view of it."""
+    """Open the trainer in the test's folder; every call is a new process's view of it."""
     return lambda: OptionTrainer(tmp_path / 'options', TAXI, Thresholds(), SEED)
 
 
@@ -31,10 +31,10 @@ def few(fetching: list[Demonstration]) -> list[Demonstration]:
 
 
 def test_a_demonstration_is_learned_from_once(reopen: Open, few: list[Demonstration]) -> None:
-    course = reopen()
-    assert [course.take(demo) for demo in few] == [True] * 6
-    assert course.take(few[3]) is False
-    (progress,) = course.progress()
+    trainer = reopen()
+    assert [trainer.take(demo) for demo in few] == [True] * 6
+    assert trainer.take(few[3]) is False
+    (progress,) = trainer.progress()
     assert progress.demonstrations == few
     assert progress.option == learn_option(few, TAXI, SEED)
     assert progress.judgement == judge(few, TAXI, Thresholds(), SEED)
@@ -44,11 +44,11 @@ def test_a_demonstration_is_learned_from_once(reopen: Open, few: list[Demonstrat
 def test_everything_is_known_again_when_it_is_opened_again(
     reopen: Open, few: list[Demonstration]
 ) -> None:
-    course = reopen()
+    trainer = reopen()
     for demo in few:
-        course.take(demo)
+        trainer.take(demo)
     again = reopen()
-    assert again.progress() == course.progress()
+    assert again.progress() == trainer.progress()
     assert again.problems == []
     assert again.take(few[0]) is False
 
@@ -56,24 +56,24 @@ def test_everything_is_known_again_when_it_is_opened_again(
 def test_the_option_file_holds_the_demonstrations(
     reopen: Open, few: list[Demonstration], tmp_path: Path
 ) -> None:
-    course = reopen()
+    trainer = reopen()
     for demo in few:
-        course.take(demo)
+        trainer.take(demo)
     options, problems = load_options(tmp_path / 'options')
-    assert options == [course.progress()[0].option]
+    assert options == [trainer.progress()[0].option]
     assert problems == []
 
 
 def test_options_and_people_are_kept_apart(reopen: Open, person: Any) -> None:
-    course = reopen()
+    trainer = reopen()
     one, two = person(seed=1).show_random(3), person(seed=2).show_random(3)
     other = person(DELIVER, seed=1).show_random(3)
     for demos in zip(one, two, other):
         for demo in demos:
-            course.take(demo)
-    found = {p.demonstrations[0].participant: p.demonstrations for p in course.progress()[:2]}
+            trainer.take(demo)
+    found = {p.demonstrations[0].participant: p.demonstrations for p in trainer.progress()[:2]}
     assert found == {'person 1': one, 'person 2': two}
-    assert [p.option for p in course.progress()] == [
+    assert [p.option for p in trainer.progress()] == [
         learn_option(demos, TAXI, SEED) for demos in (one, two, other)
     ]
 
@@ -81,7 +81,7 @@ def test_options_and_people_are_kept_apart(reopen: Open, person: Any) -> None:
 def test_not_here_alone_is_counted_but_is_no_option(
     reopen: Open, few: list[Demonstration]
 ) -> None:
-    course = reopen()
+    trainer = reopen()
     shown = few[0]
     nothing = replace(
         shown,
@@ -92,33 +92,33 @@ def test_not_here_alone_is_counted_but_is_no_option(
         rewards=(),
         terminated=False,
     )
-    assert course.take(nothing)
-    (progress,) = course.progress()
+    assert trainer.take(nothing)
+    (progress,) = trainer.progress()
     assert (progress.demonstrations, progress.option, progress.file) == ([nothing], None, '')
 
 
 def test_what_cannot_be_used_is_not_kept(
     reopen: Open, few: list[Demonstration], tmp_path: Path
 ) -> None:
-    course = reopen()
-    course.take(few[0])
+    trainer = reopen()
+    trainer.take(few[0])
     before = (tmp_path / 'options' / DATA_SET).read_bytes()
     with pytest.raises(DemonstrationError, match='names no option'):
-        course.take(replace(few[1], option_name=''))
+        trainer.take(replace(few[1], option_name=''))
     assert (tmp_path / 'options' / DATA_SET).read_bytes() == before
-    assert course.take(few[1])
+    assert trainer.take(few[1])
 
 
 def test_a_line_that_cannot_be_used_is_named_and_the_others_are_kept(
     reopen: Open, few: list[Demonstration], tmp_path: Path
 ) -> None:
-    course = reopen()
+    trainer = reopen()
     for demo in few:
-        course.take(demo)
+        trainer.take(demo)
     file = tmp_path / 'options' / DATA_SET
     file.write_text('not JSON\n' + file.read_text() + '{"kind": "traj')
     again = reopen()
-    assert again.progress() == course.progress()
+    assert again.progress() == trainer.progress()
     torn, unusable = again.problems
     assert 'was cut off' in torn
     assert unusable.startswith(f'line 1 of {file} is left out: not a demonstration')
@@ -134,27 +134,27 @@ def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
 def test_a_data_set_that_cannot_be_written_keeps_the_demonstration_out(
     reopen: Open, few: list[Demonstration], tmp_path: Path
 ) -> None:
-    course = reopen()
+    trainer = reopen()
     (tmp_path / 'options' / DATA_SET).mkdir()
     with pytest.raises(DataSetError, match=r'cannot write .*jsonl: Is a directory'):
-        course.take(few[0])
-    assert course.progress() == []
+        trainer.take(few[0])
+    assert trainer.progress() == []
     (tmp_path / 'options' / DATA_SET).rmdir()
-    assert course.take(few[0])
+    assert trainer.take(few[0])
 
 
 def test_an_option_file_that_cannot_be_written_is_a_problem_but_no_loss(
     reopen: Open, few: list[Demonstration], tmp_path: Path
 ) -> None:
-    course = reopen()
-    course.take(few[0])
+    trainer = reopen()
+    trainer.take(few[0])
     (file,) = (tmp_path / 'options').glob('*/*.json')
     folder = file.parent
     file.unlink()
     folder.rmdir()
     folder.touch()
-    assert course.take(few[1])
-    (problem,) = course.problems
+    assert trainer.take(few[1])
+    (problem,) = trainer.problems
     assert 'cannot write the file of' in problem
     assert reopen().progress()[0].demonstrations == few[:2]
 
@@ -166,27 +166,27 @@ def withdrawn(demo: Demonstration) -> Demonstration:
 def test_what_is_withdrawn_is_unlearned_and_stays_so(
     reopen: Open, few: list[Demonstration]
 ) -> None:
-    course = reopen()
+    trainer = reopen()
     for demo in few:
-        course.take(demo)
-    assert course.take(withdrawn(few[-1])) is True
+        trainer.take(demo)
+    assert trainer.take(withdrawn(few[-1])) is True
     for again in (few[-1], withdrawn(few[-1])):
-        assert course.take(again) is False
-    (progress,) = course.progress()
+        assert trainer.take(again) is False
+    (progress,) = trainer.progress()
     assert progress.demonstrations == few[:-1]
     assert progress.option == learn_option(few[:-1], TAXI, SEED)
-    assert reopen().progress() == course.progress()
+    assert reopen().progress() == trainer.progress()
 
 
 def test_an_option_of_which_nothing_is_left_is_gone_with_its_file(
     reopen: Open, few: list[Demonstration], tmp_path: Path
 ) -> None:
-    course = reopen()
-    course.take(few[0])
-    course.take(withdrawn(few[0]))
-    assert course.progress() == reopen().progress() == []
+    trainer = reopen()
+    trainer.take(few[0])
+    trainer.take(withdrawn(few[0]))
+    assert trainer.progress() == reopen().progress() == []
     assert load_options(tmp_path / 'options') == ([], [])
-    course.take(few[1])
+    trainer.take(few[1])
     assert load_options(tmp_path / 'options')[0] == [learn_option([few[1]], TAXI, SEED)]
 
 
@@ -201,16 +201,16 @@ def test_an_option_with_not_here_alone_left_is_known_and_has_no_file(
         actions=(),
         rewards=(),
     )
-    course = reopen()
+    trainer = reopen()
     for demo in (refusal, few[0], withdrawn(few[0])):
-        course.take(demo)
-    (progress,) = course.progress()
+        trainer.take(demo)
+    (progress,) = trainer.progress()
     assert (progress.demonstrations, progress.option) == ([refusal], None)
     assert load_options(tmp_path / 'options') == ([], [])
 
 
 def test_a_withdrawal_that_comes_first_holds(reopen: Open, few: list[Demonstration]) -> None:
-    course = reopen()
-    assert course.take(withdrawn(few[0])) is True
-    assert course.take(few[0]) is False
-    assert course.progress() == []
+    trainer = reopen()
+    assert trainer.take(withdrawn(few[0])) is True
+    assert trainer.take(few[0]) is False
+    assert trainer.progress() == []

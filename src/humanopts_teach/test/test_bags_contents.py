@@ -97,23 +97,23 @@ def test_a_domain_that_is_missing_unknown_or_not_the_only_one_is_named(tmp_path:
 
 
 def test_episodes_come_back_in_order_and_once(tmp_path: Path, taxi: Domain[Any]) -> None:
-    moments = play(taxi, ['north', 'east', 'south'])
+    transitions = play(taxi, ['north', 'east', 'south'])
     entries = []
-    for moment in moments:
-        entries.append(('/game_state', transition_to_message(moment)))
-        entries.append(('/current_state', transition_to_message(moment)))
+    for transition in transitions:
+        entries.append(('/game_state', transition_to_message(transition)))
+        entries.append(('/current_state', transition_to_message(transition)))
     (episode,) = read_episodes(write_messages(tmp_path / 'bag', entries))
-    assert list(episode.transitions) == moments
+    assert list(episode.transitions) == transitions
     assert (episode.number, episode.complete) == (1, False)
-    assert sum(moment.reward for moment in episode.transitions) == -3.0
+    assert sum(transition.reward for transition in episode.transitions) == -3.0
 
 
 def test_a_restarted_game_makes_new_episodes(tmp_path: Path, taxi: Domain[Any]) -> None:
-    moments = [transition_to_message(m) for m in play(taxi, ['north'])]
+    transitions = [transition_to_message(m) for m in play(taxi, ['north'])]
     again = [transition_to_message(m) for m in play(taxi, ['east'])]
     for number, message in enumerate(again, start=1):
         message.publisher_id, message.sequence = '/game#2', number
-    bag = write_messages(tmp_path / 'bag', [('/game_state', m) for m in [*moments, *again]])
+    bag = write_messages(tmp_path / 'bag', [('/game_state', m) for m in [*transitions, *again]])
     assert [(e.publisher_id, len(e.transitions)) for e in read_episodes(bag)] == [
         ('/n#1', 2),
         ('/game#2', 2),
@@ -156,7 +156,7 @@ def test_the_film_is_of_the_last_game_even_where_two_count_alike(
     refused = OptionResult(option_name='unknown', status=OptionResult.STATUS_UNKNOWN_OPTION)
     entries: list[tuple[str, Any]] = [('/left/option_results', refused)]
     for where, actions in (('left', ['north', 'east']), ('right', ['south', 'south', 'west'])):
-        states = [transition_to_message(moment) for moment in play(taxi, actions)]
+        states = [transition_to_message(transition) for transition in play(taxi, actions)]
         states[-1].terminated = True
         entries += [(f'/{where}/game_state', state) for state in states]
         run = OptionResult(option_name=where, episode=1, step_count=len(actions), terminated=True)
@@ -168,7 +168,9 @@ def test_the_film_is_of_the_last_game_even_where_two_count_alike(
 
 
 def test_the_film_of_modules_tells_which_of_them_acted(tmp_path: Path, taxi: Domain[Any]) -> None:
-    states = [transition_to_message(moment) for moment in play(taxi, ['south', 'west', 'west'])]
+    states = [
+        transition_to_message(transition) for transition in play(taxi, ['south', 'west', 'west'])
+    ]
     states[-1].terminated = True
     entries: list[tuple[str, Any]] = [('/game_state', state) for state in states]
     for state, name in zip(states[1:], ('down', 'left', 'action:west')):
@@ -219,8 +221,8 @@ def games(taxi: Domain[Any]) -> list[tuple[str, GameState]]:
         ('/a#1', 3, 4),
         ('/b#1', 1, 2),
     ):
-        for moment in play(taxi, ['north', 'east', 'south'][: length - 1]):
-            state = transition_to_message(moment)
+        for transition in play(taxi, ['north', 'east', 'south'][: length - 1]):
+            state = transition_to_message(transition)
             state.episode, state.publisher_id = number, publisher
             state.sequence = len(entries) + 1
             entries.append(('/game_state', state))

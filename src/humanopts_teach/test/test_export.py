@@ -43,10 +43,10 @@ def entries(
     sent = 0
     for number in range(1, episodes + 1):
         start = domain.encode(domain.reset(rng)) if number % 2 else ''
-        moment = game.reset(start, number + 40, Source.MACHINE).transition
-        assert moment is not None
-        yield from events(number, start, moment.state)
-        yield '/game_state', f'{MESSAGES}GameState', transition_to_message(moment)
+        transition = game.reset(start, number + 40, Source.MACHINE).transition
+        assert transition is not None
+        yield from events(number, start, transition.state)
+        yield '/game_state', f'{MESSAGES}GameState', transition_to_message(transition)
         while game.transition.open and game.transition.step < STEPS:
             sent += 1
             action = domain.actions[rng.integers(len(domain.actions))].name

@@ -161,13 +161,15 @@ class Runner:
             return _refused(request, RunStatus.NO_EPISODE, self._missing(request))
         if state.terminated or state.truncated:
             return _refused(request, RunStatus.NO_EPISODE, 'the episode has ended')
-        moment = state.episode, state.step
-        run, arbiter = self._prepare(request, execution, library, moment)
-        end = run.begin(library.domain.decode(state.state), *moment)
+        position = state.episode, state.step
+        run, arbiter = self._prepare(request, execution, library, position)
+        end = run.begin(library.domain.decode(state.state), *position)
         if end is not None:
             return end_to_message(end, '')
         run_id = str(uuid.uuid4())
-        self._active = active = _Active(run, run_id, request, library, execution, arbiter, *moment)
+        self._active = active = _Active(
+            run, run_id, request, library, execution, arbiter, *position
+        )
         self._announce(active)
         self._send(active)
         end = await active.done
@@ -224,11 +226,11 @@ class Runner:
         request: RunRequest,
         execution: Execution,
         library: OptionLibrary,
-        moment: tuple[int, int],
+        position: tuple[int, int],
     ) -> tuple[Run, Arbiter | None]:
         """Return the run, and the arbiter that may stop it; errors are those of ``run``."""
         goal, domain = request.goal, library.domain
-        rng = generator(self._seed, 'run', goal.option_name or execution, *moment)
+        rng = generator(self._seed, 'run', goal.option_name or execution, *position)
         rest = domain, domain.gamma, goal.max_steps, self._mode, rng
         arbiter = None
         if execution is not Execution.RUN_TO_END:
@@ -267,9 +269,9 @@ class Runner:
 
     def _on_state(self, message: GameState) -> None:
         """Handle the next state; ``current_state`` repeats those of ``game_state``."""
-        known, moment = self.state, (message.episode, message.step)
+        known, position = self.state, (message.episode, message.step)
         same_game = known is not None and known.publisher_id == message.publisher_id
-        if known is not None and same_game and moment <= (known.episode, known.step):
+        if known is not None and same_game and position <= (known.episode, known.step):
             return
         self.state = message
         self._node.waiting.look()
