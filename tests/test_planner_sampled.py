@@ -167,11 +167,11 @@ def arbitrated(
     for _ in range(MAZE.max_steps):
         if MAZE.is_over(state):
             break
-        view = plan.watch(plan.watch.games.batch_of([state]))
-        if column >= 0 and policy.stops(view, np.array([column]), rng)[0]:
+        seen = plan.abstraction.observe(plan.abstraction.games.batch_of([state]))
+        if column >= 0 and policy.stops(seen, np.array([column]), rng)[0]:
             stopped, column = stopped + 1, -1
         if column < 0:
-            decisions, column = decisions + 1, int(policy(view, rng).column[0])
+            decisions, column = decisions + 1, int(policy(seen, rng).option[0])
         option = library.resolve(plan.names[column])
         action = option.choose_action(MAZE.feature_values(state), Mode.GREEDY, rng)
         outcome = MAZE.step(state, action, rng)

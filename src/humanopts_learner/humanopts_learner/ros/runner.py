@@ -37,11 +37,12 @@ from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, STREAM
 from rclpy.task import Future
 
+_STOPS = 'option_server stops'
 _CHECK_PERIOD = 0.1  # s between checks of the deadline of a command
 
 
 class RunCanceled(Exception):  # noqa: N818 - no error: the client has canceled
-    """A run was canceled before its first action."""
+    """A run was canceled, or the node ends, before its first action."""
 
 
 @dataclass(frozen=True)
@@ -122,10 +123,12 @@ class Runner:
         """End the current run, or the wait for its first state, because the node ends."""
         self._stopping = True
         if self._active is not None:
-            self._finish(self._active.run.end(RunStatus.FAILED, 'option_server stops'))
+            self._finish(self._active.run.end(RunStatus.FAILED, _STOPS))
 
     async def run(self, request: RunRequest) -> OptionResult:
         """Execute a run to its end, or refuse it."""
+        if self._stopping:
+            return _refused(request, RunStatus.FAILED, _STOPS)
         if self.library is None:
             return _refused(request, RunStatus.NO_EPISODE, 'game has not announced itself')
         if self._taken_by:
@@ -135,6 +138,8 @@ class Runner:
             self._taken_by = request.goal.option_name or execution.value
             return await self._drive(request, execution, self.library)
         except RunCanceled:
+            if self._stopping:
+                return _refused(request, RunStatus.FAILED, _STOPS)
             return _refused(request, RunStatus.CANCELED)
         except UnknownOptionError as error:
             return _refused(request, RunStatus.UNKNOWN_OPTION, str(error))
@@ -179,12 +184,12 @@ class Runner:
         """
         Wait for a condition of the start of a run, with a deadline.
 
-        :raises RunCanceled: the client has canceled.
+        :raises RunCanceled: the client has canceled, or the node ends.
         """
         await self._node.waiting.until(
             lambda: condition() or self._stopping or self._canceled(request), self._patience
         )
-        if self._canceled(request):
+        if self._stopping or self._canceled(request):
             raise RunCanceled
 
     async def _first_state(self, request: RunRequest) -> GameState | None:
@@ -209,7 +214,7 @@ class Runner:
         if not wanted[0]:
             return before if before is not None and before.episode else None
         await self._wait(request, lambda: is_here() or is_past())
-        return self.state if is_here() and not self._stopping else None
+        return self.state if is_here() else None
 
     def _missing(self, request: RunRequest) -> str:
         """Return in words which state is missing."""
