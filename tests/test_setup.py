@@ -19,7 +19,7 @@ code="$2"; shift 2
 exec {python} -c "{line}
 $code" "$@"
 """
-TARGETS = ('help', 'setup', 'demo', 'test', 'lint', 'format', 'lock', 'clean')
+TARGETS = ('help', 'setup', 'demo', 'test', 'lint', 'docs', 'format', 'lock', 'clean')
 
 
 def tool(folder: Path, name: str) -> None:
@@ -144,11 +144,11 @@ def test_help_names_every_target() -> None:
     assert [t for t in TARGETS if t != 'help' and f'make {t}' not in done.stdout] == []
 
 
-def test_the_whole_check_is_lint_and_tests() -> None:
+def test_the_whole_check_is_lint_documentation_and_tests() -> None:
     check_all = ROOT / '.ci/run'
     assert os.access(check_all, os.X_OK)
     lines = [line for line in check_all.read_text().splitlines() if line.startswith('make')]
-    assert [line.split(' ARGS=')[0] for line in lines] == ['make lint', 'make test']
+    assert [line.split(' ARGS=')[0] for line in lines] == ['make lint', 'make docs', 'make test']
 
 
 def test_the_python_of_the_set_up_finds_the_packages_with_nothing_sourced(tmp_path: Path) -> None:
