@@ -267,9 +267,9 @@ def test_what_makes_no_sense_is_refused_by_name() -> None:
     with pytest.raises(PlanError, match='two rounds'):
         Sampling(rounds=1)
     for game_steps in (0, 7):  # one in each of eight rounds, at least
-        with pytest.raises(PlanError, match='a step of each game in every round'):
+        with pytest.raises(PlanError, match='one step of each game in every round'):
             Sampling(game_steps=game_steps)
-    with pytest.raises(PlanError, match='share'):
+    with pytest.raises(PlanError, match='explore from 0 to 1'):
         Sampling(explore=1.5)
     with pytest.raises(PlanError, match='needs options'):
         make_sampled_plan(BatchRooms(), 'human', [], 10_000, 1)
