@@ -25,6 +25,7 @@ from humanopts_teach.ros.lesson_client import (
     RefusedError,
 )
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
+from rclpy.callback_groups import ReentrantCallbackGroup
 
 _TICK = 0.1  # s until something that was refused is tried again
 _REFUSALS = 3  # in a row, after which it gives up
@@ -53,8 +54,8 @@ class SimulatedTeacherNode(NodeBase):
 
     def on_ready(self) -> None:
         """Begin to teach."""
-        assert self.executor is not None, 'the node is served'
-        self.executor.create_task(self._teach)
+        # A task that is created and never begun would be a warning where the node ends at once.
+        self._begin = self.create_timer(0.0, self._teach, callback_group=ReentrantCallbackGroup())
 
     def _read_settings(self) -> TeacherSettings:
         default = TeacherSettings(('',))
@@ -100,6 +101,7 @@ class SimulatedTeacherNode(NodeBase):
 
     async def _teach(self) -> None:
         """Teach everything, give control back, and say how it ended."""
+        self._begin.cancel()
         cause, refused = '', 0
         try:
             while not isinstance(act := await self._next_act(), Finish):
