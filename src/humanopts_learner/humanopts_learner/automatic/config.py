@@ -21,8 +21,8 @@ class Extraction:
     (utkd/bottleneck-options-learning); the others are ours, with their reasons.
     """
 
-    options: int = 25  # largest number; Taxi gives nine, with few seeds eight
-    tasks: int = 400  # usual: 20, too few to find every landmark of Taxi
+    options: int = 25  # largest number
+    tasks: int = 400  # usual: 20, too few to find every bottleneck of a large domain
     train_episodes: int = 200  # of Q-learning for each task, N_train: usual
     test_runs: int = 10  # greedy ones for each task, N_test: usual
     option_episodes: int = 2000  # for each option; usual: 200, but these begin all over I
