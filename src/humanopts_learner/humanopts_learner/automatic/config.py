@@ -22,7 +22,7 @@ class Extraction:
     """
 
     options: int = 25  # largest number
-    tasks: int = 400  # usual: 20, too few to find every bottleneck of a large domain
+    tasks: int = 400  # usual: 20, where some bottlenecks were missed
     train_episodes: int = 200  # of Q-learning for each task, N_train: usual
     test_runs: int = 10  # greedy ones for each task, N_test: usual
     option_episodes: int = 2000  # for each option; usual: 200, but these begin all over I
