@@ -397,7 +397,10 @@ def test_who_waits_for_a_state_is_answered_when_the_option_server_ends(alone: Gr
     assert second.status == OptionResult.STATUS_BUSY
     server.process.send_signal(signal.SIGTERM)
     _, result = goal.result()
-    assert result.status == OptionResult.STATUS_NO_EPISODE
+    assert (result.status, result.detail) == (
+        OptionResult.STATUS_FAILED,
+        'it failed: option_server stops',
+    )
     assert server.ended() == 0
 
 
