@@ -21,6 +21,7 @@ from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.evaluation.summary import accuracies
+from humanopts_teach.lesson.in_process import SECONDS, teach
 from humanopts_teach.lesson.start_states import LessonRules
 from humanopts_teach.report.figures import Drawing
 import matplotlib
@@ -28,7 +29,6 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 import pandas as pd
 
 from experiments import paper
-from experiments.lessons import SECONDS, teach
 from experiments.people import (
     BagLesson,
     CAREFUL,
@@ -123,7 +123,9 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
         points.append(_point(option, accuracies(option, domain, reference)))
         return bool(option.n_demonstrations >= wanted)
 
-    rules = LessonRules(parameters['strategy'], budget=ASKED * wanted, seed=person.seed)
+    rules = LessonRules(
+        parameters['strategy'], ASKED * wanted, person.seed, until_no_failures=False
+    )
     taught = teach(domain, person.teaching(name), rules, measure)
     return {'points': points, 'seconds': taught.seconds, 'cut_short': taught.cut_short}
 

@@ -29,7 +29,6 @@ from humanopts_learner.demonstrations import (
     group_by_option,
     Kind,
 )
-from humanopts_learner.options.criteria import judge, usual_thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, option_tables
 from humanopts_learner.planning.action_sets import TabledOption
@@ -38,11 +37,11 @@ from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.bag_evaluation import FACTS
 from humanopts_teach.evaluation.summary import settings_from_facts
+from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
 from humanopts_teach.lesson.start_states import LessonRules
 
 from experiments import paper
-from experiments.lessons import teach
 
 NOBODY, PERSON, MACHINE = 'nobody', 'person', 'machine'  # kinds of owner
 CLOCK = time.process_time
@@ -50,7 +49,6 @@ CAREFUL, VARIED = 'careful', 'varied'
 MOST_ERRORS = 0.05
 MOST_NEEDLESS = 0.2
 STEPS = (0.7548776662466927, 0.5698402909980532)  # 1 / g, 1 / g**2, where g**3 = g + 1
-STRATEGY, BUDGET = 'failures', 150  # of a lesson: those that a launch has
 
 
 @dataclass(frozen=True)
@@ -238,14 +236,7 @@ def as_table(option: LearnedOption | TabledOption, domain: EnumerableDomain[Any]
 
 
 def _from_lesson(person: Participant, domain: Domain[Any], names: Sequence[str]) -> OwnedOptions:
-    rules, limits = LessonRules(STRATEGY, BUDGET, person.seed), usual_thresholds(domain)
-    taught = teach(
-        domain,
-        person.teaching(*names),
-        rules,
-        lambda shown, option: judge(shown, domain, limits, person.seed, option).criteria_met,
-        until_no_failures=True,
-    )
+    taught = teach(domain, person.teaching(*names), LessonRules(seed=person.seed))
     shown = _trajectories(taught.demonstrations)
     return OwnedOptions(taught.options, shown, taught.seconds / 60)
 

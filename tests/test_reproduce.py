@@ -13,11 +13,11 @@ from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
+from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
 from humanopts_teach.lesson.start_states import LessonRules
 import pytest
 
-from experiments.lessons import teach
 from experiments.people import options_of, owners, PERSON, read_bag_lessons, Study
 
 
@@ -47,7 +47,6 @@ def test_lesson_in_one_process_is_that_over_the_graph(demo: DemoRun) -> None:
         ),
         LessonRules(settings['strategy'], settings['budget'], seed),
         enough,
-        until_no_failures=True,
     )
     assert taught.cut_short == ''
     assert without_time(list(taught.demonstrations)) == without_time(live)

@@ -3,19 +3,24 @@ from .bags.errors import BagError
 from .bags.info import summarise
 from .bags.reader import Bag, open_bag
 from .evaluation.bag_evaluation import BagEvaluation, evaluate_bag
+from .lesson.in_process import Taught, teach
 from .lesson.simulated_teacher import SimulatedTeacher, TeacherSettings
+from .lesson.start_states import LessonRules
 from .report.write import write_evaluation_report
 
 __all__ = [
     'Bag',
     'BagError',
     'BagEvaluation',
+    'LessonRules',
     'SimulatedTeacher',
+    'Taught',
     'TeacherSettings',
     'evaluate_bag',
     'open_bag',
     'read_demonstrations',
     'read_domain',
     'summarise',
+    'teach',
     'write_evaluation_report',
 ]

@@ -32,8 +32,7 @@ def option(taxi: Domain[Any], shown: list[Demonstration]) -> LearnedOption:
 def starts(
     taxi: Domain[Any], strategy: str = 'failures', until: bool = True, seed: int = 0
 ) -> StartStates:
-    rules = LessonRules(strategy, seed=seed)
-    return StartStates(taxi, rules, until_no_failures=until)
+    return StartStates(taxi, LessonRules(strategy, seed=seed, until_no_failures=until))
 
 
 @pytest.fixture

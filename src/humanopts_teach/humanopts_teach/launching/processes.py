@@ -58,7 +58,6 @@ class Setup:
     thresholds: Thresholds = field(default_factory=Thresholds)
     strategy: str = 'failures'
     budget: int = 150
-    until_no_failures: bool = True
     participant: str = 'p1'
     teach: bool = True  # lesson and learner run
     taught: tuple[str, ...] = ()  # options that a simulated teacher teaches; empty: no teacher
@@ -129,7 +128,6 @@ def processes(setup: Setup) -> list[ProcessSpec]:
                 'seed': setup.seed,
                 'strategy': setup.strategy,
                 'budget': setup.budget,
-                'until_no_failures': setup.until_no_failures,
             },
         ),
         (

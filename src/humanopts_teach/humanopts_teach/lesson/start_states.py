@@ -20,9 +20,10 @@ FAILURES = 'failures'  # the strategy that looks at what was learned
 class LessonRules:
     """How start states are drawn, and when the lesson on an option ends."""
 
-    strategy: str = 'random'  # one of the learner's ``STRATEGIES``
-    budget: int = 100  # the most that is asked for one option, "not here" answers included
+    strategy: str = 'failures'  # one of the learner's ``STRATEGIES``
+    budget: int = 150  # the most that is asked for one option, "not here" answers included
     seed: int = 0
+    until_no_failures: bool = True  # strategy failures: ask on while the learned option fails
 
 
 class StartStates:
@@ -34,18 +35,9 @@ class StartStates:
     restart, starts in the same state.
     """
 
-    def __init__(
-        self, domain: Domain[Any], rules: LessonRules, *, until_no_failures: bool = False
-    ) -> None:
-        """
-        Begin with nothing learned.
-
-        :param until_no_failures: with ``failures``, ask on as long as there is a state from which
-            the learned option fails.
-        """
+    def __init__(self, domain: Domain[Any], rules: LessonRules) -> None:
         self._domain = domain
         self._rules = rules
-        self._until_no_failures = until_no_failures
         self._options: dict[tuple[str, str], LearnedOption] = {}
         self._texts: dict[tuple[str, str], str] = {}
 
@@ -97,7 +89,7 @@ class StartStates:
     def exhausted(self, participant: str, option: OptionHistory) -> bool:
         """Tell whether the strategy has nothing left to ask, once the criteria hold."""
         learned = self._options.get((participant, option.name))
-        asks_failures = self._until_no_failures and self._rules.strategy == FAILURES
+        asks_failures = self._rules.until_no_failures and self._rules.strategy == FAILURES
         if not asks_failures or learned is None or not option.demonstrations:
             return True
         rng = self._generator('exhausted', participant, option)

@@ -86,7 +86,13 @@ def read_rules(node: NodeBase) -> LessonRules:
             'demonstrations that are asked for at most for one option',
             integer_range=[numbers],
         ),
-        node.setting('seed', 0, 'of every random draw', integer_range=[seeds]),
+        node.setting('seed', default.seed, 'of every random draw', integer_range=[seeds]),
+        node.setting(
+            'until_no_failures',
+            default.until_no_failures,
+            'with strategy failures: once the criteria hold, go on while the learned option '
+            'fails from a state (from more than a tenth, where states are sampled)',
+        ),
     )
 
 
@@ -112,14 +118,6 @@ class LessonNode(NodeBase):
     def __init__(self) -> None:
         super().__init__('lesson')
         self._rules = read_rules(self)
-        self._until_no_failures = bool(
-            self.setting(
-                'until_no_failures',
-                False,
-                'with strategy failures: once the criteria hold, go on while the learned option '
-                'fails from a state (from more than a tenth, where states are sampled)',
-            )
-        )
         self._learner_deadline = float(
             self.setting(
                 'learner_deadline',
@@ -189,7 +187,7 @@ class LessonNode(NodeBase):
         self._serve()
 
     def _make_lesson(self, domain: Domain[Any]) -> Lesson:
-        self._starts = StartStates(domain, self._rules, until_no_failures=self._until_no_failures)
+        self._starts = StartStates(domain, self._rules)
         lesson = Lesson(
             domain,
             self._store,

@@ -1,5 +1,5 @@
 """
-A lesson in one process: the dialogue, the game, the learner and a simulated teacher, without ROS.
+A lesson in one process: a simulated teacher, the lesson, the game and the learner, without ROS.
 
 It is made of the parts that the nodes are made of and asks them in the same order, so the same
 settings and seed give the same demonstrations as a lesson over the graph.
@@ -15,6 +15,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.game import Accepted, Command, Game, Source, Transition
 from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.options.criteria import judge, usual_thresholds
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
@@ -49,7 +50,7 @@ SECONDS = {
     EndDemonstration: 1.0,
 }
 
-# Tells whether an option is taught well enough; called after each of its demonstrations, with all
+# Return whether an option is taught well enough; called after each of its demonstrations, with all
 # of them, from the first trajectory on.
 Enough = Callable[[Sequence[Demonstration], LearnedOption], bool]
 
@@ -71,28 +72,33 @@ class Taught:
 def teach(
     domain: Domain[Any],
     teacher: TeacherSettings,
-    rules: LessonRules,
-    enough: Enough,
-    *,
-    until_no_failures: bool = False,
+    rules: LessonRules | None = None,
+    enough: Enough | None = None,
 ) -> Taught:
     """
     Have a simulated teacher teach options, one after another.
 
-    :param rules: of the lesson; its seed is the learner's too.
-    :param until_no_failures: as the parameter of the node ``lesson``.
+    :param rules: of the lesson; its seed is the learner's too. None: the defaults.
+    :param enough: None: the three criteria hold, with the usual thresholds of the domain.
     :raises TeacherError: there is no such option to teach, or a setting is wrong.
     :raises LessonError: an act of the teacher was refused.
     """
+    rules = rules or LessonRules()
+    seed, thresholds = rules.seed, usual_thresholds(domain)
+
+    def criteria_met(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
+        return judge(shown, domain, thresholds, seed, option).criteria_met
+
     with (
         tempfile.TemporaryDirectory(prefix='humanopts-') as folder,
         DemonstrationStore(Path(folder)) as store,
     ):
-        lesson = _InProcess(domain, teacher, rules, enough, store, until_no_failures)
-        return lesson.run()
+        return _InProcess(domain, teacher, rules, enough or criteria_met, store).run()
 
 
 class _InProcess:
+    """The parts of one lesson, and the clock of the person who is simulated."""
+
     def __init__(
         self,
         domain: Domain[Any],
@@ -100,12 +106,11 @@ class _InProcess:
         rules: LessonRules,
         enough: Enough,
         store: DemonstrationStore,
-        until_no_failures: bool,
     ) -> None:
         self._domain, self._seed, self._enough = domain, rules.seed, enough
         self._seconds = 0.0
         self._teacher = SimulatedTeacher(domain, reference_options(domain), teacher)
-        self._starts = StartStates(domain, rules, until_no_failures=until_no_failures)
+        self._starts = StartStates(domain, rules)
         self._lesson = Lesson(
             domain, store, self._starts, rules, clock=lambda: self._seconds, today=lambda: ''
         )
