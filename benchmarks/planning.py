@@ -25,8 +25,8 @@ from humanopts_env.domains.tabular import read_only
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree, Tree
-from humanopts_learner.options.option import LearnedOption, MEMBERSHIP, option_tables, OptionTables
-from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE, TabledOption
+from humanopts_learner.options.option import LearnedOption, MEMBERSHIP, TabularOption, tabulate
+from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.multi_time_models import MultiTimeModel
 from humanopts_learner.planning.plan import plan_with_tables
 from humanopts_learner.planning.value_iteration import solve_smdp
@@ -70,15 +70,10 @@ class TaxiCase:
         self._references = [references[name] for name in OPTIONS]
 
     @cached_property
-    def optimal(self) -> tuple[TabledOption, ...]:
+    def optimal(self) -> tuple[TabularOption, ...]:
         """The two options as tables of shortest ways."""
         return tuple(
-            TabledOption(
-                option.name,
-                self.domain.n_states,
-                OptionTables(option.optimal.argmax(axis=1), option.initiation, option.termination),
-            )
-            for option in self._references
+            TabularOption.of_reference(option, self.domain.n_states) for option in self._references
         )
 
     @cached_property
@@ -154,7 +149,7 @@ class Solver:
 
 
 def _planned(
-    case: TaxiCase, action_set: str, options: Sequence[TabledOption], table_seconds: float = 0.0
+    case: TaxiCase, action_set: str, options: Sequence[TabularOption], table_seconds: float = 0.0
 ) -> Solved:
     plan = plan_with_tables(case.domain, action_set, options, GAMMA, TOLERANCE, MAX_SWEEPS)
     return Solved(
@@ -174,10 +169,7 @@ def composed(case: TaxiCase) -> Solved:
 def composed_from_trees(case: TaxiCase) -> Solved:
     """Evaluate the options' trees in every state, then plan as ``composed``."""
     began = time.perf_counter()
-    tabled = [
-        TabledOption(option.name, option.max_steps, option_tables(option, case.domain))
-        for option in case.learned
-    ]
+    tabled = [tabulate(option, case.domain) for option in case.learned]
     return _planned(case, HUMAN, tabled, time.perf_counter() - began)
 
 
@@ -186,7 +178,7 @@ def iterated(case: TaxiCase) -> Solved:
     domain, began = case.domain, time.perf_counter()
     columns = [_run_out(domain.transitions(), domain.over(), o) for o in case.optimal]
     reward, discount, successor = (np.stack(part) for part in zip(*columns))
-    available = np.stack([o.tables.initiation & ~domain.over() for o in case.optimal])
+    available = np.stack([o.initiation & ~domain.over() for o in case.optimal])
     names = tuple(option.name for option in case.optimal)
     model = MultiTimeModel(names, reward.T, available.T, successor.T, discount.T)
     built = time.perf_counter()
@@ -196,20 +188,20 @@ def iterated(case: TaxiCase) -> Solved:
 
 
 def _run_out(
-    rules: Transitions, over: NDArray[np.bool_], option: TabledOption
+    rules: Transitions, over: NDArray[np.bool_], option: TabularOption
 ) -> tuple[Values, Values, NDArray[np.int32]]:
     """Run an option from all its states side by side."""
     reward, discount = np.zeros(len(over)), np.ones(len(over))
     successor = np.arange(len(over), dtype=np.int32)
-    going = np.flatnonzero(option.tables.initiation & ~over)
+    going = np.flatnonzero(option.initiation & ~over)
     while len(going):
         state = successor[going]
-        action = option.tables.action[state]
+        action = option.action[state]
         reward[going] += discount[going] * rules.reward[state, action, 0]
         discount[going] *= np.where(rules.terminated[state, action, 0], 0.0, GAMMA)
         arrived = rules.successor[state, action, 0]
         successor[going] = arrived
-        ended = option.tables.termination[arrived] | over[arrived] | (discount[going] == 0.0)
+        ended = option.termination[arrived] | over[arrived] | (discount[going] == 0.0)
         going = going[~ended]
     return reward, discount, successor
 

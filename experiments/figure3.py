@@ -13,8 +13,7 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
-from humanopts_learner.automatic.extract import find_options
-from humanopts_learner.automatic.search_space import search_space
+from humanopts_learner.automatic.extract import find_options, search_space
 from humanopts_teach.report.automatic_figure import draw_visits, visit_map, VisitMap
 from humanopts_teach.report.figures import Drawing
 import numpy as np
@@ -54,7 +53,7 @@ def extract(parameters: Mapping[str, Any]) -> dict[str, Any]:
                 'cell': int(option.target.cell),
                 'event': option.target.event,
                 'visits': int(option.target.visits),
-                'can_start': float(option.tables.initiation[reached].mean()),
+                'can_start': float(option.initiation[reached].mean()),
                 'reaches': float(option.reaches),
             }
             for option in found.options

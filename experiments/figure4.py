@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
+from humanopts_learner.options.option import tabulate
 from humanopts_learner.planning.action_sets import (
     AUTOMATIC,
     AUTOMATIC_AND_PRIMITIVE,
@@ -25,7 +26,6 @@ import pandas as pd
 
 from experiments import paper
 from experiments.people import (
-    as_table,
     MACHINE,
     NOBODY,
     options_of,
@@ -102,7 +102,7 @@ def learn_curve(parameters: Mapping[str, Any]) -> dict[str, Any]:
     :return: mean steps of the learners by episode, the rates, and the names of the options.
     """
     domain, chosen = Taxi(), SETS[parameters['set']][1]
-    options = [as_table(o, domain) for o in options_of(parameters, domain).options]
+    options = [tabulate(o, domain) for o in options_of(parameters, domain).options]
     choices = option_table(domain, chosen, options)
     method, episodes = Method(parameters['method']), parameters['episodes']
     search, judging = (

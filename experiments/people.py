@@ -18,10 +18,10 @@ from pathlib import Path
 import time
 from typing import Any
 
-from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
+from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.seeding import generator
-from humanopts_learner.automatic.extract import find_options
+from humanopts_learner.automatic.extract import find_options, to_learned_options
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
@@ -30,8 +30,6 @@ from humanopts_learner.demonstrations import (
     Kind,
 )
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption, option_tables
-from humanopts_learner.planning.action_sets import TabledOption
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
@@ -218,7 +216,7 @@ def options_of(
     """
     if 'extraction' in owner:
         found = find_options(domain, owner['extraction'], clock=CLOCK)
-        options = found.tabled if is_enumerable(domain) else found.batched
+        options = found.options if is_enumerable(domain) else to_learned_options(domain, found)
         return OwnedOptions(tuple(options), seconds=found.seconds, game_steps=found.game_steps)
     if 'teacher' not in owner:
         return OwnedOptions()
@@ -226,13 +224,6 @@ def options_of(
         person = Participant(**owner['teacher']['person'])
         return _from_lesson(person, domain, names or paper.TAUGHT[domain.name])
     return _from_bag(owner['teacher'])
-
-
-def as_table(option: LearnedOption | TabledOption, domain: EnumerableDomain[Any]) -> TabledOption:
-    """Return an option as planning with exact models takes it."""
-    if isinstance(option, TabledOption):
-        return option
-    return TabledOption(option.name, option.max_steps, option_tables(option, domain))
 
 
 def _from_lesson(person: Participant, domain: Domain[Any], names: Sequence[str]) -> OwnedOptions:

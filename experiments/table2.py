@@ -17,21 +17,19 @@ from humanopts_env.domains.pacman.baselines import INTERRUPTED
 from humanopts_env.domains.pacman.baselines import PRIMITIVE as PRIMITIVE_SETTINGS
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
 from humanopts_learner.planning.action_sets import (
     AUTOMATIC,
     AUTOMATIC_AND_PRIMITIVE,
     HUMAN,
     HUMAN_AND_PRIMITIVE,
     PRIMITIVE,
-    TabledOption,
 )
 from humanopts_learner.planning.any_domain import AnyPlan, MAX_SWEEPS
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.evaluate import play, Returns
 from humanopts_learner.planning.interruption import as_executed, policy_values
 from humanopts_learner.planning.plan import Plan, plan_with_tables
-from humanopts_learner.planning.sampled.action_set import BatchOption
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from humanopts_teach.evaluation.comparison import carried_over
 import numpy as np
@@ -39,7 +37,6 @@ from numpy.typing import NDArray
 
 from experiments import paper
 from experiments.people import (
-    as_table,
     CLOCK,
     MACHINE,
     NOBODY,
@@ -243,7 +240,7 @@ def _record(budget: int, plan: AnyPlan, returns: Returns, done: NDArray[Any]) ->
 
 # Exact models.
 
-ExactOptions = Sequence[LearnedOption | TabledOption]
+ExactOptions = Sequence[LearnedOption | TabularOption]
 
 
 def plan_exactly(
@@ -301,7 +298,7 @@ def _exact_plan(
 ) -> tuple[Plan, Plan]:
     """Return a plan, with all its seconds, and the one that executes it."""
     began = CLOCK()
-    tabled = [as_table(option, domain) for option in options]
+    tabled = [tabulate(option, domain) for option in options]
     limits: Any = {'max_sweeps': max_sweeps, 'clock': CLOCK, 'table_seconds': CLOCK() - began}
     plan = plan_with_tables(domain, variant.action_set, tabled, domain.gamma, **limits)
     began = CLOCK()
@@ -338,8 +335,6 @@ def _gain_by_state(
 
 
 # Sampled models.
-
-BatchOptions = Sequence[LearnedOption | BatchOption]
 
 
 @dataclass(frozen=True)
@@ -382,7 +377,7 @@ def settings_to_try(gamma: float, count: int) -> list[Setting]:
 
 def plan_from_samples(
     domain: Domain[Any],
-    asked: Sequence[tuple[Variant, BatchOptions]],
+    asked: Sequence[tuple[Variant, Sequence[LearnedOption]]],
     plans: int,
     effort: Effort,
     seed: int,
@@ -405,7 +400,7 @@ def plan_from_samples(
 
 def _plan_variant(
     domain: Domain[Any],
-    asked: tuple[Variant, BatchOptions],
+    asked: tuple[Variant, Sequence[LearnedOption]],
     plans: int,
     effort: Effort,
     seed: int,

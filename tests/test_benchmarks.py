@@ -276,8 +276,8 @@ def test_the_trees_act_as_the_shortest_ways_do() -> None:
     case = TaxiCase(6)
     for option, learned in zip(case.optimal, case.learned):
         rows = case.domain.feature_table()
-        can = option.tables.initiation
-        assert (learned.greedy_action(rows)[can] == option.tables.action[can]).all()
+        can = option.initiation
+        assert (learned.greedy_action(rows)[can] == option.action[can]).all()
         assert (learned.can_start(rows) == can)[~case.domain.over()].all()
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_learner.automatic.config import Extraction
-from humanopts_learner.automatic.extract import find_options
+from humanopts_learner.automatic.extract import find_options, to_learned_options
 from humanopts_teach.report.figures import Drawing
 import numpy as np
 import pytest
@@ -131,7 +131,7 @@ def test_same_seed_gives_the_same_numbers_and_another_one_others() -> None:
 def test_gains_are_of_every_plan_that_runs_to_the_end() -> None:
     domain = PacMan(maze='yard', max_steps=50)
     small = Extraction(options=2, tasks=30, train_episodes=50, option_episodes=50)
-    options = find_options(domain, 1, small).batched
+    options = to_learned_options(domain, find_options(domain, 1, small))
     asked = [(variant, options) for variant in (TO_END, INTERRUPTING[0])]
     found = plan_from_samples(domain, asked, 2, TINY, seed=1)
     planned = [row['action set'] for row in found['plans']]

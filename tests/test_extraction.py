@@ -18,8 +18,11 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_interfaces.srv import ListOptions
 from humanopts_learner.automatic.config import Extraction
-from humanopts_learner.automatic.extract import AutomaticOptions, find_options
-from humanopts_learner.automatic.to_learned_option import to_learned_options
+from humanopts_learner.automatic.extract import (
+    AutomaticOptions,
+    find_options,
+    to_learned_options,
+)
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.ros.convert import options_from_message
 from humanopts_ros.qos import CURRENT

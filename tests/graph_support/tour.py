@@ -64,8 +64,8 @@ def steps(plan: Plan, execution: Execution, start: int, limit: int) -> Iterator[
             return
         ends = stopped = False
         if column < len(plan.options):
-            ends = bool(plan.options[column].tables.termination[at])
-            stopped = not ends and bool(acting.options[column].tables.termination[at])
+            ends = bool(plan.options[column].termination[at])
+            stopped = not ends and bool(acting.options[column].termination[at])
         modules = execution in (Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST)
         stopped = stopped and not modules
         if ends or stopped or modules or column >= len(plan.options):

@@ -1,10 +1,11 @@
 """Pac-Man's reference options by hand, and ways to play with them."""
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.pacman.baselines import hand_rule, play_options
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.features import Surroundings
 from humanopts_env.domains.pacman.reference import reference_options
-from humanopts_env.domains.pacman.rules import Flags, Ints, PacManBatch
+from humanopts_env.domains.pacman.rules import PacManBatch
 from humanopts_env.seeding import generator
 import numpy as np
 import pytest

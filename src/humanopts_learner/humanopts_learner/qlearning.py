@@ -21,23 +21,16 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain, Transitions
 from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
 from humanopts_learner.library import PRIMITIVE_PREFIX
-from humanopts_learner.planning.action_sets import (
-    check_action_set,
-    OPTIONS_ONLY,
-    PRIMITIVE,
-    TabledOption,
-)
+from humanopts_learner.options.option import TabularOption
+from humanopts_learner.planning.action_sets import check_action_set, OPTIONS_ONLY, PRIMITIVE
 from humanopts_learner.planning.errors import PlanError
 import numpy as np
-from numpy.typing import NDArray
 
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 # Called with the share of the episodes that is done, 0..1; raises ``PlanCanceled`` to stop
 Progress = Callable[[float], object]
 REPORT_EVERY = 200  # steps
@@ -62,7 +55,7 @@ class OptionTable:
 
 
 def option_table(
-    domain: EnumerableDomain[Any], action_set: str, options: Sequence[TabledOption]
+    domain: EnumerableDomain[Any], action_set: str, options: Sequence[TabularOption]
 ) -> OptionTable:
     """
     Return the options of an action set as one table.
@@ -74,8 +67,9 @@ def option_table(
     check_action_set(action_set, [option.name for option in options])
     count, going = domain.n_states, ~domain.over()
     primitives = np.arange(len(domain.actions))
-    tables = [option.tables for option in used]
-    can = np.array([t.initiation for t in tables], dtype=np.bool_).reshape(-1, count) & going
+    can = (
+        np.array([option.initiation for option in used], dtype=np.bool_).reshape(-1, count) & going
+    )
     free = going & ~can.any(axis=0) if action_set in OPTIONS_ONLY else going
     n_primitives = len(primitives) if free.any() else 0
     shape = (n_primitives, count)
@@ -86,11 +80,13 @@ def option_table(
         ),
         action=np.concatenate(
             [
-                *(t.action[None] for t in tables),
+                *(option.action[None] for option in used),
                 np.broadcast_to(primitives[:n_primitives, None], shape),
             ]
         ).astype(np.intp),
-        ends=np.concatenate([*(t.termination[None] for t in tables), np.ones(shape, np.bool_)]),
+        ends=np.concatenate(
+            [*(option.termination[None] for option in used), np.ones(shape, np.bool_)]
+        ),
         available=np.concatenate([can, np.broadcast_to(free, shape)]).T.copy(),
         limits=np.array(
             [*(option.max_steps for option in used), *[1] * n_primitives], dtype=np.intp

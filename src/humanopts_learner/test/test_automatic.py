@@ -12,8 +12,12 @@ from humanopts_env.domains.taxi import ABOARD, Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
 from humanopts_learner.automatic.config import Extraction, USUAL
-from humanopts_learner.automatic.extract import AutomaticOptions, find_options
-from humanopts_learner.automatic.search_space import search_space
+from humanopts_learner.automatic.extract import (
+    AutomaticOptions,
+    find_options,
+    search_space,
+    to_learned_options,
+)
 from humanopts_learner.automatic.subgoals import draw_tasks
 from humanopts_learner.planning.action_sets import HUMAN_AND_PRIMITIVE, PRIMITIVE
 from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
@@ -114,7 +118,7 @@ def test_taxi_has_the_nine_options_of_the_paper(seed: int) -> None:
 def test_taxi_options_pick_up_and_drop_off_whatever_the_destination() -> None:
     taxi = Taxi()
     for option in found('taxi').options[1:]:
-        passengers = {taxi.state_at(s).passenger for s in np.flatnonzero(option.tables.initiation)}
+        passengers = {taxi.state_at(s).passenger for s in np.flatnonzero(option.initiation)}
         waits = 'RGYB'.index(option.name[-1])
         assert passengers == ({waits} if option.target.event == 'pickup' else {ABOARD})
         assert option.reaches == 1.0
@@ -123,10 +127,9 @@ def test_taxi_options_pick_up_and_drop_off_whatever_the_destination() -> None:
 @pytest.mark.parametrize('name', ['taxi', 'rooms', 'pacman'])
 def test_options_end_at_their_target_and_outside_their_initiation_set(name: str) -> None:
     for option in found(name).options:
-        tables, target = option.tables, option.target.target
-        assert tables.initiation.any()
-        assert tables.termination[target].all()
-        assert (tables.termination == ~tables.initiation).all()
+        assert option.initiation.any()
+        assert option.termination[option.target.target].all()
+        assert (option.termination == ~option.initiation).all()
 
 
 def test_the_doorways_of_rooms_lie_on_most_runs() -> None:
@@ -140,7 +143,7 @@ def test_the_doorways_of_rooms_lie_on_most_runs() -> None:
 def test_planning_with_automatic_options_and_primitives_loses_nothing() -> None:
     taxi = Taxi()
     best = plan_with_tables(taxi, PRIMITIVE, (), 0.99).solution.values
-    both = plan_with_tables(taxi, HUMAN_AND_PRIMITIVE, found('taxi').tabled, 0.99)
+    both = plan_with_tables(taxi, HUMAN_AND_PRIMITIVE, found('taxi').options, 0.99)
     assert both.solution.values == pytest.approx(best, abs=1e-6)
 
 
@@ -149,7 +152,7 @@ def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
     domain = PacMan(maze=CROSSING)
     found_here = find_options(domain, 0, QUICK)
     games = batch_games(domain)
-    actions = ActionSet(domain, 'human', found_here.batched)
+    actions = ActionSet(domain, 'human', to_learned_options(domain, found_here))
     rng = generator(0, 'test')
     runs = Runs(StateAbstraction(games, 'human'), actions, games.batch_reset(50, rng), rng)
     runs.decide(UniformPolicy(actions))

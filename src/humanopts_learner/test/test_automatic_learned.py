@@ -9,10 +9,13 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.automatic.config import Extraction
-from humanopts_learner.automatic.extract import AutomaticOptions, find_options
-from humanopts_learner.automatic.to_learned_option import to_learned_options
+from humanopts_learner.automatic.extract import (
+    AutomaticOptions,
+    find_options,
+    to_learned_options,
+)
 from humanopts_learner.options.files import option_from_json, option_to_json
-from humanopts_learner.options.option import LearnedOption, option_tables
+from humanopts_learner.options.option import LearnedOption, tabulate
 from humanopts_learner.planning.any_domain import plan_in, PlanRequest, select_options
 from humanopts_learner.planning.errors import NoOptionsError, PlanError
 from humanopts_learner.planning.plan import plan_with_tables
@@ -41,10 +44,10 @@ def test_trees_say_what_the_tables_say_wherever_an_episode_goes_on(name: str) ->
     domain, space = make_domain(name), found(name).space
     going = space.reached & ~space.over
     for option, learned in zip(found(name).options, options(name), strict=True):
-        said = option_tables(learned, domain)  # type: ignore[arg-type]
-        assert (said.initiation == option.tables.initiation)[going].all()
-        assert (said.termination == option.tables.termination)[going].all()
-        assert (said.action == option.tables.action)[option.tables.initiation].all()
+        said = tabulate(learned, domain)  # type: ignore[arg-type]
+        assert (said.initiation == option.initiation)[going].all()
+        assert (said.termination == option.termination)[going].all()
+        assert (said.action == option.action)[option.initiation].all()
         assert learned.max_steps == option.max_steps
 
 
@@ -55,12 +58,13 @@ def test_options_of_pacman_see_his_place_and_do_the_same_in_every_game() -> None
     for _ in range(30):
         games.batch_step(batch, rng.integers(4, size=200), rng)
     rows = games.batch_features(batch)
-    for option, learned in zip(found('pacman').batched, options('pacman'), strict=True):
-        can = option.can_start(rows)
+    cells = found('pacman').space.states_of(rows)
+    for option, learned in zip(found('pacman').options, options('pacman'), strict=True):
+        can = option.initiation[cells]
         assert learned.features == ('pacman_row', 'pacman_col')
         assert (learned.can_start(rows) == can).all()
-        assert (learned.greedy_action(rows) == option.greedy_action(rows))[can].all()
-        assert (learned.ends(rows) == option.ends(rows)).all()
+        assert (learned.greedy_action(rows) == option.action[cells])[can].all()
+        assert (learned.ends(rows) == option.termination[cells]).all()
 
 
 def test_an_option_depends_on_no_feature_that_it_can_do_without() -> None:
@@ -89,7 +93,7 @@ def test_a_file_keeps_an_automatic_option_without_demonstrations() -> None:
 def test_plans_of_learned_form_and_of_tables_are_the_same(action_set: str) -> None:
     taxi = Taxi()
     plan: Any = plan_in(taxi, options('taxi'), PlanRequest(action_set))
-    tabled = plan_with_tables(taxi, action_set, found('taxi').tabled, taxi.gamma)
+    tabled = plan_with_tables(taxi, action_set, found('taxi').options, taxi.gamma)
     space = found('taxi').space
     going = space.reached & ~space.over
     assert (plan.solution.values == tabled.solution.values)[going].all()

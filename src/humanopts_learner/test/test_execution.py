@@ -24,9 +24,9 @@ from humanopts_learner.library import (
 from humanopts_learner.options.option import (
     LearnedOption,
     Mode,
-    option_from_tables,
+    option_from_table,
     OptionError,
-    OptionTables,
+    TabularOption,
 )
 from humanopts_learner.planning.arbitration import Execution
 import numpy as np
@@ -51,10 +51,8 @@ def option(
     rows, names = domain.feature_table(), [feature.name for feature in domain.features]
     waits = rows[:, names.index('passenger_in_taxi')] == 0
     actions, over = (np.broadcast_to(values, len(rows)) for values in (action, ends))
-    tables = OptionTables(actions.astype(np.intp), waits, over.astype(np.bool_))
-    return option_from_tables(
-        domain, name, names, rows, tables, participant=participant, max_steps=max_steps
-    )
+    table = TabularOption(name, max_steps, actions.astype(np.intp), waits, over.astype(np.bool_))
+    return option_from_table(domain, table, names, rows, participant=participant)
 
 
 def feature(name: str) -> NDArray[np.int32]:

@@ -19,10 +19,10 @@ from humanopts_learner.options.accuracy import classification_accuracy, policy_a
 from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
 from humanopts_learner.options.option import (
     Mode,
-    option_from_tables,
-    option_tables,
+    option_from_table,
     OptionError,
-    OptionTables,
+    TabularOption,
+    tabulate,
 )
 from humanopts_learner.options.rollout import rollouts
 import numpy as np
@@ -204,7 +204,7 @@ def test_sampled_runs_depend_on_their_keys_and_not_on_each_other(
 
 def test_tables_hold_what_the_option_says_of_each_state(fetching: Shown) -> None:
     option = learn_option(fetching, TAXI, 0)
-    tables = option_tables(option, TAXI)
+    tables = tabulate(option, TAXI)
     for index in range(0, TAXI.n_states, 37):
         one = row(TAXI.state_at(index))
         assert tables.action[index] == option.greedy_action(one)[0]
@@ -215,7 +215,7 @@ def test_tables_hold_what_the_option_says_of_each_state(fetching: Shown) -> None
 def test_an_option_is_refused_by_another_game(fetching: Shown) -> None:
     option = learn_option(fetching, TAXI, 0)
     with pytest.raises(OptionError, match='learned in taxi'):
-        option_tables(option, Taxi(rows=6, cols=6))
+        tabulate(option, Taxi(rows=6, cols=6))
     with pytest.raises(OptionError, match='features or actions'):
         replace(option, actions=option.actions[::-1]).check_domain(TAXI)
 
@@ -270,8 +270,9 @@ def test_runs_in_one_batch_are_those_of_single_steps(mode: Mode) -> None:
     states = domain.sample_states(generator(1, 'runs'), 80)
     rows = feature_rows(domain, states)
     said = judge_states(reference, states, len(domain.actions))
-    tables = OptionTables(said.optimal.argmax(axis=1), said.initiation, said.termination)
-    option = option_from_tables(domain, CLOSEST_FOOD, reference.features, rows, tables)
+    action = said.optimal.argmax(axis=1)
+    table = TabularOption(CLOSEST_FOOD, 200, action, said.initiation, said.termination)
+    option = option_from_table(domain, table, reference.features, rows)
     ours, theirs = (
         rollouts(option, game, states, 5, mode=mode, max_steps=25) for game in (domain, single)
     )
@@ -285,12 +286,8 @@ def test_no_run_starts_where_the_task_is_over() -> None:
     """One game in a batch that is over is refused, as a step from it is."""
     domain = PacMan('yard')
     states = domain.sample_states(generator(1, 'runs'), 2)
-    option = option_from_tables(
-        domain,
-        'stays',
-        ['pacman_row'],
-        feature_rows(domain, states),
-        OptionTables(np.zeros(2, np.intp), np.ones(2, np.bool_), np.zeros(2, np.bool_)),
-    )
+    nothing = np.zeros(2, np.bool_)
+    table = TabularOption('stays', 200, np.zeros(2, np.intp), ~nothing, nothing)
+    option = option_from_table(domain, table, ['pacman_row'], feature_rows(domain, states))
     with pytest.raises(DomainError, match='over'):
         rollouts(option, domain, [states[0], replace(states[1], lives=0)])

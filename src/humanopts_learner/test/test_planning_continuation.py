@@ -11,8 +11,7 @@ from humanopts_env.domains.registry import reference_options
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.table_domain import TableDomain
 from humanopts_env.domains.taxi import Taxi
-from humanopts_learner.options.option import OptionTables
-from humanopts_learner.planning.action_sets import TabledOption
+from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.arbitration import (
     Execution,
     greatest_mass,
@@ -35,14 +34,10 @@ PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
 NEVER_WORSE = (Execution.INTERRUPTED, Execution.MODULAR_STRONGEST)
 
 
-def tabled(domain: Any, max_steps: int = 200, names: Sequence[str] = ()) -> list[TabledOption]:
+def tabled(domain: Any, max_steps: int = 200, names: Sequence[str] = ()) -> list[TabularOption]:
     """Return the reference options of a domain as tables."""
     return [
-        TabledOption(
-            name,
-            max_steps,
-            OptionTables(option.optimal.argmax(axis=1), option.initiation, option.termination),
-        )
+        TabularOption.of_reference(option, max_steps)
         for name, option in reference_options(domain).items()
         if not names or name in names
     ]
@@ -85,12 +80,7 @@ def test_it_is_never_worse_in_the_greenhouse(monkeypatch: pytest.MonkeyPatch) ->
     from humanopts_greenhouse.reference import reference_options as greenhouse_options
 
     house = Greenhouse()
-    options = [
-        TabledOption(
-            name, 200, OptionTables(o.optimal.argmax(axis=1), o.initiation, o.termination)
-        )
-        for name, o in greenhouse_options(house).items()
-    ]
+    options = [TabularOption.of_reference(o) for o in greenhouse_options(house).values()]
     assert_never_worse(plan_with_tables(house, 'human', options, house.gamma))
 
 
@@ -147,14 +137,12 @@ def random_plan(
     """Plan with random options, some of which can start nowhere or end nowhere."""
     world, rng = RandomWorld(seed, n_states, outcomes), np.random.default_rng(seed + 1)
     options = [
-        TabledOption(
+        TabularOption(
             f'option {number}',
             limit,
-            OptionTables(
-                rng.integers(0, 3, n_states),
-                rng.random(n_states) < 0.6,
-                rng.random(n_states) < rng.choice([0.0, 0.3]),
-            ),
+            rng.integers(0, 3, n_states),
+            rng.random(n_states) < 0.6,
+            rng.random(n_states) < rng.choice([0.0, 0.3]),
         )
         for number, limit in enumerate(limits)
     ]
@@ -186,7 +174,7 @@ def test_going_on_is_worth_a_run_from_there_or_with_fewer_steps_left_the_best(pl
     for column, option in enumerate(plan.options):
         worth, best = plan.solution.values, np.full(len(live), -np.inf)
         for _ in range(option.max_steps):
-            worth = one_step_more(plan, option.tables, worth)
+            worth = one_step_more(plan, option, worth)
             best = np.maximum(best, worth)
         found = table.continuation_values[:, column]
         whole, any_left = (np.isclose(found, expected, atol=1e-7) for expected in (worth, best))
@@ -197,16 +185,16 @@ def test_going_on_is_worth_a_run_from_there_or_with_fewer_steps_left_the_best(pl
 
 
 def one_step_more(
-    plan: Plan, tables: OptionTables, ahead: NDArray[np.float64]
+    plan: Plan, option: TabularOption, ahead: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return what going on is worth with one step more left, in every state, one by one."""
     rules, over, values = plan.domain.transitions(), plan.domain.over(), plan.solution.values
     found = np.zeros(len(over))
-    for state, action in enumerate(tables.action.tolist()):
+    for state, action in enumerate(option.action.tolist()):
         for b in range(rules.successor.shape[2]):
             at = state, action, b
             to = rules.successor[at]
-            follows = values[to] if tables.termination[to] else ahead[to]
+            follows = values[to] if option.termination[to] else ahead[to]
             follows = 0.0 if rules.terminated[at] or over[to] else follows
             found[state] += rules.probability[at] * (rules.reward[at] + plan.gamma * follows)
     return found
@@ -241,14 +229,15 @@ def test_an_option_that_walks_in_a_circle_is_stopped() -> None:
     """Driving north for ever is at no place better than what the plan would choose there."""
     taxi = Taxi()
     everywhere = ~taxi.over()
-    north = OptionTables(np.ones(taxi.n_states, dtype=np.intp), everywhere, taxi.over())
-    options = [*tabled(taxi, 200, (PICKUP, DROPOFF)), TabledOption('north', 50, north)]
+    up = np.ones(taxi.n_states, dtype=np.intp)
+    north = TabularOption('north', 50, up, everywhere, taxi.over())
+    options = [*tabled(taxi, 200, (PICKUP, DROPOFF)), north]
     plan = plan_with_tables(taxi, 'human', options, taxi.gamma)
     wrong = replace(plan.solution, best=np.where(everywhere, 2, -1).astype(np.int32))
     starts = taxi.start_states()
     obstinate = play(replace(plan, solution=wrong), starts)
     assert not obstinate.successes.any()
-    stop = as_executed(plan, Execution.INTERRUPTED).options[2].tables.termination
+    stop = as_executed(plan, Execution.INTERRUPTED).options[2].termination
     away = plan.solution.values > option_values(plan).continuation_values[:, 2] + 1e-6
     assert (stop == away)[everywhere].all()
     at_the_wall = taxi.transitions().successor[:, 1, 0] == np.arange(taxi.n_states)

@@ -181,9 +181,9 @@ def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(execution: E
             assert arbiter.before_step(state, '') == winner
             continue
         for before, after in zip(plan.options, acting.options):
-            if not before.tables.termination[index]:
+            if not before.termination[index]:
                 stopped = arbiter.before_step(state, before.name) is None
-                assert stopped == bool(after.tables.termination[index])
+                assert stopped == bool(after.termination[index])
 
 
 def test_values_that_fit_neither_options_nor_domain_are_refused() -> None:

@@ -11,8 +11,7 @@ from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
-from humanopts_learner.options.option import LearnedOption, option_tables, OptionTables
-from humanopts_learner.planning.action_sets import TabledOption
+from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
 from humanopts_learner.planning.errors import (
     DuplicateOptionError,
     ForeignOptionError,
@@ -36,11 +35,9 @@ DROPOFF = 'go to destination and dropoff'
 
 
 @cache
-def tabled(name: str, max_steps: int = 200) -> TabledOption:
+def tabled(name: str, max_steps: int = 200) -> TabularOption:
     """Return a reference option as tables."""
-    option = reference_options(TAXI)[name]
-    tables = OptionTables(option.optimal.argmax(axis=1), option.initiation, option.termination)
-    return TabledOption(name, max_steps, tables)
+    return TabularOption.of_reference(reference_options(TAXI)[name], max_steps)
 
 
 @cache
@@ -134,9 +131,9 @@ def test_where_no_option_is_available_the_best_primitive_action_is_a_counted_fal
     assert (returns.decisions == fetch.distance[starts] + 1).all()
 
 
-def learned_tables(name: str) -> OptionTables:
+def learned_tables(name: str) -> TabularOption:
     """Return what the trees say in every state."""
-    return option_tables(learned(name), TAXI)
+    return tabulate(learned(name), TAXI)
 
 
 @pytest.mark.parametrize('max_steps', [1, 2, 3, 5])
@@ -167,7 +164,7 @@ def test_play_equals_single_episodes_in_the_rules_of_the_game() -> None:
         assert returns.successes[episode] == expected.success
 
 
-def play_one(found: Plan, options: dict[str, TabledOption], start: int, limit: int) -> Any:
+def play_one(found: Plan, options: dict[str, TabularOption], start: int, limit: int) -> Any:
     """Play one episode, the slow and obvious way."""
     rng = np.random.default_rng(0)
     state = TAXI.state_at(start)
@@ -176,13 +173,13 @@ def play_one(found: Plan, options: dict[str, TabledOption], start: int, limit: i
         option = options[found.choose(state).name]
         result.decisions += 1
         for _ in range(option.max_steps):
-            outcome = TAXI.step(state, int(option.tables.action[TAXI.index(state)]), rng)
+            outcome = TAXI.step(state, int(option.action[TAXI.index(state)]), rng)
             state = outcome.state
             result.total += outcome.reward
             result.discounted += TAXI.gamma**result.steps * outcome.reward
             result.steps += 1
             result.success = outcome.terminated
-            ends = option.tables.termination[TAXI.index(state)]
+            ends = option.termination[TAXI.index(state)]
             if result.success or ends or result.steps == limit:
                 break
     return result

@@ -6,8 +6,8 @@ from humanopts_env.domains.rooms import Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import LearnedOption, option_tables, options_from_references
-from humanopts_learner.planning.action_sets import build_model, TabledOption
+from humanopts_learner.options.option import LearnedOption, options_from_references, tabulate
+from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.multi_time_models import SparseMultiTimeModel
 from humanopts_learner.planning.option_models import StochasticModeller
@@ -36,9 +36,7 @@ def plan(action_set: str, goal: str = 'G1') -> Plan:
 @cache
 def model(action_set: str) -> SparseMultiTimeModel:
     """Return the model of an action set."""
-    tabled = [
-        TabledOption(o.name, o.max_steps, option_tables(o, ROOMS)) for o in hallway_options(ROOMS)
-    ]
+    tabled = [tabulate(option, ROOMS) for option in hallway_options(ROOMS)]
     found = build_model(ROOMS, action_set, tabled, ROOMS.gamma)
     assert isinstance(found, SparseMultiTimeModel)
     return found
@@ -97,7 +95,7 @@ def test_the_ready_options_are_the_reference_options(goal: str) -> None:
     """In every state in which they can be asked."""
     domain = Rooms(goal)
     for ready, reference in zip(hallway_options(domain), reference_options(domain).values()):
-        tables = option_tables(ready, domain)
+        tables = tabulate(ready, domain)
         starts, judged = reference.initiation, reference.judged
         assert ready.name == reference.name
         assert reference.optimal[starts, tables.action[starts]].all()

@@ -9,8 +9,8 @@ from humanopts_env.domains.registry import reference_options
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import OptionTables
-from humanopts_learner.planning.action_sets import build_model, TabledOption
+from humanopts_learner.options.option import TabularOption
+from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
 from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.value_iteration import solve_smdp
@@ -66,19 +66,21 @@ class TabularSimulator:
         """Begin anywhere else."""
         return np.arange(self.n_states - 1, dtype=np.int32)
 
-    def options(self) -> list[TabledOption]:
+    def options(self) -> list[TabularOption]:
         """Draw three options; one of them can start in one state only."""
         rng, count = generator(self.seed, 'options'), self.n_states
-        tables = [
-            OptionTables(rng.integers(3, size=count), rng.random(count) < 0.7, ends)
-            for ends in rng.random((3, count)) < 0.4
+        options = [
+            TabularOption(
+                f'option {n}', 50, rng.integers(3, size=count), rng.random(count) < 0.7, ends
+            )
+            for n, ends in enumerate(rng.random((3, count)) < 0.4)
         ]
-        tables[2].initiation[:] = np.arange(count) == 0
-        return [TabledOption(f'option {n}', 50, table) for n, table in enumerate(tables)]
+        options[2].initiation[:] = np.arange(count) == 0
+        return options
 
 
 def planned(
-    world: Any, options: list[TabledOption], action_set: str = MIXED, models: Any = None
+    world: Any, options: list[TabularOption], action_set: str = MIXED, models: Any = None
 ) -> NDArray[np.float64]:
     """
     Return the value of every choice (S, O) by SMDP value iteration; NaN where unavailable.
@@ -99,15 +101,10 @@ def learned(
     return learn(world, choices, rates, episodes, seed, method)
 
 
-def taxi_options() -> list[TabledOption]:
+def taxi_options() -> list[TabularOption]:
     """Return the two options that the participants of the paper taught."""
     found = reference_options(TAXI)
-    return [_tabled(name, found[name]) for name in (FETCH, DELIVER)]
-
-
-def _tabled(name: str, option: Any) -> TabledOption:
-    tables = OptionTables(option.optimal.argmax(axis=1), option.initiation, option.termination)
-    return TabledOption(name, 200, tables)
+    return [TabularOption.of_reference(found[name]) for name in (FETCH, DELIVER)]
 
 
 @pytest.mark.parametrize('method', Method)
@@ -136,7 +133,7 @@ def test_intra_option_learning_values_options_that_are_never_begun() -> None:
     """Option 2 can start in state 0 only; primitive steps that agree with it teach its value."""
     world = TabularSimulator(seed=1)
     everywhere = world.options()
-    everywhere[2].tables.initiation[:] = True
+    everywhere[2].initiation[:] = True
     exact = planned(world, world.options(), models=everywhere)[:-1, 2]
     steps, runs = (
         learned(world, MIXED, [WILD], 1000, method).values[0, :-1, 2]
@@ -150,7 +147,7 @@ def test_intra_option_learning_values_options_that_are_never_begun() -> None:
 def test_hallway_options_need_fewer_steps_early_on() -> None:
     """Sutton, Precup and Singh (1999), figure 5: the first ten episodes, intervals apart."""
     rooms = Rooms('G1')
-    options = [_tabled(name, option) for name, option in reference_options(rooms).items()]
+    options = [TabularOption.of_reference(o) for o in reference_options(rooms).values()]
     early = [
         Interval.of(
             learn(rooms, option_table(rooms, s, options), [Rates()] * 20, 10, 0).steps.mean(axis=1)

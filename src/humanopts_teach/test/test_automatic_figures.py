@@ -6,8 +6,7 @@ from humanopts_env.domains.base import BoardSlice, Domain, DomainError
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.rooms import Rooms
 from humanopts_learner.automatic.config import Extraction
-from humanopts_learner.automatic.extract import find_options
-from humanopts_learner.automatic.search_space import search_space
+from humanopts_learner.automatic.extract import find_options, search_space
 from humanopts_teach.report.automatic_figure import draw_visits, visit_map
 from humanopts_teach.report.figures import Drawing
 import numpy as np

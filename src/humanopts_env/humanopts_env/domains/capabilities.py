@@ -15,13 +15,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import Domain, Parameter
 from humanopts_env.domains.search_space import SearchSpace
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 THRESHOLDS = ('return_delta', 'initiation_error', 'termination_error')
 
 

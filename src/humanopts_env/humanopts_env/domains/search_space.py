@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import (
     BoardSlice,
     DomainError,
@@ -22,9 +23,6 @@ from humanopts_env.domains.base import (
 from humanopts_env.domains.tabular import reachable
 import numpy as np
 from numpy.typing import NDArray
-
-Flags = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

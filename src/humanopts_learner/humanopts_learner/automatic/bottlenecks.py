@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.search_space import SearchSpace
-from humanopts_learner.qlearning import Flags, Ints
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array

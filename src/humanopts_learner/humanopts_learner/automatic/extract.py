@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import time
 from typing import Any
 
-from humanopts_env.domains.base import Domain
-from humanopts_env.domains.search_space import SearchSpace
+from humanopts_env.arrays import Ints, Rows
+from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.capabilities import HasSearchSpace
+from humanopts_env.domains.search_space import SearchSpace, space_of_states
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
 from humanopts_learner.automatic.config import Extraction, ignore_progress, Progress, USUAL
-from humanopts_learner.automatic.search_space import search_space
 from humanopts_learner.automatic.subgoals import (
     check_tables,
     draw_tasks,
@@ -19,53 +20,19 @@ from humanopts_learner.automatic.subgoals import (
     Subgoals,
     Values,
 )
-from humanopts_learner.options.option import OptionTables
-from humanopts_learner.planning.action_sets import TabledOption
-from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.planning.sampled.action_set import Flags, Rows
-from humanopts_learner.planning.sampled.state_abstraction import Ints
+from humanopts_learner.options.option import LearnedOption, option_from_table, TabularOption
+from humanopts_learner.planning.action_sets import MACHINE
+from humanopts_learner.planning.errors import NotEnumerableError, PlanError
 from humanopts_learner.qlearning import TabularSimulator
 import numpy as np
-from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
-class AutomaticOption:
-    """One option, as tables over the states of the search space."""
+@dataclass(frozen=True, eq=False)
+class AutomaticOption(TabularOption):
+    """One option, as arrays over the states of the search space."""
 
     target: Bottleneck
-    tables: OptionTables
-    max_steps: int
     reaches: float  # share of its initiation set from which a run reached its target
-
-    @property
-    def name(self) -> str:
-        """Name of the option."""
-        return self.target.name
-
-
-@dataclass(frozen=True)
-class BatchTabledOption:
-    """A ``BatchOption`` by tables over the S states of a search space."""
-
-    name: str
-    max_steps: int
-    tables: OptionTables  # (S,) each
-    space: SearchSpace
-
-    def can_start(self, rows: Rows) -> Flags:
-        """Return (N,): whether each game is in the initiation set."""
-        inside: Flags = self.tables.initiation[self.space.states_of(rows)]
-        return inside
-
-    def greedy_action(self, rows: Rows) -> Ints:
-        """Return (N,): the action that the option takes."""
-        action: Ints = self.tables.action[self.space.states_of(rows)]
-        return action
-
-    def ends(self, rows: Rows) -> Flags:
-        """Return (N,): whether the game has reached the target, or left the initiation set."""
-        return ~self.can_start(rows)
 
 
 @dataclass(frozen=True)
@@ -74,23 +41,26 @@ class AutomaticOptions:
 
     options: tuple[AutomaticOption, ...]  # in the order in which they were found
     space: SearchSpace
-    visits: NDArray[np.intp]  # (K,) visits of all greedy runs that reached their goals, by cell
+    visits: Ints  # (K,) visits of all greedy runs that reached their goals, by cell
     seconds: float
     game_steps: int  # primitive steps of learning and of greedy runs
     episodes: int  # of Q-learning: tasks and internal policies
     solved: float  # share of the greedy runs that reached their goals
 
-    @property
-    def tabled(self) -> tuple[TabledOption, ...]:
-        """The options for planning with exact models, in enumerable domains."""
-        return tuple(TabledOption(o.name, o.max_steps, o.tables) for o in self.options)
 
-    @property
-    def batched(self) -> tuple[BatchTabledOption, ...]:
-        """The options for planning from samples."""
-        return tuple(
-            BatchTabledOption(o.name, o.max_steps, o.tables, self.space) for o in self.options
-        )
+def search_space(domain: Domain[Any]) -> SearchSpace:
+    """
+    Return the search space that the domain defines, else all of its states.
+
+    :raises NotEnumerableError: the domain defines none, and its states cannot all be listed.
+    """
+    if isinstance(domain, HasSearchSpace):
+        return domain.search_space()
+    if is_enumerable(domain):
+        return space_of_states(domain)
+    raise NotEnumerableError(
+        f'the states of {domain.name} cannot all be listed, so no tasks can be set in it'
+    )
 
 
 def find_options(
@@ -168,10 +138,13 @@ class _Extraction:
         reaches = self._reaches(values, subgoals, rng)
         return [
             AutomaticOption(
-                found,
-                OptionTables(table.argmax(axis=1), found.initiation, ~found.initiation),
-                max_steps,
-                share,
+                name=found.name,
+                max_steps=max_steps,
+                action=table.argmax(axis=1),
+                initiation=found.initiation,
+                termination=~found.initiation,
+                target=found,
+                reaches=share,
             )
             for found, table, share in zip(targets, values, reaches)
         ]
@@ -205,3 +178,57 @@ class _Extraction:
         came = np.bincount(owner[np.unique(run)], minlength=len(subgoals.counts))
         shares: list[float] = (came / subgoals.counts).tolist()
         return shares
+
+
+def to_learned_options(
+    domain: Domain[Any], found: AutomaticOptions, participant: str = MACHINE
+) -> list[LearnedOption]:
+    """
+    Return the options so that they can be saved, sent, served and planned with like others.
+
+    Each depends on as few features as its tables need. The trees agree with the tables in every
+    state that an episode passes through: I and beta in all of them, and pi in I.
+
+    :param found: automatic options of this domain.
+    :param participant: the participant code of the options; begins with ``MACHINE``.
+    :raises PlanError: the participant has another code.
+    :raises DomainError: two states with equal features have different entries in the tables.
+    """
+    check_participant(participant)
+    rows, going, columns = found.space.rows, found.space.open, found.space.columns
+    learned = []
+    for option in found.options:
+        decisions = 2 * np.where(option.initiation, 1 + option.action, 0) + option.termination
+        needed = _needed(rows[going], list(columns), decisions[going])
+        features = [domain.features[column].name for column in needed]
+        known = going & option.initiation, going, going
+        learned.append(option_from_table(domain, option, features, rows, known, participant))
+    return learned
+
+
+def check_participant(code: str) -> None:
+    """
+    Check the participant code of automatic options.
+
+    :raises PlanError: it could be the code of a person.
+    """
+    if not code.startswith(MACHINE):
+        raise PlanError(
+            f'the participant of options that nobody taught must begin with {MACHINE!r}, '
+            f'not {code!r}'
+        )
+
+
+def _needed(rows: Rows, columns: list[int], decisions: Ints) -> list[int]:
+    """Return the feature indices without those, tried from the last, that are not needed."""
+    for column in reversed(columns):
+        others = [other for other in columns if other != column]
+        if others and _determine(rows[:, others], decisions):
+            columns = others
+    return columns
+
+
+def _determine(seen: Rows, decisions: Ints) -> bool:
+    """Return whether equal rows always come with equal decisions."""
+    both = np.column_stack([seen, decisions])
+    return len(np.unique(seen, axis=0)) == len(np.unique(both, axis=0))

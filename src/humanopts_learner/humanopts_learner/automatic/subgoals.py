@@ -7,10 +7,11 @@ The subgoals are first the goals of random tasks, and then the bottlenecks.
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.search_space import SearchSpace
 from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.qlearning import draw_among, Flags, Ints, TabularSimulator
+from humanopts_learner.qlearning import draw_among, TabularSimulator
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array

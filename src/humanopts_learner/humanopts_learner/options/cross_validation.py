@@ -14,7 +14,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.learn import Dataset, Examples, fit_option
-from humanopts_learner.options.option import LearnedOption, MEMBER, option_tables
+from humanopts_learner.options.option import LearnedOption, MEMBER, tabulate
 from humanopts_learner.options.rollout import (
     deterministic_rollouts,
     is_deterministic,
@@ -91,7 +91,7 @@ def _held_out_runs(
     """Run each option from the start of its demonstration."""
     starts = [domain.decode(demo.states[0]) for demo in demos]
     if is_deterministic(domain):
-        several = {id(option): option_tables(option, domain) for option in options}
+        several = {id(option): tabulate(option, domain) for option in options}
         which = {key: number for number, key in enumerate(several)}
         return deterministic_rollouts(
             domain,

@@ -11,7 +11,7 @@ from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.cross_validation import fit_leave_fold_out, fold_of
 from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.learn import make_dataset
-from humanopts_learner.options.option import LearnedOption, option_tables
+from humanopts_learner.options.option import LearnedOption, tabulate
 from humanopts_learner.options.rollout import deterministic_rollouts, is_deterministic, rollouts
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +60,7 @@ def find_failures(
     :raises OptionError: the option was not learned in this domain.
     """
     transitions, over = domain.transitions(), domain.over()
-    tables = option_tables(option, domain)
+    tables = tabulate(option, domain)
     times_shown, known_end = _shown(option, domain, demonstrations)
     states = np.arange(domain.n_states)
     runs = deterministic_rollouts(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain
 from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOption
 from humanopts_env.domains.registry import parameters_json
@@ -94,27 +95,27 @@ class LearnedOption:
                 f'the features or actions of {self.name!r} are not those of the game'
             )
 
-    def action_probabilities(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+    def action_probabilities(self, rows: Rows) -> Floats:
         """Return (N, A): pi of every action in each of the N states."""
         return self.policy.probabilities(encode_rows(self.encoding, rows))
 
-    def initiation_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+    def initiation_probability(self, rows: Rows) -> Floats:
         """Return (N,): the share of members of I among examples like each state."""
         return self.initiation.probability_of(MEMBER, encode_rows(self.encoding, rows))
 
-    def termination_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+    def termination_probability(self, rows: Rows) -> Floats:
         """Return (N,): beta of each state."""
         return self.termination.probability_of(MEMBER, encode_rows(self.encoding, rows))
 
-    def greedy_action(self, rows: NDArray[np.int32]) -> NDArray[np.intp]:
+    def greedy_action(self, rows: Rows) -> Ints:
         """Return (N,): the likeliest action, the lowest index among equals."""
         return self.policy.likeliest(encode_rows(self.encoding, rows))
 
-    def can_start(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+    def can_start(self, rows: Rows) -> Flags:
         """Return (N,): whether each state is in the initiation set."""
         return self.initiation_probability(rows) >= HALF
 
-    def ends(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+    def ends(self, rows: Rows) -> Flags:
         """Return (N,): whether the option ends in each state; not asked before its first step."""
         return self.termination_probability(rows) >= HALF
 
@@ -127,7 +128,7 @@ class LearnedOption:
         return self.choose_ends(row[None], mode, [rng])[0]
 
     def choose_actions(
-        self, rows: NDArray[np.int32], mode: Mode, rngs: Sequence[np.random.Generator]
+        self, rows: Rows, mode: Mode, rngs: Sequence[np.random.Generator]
     ) -> list[int]:
         """Return what the option does in each of N states, each with chance of its own."""
         if mode is Mode.GREEDY:
@@ -136,7 +137,7 @@ class LearnedOption:
         return [int(rng.choice(len(self.actions), p=share)) for share, rng in shares]
 
     def choose_ends(
-        self, rows: NDArray[np.int32], mode: Mode, rngs: Sequence[np.random.Generator]
+        self, rows: Rows, mode: Mode, rngs: Sequence[np.random.Generator]
     ) -> list[bool]:
         """Return whether the option ends in each of N states that it came to."""
         if mode is Mode.GREEDY:
@@ -145,24 +146,40 @@ class LearnedOption:
         return list(map(bool, self.termination_probability(rows) >= limits))
 
 
-@dataclass(frozen=True)
-class OptionTables:
-    """What an option does in every state of an enumerable domain, in greedy mode."""
+@dataclass(frozen=True, eq=False)
+class TabularOption:
+    """An option, in greedy mode, as arrays over the S states of a domain or a search space."""
 
-    action: NDArray[np.intp]  # (S,)
-    initiation: NDArray[np.bool_]  # (S,)
-    termination: NDArray[np.bool_]  # (S,)
+    name: str
+    max_steps: int
+    action: Ints  # (S,)
+    initiation: Flags  # (S,)
+    termination: Flags  # (S,)
+
+    @classmethod
+    def of_reference(
+        cls, reference: TabularReferenceOption, max_steps: int = REFERENCE_MAX_STEPS
+    ) -> 'TabularOption':
+        """Return a reference option; where several actions are optimal, the first is taken."""
+        action = reference.optimal.argmax(axis=1)
+        return cls(reference.name, max_steps, action, reference.initiation, reference.termination)
 
 
-def option_tables(option: LearnedOption, domain: EnumerableDomain[Any]) -> OptionTables:
+def tabulate(
+    option: LearnedOption | TabularOption, domain: EnumerableDomain[Any]
+) -> TabularOption:
     """
-    Evaluate the option in every state.
+    Evaluate an option in every state of its domain; one that is arrays already stays as it is.
 
     :raises OptionError: it was not learned in this domain.
     """
+    if isinstance(option, TabularOption):
+        return option
     option.check_domain(domain)
     X = encode_rows(option.encoding, domain.feature_table())
-    return OptionTables(
+    return TabularOption(
+        option.name,
+        option.max_steps,
         option.policy.likeliest(X),
         option.initiation.probability_of(MEMBER, X) >= HALF,
         option.termination.probability_of(MEMBER, X) >= HALF,
@@ -183,42 +200,30 @@ def options_from_references(
     :param references: of this domain, as ``registry.reference_options`` has them by name.
     :raises DomainError: one has no tables, or its features do not tell what it does.
     """
-    return [_from_reference(domain, reference, max_steps) for reference in references]
+    found = []
+    for reference in references:
+        if not isinstance(reference, TabularReferenceOption):
+            raise DomainError(f'{reference.name!r} of {domain.name} has no tables')
+        table = TabularOption.of_reference(reference, max_steps)
+        known = reference.initiation, reference.judged & ~domain.over(), reference.judged
+        rows = domain.feature_table()
+        found.append(option_from_table(domain, table, reference.features, rows, known))
+    return found
 
 
-def _from_reference(
-    domain: EnumerableDomain[Any], reference: ReferenceOption, max_steps: int
-) -> LearnedOption:
-    if not isinstance(reference, TabularReferenceOption):
-        raise DomainError(f'{reference.name!r} of {domain.name} has no tables')
-    return option_from_tables(
-        domain,
-        reference.name,
-        reference.features,
-        domain.feature_table(),
-        OptionTables(
-            reference.optimal.argmax(axis=1), reference.initiation, reference.termination
-        ),
-        (reference.initiation, reference.judged & ~domain.over(), reference.judged),
-        max_steps=max_steps,
-    )
-
-
-def option_from_tables(
+def option_from_table(
     domain: Domain[Any],
-    name: str,
+    table: TabularOption,
     features: Sequence[str],
-    rows: NDArray[np.int32],
-    tables: OptionTables,
-    known: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]] | None = None,
+    rows: Rows,
+    known: tuple[Flags, Flags, Flags] | None = None,
     participant: str = REFERENCE,
-    max_steps: int = REFERENCE_MAX_STEPS,
 ) -> LearnedOption:
     """
-    Return the option whose trees say in every state what tables say.
+    Return the option whose trees say in every state what arrays say.
 
     :param features: those that the trees look at.
-    :param rows: (S, F) all features of the S states of the tables.
+    :param rows: (S, F) all features of the S states of the arrays.
     :param known: (S,) the states in which the action, the initiation set and the termination
         condition are known; None: all.
     :raises DomainError: the features do not tell what it does.
@@ -227,26 +232,28 @@ def option_from_tables(
     X = encode_rows(encoding, rows)
     in_action, in_initiation, in_termination = known or (np.ones(len(rows), dtype=np.bool_),) * 3
 
-    def tree(states: NDArray[np.bool_], values: NDArray[Any], classes: Sequence[int]) -> Tree:
+    def tree(states: Flags, values: NDArray[Any], classes: Sequence[int]) -> Tree:
         seen, labels = X[states], values[states].astype(np.intp)
         fitted = fit_tree(seen, labels, classes, 0)
         if (fitted.likeliest(seen) != labels).any():
-            raise DomainError(f'the features of {domain.name} do not tell what {name!r} does')
+            raise DomainError(
+                f'the features of {domain.name} do not tell what {table.name!r} does'
+            )
         return fitted
 
     return LearnedOption(
-        name=name,
+        name=table.name,
         participant=participant,
         domain=domain.name,
         domain_parameters=parameters_json(domain),
         actions=tuple(action.name for action in domain.actions),
         features=tuple(features),
         encoding=encoding,
-        policy=tree(in_action, tables.action, range(len(domain.actions))),
-        initiation=tree(in_initiation, tables.initiation, MEMBERSHIP),
-        termination=tree(in_termination, tables.termination, MEMBERSHIP),
+        policy=tree(in_action, table.action, range(len(domain.actions))),
+        initiation=tree(in_initiation, table.initiation, MEMBERSHIP),
+        termination=tree(in_termination, table.termination, MEMBERSHIP),
         n_demonstrations=0,
         n_not_here=0,
-        max_steps=max_steps,
+        max_steps=table.max_steps,
         uuids=(),
     )

@@ -7,7 +7,7 @@ from typing import Any, TypeGuard
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain, is_enumerable
 from humanopts_env.domains.capabilities import feature_rows, HasBatchGames
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import LearnedOption, Mode, option_tables
+from humanopts_learner.options.option import LearnedOption, Mode, tabulate
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,7 +56,7 @@ def rollouts(
     """
     limit = option.max_steps if max_steps is None else max_steps
     if mode is Mode.GREEDY and is_deterministic(domain):
-        tables = option_tables(option, domain)
+        tables = tabulate(option, domain)
         at = np.array([domain.index(state) for state in starts], dtype=np.intp)
         which = np.zeros(len(at), dtype=np.intp)
         limits = np.full(len(at), limit)

@@ -11,6 +11,7 @@ run, it draws one of a sample: stuck, a guess, or decided by a tenth of the demo
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is_enumerable
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.tabular import reachable
@@ -29,7 +30,6 @@ from numpy.typing import NDArray
 
 SAMPLE = 500  # states among which coverage looks for the most distant
 ALREADY_SHOWN = 0.1  # weight of a failing situation that was shown, against 1
-Floats = NDArray[np.float64]
 
 
 class UnknownStrategyError(ValueError):

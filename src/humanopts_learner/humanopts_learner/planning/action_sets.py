@@ -1,13 +1,12 @@
 """Action sets, and their exact models: learned options, primitive actions, or both."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 import math
 from typing import Any, Protocol
 
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_learner.library import PRIMITIVE_PREFIX
-from humanopts_learner.options.option import OptionTables
+from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.errors import (
     DuplicateOptionError,
     NoOptionsError,
@@ -45,15 +44,6 @@ class Progress(Protocol):
         """
 
 
-@dataclass(frozen=True)
-class TabledOption:
-    """An option as tables over all states."""
-
-    name: str
-    max_steps: int
-    tables: OptionTables
-
-
 def check_action_set(action_set: str, option_names: Sequence[str]) -> None:
     """
     Check an action set and the names of its options.
@@ -79,7 +69,7 @@ def check_action_set(action_set: str, option_names: Sequence[str]) -> None:
 def build_model(
     domain: EnumerableDomain[Any],
     action_set: str,
-    options: Sequence[TabledOption],
+    options: Sequence[TabularOption],
     gamma: float,
     progress: Progress | None = None,
 ) -> Model:
@@ -110,7 +100,7 @@ def build_model(
 
 
 def _option_models(
-    domain: EnumerableDomain[Any], options: Sequence[TabledOption], gamma: float, report: Progress
+    domain: EnumerableDomain[Any], options: Sequence[TabularOption], gamma: float, report: Progress
 ) -> Model:
     """Return the model of options alone, sparse where the domain has chance."""
     over, shape = domain.over(), (len(options), domain.n_states)
@@ -122,9 +112,8 @@ def _option_models(
     rows = []
     for o, option in enumerate(options):
         report('models', o / (1 + len(options)), 0, math.nan)
-        tables = option.tables
-        np.greater(tables.initiation, over, out=available[o])
-        found = modeller.model(tables.action, tables.termination, option.max_steps, available[o])
+        np.greater(option.initiation, over, out=available[o])
+        found = modeller.model(option.action, option.termination, option.max_steps, available[o])
         reward[o, found.states] = found.reward
         if isinstance(found, OptionModel):
             discount[o, found.states] = found.discount

@@ -10,11 +10,11 @@ from typing import Any, Protocol
 
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.library import PRIMITIVE_PREFIX
-from humanopts_learner.options.option import LearnedOption, option_tables
+from humanopts_learner.options.option import LearnedOption, tabulate
 from humanopts_learner.planning.arbitration import Execution, OptionValues
 from humanopts_learner.planning.errors import ModelError
 from humanopts_learner.planning.interruption import interruptions, winners
-from humanopts_learner.planning.sampled.action_set import ActionSet, BatchOption, check_options
+from humanopts_learner.planning.sampled.action_set import ActionSet, check_options
 from humanopts_learner.planning.sampled.policies import as_executed, GreedyPolicy
 from humanopts_learner.planning.sampled.sampled_models import StateIndex
 from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
@@ -39,12 +39,12 @@ def make_arbiter(
     values: OptionValues,
     execution: Execution,
     domain: Domain[Any],
-    options: Sequence[BatchOption],
+    options: Sequence[LearnedOption],
 ) -> Arbiter:
     """
     Return the arbiter of a plan.
 
-    :param options: that were planned with, in any order; for exact plans learned ones.
+    :param options: that were planned with, in any order.
     :raises ModelError: an option of the plan is missing, or the values do not fit the domain.
     :raises PlanError: the domain, or an option, cannot be used for a plan of this kind.
     """
@@ -76,7 +76,7 @@ class _ExactArbiter:
         values: OptionValues,
         execution: Execution,
         domain: Domain[Any],
-        options: Sequence[BatchOption],
+        options: Sequence[LearnedOption],
     ) -> None:
         if not is_enumerable(domain) or domain.n_states != len(values.states):
             raise ModelError(f'the values are not for every state of {domain.name}')
@@ -87,9 +87,7 @@ class _ExactArbiter:
             return
         action = np.tile(np.arange(len(values.names)) - len(options), (domain.n_states, 1))
         for o, option in enumerate(options):
-            if not isinstance(option, LearnedOption):
-                raise ModelError(f'{option.name!r} has no tables')
-            action[:, o] = option_tables(option, domain).action
+            action[:, o] = tabulate(option, domain).action
         self._winner = winners(values, execution, action, domain.over())
 
     def before_step(self, state: Any, running: str) -> str | None:
@@ -108,7 +106,7 @@ class _SampledArbiter:
         values: OptionValues,
         execution: Execution,
         domain: Domain[Any],
-        options: Sequence[BatchOption],
+        options: Sequence[LearnedOption],
     ) -> None:
         check_options(domain, options)
         self._execution = execution

@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.planning.errors import ModelError
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.intp]
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 ROUNDING = 1e-9  # relative to the largest value: differences of values that are rounding
 
 

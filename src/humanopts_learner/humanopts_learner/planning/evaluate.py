@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import math
 from typing import Any
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import Domain, EnumerableDomain, S
 from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
@@ -14,8 +15,6 @@ from humanopts_learner.planning.plan import Plan
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 NORMAL_95 = 1.959963984540054  # standard errors on each side of a 95 % interval
 
 
@@ -189,9 +188,9 @@ class _OptionTables:
         primitives = len(plan.names) - n_options
         self._n_options = n_options
         shape = (n_options, plan.domain.n_states)
-        tables = [option.tables for option in plan.options]
-        self._action = np.array([t.action for t in tables], dtype=np.intp).reshape(shape)
-        self._ends = np.array([t.termination for t in tables], dtype=np.bool_).reshape(shape)
+        options = plan.options
+        self._action = np.array([o.action for o in options], dtype=np.intp).reshape(shape)
+        self._ends = np.array([o.termination for o in options], dtype=np.bool_).reshape(shape)
         self.limit = np.array([o.max_steps for o in plan.options] + [1] * primitives)
 
     def action(self, option: Ints, state: Ints) -> Ints:

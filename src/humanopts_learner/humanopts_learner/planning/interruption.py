@@ -11,8 +11,10 @@ stopped only where that is right whatever is left, and the theorem holds.
 
 from dataclasses import replace
 
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
-from humanopts_learner.planning.action_sets import build_model, TabledOption
+from humanopts_learner.options.option import TabularOption
+from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.arbitration import (
     Execution,
     greatest_mass,
@@ -28,10 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import splu
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 
 
 def option_values(plan: Plan) -> OptionValues:
@@ -115,7 +113,7 @@ def action_table(plan: Plan) -> Ints:
     n_options, n_states = len(plan.options), plan.domain.n_states
     action = np.tile(np.arange(len(plan.names)) - n_options, (n_states, 1))
     for o, option in enumerate(plan.options):
-        action[:, o] = option.tables.action
+        action[:, o] = option.action
     return action
 
 
@@ -144,15 +142,14 @@ def policy_values(plan: Plan) -> Floats:
     return values
 
 
-def _ending(option: TabledOption, stop: Flags) -> TabledOption:
+def _ending(option: TabularOption, stop: Flags) -> TabularOption:
     """Return an option that ends also where it is stopped."""
-    tables = replace(option.tables, termination=option.tables.termination | stop)
-    return replace(option, tables=tables)
+    return replace(option, termination=option.termination | stop)
 
 
-def _module(option: TabledOption, wins: Flags) -> TabledOption:
+def _module(option: TabularOption, wins: Flags) -> TabularOption:
     """Return an option of one step that can start where it wins."""
-    return replace(option, max_steps=1, tables=replace(option.tables, initiation=wins))
+    return replace(option, max_steps=1, initiation=wins)
 
 
 def _interruption_margin(plan: Plan) -> float:
@@ -163,25 +160,25 @@ def _interruption_margin(plan: Plan) -> float:
     return rounding + 8.0 * solution.residual / left
 
 
-def _continuation_values(plan: Plan, option: TabledOption) -> Floats:
+def _continuation_values(plan: Plan, option: TabularOption) -> Floats:
     """Return the value of running an option from each state, (S,), started there or not."""
-    domain, values, tables = plan.domain, plan.solution.values, option.tables
+    domain, values = plan.domain, plan.solution.values
     rules, over = domain.transitions(), domain.over()
     model = option_modeller(rules, over, plan.gamma).model(
-        tables.action, tables.termination, option.max_steps
+        option.action, option.termination, option.max_steps
     )
     worth = model.values(values)
-    late = model.cut_off & tables.initiation & ~over
+    late = model.cut_off & option.initiation & ~over
     if late.any():
-        ends = tables.termination | over
-        states = visited(rules, tables.action, ends, late)
+        ends = option.termination | over
+        states = visited(rules, option.action, ends, late)
         worth[states] = _best_of_any_steps(rules, option, ends, states, values, plan.gamma)
     return worth
 
 
 def _best_of_any_steps(
     rules: Transitions,
-    option: TabledOption,
+    option: TabularOption,
     ends: Flags,
     states: Ints,
     values: Floats,
@@ -192,7 +189,7 @@ def _best_of_any_steps(
 
     :param states: (n,) state indices; runs from these go on from no others.
     """
-    at = states, option.tables.action[states]
+    at = states, option.action[states]
     after, share = rules.successor[at], gamma * rules.probability[at]
     share[rules.terminated[at]] = 0.0
     last = ends[after]

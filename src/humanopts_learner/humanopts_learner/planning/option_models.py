@@ -20,6 +20,7 @@ of which less than ``NEGLIGIBLE`` is still running after n steps need no such co
 
 from dataclasses import dataclass
 
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
 from humanopts_learner.planning.errors import check_gamma, ModelError, NotDeterministicError
 from humanopts_learner.planning.multi_time_models import Rows
@@ -30,9 +31,6 @@ from scipy.sparse.linalg import splu
 
 NEGLIGIBLE = 1e-14  # discounted probability that is taken for 0
 BLOCK = 256  # columns that are dense at once
-Ints = NDArray[np.intp]
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,12 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
-from humanopts_learner.options.option import LearnedOption, option_tables, OptionError
+from humanopts_learner.options.option import (
+    LearnedOption,
+    OptionError,
+    TabularOption,
+    tabulate,
+)
 from humanopts_learner.planning.action_sets import (
     build_model,
     check_action_set,
@@ -15,7 +20,6 @@ from humanopts_learner.planning.action_sets import (
     OPTIONS_ONLY,
     PRIMITIVE,
     Progress,
-    TabledOption,
 )
 from humanopts_learner.planning.errors import (
     check_gamma,
@@ -50,7 +54,7 @@ class Plan:
     domain: EnumerableDomain[Any]
     action_set: str
     gamma: float
-    options: tuple[TabledOption, ...]
+    options: tuple[TabularOption, ...]
     names: tuple[str, ...]  # by option index
     solution: Solution
     table_seconds: float
@@ -111,7 +115,7 @@ def make_plan(
     tabled = []
     for done, option in enumerate(used):
         report('tables', done / len(used), 0, math.nan)
-        tabled.append(TabledOption(option.name, option.max_steps, option_tables(option, domain)))
+        tabled.append(tabulate(option, domain))
     table_seconds = clock() - began
     return plan_with_tables(
         domain, action_set, tabled, gamma, tol, max_sweeps, report, clock, table_seconds
@@ -121,7 +125,7 @@ def make_plan(
 def plan_with_tables(
     domain: EnumerableDomain[Any],
     action_set: str,
-    options: Sequence[TabledOption],
+    options: Sequence[TabularOption],
     gamma: float,
     tol: float = 1e-8,
     max_sweeps: int = 10_000,

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from humanopts_env.arrays import Floats
 from humanopts_learner.planning.errors import check_limits
 from humanopts_learner.planning.multi_time_models import Model
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
 OnSweep = Callable[[int, float], bool | None]
 OnValues = Callable[[Floats], object]
 

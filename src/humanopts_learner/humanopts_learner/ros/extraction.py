@@ -8,8 +8,12 @@ from humanopts_env.domains.base import Domain
 from humanopts_interfaces.action import ExtractOptions
 from humanopts_interfaces.msg import ExtractionGoal, ExtractionResult, LearnedOptions
 from humanopts_learner.automatic.config import Extraction, USUAL
-from humanopts_learner.automatic.extract import AutomaticOptions, find_options
-from humanopts_learner.automatic.to_learned_option import check_participant, to_learned_options
+from humanopts_learner.automatic.extract import (
+    AutomaticOptions,
+    check_participant,
+    find_options,
+    to_learned_options,
+)
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import MACHINE
 from humanopts_learner.ros.convert import options_to_message

@@ -26,7 +26,7 @@ from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.errors import ForeignOptionError, PlanError
 from humanopts_learner.planning.evaluate import Interval, Returns
 from humanopts_learner.planning.plan import Clock
-from humanopts_learner.planning.sampled.action_set import ActionSet, BatchOption
+from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, Sampling
 from humanopts_learner.planning.sampled.policies import UniformPolicy
@@ -46,7 +46,7 @@ class Baseline:
     name: str
     kind: str  # PLAN, RANDOM or HEURISTIC
     action_set: str = HUMAN  # of PLAN and RANDOM
-    options: Sequence[BatchOption] = ()  # of PLAN and RANDOM
+    options: Sequence[LearnedOption] = ()  # of PLAN and RANDOM
     budget_steps: int = 0  # game steps that the plan is made from
     gamma: float | None = None  # of the plan; None: the domain's own
     sampling: Sampling = field(default_factory=Sampling)  # of the plan
@@ -225,7 +225,7 @@ class Budgets:
 def planning_curve(
     domain: Domain[Any],
     action_set: str,
-    options: Sequence[BatchOption],
+    options: Sequence[LearnedOption],
     target: float,
     seed: int,
     budgets: Budgets = Budgets(),

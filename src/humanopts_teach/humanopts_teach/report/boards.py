@@ -194,5 +194,5 @@ def _actions(plan: Plan, states: NDArray[np.int32]) -> NDArray[np.int64]:
     columns = plan.solution.best[states].astype(np.int64)
     actions = columns - len(plan.options)
     for o, option in enumerate(plan.options):
-        actions = np.where(columns == o, option.tables.action[states], actions)
+        actions = np.where(columns == o, option.action[states], actions)
     return actions

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.capabilities import Baselines, PlanSettings, Scores
 from humanopts_env.domains.pacman.features import look_around, Surroundings
 from humanopts_env.domains.pacman.games import batch_outcome
@@ -21,7 +22,7 @@ from humanopts_env.domains.pacman.reference import (
     PacManOption,
     reference_options,
 )
-from humanopts_env.domains.pacman.rules import Flags, GHOST_RULES, Ints, PacManBatch
+from humanopts_env.domains.pacman.rules import GHOST_RULES, PacManBatch
 from humanopts_env.seeding import generator
 import numpy as np
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TYPE_CHECKING
 
+from humanopts_env.arrays import Ints
 from humanopts_env.domains.capabilities import Abstraction
 from humanopts_env.domains.pacman.features import (
     DIRECTIONS,
@@ -22,7 +23,7 @@ from humanopts_env.domains.pacman.features import (
     Surroundings,
 )
 from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, Masks, MOVES, Paths, STAY
-from humanopts_env.domains.pacman.rules import Ints, PacManBatch, Rules
+from humanopts_env.domains.pacman.rules import PacManBatch, Rules
 from humanopts_env.domains.pacman.state import PacManState
 from humanopts_env.domains.tabular import read_only
 import numpy as np

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from humanopts_env.arrays import Flags
 from humanopts_env.domains.pacman.features import look_around, Surroundings
 from humanopts_env.domains.pacman.paths import HAS_MOVE
 from humanopts_env.domains.pacman.rules import (
@@ -17,7 +18,6 @@ from humanopts_env.domains.pacman.rules import (
     ATE_FRUIT,
     ATE_GHOST,
     ATE_PILL,
-    Flags,
     PacManBatch,
     Rules,
 )

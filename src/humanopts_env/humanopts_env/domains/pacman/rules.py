@@ -31,6 +31,7 @@ from functools import cached_property
 from itertools import product
 from typing import Any
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.pacman.maze import Maze
 from humanopts_env.domains.pacman.paths import HAS_MOVE, maze_paths, Paths, STAY
 from humanopts_env.domains.pacman.state import (
@@ -45,8 +46,6 @@ from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 Taken = NDArray[np.unsignedinteger]
 
 FOOD_POINTS, PILL_POINTS, FRUIT_POINTS, GHOST_POINTS = 10, 50, 100, 200

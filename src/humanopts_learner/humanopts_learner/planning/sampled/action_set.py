@@ -1,60 +1,31 @@
 """The options of an action set, run in many games at once; primitive actions among them."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.action_sets import OPTIONS_ONLY, PRIMITIVE
 from humanopts_learner.planning.errors import ForeignOptionError
-from humanopts_learner.planning.sampled.state_abstraction import Ints, Observation
+from humanopts_learner.planning.sampled.state_abstraction import Observation
 import numpy as np
-from numpy.typing import NDArray
 
-Flags = NDArray[np.bool_]
-Rows = NDArray[np.int32]
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2**64 by the golden ratio, odd: for hashing
 
 
-class BatchOption(Protocol):
-    """A greedy option that is evaluated on the features (N, F) of many games."""
-
-    @property
-    def name(self) -> str:
-        """Name of the option."""
-        ...
-
-    @property
-    def max_steps(self) -> int:
-        """Primitive steps after which a run is cut off."""
-        ...
-
-    def can_start(self, rows: Rows) -> Flags:
-        """Return (N,): whether each game is in the initiation set."""
-        ...
-
-    def greedy_action(self, rows: Rows) -> Ints:
-        """Return (N,): the action that the option takes."""
-        ...
-
-    def ends(self, rows: Rows) -> Flags:
-        """Return (N,): whether the option ends there; called only after its first step."""
-        ...
-
-
-def check_options(domain: Domain[Any], options: Sequence[BatchOption]) -> None:
+def check_options(domain: Domain[Any], options: Sequence[LearnedOption]) -> None:
     """
-    Check that learned options belong to a domain.
+    Check that options belong to a domain.
 
     :raises ForeignOptionError: one was learned in another domain.
     """
     for option in options:
-        if isinstance(option, LearnedOption):
-            try:
-                option.check_domain(domain)
-            except OptionError as error:
-                raise ForeignOptionError(str(error)) from error
+        try:
+            option.check_domain(domain)
+        except OptionError as error:
+            raise ForeignOptionError(str(error)) from error
 
 
 class ActionSet:
@@ -64,7 +35,7 @@ class ActionSet:
     """
 
     def __init__(
-        self, domain: Domain[Any], action_set: str, options: Sequence[BatchOption]
+        self, domain: Domain[Any], action_set: str, options: Sequence[LearnedOption]
     ) -> None:
         """Set up an action set; ``options`` are ignored in the set ``primitive``."""
         self.options = () if action_set == PRIMITIVE else tuple(options)
@@ -104,7 +75,7 @@ class ActionSet:
         chosen: Ints = len(self.options) + (number % np.uint64(self.n_actions)).astype(np.intp)
         return chosen
 
-    def running(self, option: Ints) -> list[tuple[BatchOption, Ints]]:
+    def running(self, option: Ints) -> list[tuple[LearnedOption, Ints]]:
         """Return each option that runs in some games, and the indices of these games."""
         found = [(one, np.flatnonzero(option == o)) for o, one in enumerate(self.options)]
         return [(one, games) for one, games in found if games.size]

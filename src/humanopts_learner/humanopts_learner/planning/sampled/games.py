@@ -13,14 +13,15 @@ from collections.abc import Callable
 import math
 from typing import Any
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.action_sets import ignore_progress, Progress
 from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.planning.evaluate import Returns
-from humanopts_learner.planning.sampled.action_set import ActionSet, Flags
+from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.policies import Choice, Policy
 from humanopts_learner.planning.sampled.sampled_models import SampleCounts, Samples
-from humanopts_learner.planning.sampled.state_abstraction import Ints, StateAbstraction
+from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 import numpy as np
 from numpy.typing import NDArray
 

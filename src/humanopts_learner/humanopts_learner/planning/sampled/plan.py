@@ -6,8 +6,10 @@ import math
 import time
 from typing import Any
 
+from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
+from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.action_sets import (
     check_action_set,
     ignore_progress,
@@ -19,7 +21,7 @@ from humanopts_learner.planning.errors import check_gamma, PlanError
 from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.multi_time_models import expected_values, SparseMultiTimeModel
 from humanopts_learner.planning.plan import Clock, Decision, SweepProgress
-from humanopts_learner.planning.sampled.action_set import ActionSet, BatchOption, check_options
+from humanopts_learner.planning.sampled.action_set import ActionSet, check_options
 from humanopts_learner.planning.sampled.games import play_games, Sampler
 from humanopts_learner.planning.sampled.policies import (
     ArbitratedPolicy,
@@ -33,10 +35,8 @@ from humanopts_learner.planning.sampled.sampled_models import SampleCounts, shru
 from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
 from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 import numpy as np
-from numpy.typing import NDArray
 
 IMPROVEMENTS = 4  # policy improvements by shrunk values after value iteration, each evaluated
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class SampledPlan:
 def make_sampled_plan(
     domain: Domain[Any],
     action_set: str,
-    options: Sequence[BatchOption],
+    options: Sequence[LearnedOption],
     budget_steps: int,
     seed: int,
     gamma: float | None = None,

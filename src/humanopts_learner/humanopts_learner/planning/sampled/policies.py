@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_learner.planning.arbitration import Execution, greatest_mass, stops, strongest
-from humanopts_learner.planning.sampled.action_set import ActionSet, Flags
+from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.sampled_models import StateIndex
-from humanopts_learner.planning.sampled.state_abstraction import Ints, Observation
+from humanopts_learner.planning.sampled.state_abstraction import Observation
 import numpy as np
 from numpy.typing import NDArray
 

@@ -10,14 +10,12 @@ that differ in such context only, as an empirical Bayes estimate would be (Efron
 from copy import copy
 from dataclasses import dataclass
 
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.planning.multi_time_models import Rows, SparseMultiTimeModel
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
-Ints = NDArray[np.intp]
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 Codes = NDArray[np.int64]
 
 

@@ -8,6 +8,7 @@ each is visited often.
 from dataclasses import dataclass
 from typing import Any
 
+from humanopts_env.arrays import Ints
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import BatchGames, HasBatchGames
 from humanopts_learner.planning.action_sets import OPTIONS_ONLY, PRIMITIVE
@@ -15,7 +16,6 @@ from humanopts_learner.planning.errors import NotEnumerableError, PlanError
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.intp]
 Codes = NDArray[np.int64]
 LARGEST_CODE = 2**53  # abstract states are numbered below this
 

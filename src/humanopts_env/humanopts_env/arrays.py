@@ -1,0 +1,9 @@
+"""Types of arrays by what they hold; axes are named where the arrays are described."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]  # indices and counts
+Rows = NDArray[np.int32]  # (N, F) features of N states, indices into ``Feature.values``
