@@ -13,9 +13,8 @@ from humanopts_interfaces.srv import RunOption
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, STREAM
-from rclpy.action.server import ActionServer, ServerGoalHandle
-
-_RESULT_TIMEOUT = 10  # s, as option_server has it
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
 
 
 class BenchPeer(NodeBase):
@@ -34,12 +33,9 @@ class BenchPeer(NodeBase):
         self._states = self.create_publisher(GameState, 'bare/game_state', STREAM)
         self.create_subscription(ActionCommand, 'bare/action', self._on_command, STREAM)
         self.create_service(RunOption, 'bare/run_option', self._on_run)
-        self._server = ActionServer(
-            self,
-            ExecuteOption,
-            'bare/execute_option',
-            self._execute,
-            result_timeout=_RESULT_TIMEOUT,
+        group = ReentrantCallbackGroup()
+        self._server = self.recorded_action(
+            ExecuteOption, 'bare/execute_option', self._execute, group
         )
 
     def waits_for(self) -> str | None:

@@ -3,10 +3,11 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from importlib import import_module
 from json import dumps
 from pathlib import Path
 import sys
-from typing import Annotated, Any
+from typing import Annotated
 
 from humanopts_teach.commands.ending import CommandError
 from humanopts_teach.commands.options import PLAIN
@@ -14,40 +15,16 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 import typer
 
-from benchmarks.games import game_rows
-from benchmarks.graph import graph_rows, GraphSizes
-from benchmarks.learning import learning_rows
-from benchmarks.measure import machine_facts, OnMeasured, Row
-from benchmarks.planning import planning_rows
-from benchmarks.processes import own_place
-from benchmarks.recording import Load, recording_rows
+from benchmarks.measure import machine_facts, Row
 from benchmarks.show import section_table, SUFFIXES, write_figure
 
 FORMAT, VERSION = 'humanopts-bench', 1  # of the JSON file
-QUICK_GRAPH = GraphSizes(2, 20, 3)
-QUICK_LOADS = (Load(2_000, 0, 1), Load(1_500, 3_000, 1))
+# Modules, each with a function ``measure`` and its quick sizes, ``QUICK``; only those that are
+# measured are imported, since the last two need ROS.
+SECTIONS = ('planning', 'learning', 'games', 'graph', 'recording')
 _LEAST_WIDTH = 120  # of tables; narrower ones would leave numbers out
 _FILE_WIDTH = 200
 app = typer.Typer(**PLAIN)
-
-
-def _graph(progress: OnMeasured, *sizes: GraphSizes) -> list[Row]:
-    with own_place() as folder:
-        return graph_rows(folder, progress, *sizes)
-
-
-def _recording(progress: OnMeasured, *loads: Sequence[Load]) -> list[Row]:
-    with own_place() as folder:
-        return recording_rows(folder, progress, *loads)
-
-
-SECTIONS: dict[str, tuple[Callable[..., list[Row]], tuple[Any, ...]]] = {  # and its quick sizes
-    'planning': (planning_rows, ((5, 10), 1)),
-    'learning': (learning_rows, ((10,), 2)),
-    'games': (game_rows, (2, 50, 2)),
-    'graph': (_graph, (QUICK_GRAPH,)),
-    'recording': (_recording, (QUICK_LOADS,)),
-}
 
 
 def _sections(text: str) -> list[str]:
@@ -94,8 +71,9 @@ def bench(
     measured: dict[str, list[Row]] = {}
     with _progress() as show:
         for name in chosen:
-            measure, quick_sizes = SECTIONS[name]
-            measured[name] = measure(partial(show, name), *(quick_sizes if quick else ()))
+            section = import_module(f'benchmarks.{name}')
+            sizes = section.QUICK if quick else ()
+            measured[name] = section.measure(partial(show, name), *sizes)
             show(name, 1.0, 'done')
     machine = machine_facts()
     console = Console(highlight=False)
@@ -144,27 +122,17 @@ def _progress() -> Iterator[Callable[[str, float, str], None]]:
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn('{task.fields[name]:8}'), BarColumn(), TimeElapsedColumn())
     bars = Progress(*columns, TextColumn('{task.description}'), console=console, transient=True)
-    if not console.is_terminal:
-        yield _lines()
-        return
+    bars.disable = not console.is_terminal
     tasks: dict[str, TaskID] = {}
+    said: set[tuple[str, str]] = set()
 
     def show(name: str, share: float, text: str) -> None:
         if name not in tasks:
             tasks[name] = bars.add_task('', total=1.0, name=name)
         bars.update(tasks[name], completed=share, description=text)
+        if bars.disable and (name, text) not in said:
+            said.add((name, text))
+            print(f'{name}: {text} ({share:.0%})', file=sys.stderr, flush=True)
 
     with bars:
         yield show
-
-
-def _lines() -> Callable[[str, float, str], None]:
-    said: list[str] = []
-
-    def show(name: str, share: float, text: str) -> None:
-        line = f'{name}: {text}'
-        if line not in said:
-            said.append(line)
-            print(f'{line} ({share:.0%})', file=sys.stderr, flush=True)
-
-    return show

@@ -14,12 +14,13 @@ import numpy as np
 
 from benchmarks.measure import compare, in_turns, OnMeasured, Row
 
+QUICK = (2, 50, 2)
 BATCH = 4096  # games
 RULES_TARGET, FEATURES_TARGET = 1e6, 2e5  # steps of Pac-Man a second, on one core
 SEED = 1
 
 
-def game_rows(
+def measure(
     progress: OnMeasured, batch_steps: int = 40, single_steps: int = 2000, repeats: int = 7
 ) -> list[Row]:
     """

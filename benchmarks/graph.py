@@ -1,27 +1,38 @@
-"""How long the graph takes for a step and for an option, beside bare rclpy."""
+"""
+How long the graph takes for a step and for an option, beside bare rclpy.
+
+Game and option_server are measured from this process, in turns with a bare peer, by the same code.
+"""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-import json
-from pathlib import Path
+from contextlib import closing, ExitStack
+import time
 from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
+from humanopts_interfaces.action import ExecuteOption
+from humanopts_interfaces.msg import ActionCommand, GameState, NodeStatus, OptionResult
+from humanopts_interfaces.srv import ResetGame, RunOption
 from humanopts_learner.options.files import save_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.rollout import rollouts
+from humanopts_ros.qos import LATCHED_ALL, STREAM
+from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import processes, Setup
 import numpy as np
+from rclpy.action.client import ActionClient
 
-from benchmarks.measure import compare, OnMeasured, read_records, Row
+from benchmarks.measure import compare, OnMeasured, Row
 from benchmarks.planning import TaxiCase
-from benchmarks.processes import bench_spec, launched, wait
+from benchmarks.processes import bench_spec, Client, launched, NAMESPACE, own_place
 
+QUICK = (2, 20, 3)
 SIDE = 5  # of the Taxi grid
 LENGTHS = (1, 8)  # steps of the runs that are timed
-_SECONDS = 300.0  # at most, for all rounds
 _NODES = ('game', 'option_server')
+_MOVES = ('north', 'south')
 BARE_STEP = 'the same two messages, a bare node'
 BARE = {
     'service': 'a bare service of the same type',
@@ -30,47 +41,31 @@ BARE = {
 NAMES = {'service': 'run_option', 'action': 'execute_option, goal to result'}
 
 
-@dataclass(frozen=True)
-class GraphSizes:
-    """How much is measured; one more round comes first, and is not counted."""
-
-    rounds: int = 10
-    steps: int = 150  # a round; Taxi cuts an episode off after 200
-    calls: int = 20  # of each kind, a round
-
-
-def graph_rows(folder: Path, progress: OnMeasured, sizes: GraphSizes = GraphSizes()) -> list[Row]:
+def measure(
+    progress: OnMeasured, rounds: int = 10, steps: int = 150, calls: int = 20
+) -> list[Row]:
     """
-    Measure game and option_server from another process, in turns with a bare peer in a third.
+    Measure in rounds; one more comes first, and is not counted.
 
-    :param folder: for files that nobody needs afterwards.
-    :raises LaunchError: a process died, or is not done in time.
+    :param steps: a round; Taxi cuts an episode off after 200.
+    :param calls: of each kind, a round.
+    :raises LaunchError: a process died, or does not answer.
     """
     progress(0.0, 'starting the nodes')
-    setup = Setup('taxi', folder, {'rows': SIDE, 'cols': SIDE}, teach=False, record=False)
-    option = TaxiCase(SIDE).learned[0]
-    save_option(setup.options, option, ())
-    results = folder / 'latencies.jsonl'
-    plan = {
-        'rounds': sizes.rounds,
-        'steps': sizes.steps,
-        'calls': sizes.calls,
-        'option': option.name,
-        'runs': [{'steps': k, 'state': start_of(option, k)} for k in LENGTHS],
-    }
-    client = bench_spec('bench_client', results=str(results), plan=json.dumps(plan))
-    specs = [spec for spec in processes(setup) if spec.name in _NODES]
-    rounds: list[dict[str, Any]] = []
-
-    def done() -> bool:
-        rounds[:] = read_records(results)
-        if rounds:
-            progress(rounds[-1]['share'], 'steps, services and actions over ROS')
-        return len(rounds) > sizes.rounds
-
-    with launched([*specs, bench_spec('bench_peer'), client], folder / 'log') as launcher:
-        wait(launcher, done, _SECONDS, 'the latencies')
-    return latencies([found['samples'] for found in rounds if found['counted']])
+    with own_place() as folder, ExitStack() as stack:
+        setup = Setup('taxi', folder, {'rows': SIDE, 'cols': SIDE}, teach=False, record=False)
+        option = TaxiCase(SIDE).learned[0]
+        save_option(setup.options, option, ())
+        specs = [spec for spec in processes(setup) if spec.name in _NODES]
+        launcher = stack.enter_context(
+            launched([*specs, bench_spec('bench_peer')], folder / 'log')
+        )
+        measured = stack.enter_context(closing(_Measured(launcher, option)))
+        found = []
+        for number in range(rounds + 1):
+            found.append(measured.take(steps, calls))
+            progress((number + 1) / (rounds + 1), 'steps, services and actions over ROS')
+    return latencies(found[1:])
 
 
 def latencies(rounds: Sequence[Mapping[str, Sequence[float]]]) -> list[Row]:
@@ -104,3 +99,147 @@ def start_of(option: LearnedOption, steps: int) -> str:
     runs = rollouts(option, domain, states)
     found = np.flatnonzero(runs.reached & (runs.steps == steps))
     return domain.encode(states[int(found[0])])
+
+
+class _Measured:
+    """Clients of game and option_server, and for each one that does the same with the peer."""
+
+    def __init__(self, launcher: Launcher, option: LearnedOption) -> None:
+        self._option = option.name
+        self._starts = {steps: start_of(option, steps) for steps in LENGTHS}
+        self._reset = Client(launcher, 'bench_reset')
+        self._await_ready(set(launcher.node_names))
+        self._resets = self._reset.node.create_client(ResetGame, 'reset_game')
+        self._reset.until(self._resets.service_is_ready, 'reset_game')
+        self._game = _Stepper(launcher, 'bench_step')
+        self._echo = _Stepper(launcher, 'bench_echo', 'bare/')
+        self._runs: dict[str, _Caller | _Actor] = {
+            'service': _Caller(launcher, 'bench_run'),
+            'action': _Actor(launcher, 'bench_act'),
+        }
+        self._bare: dict[str, _Caller | _Actor] = {
+            'service': _Caller(launcher, 'bench_call', 'bare/'),
+            'action': _Actor(launcher, 'bench_goal', 'bare/'),
+        }
+
+    def _await_ready(self, missing: set[str]) -> None:
+        def keep(status: NodeStatus) -> None:
+            if status.state == NodeStatus.STATE_READY:
+                missing.discard(status.node)
+
+        statuses = self._reset.node.create_subscription(
+            NodeStatus, 'node_status', keep, LATCHED_ALL
+        )
+        self._reset.until(lambda: not missing, 'the nodes')
+        self._reset.node.destroy_subscription(statuses)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        both = (*self._runs.values(), *self._bare.values())
+        for client in (self._reset, self._game, self._echo, *both):
+            client.close()
+
+    def take(self, steps: int, calls: int) -> dict[str, list[float]]:
+        """Take one round of samples, by the name of what they are of."""
+        episode = self._begin(LENGTHS[0])
+        found = {
+            'step': self._game.steps(episode, steps),
+            'bare step': self._echo.steps(episode, steps),
+        }
+        for via, bare in self._bare.items():
+            found[f'bare {via}'] = [bare.run(option_name=self._option)[0] for _ in range(calls)]
+            for length in LENGTHS:
+                found[f'{via} {length}'] = [self._run(via, length) for _ in range(calls)]
+        return found
+
+    def _run(self, via: str, length: int) -> float:
+        """
+        Run an option for so many steps; return the seconds.
+
+        :raises LaunchError: it takes other steps.
+        """
+        episode = self._begin(length)
+        seconds, result = self._runs[via].run(option_name=self._option, episode=episode)
+        if (result.status, result.step_count) != (OptionResult.STATUS_REACHED, length):
+            raise LaunchError(f'a run of {length} steps ended otherwise: {result.detail}')
+        return seconds
+
+    def _begin(self, length: int) -> int:
+        """
+        Begin an episode where the option takes so many steps; return its number.
+
+        :raises LaunchError: game refuses.
+        """
+        request = ResetGame.Request(
+            start_state=self._starts[length], source=ResetGame.Request.SOURCE_MACHINE
+        )
+        reply = self._reset.ask(self._resets.call_async(request), 'reset_game')
+        if reply.status != ResetGame.Response.STATUS_OK:
+            raise LaunchError(f'game refused an episode: {reply.detail}')
+        self._game.until(lambda: self._game.at == (reply.episode, 0), 'the first state')
+        return int(reply.episode)
+
+
+class _Stepper(Client):
+    """Sends commands in lock-step with whoever answers with states."""
+
+    def __init__(self, launcher: Launcher, name: str, prefix: str = '') -> None:
+        super().__init__(launcher, name)
+        self._commands = self.node.create_publisher(ActionCommand, f'{prefix}action', STREAM)
+        self.node.create_subscription(GameState, f'{prefix}game_state', self._keep, STREAM)
+        self.at = (0, 0)  # episode and step of the newest state
+        self.until(self._commands.get_subscription_count, f'who takes {prefix}action')
+
+    def _keep(self, state: GameState) -> None:
+        self.at = (state.episode, state.step)
+
+    def steps(self, episode: int, count: int) -> list[float]:
+        """Take steps from the first state of an episode; return the seconds of each."""
+        return [self._step(episode, step) for step in range(count)]
+
+    def _step(self, episode: int, step: int) -> float:
+        command = ActionCommand(
+            publisher_id=f'{NAMESPACE}/{self.node.get_name()}#00000000',
+            sequence=step + 1,
+            source=ActionCommand.SOURCE_MACHINE,
+            episode=episode,
+            step=step,
+            action=_MOVES[step % len(_MOVES)],
+        )
+        began = time.perf_counter()
+        self._commands.publish(command)
+        self.until(lambda: self.at == (episode, step + 1), f'the answer to step {step}')
+        return time.perf_counter() - began
+
+
+class _Caller(Client):
+    """Calls the service that runs an option."""
+
+    def __init__(self, launcher: Launcher, name: str, prefix: str = '') -> None:
+        super().__init__(launcher, name)
+        self._client = self.node.create_client(RunOption, f'{prefix}run_option')
+        self.until(self._client.service_is_ready, f'{prefix}run_option')
+
+    def run(self, **request: Any) -> tuple[float, OptionResult]:
+        """Call; return the seconds and the result."""
+        asked = RunOption.Request(**request)
+        began = time.perf_counter()
+        reply = self.ask(self._client.call_async(asked), 'run_option')
+        return time.perf_counter() - began, reply.result
+
+
+class _Actor(Client):
+    """Sends goals to the action that runs an option."""
+
+    def __init__(self, launcher: Launcher, name: str, prefix: str = '') -> None:
+        super().__init__(launcher, name)
+        self._client = ActionClient(self.node, ExecuteOption, f'{prefix}execute_option')
+        self.until(self._client.server_is_ready, f'{prefix}execute_option')
+
+    def run(self, **goal: Any) -> tuple[float, OptionResult]:
+        """Send a goal; return the seconds until its result is here, and the result."""
+        wanted = ExecuteOption.Goal(**goal)
+        began = time.perf_counter()
+        handle = self.ask(self._client.send_goal_async(wanted), 'the goal to be accepted')
+        reply = self.ask(handle.get_result_async(), 'the result')
+        return time.perf_counter() - began, reply.result.result

@@ -19,13 +19,12 @@ from benchmarks.measure import compare, in_turns, OnMeasured, Row
 from benchmarks.planning import OPTIONS
 
 COUNTS = (10, 20, 40)
+QUICK = ((10,), 2)
 YARDSTICK = 'one scikit-learn tree of the rows of the policy'
 SEED = 1
 
 
-def learning_rows(
-    progress: OnMeasured, counts: Sequence[int] = COUNTS, repeats: int = 20
-) -> list[Row]:
+def measure(progress: OnMeasured, counts: Sequence[int] = COUNTS, repeats: int = 20) -> list[Row]:
     """
     Learn an option of Taxi after some demonstrations, and judge it by the three criteria.
 

@@ -1,12 +1,7 @@
-"""
-What a benchmark measures, in turns with a yardstick of the same run; and on what machine.
+"""What a benchmark measures, in turns with a yardstick of the same run; and on what machine."""
 
-Nodes of a benchmark report in a file of records: one JSON object on each line.
-"""
-
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import importlib.metadata
-import json
 import os
 from pathlib import Path
 import platform
@@ -75,20 +70,6 @@ def compare(
 def _median(samples: Sequence[float]) -> tuple[float, float | None]:
     slow = float(np.percentile(samples, SLOW)) if len(samples) > SLOW else None
     return float(np.median(samples)), slow
-
-
-def add_record(path: Path, **record: Any) -> None:
-    """Add a record to a file; a reader sees it at once."""
-    with path.open('a', encoding='utf-8') as file:
-        file.write(json.dumps(record) + '\n')
-
-
-def read_records(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the records that are complete; none where there is no file yet."""
-    if path.exists():
-        for line in path.read_text('utf-8').splitlines(keepends=True):
-            if line.endswith('\n'):
-                yield json.loads(line)
 
 
 def machine_facts() -> dict[str, str | int]:

@@ -37,6 +37,7 @@ from scipy.sparse import csr_array, csr_matrix
 from benchmarks.measure import OnMeasured, Row
 
 SIDES = (5, 25, 50, 100)
+QUICK = ((5, 10), 1)
 YARDSTICK = 'primitive value iteration'
 GAMMA, TOLERANCE, MAX_SWEEPS = 0.99, 1e-6, 100_000
 Values = NDArray[np.float64]
@@ -304,9 +305,7 @@ def solvers() -> tuple[Solver, ...]:
     return (*SOLVERS, Solver("quantecon's value iteration", 'nothing', quantecon))
 
 
-def planning_rows(
-    progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
-) -> list[Row]:
+def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5) -> list[Row]:
     """
     Solve Taxi grids by every solver, in turns, so that a busy machine slows all of them alike.
 

@@ -1,6 +1,6 @@
-"""The processes of a benchmark, in a ROS domain and a folder of their own."""
+"""The processes of a benchmark, in a ROS domain and a folder of their own, and clients of them."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 import os
 from pathlib import Path
@@ -8,15 +8,23 @@ import socket
 import sys
 import tempfile
 import time
+from typing import Any
 
+from humanopts_ros.environment import prepare_discovery
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec, Value
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
 
 # Domains whose UDP ports lie above those that Linux hands out to other programs.
 DOMAIN_IDS = range(215, 232)
 _FIRST_PORT, _PORTS, _DISCOVERY = 7400, 250, 10  # DDSI-RTPS 2.2, section 9.6.1.1
-_LOOK_PERIOD = 0.05  # s
+_LOOK_PERIOD = 0.1  # s between looks whether all processes are alive
+_PATIENCE = 20.0  # s for anything that is waited for
 NAMESPACE = f'/bench_{os.getpid()}'
 
 
@@ -47,8 +55,13 @@ def own_domain() -> Iterator[int]:
             f'every ROS_DOMAIN_ID from {DOMAIN_IDS[0]} to {DOMAIN_IDS[-1]} is in use; end what '
             'uses one of them'
         )
-    with _environment({'ROS_DOMAIN_ID': str(number), 'ROS_PYTHON_CHECK_FIELDS': '0'}):
+    before = dict(os.environ)
+    os.environ.update(ROS_DOMAIN_ID=str(number), ROS_PYTHON_CHECK_FIELDS='0')
+    try:
         yield number
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def _is_free(domain_id: int) -> bool:
@@ -61,20 +74,6 @@ def _is_free(domain_id: int) -> bool:
     return True
 
 
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
 def bench_spec(name: str, **parameters: Value) -> ProcessSpec:
     """Return the process of a node that is only there to measure."""
     return ProcessSpec(name, f'benchmarks.{name}', parameters)
@@ -83,28 +82,57 @@ def bench_spec(name: str, **parameters: Value) -> ProcessSpec:
 @contextmanager
 def launched(specs: Sequence[ProcessSpec], folder: Path) -> Iterator[Launcher]:
     """
-    Start processes, and stop them whatever happens, the recorder last.
+    Start processes, let this one be a client of them, and stop them whatever happens.
 
     :param folder: for logs and parameters.
     """
     launcher = Launcher(specs, folder, NAMESPACE)
+    arguments = ['--ros-args', '-r', f'__ns:={NAMESPACE}', '--disable-stdout-logs']
+    prepare_discovery()
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         launcher.start()
         yield launcher
     finally:
+        try_shutdown()
         for problem in launcher.stop():
             print(f'humanopts bench: {problem}', file=sys.stderr)
 
 
-def wait(launcher: Launcher, done: Callable[[], bool], seconds: float, what: str) -> None:
+class Client:
     """
-    Wait until something is done, while all processes are alive.
+    A node of this process that does one thing, and waits for the answer.
 
-    :raises LaunchError: one died, or the time is over.
+    It has an executor of its own, so that nothing else is looked after while a clock runs.
     """
-    deadline = time.monotonic() + seconds
-    while not done():
-        launcher.check()
-        if time.monotonic() > deadline:
-            raise LaunchError(f'gave up waiting for {what} after {seconds:.0f} s')
-        time.sleep(_LOOK_PERIOD)
+
+    def __init__(self, launcher: Launcher, name: str) -> None:
+        self.node = Node(name, start_parameter_services=False, enable_rosout=False)
+        self._launcher = launcher
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+
+    def until(self, done: Callable[[], Any], what: str, seconds: float = _PATIENCE) -> None:
+        """
+        Carry out callbacks until something holds.
+
+        :raises LaunchError: a process died, or it does not come in time.
+        """
+        began = time.monotonic()
+        while not done():
+            self._executor.spin_once(_LOOK_PERIOD)
+            passed = time.monotonic() - began
+            if passed > _LOOK_PERIOD:  # what is timed takes less
+                self._launcher.check()
+            if passed > seconds:
+                raise LaunchError(f'gave up waiting for {what} after {seconds:.0f} s')
+
+    def ask(self, future: Any, what: str) -> Any:
+        """Wait for an answer and return it; errors as ``until``."""
+        self.until(future.done, what)
+        return future.result()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self.node.destroy_node()

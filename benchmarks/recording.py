@@ -1,35 +1,48 @@
 """
 How many messages a second the recorder takes, what that costs, and what is lost.
 
-The same messages are sent to the recorder, and in turns to readers that write nothing, on
-processes of their own.
+This process sends the same messages to the recorder, and in turns to readers that write nothing.
 """
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+import json
 from pathlib import Path
 import statistics
+import time
 from typing import Any
 
+from humanopts_interfaces.msg import ActionCommand, GameState
+from humanopts_ros.qos import STREAM
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import count_loss
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec
 from humanopts_teach.launching.usage import look, Usage
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.serialization import serialize_message
 
-from benchmarks.measure import OnMeasured, read_records, Row
-from benchmarks.processes import bench_spec, launched, NAMESPACE, wait
+from benchmarks.bench_reader import KINDS
+from benchmarks.measure import OnMeasured, Row
+from benchmarks.processes import bench_spec, Client, launched, NAMESPACE, own_place
 
-_PATIENCE = 120.0  # s, beside the time that messages take at their rate
+_PATIENCE = 60.0  # s for a reader that takes nothing
+_PERIOD = 0.002  # s between looks at what is due
+_LOOK_PERIOD = 0.1  # s between looks at the reader
+_AT_ONCE = 500  # messages that are sent between looks, as fast as can be
 _USUAL_RATE = 20_000  # messages a second, where a reader takes them as fast as it can
-_TOPICS = [f'{NAMESPACE}/{name}' for name in ('game_state', 'action', 'current_state')]
+_TOPICS = [f'{NAMESPACE}/{name}' for name in KINDS]
 _STATUS = f'{NAMESPACE}/recorder_status'
 RECORDER = 'the recorder'
 YARDSTICK = 'taken in the same way, not written'
 CALLBACK = 'a raw subscription with a callback, not written'
+READERS = (RECORDER, YARDSTICK, CALLBACK)
 OnSent = Callable[[float], object]  # share that is sent
 
 
@@ -43,7 +56,7 @@ class Load:
 
     @property
     def name(self) -> str:
-        """What it is, in words."""
+        """The load in words."""
         if not self.rate:
             return 'as fast as they are taken'
         return f'{self.rate:,} a second for {self.messages / self.rate:g} s'
@@ -55,6 +68,7 @@ class Load:
 
 
 LOADS = (Load(60_000, 0, 5), Load(180_000, 3_000, 1))
+QUICK = ((Load(2_000, 0, 1), Load(1_500, 3_000, 1)),)
 
 
 @dataclass(frozen=True)
@@ -72,12 +86,37 @@ class Run:
     waited: float  # longest time that a message waited for the reader, s
 
 
-def _record(load: Load, folder: Path, on_sent: OnSent) -> Run:
-    recorder = ProcessSpec(
-        'recorder',
-        'humanopts_teach.ros.recorder',
-        {'path': str(folder / 'bag')},
-    )
+def measure(progress: OnMeasured, loads: Sequence[Load] = LOADS) -> list[Row]:
+    """
+    Send to the recorder, and in turns to readers that write nothing.
+
+    A reader's middleware holds up to 5,000 messages of a topic that are not taken yet, so a load
+    as fast as can be has many times more.
+
+    :raises LaunchError: a process died, or is not done in time.
+    """
+    work = [(load, turn, name) for load in loads for turn in range(load.turns) for name in READERS]
+    total, done = sum(load.seconds for load, _, _ in work), 0.0
+    runs: dict[Load, dict[str, list[Run]]] = {load: defaultdict(list) for load in loads}
+    with own_place() as folder:
+        for number, (load, _, name) in enumerate(work):
+            share, text = load.seconds / total, f'messages {load.name}: {name}'
+            on_sent = partial(_part, progress, text, done / total, share)
+            on_sent(0.0)
+            take = _record if name == RECORDER else _read
+            runs[load][name].append(take(load, name, folder / str(number), on_sent))
+            done += load.seconds
+    return [row for load in loads for row in recording(load, runs[load])]
+
+
+def _part(progress: OnMeasured, text: str, begun: float, length: float, share: float) -> None:
+    """Show how far one part of the work is, as a share of all of it."""
+    progress(begun + share * length, text)
+
+
+def _record(load: Load, name: str, folder: Path, on_sent: OnSent) -> Run:
+    parameters = {'path': str(folder / 'bag')}
+    recorder = ProcessSpec('recorder', 'humanopts_teach.ros.recorder', parameters)
     sent = _send(load, recorder, folder, on_sent)
     try:
         bag = open_bag(folder / 'bag')
@@ -90,80 +129,138 @@ def _record(load: Load, folder: Path, on_sent: OnSent) -> Run:
     return Run(load.messages, taken, lost, waited=waited, **sent)
 
 
-def _read(load: Load, folder: Path, on_sent: OnSent, *, polled: bool) -> Run:
-    results = folder / 'taken.jsonl'
-    reader = bench_spec('bench_reader', results=str(results), polled=polled)
+def _read(load: Load, name: str, folder: Path, on_sent: OnSent) -> Run:
+    results = folder / 'taken.json'
+    reader = bench_spec('bench_reader', results=str(results), polled=name == YARDSTICK)
     sent = _send(load, reader, folder, on_sent)
-    (found,) = read_records(results)
-    lost = load.messages - found['taken']
-    return Run(load.messages, found['taken'], lost, waited=found['waited'], **sent)
+    found = json.loads(results.read_text('utf-8'))
+    return Run(
+        load.messages,
+        found['taken'],
+        load.messages - found['taken'],
+        waited=found['waited'],
+        **sent,
+    )
 
 
 def _send(load: Load, reader: ProcessSpec, folder: Path, on_sent: OnSent) -> dict[str, Any]:
     """Send to a reader; return the fields of ``Run`` that do not depend on what it took."""
-    results = folder / 'sent.jsonl'
-    sender = bench_spec(
-        'bench_sender',
-        results=str(results),
-        count=load.messages,
-        rate=load.rate,
-        reader=reader.name,
-        expect_recorder=reader.name == 'recorder',
-    )
     looks: list[Usage] = []
-    with launched([reader, sender], folder) as launcher:
+    with launched([reader], folder) as launcher:
 
-        def done() -> bool:
-            records = len(list(read_records(results)))
-            if records:
-                looks.append(look(launcher.pid(reader.name)))
-                on_sent(min(1.0, (looks[-1].time - looks[0].time) / load.seconds))
-            return records > 1
+        def watch() -> None:
+            looks.append(look(launcher.pid(reader.name)))
+            on_sent(min(1.0, (looks[-1].time - looks[0].time) / load.seconds))
+            launcher.check()
 
-        wait(launcher, done, _PATIENCE + load.seconds, f'messages {load.name}')
-    *_, found = read_records(results)
+        with closing(_Sender(launcher, load, reader.name)) as sender:
+            size, seconds = sender.send(watch)
     first, middle, last = looks[0], looks[len(looks) // 2], looks[-1]
     return {
-        'bytes': found['bytes'],
-        'seconds': found['seconds'],
-        'processor': (last.cpu - first.cpu) / (last.time - first.time) if len(looks) > 1 else 0.0,
+        'bytes': size,
+        'seconds': seconds,
+        'processor': (last.cpu - first.cpu) / (last.time - first.time),
         'memory': last.peak,
         'grown': last.memory - middle.memory,
     }
 
 
-READERS: dict[str, Callable[[Load, Path, OnSent], Run]] = {
-    RECORDER: _record,
-    YARDSTICK: partial(_read, polled=True),
-    CALLBACK: partial(_read, polled=False),
-}
-
-
-def recording_rows(folder: Path, progress: OnMeasured, loads: Sequence[Load] = LOADS) -> list[Row]:
+class _Sender(Client):
     """
-    Send to the recorder, and in turns to readers that write nothing.
+    Sends the messages of a game to one reader.
 
-    A reader's middleware holds up to 5,000 messages of a topic that are not taken yet, so a load
-    as fast as can be has many times more.
-
-    :param folder: for files that nobody needs afterwards.
-    :raises LaunchError: a process died, or is not done in time.
+    As fast as it can, it sends on one topic what was serialized before, so that the reader is what
+    limits the rate, and the time ends when the reader's middleware has everything. At a steady
+    rate it sends on three, as a game does whose states are also displayed.
     """
-    work = [(load, turn, name) for load in loads for turn in range(load.turns) for name in READERS]
-    total, done = sum(load.seconds for load, _, _ in work), 0.0
-    runs: dict[Load, dict[str, list[Run]]] = {load: defaultdict(list) for load in loads}
-    for number, (load, _, name) in enumerate(work):
-        text = f'messages {load.name}: {name}'
-        on_sent = _part(progress, done / total, load.seconds / total, text)
-        on_sent(0.0)
-        runs[load][name].append(READERS[name](load, folder / str(number), on_sent))
-        done += load.seconds
-    return [row for load in loads for row in recording(load, runs[load])]
+
+    def __init__(self, launcher: Launcher, load: Load, reader: str) -> None:
+        super().__init__(launcher, 'bench_sender')
+        self._load, self._reader = load, reader
+        topics = list(KINDS) if load.rate else list(KINDS)[:1]
+        self._to = [self.node.create_publisher(KINDS[topic], topic, STREAM) for topic in topics]
+        self.until(lambda: all(map(self._is_read, self._to)), reader)
+
+    def _is_read(self, publisher: Any) -> bool:
+        readers = self.node.get_subscriptions_info_by_topic(publisher.topic_name)
+        known = any(reader.node_name == self._reader for reader in readers)
+        return known and publisher.get_subscription_count() > 0
+
+    def send(self, watch: Callable[[], object]) -> tuple[int, float]:
+        """
+        Send everything, and wait until it has arrived.
+
+        At a steady rate that wait does not count: the middleware asks for the last answer only
+        every few seconds.
+
+        :param watch: called at begin and end, and now and then between.
+        :return: bytes, and seconds.
+        :raises LaunchError: the reader takes nothing any more.
+        """
+        load, sent, size = self._load, 0, 0
+        prepared = [] if load.rate else [self._message(number) for number in range(load.messages)]
+        watch()
+        began = watched = time.monotonic()
+        while sent < load.messages:
+            elapsed = time.monotonic() - began
+            due = min(int(elapsed * load.rate) if load.rate else sent + _AT_ONCE, load.messages)
+            for number in range(sent, due):
+                message = prepared[number] if prepared else self._message(number)
+                self._publish(number, message)
+                size += len(message)
+            sent = due
+            if time.monotonic() - watched > _LOOK_PERIOD:
+                watch()
+                watched = time.monotonic()
+            if load.rate:
+                time.sleep(_PERIOD)
+        seconds = time.monotonic() - began
+        deadline = time.monotonic() + _PATIENCE
+        for publisher in self._to:
+            while not publisher.wait_for_all_acked(Duration(seconds=_LOOK_PERIOD)):
+                watch()
+                if time.monotonic() > deadline:
+                    raise LaunchError(f'{self._reader} has not taken all after {_PATIENCE:g} s')
+        if not load.rate:
+            seconds = time.monotonic() - began
+        watch()
+        return size, seconds
+
+    def _publish(self, number: int, message: bytes) -> None:
+        """
+        Publish; where the reader holds the writer back, that waits for 0.1 s and refuses.
+
+        :raises LaunchError: it goes on refusing.
+        """
+        deadline = time.monotonic() + _PATIENCE
+        while True:
+            try:
+                self._to[number % len(self._to)].publish(message)
+                return
+            except rclpy_implementation.RCLError:
+                if time.monotonic() > deadline:
+                    raise LaunchError(f'{self._reader} takes nothing any more') from None
+
+    def _message(self, number: int) -> bytes:
+        """Return a message for the topic whose turn it is, numbered among those of the topic."""
+        turn, place = divmod(number, len(self._to))
+        kind, sender = list(KINDS.values())[place], f'{NAMESPACE}/bench_sender#00000000'
+        message = kind(publisher_id=sender, sequence=turn + 1, episode=1, step=turn)
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        _fill(message)
+        return bytes(serialize_message(message))
 
 
-def _part(progress: OnMeasured, begun: float, length: float, text: str) -> OnSent:
-    """Return the progress of one part of the work, as a share of all of it."""
-    return lambda share: progress(begun + share * length, text)
+def _fill(message: Any) -> None:
+    """Fill in what a game of Taxi would send."""
+    if isinstance(message, ActionCommand):
+        message.source = ActionCommand.SOURCE_MACHINE
+        message.action, message.option_name = 'north', 'go to passenger and pickup'
+        return
+    message.state, message.features = 'taxi 2,3 passenger R destination B', [0] * 10
+    message.previous_action, message.action_source = 'north', GameState.SOURCE_MACHINE
+    message.action_publisher_id, message.action_sequence = message.publisher_id, message.sequence
+    message.reward = -1.0
 
 
 def recording(load: Load, runs: Mapping[str, Sequence[Run]]) -> list[Row]:

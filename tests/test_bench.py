@@ -9,8 +9,9 @@ from graph_support.command import Command
 from humanopts_teach.cli import main
 import pytest
 
-from benchmarks.command import QUICK_GRAPH, QUICK_LOADS, SECTIONS
-from benchmarks.recording import READERS, RECORDER
+from benchmarks import graph
+from benchmarks.command import SECTIONS
+from benchmarks.recording import QUICK, READERS, RECORDER
 
 
 def run(*arguments: Any) -> int:
@@ -90,9 +91,9 @@ def test_graph_is_measured_on_processes_of_its_own(tmp_path: Path, domain_id: in
         command.close()
     rows = json.loads(results.read_text('utf-8'))['graph']
     assert all(row['ratio'] == row['seconds'] / row['yardstick_seconds'] for row in rows)
-    counts = QUICK_GRAPH
+    rounds, steps, calls = graph.QUICK
     samples = {row['what']: (row['samples'], row['yardstick_samples']) for row in rows}
-    steps, calls = counts.rounds * counts.steps, counts.rounds * counts.calls
+    steps, calls = rounds * steps, rounds * calls
     assert samples['a command, to the next state'] == (steps, steps)
     assert samples['run_option, 1 step'] == samples['run_option, 8 steps'] == (calls, calls)
     assert samples['execute_option, goal to result, 8 steps: a step'] == (calls, steps)
@@ -112,7 +113,8 @@ def test_recorder_loses_nothing_and_keeps_up_with_a_steady_rate(
     finally:
         command.close()
     rows = json.loads(results.read_text('utf-8'))['recording']
-    expected = [(load.name, name) for load in QUICK_LOADS for name in READERS]
+    (loads,) = QUICK
+    expected = [(load.name, name) for load in loads for name in READERS]
     assert [(row['load'], row['what']) for row in rows] == expected
     for row in rows:
         assert (row['taken'], row['lost']) == (row['sent'], 0)
@@ -120,7 +122,7 @@ def test_recorder_loses_nothing_and_keeps_up_with_a_steady_rate(
         assert row['memory'] > 10**7
         if row['target']:
             assert row['per_second'] == pytest.approx(row['target'], rel=0.1)
-    assert command.output.count(RECORDER) == len(QUICK_LOADS)
+    assert command.output.count(RECORDER) == len(loads)
 
 
 @pytest.mark.slow
@@ -128,7 +130,7 @@ def test_interrupted_measurement_leaves_no_process(tmp_path: Path, domain_id: in
     command = Command(['bench', '--only', 'graph'], tmp_path, domain_id)
     try:
         command.until(lambda: 'steps, services and actions' in command.errors, 'the first round')
-        assert len(command.running()) == 4
+        assert len(command.running()) == 3
         command.send(signal.SIGINT)
         assert command.ended(30) == 130
         assert command.running() == {}

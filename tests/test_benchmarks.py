@@ -19,11 +19,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from benchmarks.games import BATCH, game_rows
+from benchmarks import games, learning, planning
+from benchmarks.games import BATCH
 from benchmarks.graph import latencies, LENGTHS, SIDE, start_of
-from benchmarks.learning import demonstrations, learning_rows
-from benchmarks.measure import add_record, compare, in_turns, machine_facts, read_records
-from benchmarks.planning import OPTIONS, planning_rows, solvers, TaxiCase
+from benchmarks.learning import demonstrations
+from benchmarks.measure import compare, in_turns, machine_facts
+from benchmarks.planning import OPTIONS, solvers, TaxiCase
 from benchmarks.processes import DOMAIN_IDS, own_domain
 from benchmarks.recording import Load, READERS, RECORDER, recording, Run
 from benchmarks.show import duration, ratio, section_table, SUFFIXES, write_figure
@@ -124,16 +125,6 @@ def test_processor_time_and_memory_of_a_process_are_seen() -> None:
     assert after.cpu > before.cpu
     assert after.time > before.time
     assert 10**6 < before.memory <= after.peak
-
-
-def test_record_that_is_not_complete_yet_is_left_for_later(tmp_path: Path) -> None:
-    path = tmp_path / 'records'
-    assert list(read_records(path)) == []
-    add_record(path, share=0.5)
-    assert list(read_records(path)) == [{'share': 0.5}]
-    with path.open('a') as file:
-        file.write('{"share": ')
-    assert list(read_records(path)) == [{'share': 0.5}]
 
 
 def test_domain_in_use_is_left_alone_and_the_environment_is_put_back(
@@ -240,7 +231,7 @@ def test_what_is_learned_from_are_whole_demonstrations_of_the_option() -> None:
 
 def test_learning_has_rows_for_trees_and_criteria_beside_one_tree() -> None:
     heard: list[float] = []
-    rows = learning_rows(lambda share, text: heard.append(share), (2, 3), 1)
+    rows = learning.measure(lambda share, text: heard.append(share), (2, 3), 1)
     assert [row['what'] for row in rows] == [
         f'after {count} demonstrations: {what}'
         for count in (2, 3)
@@ -254,7 +245,7 @@ def test_learning_has_rows_for_trees_and_criteria_beside_one_tree() -> None:
 
 
 def test_games_are_counted_in_steps_of_single_games() -> None:
-    rows = game_rows(no_progress, batch_steps=1, single_steps=20, repeats=1)
+    rows = games.measure(no_progress, batch_steps=1, single_steps=20, repeats=1)
     assert [row['facts']['steps'] for row in rows] == [BATCH] * 4
     assert [row['facts']['yardstick_steps'] for row in rows] == [20] * 4
     names = {PacMan().name, Taxi().name}
@@ -283,7 +274,7 @@ def test_the_trees_act_as_the_shortest_ways_do() -> None:
 
 def test_every_solver_has_a_row_on_every_grid() -> None:
     heard: list[float] = []
-    rows = planning_rows(lambda share, text: heard.append(share), [4, 5], repeats=1)
+    rows = planning.measure(lambda share, text: heard.append(share), [4, 5], repeats=1)
     assert [(row['side'], row['n_states'], row['solver']) for row in rows] == [
         (side, 20 * side * side, solver.name) for side in (4, 5) for solver in solvers()
     ]
