@@ -22,8 +22,8 @@ from enum import Enum
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_env.domains.base import EnumerableDomain, Transitions
-from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
+from humanopts_env.domains.base import EnumerableDomain
+from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import TabularOption
@@ -232,7 +232,9 @@ class _Learners:
         """Take one primitive step in every episode that goes on, and learn."""
         live, state, option = self.live, self._state[self.live], self._option[self.live]
         action = self._options.action[option, state]
-        there, reward, over = self._simulator.step(state, action, self._rng)
+        there, reward, over = self._simulator.step(
+            state, action, self._simulator.draw(self._rng, len(state))
+        )
         out_of_time = self._count(reward)
         ended = over | out_of_time | self._options.ends[option, there]
         ended |= self._ran[live] >= self._options.limits[option]
@@ -318,26 +320,6 @@ def best_rates(
     learning = learn(domain, options, every, episodes, seed, method, None, max_steps, progress)
     score = learning.steps.reshape(len(candidates), -1).mean(axis=1)
     return candidates[int(score.argmin())]
-
-
-class TabularSimulator:
-    """Takes steps in many games at once, by exact transitions."""
-
-    def __init__(self, rules: Transitions, over: Flags) -> None:
-        """Prepare the transitions; ``over`` (S,): the domain's own task is over."""
-        self.rules, self.over = rules, over
-        self._limits = None if rules.deterministic else outcome_limits(rules)
-
-    def step(
-        self, state: Ints, action: Ints, rng: np.random.Generator
-    ) -> tuple[Ints, Floats, Flags]:
-        """Return the next states, the rewards, and whether the task is over there, (N,)."""
-        outcome: Ints | int = 0
-        if self._limits is not None:
-            outcome = draw_outcomes(self._limits, state, action, rng.random(len(state)))
-        at = state, action, outcome
-        there = self.rules.successor[at].astype(np.intp)
-        return there, self.rules.reward[at], self.rules.terminated[at] | self.over[there]
 
 
 def draw_among(among: Flags, rng: np.random.Generator) -> Ints:

@@ -12,6 +12,7 @@ from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.criteria import (
     Criterion,
     FEWEST,
+    fold_of,
     INITIATION,
     judge,
     more_needed,
@@ -19,7 +20,6 @@ from humanopts_learner.options.criteria import (
     TERMINATION,
     Thresholds,
 )
-from humanopts_learner.options.cross_validation import fold_of
 from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
 from hypothesis import given, settings
 from hypothesis import strategies as st

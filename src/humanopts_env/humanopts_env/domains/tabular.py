@@ -1,10 +1,11 @@
-"""Exact tables of domains: reachability, shortest paths, drawing of outcomes, shared tables."""
+"""Exact tables of domains: reachability, shortest paths, steps in many games, shared tables."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain, Transitions
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,37 @@ def draw_outcomes(
     """
     chosen: NDArray[np.intp] = (limits[state, action] <= np.asarray(number)[..., None]).sum(-1)
     return chosen
+
+
+class TabularSimulator:
+    """Takes steps in many games at once, by exact transitions."""
+
+    def __init__(self, transitions: Transitions, over: Flags) -> None:
+        """
+        Prepare to draw outcomes.
+
+        :param over: (S,) states where the domain's own task is over.
+        """
+        self.transitions, self._over = transitions, over
+        self._limits = None if transitions.deterministic else outcome_limits(transitions)
+
+    def draw(self, rng: np.random.Generator, count: int) -> Floats | None:
+        """Draw what chooses the outcomes of N steps; None: every action has one outcome."""
+        return None if self._limits is None else rng.random(count)
+
+    def step(self, state: Ints, action: Ints, drawn: Floats | None) -> tuple[Ints, Floats, Flags]:
+        """
+        Return the next states, the rewards, and whether the task is over there, (N,).
+
+        :param drawn: (N,) from ``draw``.
+        """
+        outcome: Ints | int = 0
+        if self._limits is not None:
+            outcome = draw_outcomes(self._limits, state, action, drawn)
+        at = state, action, outcome
+        there = self.transitions.successor[at].astype(np.intp)
+        over = self.transitions.terminated[at] | self._over[there]
+        return there, self.transitions.reward[at], over
 
 
 S = TypeVar('S', bound=Hashable)

@@ -9,6 +9,7 @@ from humanopts_env.arrays import Ints, Rows
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.capabilities import HasSearchSpace
 from humanopts_env.domains.search_space import SearchSpace, space_of_states
+from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
 from humanopts_learner.automatic.config import Extraction, ignore_progress, Progress, USUAL
@@ -23,7 +24,6 @@ from humanopts_learner.automatic.subgoals import (
 from humanopts_learner.options.option import LearnedOption, option_from_table, TabularOption
 from humanopts_learner.planning.action_sets import MACHINE
 from humanopts_learner.planning.errors import NotEnumerableError, PlanError
-from humanopts_learner.qlearning import TabularSimulator
 import numpy as np
 
 

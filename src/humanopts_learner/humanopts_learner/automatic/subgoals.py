@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.search_space import SearchSpace
+from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.qlearning import draw_among, TabularSimulator
+from humanopts_learner.qlearning import draw_among
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
@@ -95,7 +96,9 @@ class _Learners:
         self._simulator, self._subgoals, self._config, self._rng = simulator, subgoals, config, rng
         self._episodes, count = episodes, len(subgoals.counts)
         self.live = np.arange(count)
-        self.values = np.zeros((count, *simulator.rules.successor.shape[:2]), dtype=np.float32)
+        self.values = np.zeros(
+            (count, *simulator.transitions.successor.shape[:2]), dtype=np.float32
+        )
         self._state = subgoals.draw(self.live, rng)
         self._ran = np.zeros(count, dtype=np.intp)  # steps of this episode
         self._episode = np.zeros(count, dtype=np.intp)
@@ -111,7 +114,8 @@ class _Learners:
         state = self._state[live]
         explore = self._rng.random((len(live), 1)) < config.explore
         action = draw_among(explore | _best(self.values[live, state]), self._rng)
-        there, _, over = self._simulator.step(state, action, self._rng)
+        drawn = self._simulator.draw(self._rng, len(live))
+        there, _, over = self._simulator.step(state, action, drawn)
         hit = subgoals.target[live, there]
         ended = hit | subgoals.forbidden[live, there] | over
         goal = np.where(ended, hit, config.gamma * self.values[live, there].max(axis=1))
@@ -134,7 +138,7 @@ def check_tables(simulator: TabularSimulator, learners: int) -> None:
 
     :raises PlanError: they would not fit in memory.
     """
-    n_states, n_actions, _ = simulator.rules.successor.shape
+    n_states, n_actions, _ = simulator.transitions.successor.shape
     if learners * n_states * n_actions > LARGEST_TABLES:
         raise PlanError(
             f'{learners} tasks or options in {n_states} states need tables that are too large: '
@@ -196,7 +200,8 @@ def greedy_runs(
         if not live.size:
             break
         who, here = learner[live], state[live]
-        there, _, over = simulator.step(here, draw_among(_best(values[who, here]), rng), rng)
+        action = draw_among(_best(values[who, here]), rng)
+        there, _, over = simulator.step(here, action, simulator.draw(rng, len(live)))
         state[live] = there
         visits.append(np.stack([live, there]))
         came[live] = subgoals.target[who, there]

@@ -1,35 +1,34 @@
 """
-When an option is taught well enough: three criteria, all on held-out demonstrations.
+When an option is taught well enough: three criteria, by ten-fold cross-validation.
 
 The paper (section 6) compares the return of the learned policy with that of the demonstrations,
-and takes the ten-fold cross-validation error of I and beta. Here the folds are grouped by
-demonstration, because rows of one trajectory on both sides would make the errors look like
-nothing, and the return is held out as well. Where chance plays a part, returns differ by luck: a
-shortfall counts as far as luck does not explain it.
+and takes the cross-validation error of I and beta. Here the folds are grouped by demonstration,
+because rows of one trajectory on both sides would make the errors look like nothing, and the
+return is held out as well: each option runs from the start of the demonstrations that it did not
+see. Where chance plays a part, returns differ by luck: a shortfall counts as far as luck does not
+explain it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
 from typing import Any
 
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasTeachingDefaults
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.conflicts import find_conflicts
-from humanopts_learner.options.cross_validation import (
-    balanced_error,
-    fit_leave_fold_out,
-    fold_of,
-    FOLDS,
-    held_out_shortfall,
-)
-from humanopts_learner.options.learn import Dataset, fit_option, make_dataset
+from humanopts_learner.options.learn import Dataset, Examples, fit_option, make_dataset
 from humanopts_learner.options.option import LearnedOption, MEMBER
-from humanopts_learner.options.rollout import rollouts
+from humanopts_learner.options.rollout import is_deterministic, rollouts
 import numpy as np
 
+FOLDS = 10
 FEWEST = FOLDS  # trajectories without which nothing is measurable
+LUCK = 1.645  # standard errors; chance alone makes a larger shortfall in 5 of 100 cases
+CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstration
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 
 
@@ -177,3 +176,82 @@ def starts_anywhere(data: Dataset) -> bool:
     """Tell whether the person said, whenever asked, that it could start again where it ended."""
     asked = [demo.can_start_at_end for demo in data.trajectories if not demo.terminated]
     return bool(asked) and all(asked) and bool((data.initiation.labels == MEMBER).all())
+
+
+def fold_of(data: Dataset, seed: int) -> Ints:
+    """
+    Return (D,): the fold of each demonstration, ten folds or one for each demonstration.
+
+    The demonstrations are ranked by draws keyed by seed, option and uuid and dealt out in that
+    order, trajectories apart from "not here" answers, so folds differ by one at most.
+    """
+    demos = data.demonstrations
+    draws = np.array(
+        [generator(seed, 'fold', demo.option_name, demo.uuid).random() for demo in demos]
+    )
+    not_here = np.array([demo.kind is Kind.NOT_HERE for demo in demos])
+    folds = np.empty(len(demos), dtype=np.int64)
+    folds[np.lexsort((draws, not_here))] = np.arange(len(demos)) % FOLDS
+    return folds
+
+
+def fit_leave_fold_out(
+    data: Dataset, folds: Ints, domain: Domain[Any], seed: int
+) -> list[LearnedOption]:
+    """Return what is learned without fold 0, 1, ...; there must be two trajectories or more."""
+    return [fit_option(data, domain, seed, folds != fold) for fold in range(folds.max() + 1)]
+
+
+def held_out_shortfall(
+    data: Dataset,
+    domain: Domain[Any],
+    options: Sequence[LearnedOption],
+    folds: Ints,
+    seed: int,
+) -> float:
+    """
+    Return the mean of demonstrated return - return of the policy that did not see it.
+
+    A run that ends with the task over where the demonstration did not, or the other way round, has
+    come to another end: the steps that it has left then cost what the demonstration's worst did.
+    In domains with chance, ``LUCK`` standard errors of the mean are taken off.
+    """
+    demos = data.trajectories
+    fold = folds[[demo.kind is Kind.TRAJECTORY for demo in data.demonstrations]]
+    limit = np.array([min(options[0].max_steps, CUT_OFF * len(demo.actions)) for demo in demos])
+    starts = [domain.decode(demo.states[0]) for demo in demos]
+    keys = [f'held-out {demo.uuid}' for demo in demos]
+    held_out = [options[f] for f in fold.tolist()]
+    runs = rollouts(held_out, domain, starts, seed, keys, max_steps=limit)
+    other_end = runs.reached & (runs.over != np.array([demo.terminated for demo in demos]))
+    worst = np.array([min(0.0, *demo.rewards) for demo in demos])
+    returns = runs.total_reward + other_end * (limit - runs.steps) * worst
+    missing = [demo.total_reward for demo in demos] - returns
+    luck = (
+        0.0 if is_deterministic(domain) else LUCK * missing.std(ddof=1) / math.sqrt(len(missing))
+    )
+    return float(missing.mean() - luck)
+
+
+def balanced_error(
+    examples: Examples,
+    predict: Sequence[Callable[[Rows], Flags]],
+    folds: Ints,
+    members_only: bool = False,
+) -> float | None:
+    """
+    Return the mean of the error among members and among others; None: one class only.
+
+    :param predict: of each fold, what was learned without it says of rows (N, F).
+    :param members_only: there are no others to be shown; the error is that among members.
+    """
+    predicted = np.empty(len(examples.labels), dtype=np.bool_)
+    fold_of_row = folds[examples.source]
+    for fold, says in enumerate(predict):
+        predicted[fold_of_row == fold] = says(examples.rows[fold_of_row == fold])
+    member = examples.labels == MEMBER
+    if members_only:
+        return float((~predicted).mean())
+    if member.all() or not member.any():
+        return None
+    return float(((~predicted[member]).mean() + predicted[~member].mean()) / 2)

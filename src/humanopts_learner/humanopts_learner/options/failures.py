@@ -8,11 +8,11 @@ from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.tabular import distance_to, reachable
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_learner.options.cross_validation import fit_leave_fold_out, fold_of
+from humanopts_learner.options.criteria import fit_leave_fold_out, fold_of
 from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.learn import make_dataset
 from humanopts_learner.options.option import LearnedOption, tabulate
-from humanopts_learner.options.rollout import deterministic_rollouts, is_deterministic, rollouts
+from humanopts_learner.options.rollout import is_deterministic, rollouts, tabular_rollouts
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,24 +60,18 @@ def find_failures(
     :raises OptionError: the option was not learned in this domain.
     """
     transitions, over = domain.transitions(), domain.over()
-    tables = tabulate(option, domain)
+    table = tabulate(option, domain)
     times_shown, known_end = _shown(option, domain, demonstrations)
     states = np.arange(domain.n_states)
-    runs = deterministic_rollouts(
-        domain,
-        tables.action[None],
-        tables.termination[None],
-        np.zeros_like(states),
-        states,
-        np.full_like(states, option.max_steps),
-    )
+    limits = np.full_like(states, option.max_steps)
+    runs = tabular_rollouts(domain, [table], np.zeros_like(states), states, limits)
     successor = transitions.successor[:, :, 0]
-    ends = (tables.termination | over)[successor] | transitions.terminated[:, :, 0]
+    ends = (table.termination | over)[successor] | transitions.terminated[:, :, 0]
     distance, nearer = distance_to(
         transitions, ends & known_end[successor] & ~over[:, None], ~over
     )
     askable = reachable(domain) & ~over
-    candidate = askable & tables.initiation
+    candidate = askable & table.initiation
     reached = runs.reached & known_end[runs.final]
     doubt = in_doubt(option, domain.feature_table(), demonstrations)
     return Failures(

@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import Domain, EnumerableDomain, S
-from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
+from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.action_sets import ignore_progress, Progress
 from humanopts_learner.planning.errors import PlanError
@@ -116,13 +116,12 @@ def play(
     if len(starts) and not 0 <= starts.min() <= starts.max() < plan.domain.n_states:
         raise PlanError(f'a start is not within 0..{plan.domain.n_states - 1}')
     episodes, report = _Episodes(plan, starts), progress or ignore_progress
-    chance = not plan.domain.transitions().deterministic
     for step in range(limit):
         if not len(episodes.live):
             break
         report('evaluation', step / limit, 0, math.nan)
         episodes.decide()
-        episodes.step(generator(seed, 'play', step).random(len(starts)) if chance else None)
+        episodes.step(generator(seed, 'play', step))
     return episodes.returns
 
 
@@ -132,16 +131,15 @@ class _Episodes:
     def __init__(self, plan: Plan, starts: NDArray[np.integer]) -> None:
         count = len(starts)
         self._plan = plan
-        self._rules = plan.domain.transitions()
-        self._limits = None if self._rules.deterministic else outcome_limits(self._rules)
-        self._over = plan.domain.over()
+        over = plan.domain.over()
+        self._simulator = TabularSimulator(plan.domain.transitions(), over)
         self._tables = _OptionTables(plan)
         self._state = starts.astype(np.intp)
         self._option = np.full(count, -1, dtype=np.intp)  # -1: to be decided
         self._ran = np.zeros(count, dtype=np.intp)  # steps of the running option
         self._discount = np.ones(count)
-        self.live = np.flatnonzero(~self._over[self._state])
-        self.returns = Returns.of_none(self._over[self._state])
+        self.live = np.flatnonzero(~over[self._state])
+        self.returns = Returns.of_none(over[self._state])
 
     def decide(self) -> None:
         """Begin an option wherever none is running."""
@@ -151,21 +149,15 @@ class _Episodes:
         self.returns.decisions[free] += 1
         self.returns.fallbacks[free] += option >= self._plan.first_fallback
 
-    def step(self, numbers: NDArray[np.float64] | None) -> None:
-        """
-        Take one primitive step in every episode that goes on.
-
-        :param numbers: (E,), uniform, that choose the outcomes; None: every action has one.
-        """
+    def step(self, rng: np.random.Generator) -> None:
+        """Take one primitive step in every episode that goes on."""
         live, returns = self.live, self.returns
         state, option = self._state[live], self._option[live]
         action = self._tables.action(option, state)
-        outcome: Ints | int = 0
-        if self._limits is not None and numbers is not None:
-            outcome = draw_outcomes(self._limits, state, action, numbers[live])
-        at = state, action, outcome
-        arrived, reward = self._rules.successor[at], self._rules.reward[at]
-        over = self._rules.terminated[at] | self._over[arrived]
+        drawn = self._simulator.draw(rng, len(self._state))
+        arrived, reward, over = self._simulator.step(
+            state, action, None if drawn is None else drawn[live]
+        )
         returns.total[live] += reward
         returns.discounted[live] += self._discount[live] * reward
         returns.steps[live] += 1
