@@ -76,24 +76,16 @@ ALSO_NAMED = {  # table 1: a button that was named and, in section 7, not taught
 }
 
 
-@dataclass(frozen=True)
-class Row:
-    """One row of table 2."""
-
-    seconds: float
-    mean_return: float
-
-
-TABLE_2 = {  # by domain and action set
+TABLE_2 = {  # seconds and average reward by domain and action set
     'taxi': {
-        'primitive': Row(17.45, -2.294),
-        'human': Row(10.45, -4.294),
-        'automatic': Row(25.75, -4.311),
+        'primitive': (17.45, -2.294),
+        'human': (10.45, -4.294),
+        'automatic': (25.75, -4.311),
     },
     'pacman': {
-        'primitive': Row(600.0, 1890.0),
-        'human': Row(60.45, 1790.0),
-        'automatic': Row(120.47, 1442.0),
+        'primitive': (600.0, 1890.0),
+        'human': (60.45, 1790.0),
+        'automatic': (120.47, 1442.0),
     },
 }
 TABLE_2_SAID = {

@@ -165,23 +165,26 @@ def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, An
         another execution of the same plan gains), ``settings`` that were chosen, and ``costs`` of
         the options.
     """
-    effort, owned = Effort(**parameters['effort']), _options_by_variant(parameters)
+    effort, plans = Effort(**parameters['effort']), parameters['plans']
+    owned = _options_by_variant(parameters)
+    names = ('plans', 'curve', 'gains', 'settings')
     found: dict[str, list[dict[str, Any]]] = {
         'costs': [_cost(variant, options) for variant, options in owned],
-        **{name: [] for name in ('plans', 'curve', 'gains', 'settings')},
+        **{name: [] for name in names},
     }
     for game in GAMES:
         if game.domain != parameters['domain']:
             continue
         domain = make_domain(game.domain, game.parameters)
-        asked = [(variant, _in_game(options.options, domain)) for variant, options in owned]
-        if is_enumerable(domain):
-            tables = plan_exactly(domain, asked, parameters['plans'])
-        else:
-            seed = owner_seed(parameters, NAME, game.name)
-            tables = plan_from_samples(domain, asked, parameters['plans'], effort, seed)
-        for name, rows in tables.items():
-            found[name] += [{'game': game.name, **row} for row in rows]
+        seed = owner_seed(parameters, NAME, game.name)
+        for variant, owner in owned:
+            options = _in_game(owner.options, domain)
+            if is_enumerable(domain):
+                tables = plan_exactly(domain, variant, options, plans)
+            else:
+                tables = plan_from_samples(domain, variant, options, plans, effort, seed)
+            for name, rows in tables.items():
+                found[name] += [{'game': game.name, **row} for row in rows]
     return found
 
 
@@ -238,100 +241,52 @@ def _record(budget: int, plan: AnyPlan, returns: Returns, done: NDArray[Any]) ->
     }
 
 
-# Exact models.
-
-ExactOptions = Sequence[LearnedOption | TabularOption]
-
-
 def plan_exactly(
-    domain: EnumerableDomain[Any], asked: Sequence[tuple[Variant, ExactOptions]], plans: int
+    domain: EnumerableDomain[Any],
+    variant: Variant,
+    options: Sequence[LearnedOption | TabularOption],
+    plans: int,
 ) -> dict[str, list[dict[str, Any]]]:
     """
-    Plan with each variant and its options.
+    Plan with exact models, and play from every start state, once.
 
     :param plans: how often the same plan is made, for its seconds.
     :return: rows of plans, of the curve (one for each number of sweeps, doubled until converged),
         and of the gains by state.
     """
-    domain.feature_table()  # built once for all plans, so it does not count as their time
-    _exact_plan(domain, *asked[0])  # nor does what the first plan imports
-    return {
-        'curve': [
-            {'action set': variant.name, **record}
-            for variant, options in asked
-            for record in _exact_curve(domain, variant, options)
-        ],
-        'plans': [
-            {
-                'action set': variant.name,
-                **_judged_exactly(MAX_SWEEPS, *_timed(domain, variant, options)),
-            }
-            for variant, options in asked
-            for _ in range(plans)
-        ],
-        'gains': [
-            {'carried out as': variant.name, **_gain_by_state(domain, variant, options)}
-            for variant, options in asked
-            if variant in INTERRUPTING
-        ],
-    }
+    named = {'action set': variant.name}
 
+    def make(max_sweeps: int = MAX_SWEEPS) -> tuple[Plan, Plan]:
+        """Return a plan, with all its seconds, and the one that executes it."""
+        began = CLOCK()
+        tabled = [tabulate(option, domain) for option in options]
+        limits: Any = {'max_sweeps': max_sweeps, 'clock': CLOCK, 'table_seconds': CLOCK() - began}
+        plan = plan_with_tables(domain, variant.action_set, tabled, domain.gamma, **limits)
+        began = CLOCK()
+        executed = as_executed(plan, variant.execution)
+        return replace(plan, model_seconds=plan.model_seconds + CLOCK() - began), executed
 
-def _timed(
-    domain: EnumerableDomain[Any],
-    variant: Variant,
-    options: ExactOptions,
-    max_sweeps: int = MAX_SWEEPS,
-) -> tuple[Plan, Plan]:
-    """Make a plan several times, since it takes hardly any; return that of the median seconds."""
-    made = [_exact_plan(domain, variant, options, max_sweeps) for _ in range(REPEATS)]
-    return sorted(made, key=lambda pair: sum(getattr(pair[0], name) for name in SECONDS))[
-        REPEATS // 2
-    ]
+    def judge(max_sweeps: int = MAX_SWEEPS) -> tuple[Plan, dict[str, Any]]:
+        """Judge the plan of the median seconds of several, since one takes hardly any."""
+        made = [make(max_sweeps) for _ in range(REPEATS)]
+        made.sort(key=lambda pair: sum(getattr(pair[0], name) for name in SECONDS))
+        plan, executed = made[REPEATS // 2]
+        returns = play(executed, domain.start_states())
+        return plan, {**named, **_record(max_sweeps, plan, returns, returns.successes)}
 
-
-def _exact_plan(
-    domain: EnumerableDomain[Any],
-    variant: Variant,
-    options: ExactOptions,
-    max_sweeps: int = MAX_SWEEPS,
-) -> tuple[Plan, Plan]:
-    """Return a plan, with all its seconds, and the one that executes it."""
-    began = CLOCK()
-    tabled = [tabulate(option, domain) for option in options]
-    limits: Any = {'max_sweeps': max_sweeps, 'clock': CLOCK, 'table_seconds': CLOCK() - began}
-    plan = plan_with_tables(domain, variant.action_set, tabled, domain.gamma, **limits)
-    began = CLOCK()
-    executed = as_executed(plan, variant.execution)
-    return replace(plan, model_seconds=plan.model_seconds + CLOCK() - began), executed
-
-
-def _judged_exactly(budget: int, plan: Plan, executed: Plan) -> dict[str, Any]:
-    """Play from every start state, once."""
-    returns = play(executed, plan.domain.start_states())
-    return _record(budget, plan, returns, returns.successes)
-
-
-def _exact_curve(
-    domain: EnumerableDomain[Any], variant: Variant, options: ExactOptions
-) -> list[dict[str, Any]]:
-    """Judge plans of 1, 2, 4 ... sweeps, each made from scratch, until one has converged."""
-    found: list[dict[str, Any]] = []
-    converged, sweeps = False, 1
+    curve, converged, sweeps = [], False, 1
     while not converged and sweeps <= MAX_SWEEPS:
-        plan, executed = _timed(domain, variant, options, sweeps)
-        found.append(_judged_exactly(sweeps, plan, executed))
+        plan, record = judge(sweeps)
+        curve.append(record)
         converged, sweeps = plan.solution.converged, 2 * sweeps
-    return found
-
-
-def _gain_by_state(
-    domain: EnumerableDomain[Any], variant: Variant, options: ExactOptions
-) -> dict[str, float]:
-    """Return how much more an execution is worth than running each option to its end."""
-    plan, executed = _exact_plan(domain, variant, options)
-    more = policy_values(executed) - policy_values(plan)
-    return {'least': float(more.min()), 'most': float(more.max()), 'mean': float(np.mean(more))}
+    tables = {'curve': curve, 'plans': [judge()[1] for _ in range(plans)]}
+    if variant in INTERRUPTING:
+        plan, executed = make()
+        more = policy_values(executed) - policy_values(plan)
+        extremes = {'least': float(more.min()), 'most': float(more.max())}
+        gain = {'carried out as': variant.name, **extremes, 'mean': float(np.mean(more))}
+        tables['gains'] = [gain]
+    return tables
 
 
 # Sampled models.
@@ -377,35 +332,20 @@ def settings_to_try(gamma: float, count: int) -> list[Setting]:
 
 def plan_from_samples(
     domain: Domain[Any],
-    asked: Sequence[tuple[Variant, Sequence[LearnedOption]]],
+    variant: Variant,
+    options: Sequence[LearnedOption],
     plans: int,
     effort: Effort,
     seed: int,
 ) -> dict[str, list[dict[str, Any]]]:
     """
-    Search with each variant and its options, then plan with what was best.
+    Search for settings, then plan with the best.
 
     :param plans: how many are made of the largest budget, each by random draws of its own.
     :param seed: of plans and games; those of the search are others.
     :return: rows of plans, of the curve (one for each budget), of the gains (one for each plan
         that runs options to their end), and of the settings that were chosen.
     """
-    names = ('plans', 'curve', 'gains', 'settings')
-    found: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
-    for variant in asked:
-        for name, rows in _plan_variant(domain, variant, plans, effort, seed).items():
-            found[name] += rows
-    return found
-
-
-def _plan_variant(
-    domain: Domain[Any],
-    asked: tuple[Variant, Sequence[LearnedOption]],
-    plans: int,
-    effort: Effort,
-    seed: int,
-) -> dict[str, list[dict[str, Any]]]:
-    variant, options = asked
     named = {'action set': variant.name}
     few, most = effort.steps(variant)
 

@@ -179,7 +179,7 @@ def paper_table(summary: pd.DataFrame) -> pd.DataFrame:
         for name, row in {**known, AS_IN_PAPER: known['human']}.items():
             if (game.name, name) in summary.index:
                 ours = summary.loc[(game.name, name), ['total, s', 'mean return', 'low', 'high']]
-                rows.append([game.name, name, row.seconds, row.mean_return, *ours])
+                rows.append([game.name, name, *row, *ours])
     columns = [*KEYS, "paper's seconds", "paper's average reward", 'seconds', 'mean return']
     return pd.DataFrame(rows, columns=[*columns, 'low', 'high'])
 

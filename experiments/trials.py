@@ -130,14 +130,8 @@ class Outcome:
 OnTrial = Callable[[Outcome, Trial | None], object]
 
 
-@dataclass(frozen=True)
-class _Reply:
-    """What came back for one trial; only plain values travel between processes."""
-
-    number: int
-    result: Any
-    seconds: float
-    error: str  # empty: none
+# What comes back for one trial: its number, result, seconds, and the error (empty: none).
+_Reply = tuple[int, Any, float, str]
 
 
 def run_trials(
@@ -163,13 +157,13 @@ def run_trials(
         else:
             outcome.results[trial.key] = result
     progress(outcome, None)
-    for reply in _replies(outcome.missing, jobs, dask):
-        trial = outcome.missing[reply.number]
-        if reply.error:
-            outcome.failures[trial.key] = f'{trial}: {reply.error}'
+    for number, result, seconds, error in _replies(outcome.missing, jobs, dask):
+        trial = outcome.missing[number]
+        if error:
+            outcome.failures[trial.key] = f'{trial}: {error}'
         else:
-            save_result(folder, trial, reply.result, reply.seconds)
-            outcome.results[trial.key] = reply.result
+            save_result(folder, trial, result, seconds)
+            outcome.results[trial.key] = result
             outcome.computed += 1
         progress(outcome, trial)
     return outcome
@@ -199,7 +193,7 @@ def _compute(number: int, compute: Compute, parameters: dict[str, Any]) -> _Repl
         result, error = compute(parameters), ''
     except Exception as problem:  # whatever happens to one trial, the others go on
         result, error = None, f'{type(problem).__name__}: {problem}'
-    return _Reply(number, result, time.perf_counter() - began, error)
+    return number, result, time.perf_counter() - began, error
 
 
 @contextmanager
