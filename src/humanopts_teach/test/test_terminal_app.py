@@ -11,32 +11,29 @@ from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
     BeginDemonstration,
+    CancelRun,
     DefineOption,
     Drive,
     EndDemonstration,
     LessonView,
+    ListOptions,
+    NewEpisode,
     OpenSession,
     OptionStatus,
     Phase,
+    PlanOptions,
+    PlayEpisodes,
+    Request,
     RequestStatus,
+    RunOption,
     SetControl,
+    SetExecution,
     Verdict,
     WithdrawDemonstration,
 )
 from humanopts_teach.terminal.app import App, REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.terminal.drawing import frame
 from humanopts_teach.terminal.menu import opening
-from humanopts_teach.terminal.requests import (
-    CancelRun,
-    ListOptions,
-    NewEpisode,
-    PlanOptions,
-    PlayEpisodes,
-    Reply,
-    Request,
-    RunOption,
-    SetExecution,
-)
 import pytest
 
 START = 'taxi 2,3 passenger R destination B'
@@ -74,13 +71,14 @@ class Person:
         return request
 
     def answer(
-        self, request: Request | None, ok: bool = True, episode: int = 1, **fields: Any
+        self, request: Request | None, ok: bool = True, text: str = '', **fields: Any
     ) -> Request | None:
         """Answer a request; return the next one."""
         assert request is not None
         uuid = request.uuid if isinstance(request, WithdrawDemonstration) else ''
-        answer = Answer(RequestStatus.OK, '', episode=episode, uuid=uuid)
-        self.app.replied(Reply(request, ok, answer=answer, **fields), self.now)
+        status = RequestStatus.OK if ok else RequestStatus.REFUSED
+        answer = Answer(status, text, **{'episode': 1, 'uuid': uuid, **fields})
+        self.app.replied(request, answer, self.now)
         return self.look()
 
     def lesson(self, phase: Phase, **fields: Any) -> Request | None:
@@ -97,7 +95,7 @@ class Person:
         self.world.game = replace(self.world.game, **fields)
         asked = self.app.waits_for
         if isinstance(asked, Drive):
-            self.app.replied(Reply(asked, ok=True), self.now)
+            self.app.replied(asked, Answer(RequestStatus.OK, ''), self.now)
         return self.look()
 
     def sees(self, width: int = 80, height: int = 24) -> str:
@@ -147,7 +145,7 @@ def test_enter_accepts_the_proposed_code_and_leads_to_the_menu(person: Person) -
     request = person.press('enter')
     assert request == OpenSession('p1')
     person.lesson(Phase.NO_OPTION, participant='p1')
-    person.answer(request, names=('fetch',))
+    person.answer(request, known_options=('fetch',))
     assert person.sees_words('What next?')
     assert person.sees_words('Go on teaching an option')
 
@@ -428,7 +426,7 @@ def runner(teacher: Person) -> Person:
     teacher.press('escape')
     request = teacher.press('3')
     assert request == ListOptions('p1')
-    teacher.answer(request, names=(NAME,))
+    teacher.answer(request, option_names=(NAME,))
     teacher.press('enter')
     return teacher
 
@@ -461,7 +459,7 @@ def test_an_action_key_takes_over_from_a_run(runner: Person) -> None:
     run = started(runner)
     assert runner.press('left') == Drive('west', 1, 0)
     runner.game(step=1)
-    runner.app.run_ended(Reply(run, ok=True, text='You took over.'))
+    runner.app.run_ended(run, True, 'You took over.')
     assert runner.sees_words('You took over.')
 
 
@@ -475,7 +473,7 @@ def test_escape_stops_a_run_and_only_then_leaves(runner: Person) -> None:
     run = started(runner)
     runner.answer(runner.press('escape'))
     assert runner.asked[-1] == CancelRun()
-    runner.app.run_ended(Reply(run, ok=True, text='Stopped.'))
+    runner.app.run_ended(run, True, 'Stopped.')
     runner.answer(runner.press('escape'))
     assert runner.sees_words('What next?')
 
@@ -491,7 +489,7 @@ def test_watching_plans_first_and_plays_then(teacher: Person) -> None:
     plan = teacher.answer(teacher.press('escape', '4', '1', 'enter'))
     assert isinstance(plan, PlanOptions)
     teacher.answer(plan)
-    teacher.app.run_ended(Reply(plan, ok=True, text='Planned.'))
+    teacher.app.run_ended(plan, True, 'Planned.')
     play = teacher.look()
     assert isinstance(play, PlayEpisodes)
     assert (play.action_set, play.participant) == ('human', 'p1')
@@ -507,7 +505,7 @@ def test_how_the_machine_plays_can_be_chosen_before_and_changed_while(teacher: P
     assert teacher.sees_words('Arbitration: options stop where another is worth more.')
     plan = teacher.answer(teacher.press('enter'))
     teacher.answer(plan)
-    teacher.app.run_ended(Reply(plan, ok=True, text='Planned.'))
+    teacher.app.run_ended(plan, True, 'Planned.')
     play = teacher.look()
     assert isinstance(play, PlayEpisodes)
     assert play.execution == 'interrupted'
@@ -518,7 +516,7 @@ def test_how_the_machine_plays_can_be_chosen_before_and_changed_while(teacher: P
     teacher.world.execution = 'modular_mass'
     assert teacher.answer(change) is None
     assert teacher.sees_words('Arbitration: all options act at once: the greatest mass.')
-    teacher.app.run_ended(Reply(play, ok=True, text='RecordedEpisodes.'))
+    teacher.app.run_ended(play, True, 'RecordedEpisodes.')
     assert teacher.sees_words('the greatest mass.')
 
 

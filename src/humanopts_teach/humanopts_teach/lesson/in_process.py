@@ -28,7 +28,6 @@ from humanopts_teach.lesson.requests import (
     Drive,
     EndDemonstration,
     OptionStatus,
-    RequestStatus,
 )
 from humanopts_teach.lesson.simulated_teacher import (
     Act,
@@ -141,7 +140,7 @@ class _InProcess:
                 self._drive(act)
             case _:
                 answer = self._lesson.carry_out(act)
-                if answer.status not in (RequestStatus.OK, RequestStatus.NO_FEATURE):
+                if not answer.carried_out:
                     raise LessonError(answer.detail)
                 if isinstance(act, BeginDemonstration):
                     self._begin(answer)

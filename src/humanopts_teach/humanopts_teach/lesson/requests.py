@@ -1,15 +1,19 @@
 """
-What is asked of a lesson, what it answers, and what it shows.
+What a person asks of the lesson and of the nodes around it, the answers, and what is shown.
 
-All are plain values with the names and fields of the messages that carry them (``.srv`` and
-``.msg`` files of humanopts_interfaces). The terminal, the simulated teacher, programs of other
-people and the lesson itself use these same values.
+All are plain values with the names and fields of the messages that carry them (``.srv``,
+``.action`` and ``.msg`` files of humanopts_interfaces). The terminal, the simulated teacher,
+programs of other people and the lesson itself use these same values.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 import math
+from typing import Any
 
+from humanopts_env.domains.base import Domain
+from humanopts_env.game import Transition
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import Criterion
 
@@ -131,13 +135,89 @@ class SetControl:
 
 
 @dataclass(frozen=True, slots=True)
+class NewEpisode:
+    """Begin an episode from a start state of the task."""
+
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class ListOptions:
+    """Ask the option server what the participant's options are."""
+
+    participant: str
+
+
+@dataclass(frozen=True, slots=True)
+class SetExecution:
+    """Have the policy that runs carried out in another way, from its next action on."""
+
+    execution: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunOption:
+    """Have the machine run a taught option from the current state."""
+
+    option_name: str
+    participant: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlanOptions:
+    """Have the planner plan."""
+
+    action_set: str
+    participant: str
+    seed: int
+    evaluation_episodes: int = 20  # that the plan is judged by
+
+
+@dataclass(frozen=True, slots=True)
+class PlayEpisodes:
+    """Have the planner play by its plan."""
+
+    action_set: str
+    participant: str
+    episodes: int
+    seed: int
+    execution: str
+
+
+@dataclass(frozen=True, slots=True)
+class CancelRun:
+    """Ask for the end of the run under way."""
+
+
+Run = RunOption | PlanOptions | PlayEpisodes  # goals of actions: they go on once accepted
+ServiceRequest = LessonRequest | SetControl | NewEpisode | ListOptions | SetExecution
+Request = ServiceRequest | Drive | Run | CancelRun
+
+
+def server(request: Request) -> str:
+    """Return the node that answers a request."""
+    match request:
+        case Drive() | SetControl() | NewEpisode():
+            return 'game'
+        case ListOptions() | RunOption():
+            return 'option_server'
+        case PlanOptions() | PlayEpisodes() | SetExecution():
+            return 'planner'
+        case CancelRun():
+            return 'option_server or planner'
+        case _:
+            return 'lesson'
+
+
+@dataclass(frozen=True, slots=True)
 class Answer:
     """The answer to one request; the fields that it does not concern are empty."""
 
     status: RequestStatus
     detail: str
     session: str = ''  # in force
-    known_options: tuple[str, ...] = ()
+    known_options: tuple[str, ...] = ()  # that the participant has begun
+    option_names: tuple[str, ...] = ()  # that can be run
     resumed: bool = False
     episode: int = 0  # that was begun
     state: str = ''  # its first, in the domain's notation
@@ -147,8 +227,13 @@ class Answer:
 
     @property
     def ok(self) -> bool:
-        """Whether the request was carried out."""
+        """Whether the request was carried out, and the lesson can go on after it."""
         return self.status is RequestStatus.OK
+
+    @property
+    def carried_out(self) -> bool:
+        """Whether the request was carried out; with NO_FEATURE, the questions begin again."""
+        return self.status in (RequestStatus.OK, RequestStatus.NO_FEATURE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,24 +281,67 @@ class LessonView:
     text: str = ''
 
 
-def shows_outcome(view: LessonView, request: LessonRequest, answer: Answer) -> bool:
-    """
-    Tell whether the lesson's state shows what a request has changed.
+@dataclass
+class World:
+    """The newest of everything that the graph has published; None: nothing has come yet."""
 
-    The state is published on a topic, so it can come after the answer of the service.
+    domain: Domain[Any] | None = None
+    game: Transition | None = None
+    lesson: LessonView | None = None
+    progress: Sequence[OptionStatus] = ()
+    running: str = ''  # what option_server took on last: an option, or action:NAME
+    execution: str = ''  # of the policy that runs or ran last; empty: none did
+    holder: str = ''  # publisher_id of the terminal that drives; empty: nobody
+    me: str = ''  # our own publisher_id
+    missing: Sequence[str] = ()  # nodes that are gone or have not come
+
+    @property
+    def paused(self) -> str:
+        """Why nothing new can be taught now; empty: it can."""
+        return self.lesson.paused if self.lesson is not None else ''
+
+    @property
+    def i_drive(self) -> bool:
+        """Whether this terminal holds control."""
+        return bool(self.me) and self.holder == self.me
+
+    def progress_of(self, participant: str, option_name: str) -> OptionStatus | None:
+        """Return what the learner says of one option; None: nothing yet."""
+        wanted = (participant, option_name)
+        return next((p for p in self.progress if (p.participant, p.option_name) == wanted), None)
+
+
+def settled(request: Request, answer: Answer, world: World) -> bool:
+    """
+    Return whether the published state shows what a request has changed.
+
+    The state is published on topics, so it can come after the answer of a service.
 
     :param answer: to the request, which was carried out.
     """
+    lesson, game = world.lesson, world.game
+    match request:
+        case Drive() | ListOptions() | CancelRun() | RunOption() | PlanOptions() | PlayEpisodes():
+            return True
+        case SetControl(hold):
+            return world.i_drive == hold
+        case SetExecution(execution):
+            return world.execution == execution
+        case NewEpisode():
+            return game is not None and game.episode >= answer.episode
+    if lesson is None:
+        return False
     match request:
         case OpenSession(participant, session):
-            return view.participant == participant and session in ('', view.session)
+            return lesson.participant == participant and session in ('', lesson.session)
         case DefineOption(name):
-            return view.option_name == name
+            return lesson.option_name == name
         case AnswerQuestion(question_id):
-            return view.question_id != question_id
+            return lesson.question_id != question_id
         case BeginDemonstration():
-            return view.episode == answer.episode
+            begun = game is not None and game.episode >= answer.episode
+            return begun and lesson.episode == answer.episode
         case EndDemonstration(episode=episode):
-            return view.episode != episode
+            return lesson.episode != episode
         case WithdrawDemonstration():
-            return view.last_uuid != answer.uuid
+            return lesson.last_uuid != answer.uuid

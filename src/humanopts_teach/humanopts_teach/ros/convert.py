@@ -1,21 +1,16 @@
 """Messages to teaching values and back: the only module of this package that knows both."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields
-from typing import Any
+from dataclasses import fields, replace
+from enum import Enum
+from typing import Any, TypeVar
 
 from humanopts_interfaces import msg, srv
 from humanopts_learner.options.criteria import Criterion
 from humanopts_teach.lesson import requests
-from humanopts_teach.lesson.requests import (
-    Answer,
-    LessonRequest,
-    LessonView,
-    OptionStatus,
-    Phase,
-    RequestStatus,
-    Verdict,
-)
+from humanopts_teach.lesson.requests import OptionStatus, Phase, RequestStatus, Verdict
+
+V = TypeVar('V')
 
 # By kind of request: the type of its service, and the name.
 LESSON_SERVICES: Mapping[type, tuple[Any, str]] = {
@@ -26,94 +21,69 @@ LESSON_SERVICES: Mapping[type, tuple[Any, str]] = {
     requests.EndDemonstration: (srv.EndDemonstration, 'lesson/end_demonstration'),
     requests.WithdrawDemonstration: (srv.WithdrawDemonstration, 'lesson/withdraw_demonstration'),
 }
-_PHASES = {phase: int(getattr(msg.LessonState, f'PHASE_{phase.name}')) for phase in Phase}
-_VERDICTS = {
-    verdict: int(getattr(srv.EndDemonstration.Request, f'VERDICT_{verdict.name}'))
-    for verdict in Verdict
+CONTROL_SERVICES: Mapping[type, tuple[Any, str]] = {
+    requests.SetControl: (srv.SetControl, 'set_control')
+}
+TERMINAL_SERVICES: Mapping[type, tuple[Any, str]] = {
+    requests.NewEpisode: (srv.ResetGame, 'reset_game'),
+    requests.ListOptions: (srv.ListOptions, 'list_options'),
+    requests.SetExecution: (srv.SetExecution, 'set_execution'),
+}
+# Fields that are constants in messages: PHASE_READY is Phase.READY.
+_ENUMS: Mapping[str, type[Enum]] = {
+    'phase': Phase,
+    'status': RequestStatus,
+    'verdict': Verdict,
 }
 
 
-def request_to_message(request: LessonRequest) -> Any:
-    """Encode a request of the lesson."""
-    values = {field.name: getattr(request, field.name) for field in fields(request)}
-    if isinstance(request, requests.EndDemonstration):
-        values['verdict'] = _VERDICTS[request.verdict] if request.verdict is not None else 0
-    return LESSON_SERVICES[type(request)][0].Request(**values)
+def encode(value: Any, message: Any) -> Any:
+    """Copy the fields that a value and a message have in common, and return the message."""
+    for name in message.get_fields_and_field_types():
+        found = getattr(value, name, None)
+        if isinstance(found, Enum):
+            found = getattr(type(message), f'{name.upper()}_{found.name}')
+        elif isinstance(found, tuple):
+            found = list(found)
+        if found is not None:
+            setattr(message, name, found)
+    return message
 
 
-def request_from_message(kind: type, message: Any) -> LessonRequest:
+def decode(kind: type[V], message: Any) -> V:
     """
-    Decode a request of the lesson; the lesson itself judges what is in it.
+    Build a value from the fields that it has in common with a message.
 
-    :param kind: one of ``LESSON_SERVICES``.
+    A verdict that does not exist is None, and a status that the lesson does not know REFUSED.
+
+    :param kind: one of the dataclasses of ``lesson.requests``.
+    :raises ValueError: the lesson is in a phase that does not exist.
     """
-    values = {field.name: getattr(message, field.name) for field in fields(kind)}
-    if kind is requests.EndDemonstration:
-        verdicts = {number: verdict for verdict, number in _VERDICTS.items()}
-        values['verdict'] = verdicts.get(message.verdict)
-    request: LessonRequest = kind(**values)
-    return request
+    found: dict[str, Any] = {}
+    for field in fields(kind):  # type: ignore[arg-type]
+        if not hasattr(message, field.name):
+            continue
+        value = getattr(message, field.name)
+        if field.name in _ENUMS:
+            value = _enum_value(field.name, message)
+        found[field.name] = tuple(value) if isinstance(value, list) else value
+    return kind(**found)
 
 
-def answer_to_response(answer: Answer, response: Any) -> Any:
-    """Fill in the response of a service, and return it."""
-    for name in response.get_fields_and_field_types():
-        if name != 'status':
-            value = getattr(answer, name)
-            setattr(response, name, list(value) if isinstance(value, tuple) else value)
-    response.status = getattr(type(response), f'STATUS_{answer.status.name}')
-    return response
-
-
-def answer_from_response(response: Any) -> Answer:
-    """
-    Decode the response of a service of the lesson, or of ``set_control``.
-
-    :raises ValueError: its status is none that is ever sent.
-    """
-    values = {name: getattr(response, name) for name in response.get_fields_and_field_types()}
-    kind = type(response)
-    known = {getattr(kind, f'STATUS_{status.name}', None): status for status in RequestStatus}
-    if response.status not in known:
-        raise ValueError(f'{kind.__name__} has unknown status {response.status}')
-    values['status'] = known[response.status]
-    if 'known_options' in values:
-        values['known_options'] = tuple(response.known_options)
-    return Answer(**values)
-
-
-def view_to_message(view: LessonView) -> msg.LessonState:
-    """Encode where the lesson stands; header, publisher_id and sequence are left to the sender."""
-    values = asdict(view)
-    values['phase'] = _PHASES[view.phase]
-    for name in ('chosen_features', 'earlier_features'):
-        values[name] = list(values[name])
-    return msg.LessonState(**values)
-
-
-def view_from_message(message: msg.LessonState) -> LessonView:
-    """
-    Decode where the lesson stands.
-
-    :raises ValueError: its phase is none that is ever sent.
-    """
-    phases = {number: phase for phase, number in _PHASES.items()}
-    if message.phase not in phases:
-        raise ValueError(f'the lesson is in unknown phase {message.phase}')
-    values = {field.name: getattr(message, field.name) for field in fields(LessonView)}
-    values['phase'] = phases[message.phase]
-    for name in ('chosen_features', 'earlier_features'):
-        values[name] = tuple(values[name])
-    return LessonView(**values)
+def _enum_value(name: str, message: Any) -> Enum | None:
+    number = getattr(message, name)
+    for member in _ENUMS[name]:
+        if getattr(type(message), f'{name.upper()}_{member.name}', None) == number:
+            return member
+    if name == 'phase':
+        raise ValueError(f'the lesson is in unknown phase {number}')
+    return RequestStatus.REFUSED if name == 'status' else None
 
 
 def option_status_from_message(message: msg.OptionStatus) -> OptionStatus:
     """Decode how far an option is learned."""
-    values = {field.name: getattr(message, field.name) for field in fields(OptionStatus)}
-    for name in ('features', 'conflicts'):
-        values[name] = tuple(values[name])
-    values['criteria'] = tuple(
+    criteria = tuple(
         Criterion(found.name, found.value if found.measurable else None, found.threshold)
         for found in message.criteria
     )
-    return OptionStatus(**values)
+    return replace(decode(OptionStatus, message), criteria=criteria)

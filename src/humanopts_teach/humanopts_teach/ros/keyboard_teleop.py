@@ -8,16 +8,23 @@ import time
 from humanopts_interfaces.msg import ControlState, ExecutionState, LearningStatus, OptionGoal
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
+from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, DISPLAY
-from humanopts_teach.ros.convert import option_status_from_message
+from humanopts_teach.lesson.requests import Answer, CancelRun, Request, RequestStatus, Run
+from humanopts_teach.ros.convert import (
+    LESSON_SERVICES,
+    option_status_from_message,
+    TERMINAL_SERVICES,
+)
 from humanopts_teach.ros.lesson_client import LessonClient
-from humanopts_teach.ros.terminal_calls import Calls
+from humanopts_teach.ros.runs import Runs
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.drawing import frame
 from humanopts_teach.terminal.menu import opening
 from rcl_interfaces.msg import IntegerRange
 from rclpy.executors import Executor
+from rclpy.task import Future
 
 _FAREWELL = 'Everything taught is saved; the same command takes it up again.'
 _POLL_SECONDS = 0.015  # between looks at the keyboard
@@ -38,10 +45,12 @@ class KeyboardTeleopNode(NodeBase):
         natural = IntegerRange(from_value=0, to_value=2**62, step=1)
         what = 'of the start states of free play and of plans'
         seed = self.setting('seed', 0, what, integer_range=[natural])
-        self.app = App(opening(participant), seed=seed)
-        self.app.world.me = self.publisher_id
-        self._client = LessonClient(self, on_news=self._on_news)
-        self._calls = Calls(self, self._client, self.app)
+        services = {**LESSON_SERVICES, **TERMINAL_SERVICES}
+        self._client = LessonClient(self, services, on_news=self._on_news)
+        self._world = self._client.world
+        self.app = App(opening(participant), self._world, seed=seed)
+        self._runs = Runs(self, self.app)
+        self._held: Request | None = None  # its server is not there yet
         self._came: set[str] = set()  # nodes that were there once
         self._started = self._looked = time.monotonic()
         self._drawn = self._asked = 0.0
@@ -57,7 +66,7 @@ class KeyboardTeleopNode(NodeBase):
 
     def waits_for(self) -> str | None:
         """Wait for the rules of the game."""
-        return None if self.app.world.domain is not None else 'domain_info'
+        return None if self._world.domain is not None else 'domain_info'
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
         """Serve the person until they quit, the terminal is gone, or the process is to end."""
@@ -74,7 +83,7 @@ class KeyboardTeleopNode(NodeBase):
         request = self.app.advance(now) if self.ready else None
         if request is not None:
             self._asked = now
-        self._calls.send(request)
+        self._send(request or self._held)
         self._look_around(now)
         self._news |= bool(keys) or device.resized()
         self._news |= self._seen != self.app.shown
@@ -82,6 +91,32 @@ class KeyboardTeleopNode(NodeBase):
         if self._news and not unsettled and now - self._drawn > _FRAME_SECONDS:
             device.draw(partial(frame, self.app))
             self._drawn, self._seen, self._news = time.monotonic(), self.app.shown, False
+
+    def _send(self, request: Request | None) -> None:
+        """Send the request that is under way, or hold it until its server is there."""
+        self._held = None
+        if request is None or request is not self.app.waits_for:
+            return
+        if isinstance(request, CancelRun):
+            self._runs.cancel()
+            self._answer(request, Answer(RequestStatus.OK, ''))
+        elif isinstance(request, Run):
+            if self._runs.is_ready(request):
+                self._runs.start(request)
+            else:
+                self._held = request
+        elif not self._client.is_ready(request):
+            self._held = request
+        else:
+            try:
+                sent = self._client.send(request)
+            except PublishError as error:
+                self._answer(request, Answer(RequestStatus.REFUSED, str(error)))
+            else:
+                sent.add_done_callback(lambda done: self._answer(request, done.result()))
+
+    def _answer(self, request: Request, answer: Answer) -> None:
+        self.app.replied(request, answer, time.monotonic())
 
     def _look_around(self, now: float) -> None:
         """Notice nodes that are gone."""
@@ -91,40 +126,42 @@ class KeyboardTeleopNode(NodeBase):
         there = {node for node, topic in _NEEDED.items() if self.count_publishers(topic)}
         self._came |= there
         late = now - self._started > _START_SECONDS
-        self.app.world.missing = tuple(
+        self._world.missing = tuple(
             node for node in _NEEDED if node not in there and (late or node in self._came)
         )
-        self._calls.check_server()
+        self._runs.check_server()
 
     def _part(self, executor: Executor) -> None:
         """Make the last requests, as far as somebody is there to answer them."""
         until = time.monotonic() + _PARTING_SECONDS
-        pending = [future for r in self.app.parting() if (future := self._calls.part(r))]
-        while any(not future.done() for future in pending) and time.monotonic() < until:
+        pending = [self._send_last(request) for request in self.app.parting()]
+        while any(future and not future.done() for future in pending) and time.monotonic() < until:
             executor.spin_once(_POLL_SECONDS)
 
+    def _send_last(self, request: Request) -> Future | None:
+        """Send one of the last requests; None: nobody is there to answer it."""
+        if isinstance(request, CancelRun):
+            return self._runs.cancel()
+        assert not isinstance(request, Run), 'a terminal that ends begins nothing'
+        return self._client.send(request) if self._client.is_ready(request) else None
+
     def _on_news(self) -> None:
-        """Show what lesson and game have published."""
-        world, client = self.app.world, self._client
-        world.domain, world.game, world.lesson = client.domain, client.game, client.lesson
         self._news = True
 
     def _on_learning(self, message: LearningStatus) -> None:
-        self.app.world.progress = [
-            option_status_from_message(status) for status in message.options
-        ]
+        self._world.progress = [option_status_from_message(status) for status in message.options]
         self._news = True
 
     def _on_control(self, message: ControlState) -> None:
-        self.app.world.holder = message.holder_id
+        self._world.holder = message.holder_id
         self._news = True
 
     def _on_execution(self, message: ExecutionState) -> None:
-        self.app.world.execution = message.execution
+        self._world.execution = message.execution
         self._news = True
 
     def _on_option_goal(self, message: OptionGoal) -> None:
-        self.app.world.running = message.option_name
+        self._world.running = message.option_name
         self._news = True
 
 

@@ -5,7 +5,8 @@ The terminal and the simulated teacher are written on it. A program of somebody 
 that gets a client; ``run_with_lesson`` makes the node and runs the coroutine to its end.
 """
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import replace
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
@@ -20,24 +21,22 @@ from humanopts_teach.lesson.requests import (
     Drive,
     LessonRequest,
     LessonView,
+    ListOptions,
+    NewEpisode,
     Phase,
     RequestStatus,
+    ServiceRequest,
     SetControl,
-    shows_outcome,
+    settled,
+    World,
 )
-from humanopts_teach.ros.convert import (
-    answer_from_response,
-    LESSON_SERVICES,
-    request_to_message,
-    view_from_message,
-)
+from humanopts_teach.ros.convert import CONTROL_SERVICES, decode, encode, LESSON_SERVICES
 import rclpy
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
-CARRIED_OUT = (RequestStatus.OK, RequestStatus.NO_FEATURE)  # with the last, all is asked again
 _PATIENCE = 30.0  # s
 _GIVE_BACK = 5.0  # s for game to take control back
 
@@ -63,12 +62,13 @@ class LessonClient:
     """
     Asks and drives as a person does, and knows where lesson and game stand.
 
-    ``domain``, ``lesson`` and ``game`` are the newest that was published; None: nothing yet.
+    :ivar world: the newest of what was published.
     """
 
     def __init__(
         self,
         node: NodeBase,
+        services: Mapping[type, tuple[Any, str]] = LESSON_SERVICES,
         *,
         patience: float = _PATIENCE,
         on_news: Callable[[], None] = lambda: None,
@@ -76,20 +76,19 @@ class LessonClient:
         """
         Create the clients, publishers and subscriptions on a node.
 
+        :param services: those that can be asked, beside ``set_control``.
         :param patience: longest wait for one answer or one change, s.
         :param on_news: called after ``domain``, ``lesson`` or ``game`` has changed.
         """
-        self.domain: Domain[Any] | None = None
-        self.lesson: LessonView | None = None
-        self.game: Transition | None = None
+        self.world = World(me=node.publisher_id)
         self._node = node
         self._patience = patience
         self._on_news = on_news
         self._driven: list[tuple[Drive, int, Future]] = []  # with its sequence; not answered yet
+        self._services = {**services, **CONTROL_SERVICES}
         self._clients: dict[type, Client] = {
-            kind: node.recorded_client(*service) for kind, service in LESSON_SERVICES.items()
+            kind: node.recorded_client(*service) for kind, service in self._services.items()
         }
-        self._clients[SetControl] = node.recorded_client(srv.SetControl, 'set_control')
         self._action = node.stamped_publisher(msg.ActionCommand, 'action')
         for message, topic, callback, qos in (
             (msg.DomainInfo, 'domain_info', self._on_domain, CURRENT),
@@ -98,6 +97,21 @@ class LessonClient:
             (msg.ActionRefusal, 'action_refused', self._on_refusal, DISPLAY),
         ):
             node.create_subscription(message, topic, callback, qos)
+
+    @property
+    def domain(self) -> Domain[Any] | None:
+        """The rules of the game; None: nothing was published yet."""
+        return self.world.domain
+
+    @property
+    def lesson(self) -> LessonView | None:
+        """Where the lesson stands; None: nothing was published yet."""
+        return self.world.lesson
+
+    @property
+    def game(self) -> Transition | None:
+        """The newest state of the game; None: nothing was published yet."""
+        return self.world.game
 
     def waits_for(self) -> str | None:
         """Return the first topic or service that is not there yet; None: all are."""
@@ -109,25 +123,22 @@ class LessonClient:
         clients = self._clients.values()
         return next((c.srv_name for c in clients if not c.service_is_ready()), None)
 
-    async def ask(self, request: LessonRequest) -> Answer:
+    async def ask(self, request: LessonRequest | Drive) -> Answer:
         """
-        Ask the lesson, and wait until its state shows what came of it.
+        Ask the lesson or drive, and wait until the published state shows what came of it.
 
         :raises RefusedError: it was not carried out.
         :raises NoAnswerError: there was no answer, or the state does not show it.
         """
-        answer = await self._answer(request)
-        if answer.status not in CARRIED_OUT:
-            raise RefusedError(self.name_of(request), answer)
-        await self.until(
-            lambda: self.lesson is not None and shows_outcome(self.lesson, request, answer),
-            f'the lesson to show what came of {self.name_of(request)}',
-        )
-        if answer.episode:
-            await self.until(
-                lambda: self.game is not None and self.game.episode >= answer.episode,
-                f'the first state of episode {answer.episode}',
-            )
+        what = self.name_of(request)
+        await self.until(lambda: self.is_ready(request), f'{what} to be there')
+        future = self.send(request)
+        await self.until(future.done, f'an answer of {what}')
+        answer: Answer = future.result()
+        if not answer.carried_out:
+            raise RefusedError(what, answer)
+        shown = f'the lesson to show what came of {what}'
+        await self.until(lambda: settled(request, answer, self.world), shown)
         return answer
 
     async def drive(self, action: str) -> Transition:
@@ -137,12 +148,10 @@ class LessonClient:
         :raises RefusedError: game refused it.
         :raises NoAnswerError: game did not answer, or has no state yet.
         """
-        if self.game is None:
+        if (game := self.game) is None:
             raise NoAnswerError('game has published no state yet')
-        drive = Drive(action, self.game.episode, self.game.step)
-        answer = await self._answer(drive)
-        if not answer.ok:
-            raise RefusedError(self.name_of(drive), answer)
+        await self.ask(Drive(action, game.episode, game.step))
+        assert self.game is not None
         return self.game
 
     async def until_ready(self) -> bool:
@@ -170,13 +179,13 @@ class LessonClient:
         if not await self._node.waiting.until(condition, self._patience):
             raise NoAnswerError(f'gave up after {self._patience:g} s of waiting for {what}')
 
-    def is_ready(self, request: LessonRequest | Drive | SetControl) -> bool:
-        """Tell whether the receiver is matched: a request that is sent before would be lost."""
+    def is_ready(self, request: ServiceRequest | Drive) -> bool:
+        """Return whether the receiver is matched: a request sent before would be lost."""
         if isinstance(request, Drive):
             return self._action.heard_by('game')
         return bool(self._clients[type(request)].service_is_ready())
 
-    def send(self, request: LessonRequest | Drive | SetControl) -> Future:
+    def send(self, request: ServiceRequest | Drive) -> Future:
         """
         Send a request without waiting; the future's result is the ``Answer``.
 
@@ -186,83 +195,72 @@ class LessonClient:
         """
         answer = Future()
         if isinstance(request, Drive):
-            self._action.publish(
-                msg.ActionCommand(
-                    source=msg.ActionCommand.SOURCE_PERSON,
-                    episode=request.episode,
-                    step=request.step,
-                    action=request.action,
-                )
-            )
+            person = msg.ActionCommand.SOURCE_PERSON
+            self._action.publish(encode(request, msg.ActionCommand(source=person)))
             self._driven.append((request, self._action.sequence, answer))
             return answer
+        message = encode(request, self._services[type(request)][0].Request())
         if isinstance(request, SetControl):
-            holder = self._node.publisher_id
-            message = srv.SetControl.Request(hold=request.hold, holder_id=holder)
-        else:
-            message = request_to_message(request)
+            message.holder_id = self._node.publisher_id
+        elif isinstance(request, NewEpisode):
+            message.source = srv.ResetGame.Request.SOURCE_PERSON
 
         def on_response(done: Future) -> None:
-            try:
-                answer.set_result(answer_from_response(done.result()))
-            except ValueError as error:  # of a server that is none of ours
-                answer.set_result(Answer(RequestStatus.REFUSED, str(error)))
+            found = decode(Answer, done.result())
+            if isinstance(request, ListOptions):  # that there are none is an answer, too
+                found = replace(found, status=RequestStatus.OK)
+            answer.set_result(found)
             self._node.waiting.look()
 
         self._clients[type(request)].call_async(message).add_done_callback(on_response)
         return answer
 
-    def name_of(self, request: LessonRequest | Drive | SetControl) -> str:
+    def name_of(self, request: ServiceRequest | Drive) -> str:
         """Return the service of a request, or the action."""
         if isinstance(request, Drive):
             return f'action {request.action}'
         return str(self._clients[type(request)].srv_name)
 
-    async def _answer(self, request: LessonRequest | Drive | SetControl) -> Answer:
-        what = self.name_of(request)
-        await self.until(lambda: self.is_ready(request), f'{what} to be there')
-        future = self.send(request)
-        await self.until(future.done, f'an answer of {what}')
-        answer: Answer = future.result()
-        return answer
-
     def _on_domain(self, info: msg.DomainInfo) -> None:
         try:
-            self.domain = domain_from_info(info)
+            self.world.domain = domain_from_info(info)
         except DomainError as error:
             raise StartError(str(error)) from error
-        self._tell()
+        self._changed()
 
     def _on_lesson(self, message: msg.LessonState) -> None:
         try:
-            self.lesson = view_from_message(message)
+            self.world.lesson = decode(LessonView, message)
         except ValueError as error:
             self._node.get_logger().error(f'lesson_state: {error}')
         else:
-            self._tell()
+            self._changed()
 
     def _on_game(self, message: msg.GameState) -> None:
-        self.game = transition_from_message(message)
-        self._on_news()
-        answered = Answer(RequestStatus.OK, '')
-        for drive, sequence, _ in list(self._driven):
-            if (self.game.episode, self.game.step) != (drive.episode, drive.step):
-                self._answer_drive(sequence, answered)
-        self._node.waiting.look()
+        game = self.world.game = transition_from_message(message)
+        self._answer_driven(
+            lambda drive, _: (drive.episode, drive.step) != (game.episode, game.step),
+            Answer(RequestStatus.OK, ''),
+        )
 
     def _on_refusal(self, message: msg.ActionRefusal) -> None:
         if message.command_publisher_id == self._node.publisher_id:
-            refused = Answer(RequestStatus.REFUSED, message.detail)
-            self._answer_drive(message.command_sequence, refused)
-            self._node.waiting.look()
+            self._answer_driven(
+                lambda _, sequence: sequence == message.command_sequence,
+                Answer(RequestStatus.REFUSED, message.detail),
+            )
 
-    def _answer_drive(self, sequence: int, answer: Answer) -> None:
-        known = [driven for driven in self._driven if driven[1] == sequence]
-        self._driven = [driven for driven in self._driven if driven[1] != sequence]
-        for _, _, future in known:
-            future.set_result(answer)
+    def _answer_driven(self, concerns: Callable[[Drive, int], bool], answer: Answer) -> None:
+        """Answer the actions that were sent and that this answer concerns."""
+        driven, self._driven = self._driven, []
+        for drive, sequence, future in driven:
+            if concerns(drive, sequence):
+                future.set_result(answer)
+            else:
+                self._driven.append((drive, sequence, future))
+        self._changed()
 
-    def _tell(self) -> None:
+    def _changed(self) -> None:
         self._on_news()
         self._node.waiting.look()
 

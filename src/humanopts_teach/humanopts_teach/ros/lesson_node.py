@@ -40,6 +40,7 @@ from humanopts_teach.lesson.requests import (
     Answer,
     BeginDemonstration,
     EndDemonstration,
+    LessonRequest,
     LessonView,
     OpenSession,
     Phase,
@@ -49,11 +50,10 @@ from humanopts_teach.lesson.requests import (
 from humanopts_teach.lesson.start_states import LessonRules, StartStates
 from humanopts_teach.lesson.store import DemonstrationStore, StoreError
 from humanopts_teach.ros.convert import (
-    answer_to_response,
+    decode,
+    encode,
     LESSON_SERVICES,
     option_status_from_message,
-    request_from_message,
-    view_to_message,
 )
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -217,7 +217,7 @@ class LessonNode(NodeBase):
         """Return the callback of the service of one kind of request."""
 
         async def handle(message: Any, response: Any) -> Any:
-            request = request_from_message(kind, message)
+            request: LessonRequest = decode(kind, message)
             if isinstance(request, EndDemonstration) and request.verdict in _KEEPING:
                 await self._catch_up(request)
             answer = self._lesson.carry_out(request)
@@ -227,7 +227,7 @@ class LessonNode(NodeBase):
                 self._asked_learner = time.monotonic()
                 self._unsent.append(answer.demonstration)
             self._show()
-            return answer_to_response(answer, response)
+            return encode(answer, response)
 
         return handle
 
@@ -365,7 +365,7 @@ class LessonNode(NodeBase):
     def _send_view(self) -> None:
         view = self._lesson.view
         if view != self._shown:
-            self._state_out.publish(view_to_message(view))
+            self._state_out.publish(encode(view, LessonState()))
             self._shown = view
 
 

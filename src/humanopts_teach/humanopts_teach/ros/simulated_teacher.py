@@ -106,7 +106,7 @@ class SimulatedTeacherNode(NodeBase):
         try:
             while not isinstance(act := await self._next_act(), Finish):
                 try:
-                    await self._do(act)
+                    await self._client.ask(act)
                     refused = 0
                 except RefusedError as error:
                     refused += 1
@@ -144,12 +144,6 @@ class SimulatedTeacherNode(NodeBase):
 
             if not await self.waiting.until(is_news, since + self._deadline - time.monotonic()):
                 raise NoAnswerError(f'gave up after {self._deadline:g} s of waiting for {reason}')
-
-    async def _do(self, act: LessonRequest | Drive) -> None:
-        if isinstance(act, Drive):
-            await self._client.drive(act.action)
-        else:
-            await self._client.ask(act)
 
 
 def main(args: list[str] | None = None) -> int:

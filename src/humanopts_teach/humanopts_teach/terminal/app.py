@@ -7,28 +7,33 @@ never means something else than what the person saw when it was carried out.
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from humanopts_env.domains.base import Domain
-from humanopts_teach.lesson.requests import Drive, EndDemonstration, Phase, SetControl, Verdict
-from humanopts_teach.terminal.keys import END_OF_FILE, INTERRUPT
-from humanopts_teach.terminal.requests import (
+from humanopts_teach.lesson.requests import (
+    Answer,
     CancelRun,
-    PlanOptions,
-    PlayEpisodes,
-    Reply,
+    DefineOption,
+    Drive,
+    EndDemonstration,
+    Phase,
     Request,
+    RequestStatus,
     Run,
-    RunOption,
     server,
+    SetControl,
     settled,
+    Verdict,
+    WithdrawDemonstration,
+    World,
 )
-from humanopts_teach.terminal.world import World
+from humanopts_teach.terminal.keys import END_OF_FILE, INTERRUPT
 
 REPLY_SECONDS = 5.0  # for a node to answer
 SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed
 MOST_KEYS = 64  # typed ahead; what comes then is dropped
+_PAUSED = 'Not now: the lesson is paused; the top of the screen says why.'
 
 
 class Screen(Protocol):
@@ -37,10 +42,10 @@ class Screen(Protocol):
     def press(self, key: str, app: 'App') -> None:
         """Carry out one key."""
 
-    def replied(self, reply: Reply, app: 'App') -> None:
+    def replied(self, request: Request, answer: Answer, app: 'App') -> None:
         """React to the answer to a request that this screen made."""
 
-    def run_ended(self, reply: Reply, app: 'App') -> None:
+    def run_ended(self, run: Run, well: bool, app: 'App') -> None:
         """React to the end of a run."""
 
     def tick(self, app: 'App') -> None:
@@ -62,14 +67,14 @@ class Message:
 class _Waiting:
     request: Request
     until: float  # s, deadline
-    reply: Reply | None = None
+    answer: Answer | None = None
 
 
 class App:
     """Everything behind the screen."""
 
-    def __init__(self, first: Screen, *, seed: int = 0) -> None:
-        self.world = World()
+    def __init__(self, first: Screen, world: World | None = None, *, seed: int = 0) -> None:
+        self.world = world or World()
         self.seed = seed
         self.participant = ''
         self.known_options: tuple[str, ...] = ()  # in the order in which they were begun
@@ -156,14 +161,15 @@ class App:
                 break
         return None
 
-    def replied(self, reply: Reply, now: float) -> None:
+    def replied(self, request: Request, answer: Answer, now: float) -> None:
         """Keep the answer to the request under way; any other answer is too late and ignored."""
         waiting = self._waiting
-        if waiting is None or waiting.request is not reply.request:
+        if waiting is None or waiting.request is not request:
             return
-        waiting.reply, waiting.until = reply, now + SETTLE_SECONDS
-        if reply.ok and isinstance(reply.request, RunOption | PlanOptions | PlayEpisodes):
-            self.run, self.run_text = reply.request, ''
+        waiting.answer = replace(answer, detail=_words(request, answer))
+        waiting.until = now + SETTLE_SECONDS
+        if answer.ok and isinstance(request, Run):
+            self.run, self.run_text = request, ''
             self.world.running = ''
         self._look_at_waiting(now)
 
@@ -171,17 +177,17 @@ class App:
         """Show how far the run is."""
         self.run_text = text
 
-    def run_ended(self, reply: Reply) -> None:
-        """Show how the run ended."""
-        if self.run is reply.request:
+    def run_ended(self, run: Run, well: bool, text: str) -> None:
+        """Show how a run ended, unless it is another one."""
+        if self.run is run:
             self.run = None
-            self.say(reply.text, bad=not reply.ok)
-            self.screen.run_ended(reply, self)
+            self.say(text, bad=not well)
+            self.screen.run_ended(run, well, self)
 
     def lost_server(self) -> None:
         """End the run: its server is gone."""
         if self.run is not None:
-            self.run_ended(Reply(self.run, ok=False, text=f'{server(self.run)} is gone.'))
+            self.run_ended(self.run, False, f'{server(self.run)} is gone.')
 
     def parting(self) -> list[Request]:
         """Return what is left to ask when the terminal ends, so that nothing is left hanging."""
@@ -201,19 +207,30 @@ class App:
         waiting = self._waiting
         if waiting is None:
             return
-        late = now >= waiting.until
-        if waiting.reply is None:
+        late, answer = now >= waiting.until, waiting.answer
+        if answer is None:
             if late:
                 text = f'{server(waiting.request)} does not answer.'
-                self._finish(Reply(waiting.request, ok=False, text=text))
-        elif late or settled(waiting.reply, self.world):
-            self._finish(waiting.reply)
+                self._finish(waiting.request, Answer(RequestStatus.REFUSED, text))
+        elif late or not answer.carried_out or settled(waiting.request, answer, self.world):
+            self._finish(waiting.request, answer)
 
-    def _finish(self, reply: Reply) -> None:
+    def _finish(self, request: Request, answer: Answer) -> None:
         self._waiting = None
-        if not reply.ok:
+        if not answer.carried_out:
             self._outbox.clear()
             self._keys.clear()
-        if reply.text or not reply.ok:
-            self.say(reply.text, bad=not reply.ok)
-        self.screen.replied(reply, self)
+        if answer.detail or not answer.carried_out:
+            self.say(answer.detail, bad=not answer.carried_out)
+        self.screen.replied(request, answer, self)
+
+
+def _words(request: Request, answer: Answer) -> str:
+    """Return what the person reads of an answer; empty: nothing."""
+    if answer.status is RequestStatus.PAUSED:
+        return _PAUSED
+    if isinstance(request, Drive) and not answer.ok:
+        return f'{request.action}: {answer.detail}'
+    if answer.ok and not isinstance(request, DefineOption | WithdrawDemonstration):
+        return ''
+    return answer.detail

@@ -5,20 +5,22 @@ from dataclasses import dataclass, field
 
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.arbitration import Execution
-from humanopts_teach.lesson.requests import Drive, SetControl
-from humanopts_teach.terminal.app import App
-from humanopts_teach.terminal.entry import HelpScreen, Keys, PlainScreen
-from humanopts_teach.terminal.keys import Command, key_table, KeyTable, label
-from humanopts_teach.terminal.requests import (
+from humanopts_teach.lesson.requests import (
+    Answer,
     CancelRun,
+    Drive,
     NewEpisode,
     PlanOptions,
     PlayEpisodes,
-    Reply,
     Request,
+    Run,
     RunOption,
+    SetControl,
     SetExecution,
 )
+from humanopts_teach.terminal.app import App
+from humanopts_teach.terminal.entry import HelpScreen, Keys, PlainScreen
+from humanopts_teach.terminal.keys import Command, key_table, KeyTable, label
 
 EPISODES = 5  # that are watched
 EXECUTIONS = {
@@ -58,9 +60,9 @@ class PlayScreen(PlainScreen):
         elif command is Command.QUIT:
             app.end()
 
-    def replied(self, reply: Reply, app: App) -> None:
+    def replied(self, request: Request, answer: Answer, app: App) -> None:
         """Take over all the same when the machine's episode ended under the person's key."""
-        if isinstance(reply.request, Drive) and not reply.ok and app.run is not None:
+        if isinstance(request, Drive) and not answer.ok and app.run is not None:
             app.ask(SetControl(hold=True))
 
     def start(self, app: App) -> None:
@@ -152,11 +154,11 @@ class WatchScreen(PlayScreen):
         else:
             self.execution = other
 
-    def replied(self, reply: Reply, app: App) -> None:
+    def replied(self, request: Request, answer: Answer, app: App) -> None:
         """Play on as it was changed, also the next time."""
-        if isinstance(reply.request, SetExecution) and reply.ok:
-            self.execution = Execution(reply.request.execution)
-        super().replied(reply, app)
+        if isinstance(request, SetExecution) and answer.ok:
+            self.execution = Execution(request.execution)
+        super().replied(request, answer, app)
 
     def in_force(self, app: App) -> Execution:
         """Return how it plays, or will play."""
@@ -167,9 +169,9 @@ class WatchScreen(PlayScreen):
         """Plan."""
         app.ask(SetControl(hold=False), PlanOptions(self.action_set, app.participant, app.seed))
 
-    def run_ended(self, reply: Reply, app: App) -> None:
+    def run_ended(self, run: Run, well: bool, app: App) -> None:
         """Play once it is planned."""
-        if reply.ok and isinstance(reply.request, PlanOptions):
+        if well and isinstance(run, PlanOptions):
             app.ask(
                 PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
             )

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from humanopts_teach.lesson.requests import Answer, Request, Run
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.keys import BACKSPACE, CLEAR, DOWN, ENTER, ESCAPE, label, UP
-from humanopts_teach.terminal.requests import Reply
 
 MOST_CHARACTERS = 60
 Keys = list[tuple[str, str]]
@@ -17,10 +17,10 @@ class PlainScreen:
     def press(self, key: str, app: App) -> None:
         """Carry out one key. To be overridden."""
 
-    def replied(self, reply: Reply, app: App) -> None:
+    def replied(self, request: Request, answer: Answer, app: App) -> None:
         """React to the answer to a request."""
 
-    def run_ended(self, reply: Reply, app: App) -> None:
+    def run_ended(self, run: Run, well: bool, app: App) -> None:
         """React to the end of a run."""
 
     def tick(self, app: App) -> None:
@@ -39,7 +39,7 @@ class TextScreen(PlainScreen):
     explanation: str
     typed: str = ''
     submit: Callable[[str, App], None] = lambda text, app: None
-    answered: Callable[[Reply, App], None] = lambda reply, app: None
+    answered: Callable[[Request, Answer, App], None] = lambda request, answer, app: None
     back: Callable[[App], None] | None = None
 
     def press(self, key: str, app: App) -> None:
@@ -55,9 +55,9 @@ class TextScreen(PlainScreen):
         elif len(key) == 1 and len(self.typed) < MOST_CHARACTERS:
             self.typed += key
 
-    def replied(self, reply: Reply, app: App) -> None:
+    def replied(self, request: Request, answer: Answer, app: App) -> None:
         """Go on, or stay with what was refused."""
-        self.answered(reply, app)
+        self.answered(request, answer, app)
 
     def keys(self, app: App) -> Keys:
         """Return the keys of a line editor."""
@@ -81,7 +81,7 @@ class ListScreen(PlainScreen):
     title: str
     items: Sequence[Item]
     back: Callable[[App], None] | None = None
-    answered: Callable[[Reply, App], None] = lambda reply, app: None
+    answered: Callable[[Request, Answer, App], None] = lambda request, answer, app: None
     at: int = 0
 
     def press(self, key: str, app: App) -> None:
@@ -99,9 +99,9 @@ class ListScreen(PlainScreen):
         elif key in ('q', 'Q'):
             app.end()
 
-    def replied(self, reply: Reply, app: App) -> None:
+    def replied(self, request: Request, answer: Answer, app: App) -> None:
         """Go on with what was picked."""
-        self.answered(reply, app)
+        self.answered(request, answer, app)
 
     def keys(self, app: App) -> Keys:
         """Return the keys of a list."""

@@ -2,11 +2,17 @@
 
 from collections.abc import Callable
 
-from humanopts_teach.lesson.requests import DefineOption, OpenSession, Phase
+from humanopts_teach.lesson.requests import (
+    Answer,
+    DefineOption,
+    ListOptions,
+    OpenSession,
+    Phase,
+    Request,
+)
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.driving import PlayScreen, RunScreen, WatchScreen
 from humanopts_teach.terminal.entry import Item, ListScreen, TextScreen
-from humanopts_teach.terminal.requests import ListOptions, Reply
 from humanopts_teach.terminal.teaching import LessonScreen
 
 
@@ -35,9 +41,9 @@ def _enter(code: str, app: App) -> None:
         app.ask(OpenSession(code))
 
 
-def _entered(reply: Reply, app: App) -> None:
-    if reply.ok:
-        app.known_options = reply.names
+def _entered(request: Request, answer: Answer, app: App) -> None:
+    if answer.ok:
+        app.known_options = answer.known_options
         to_menu(app)
 
 
@@ -83,10 +89,10 @@ def _define(name: str, app: App) -> None:
     app.ask(DefineOption(name))
 
 
-def _defined(reply: Reply, app: App) -> None:
-    if reply.ok and isinstance(reply.request, DefineOption):
-        if reply.request.name not in app.known_options:
-            app.known_options = (*app.known_options, reply.request.name)
+def _defined(request: Request, answer: Answer, app: App) -> None:
+    if answer.ok and isinstance(request, DefineOption):
+        if request.name not in app.known_options:
+            app.known_options = (*app.known_options, request.name)
         to_lesson(app)
 
 
@@ -111,13 +117,13 @@ def _list_taught(app: App) -> None:
     app.ask(ListOptions(app.participant))
 
 
-def _listed(reply: Reply, app: App) -> None:
-    if not reply.ok or not isinstance(reply.request, ListOptions):
+def _listed(request: Request, answer: Answer, app: App) -> None:
+    if not answer.ok or not isinstance(request, ListOptions):
         return
-    if not reply.names:
+    if not answer.option_names:
         app.say('Nothing is taught yet: an option can be run after its first demonstration.')
         return
-    items = [Item(name, _standing(name, app), _running(name)) for name in reply.names]
+    items = [Item(name, _standing(name, app), _running(name)) for name in answer.option_names]
     app.show(ListScreen('Run which option?', items, back=to_menu))
 
 

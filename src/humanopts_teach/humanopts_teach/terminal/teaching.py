@@ -4,19 +4,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from humanopts_teach.lesson.requests import (
+    Answer,
     AnswerQuestion,
     BeginDemonstration,
     DefineOption,
     EndDemonstration,
     LessonView,
     Phase,
+    Request,
     Verdict,
     WithdrawDemonstration,
 )
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen, Keys, PlainScreen
 from humanopts_teach.terminal.keys import Command, ENTER, key_table, KeyTable, label, SPACE
-from humanopts_teach.terminal.requests import Reply
 
 _ALWAYS = (Command.QUESTIONS, Command.MENU, Command.HELP, Command.QUIT)
 _IN_PHASE: dict[Phase, tuple[Command, ...]] = {
@@ -95,15 +96,15 @@ class LessonScreen(PlainScreen):
         if self.automatic and lesson is not None and lesson.phase is Phase.READY:
             app.ask(BeginDemonstration())
 
-    def replied(self, reply: Reply, app: App) -> None:
+    def replied(self, request: Request, answer: Answer, app: App) -> None:
         """Go on to the next start state, or stop where something was refused."""
-        if isinstance(reply.request, BeginDemonstration):
+        if isinstance(request, BeginDemonstration):
             self.automatic = False
-        elif isinstance(reply.request, AnswerQuestion) and not reply.ok:
+        elif isinstance(request, AnswerQuestion) and not answer.carried_out:
             self.rest = False
-        elif isinstance(reply.request, WithdrawDemonstration) and reply.ok:
+        elif isinstance(request, WithdrawDemonstration) and answer.ok:
             self.automatic = True
-        elif isinstance(reply.request, EndDemonstration) and reply.ok:
+        elif isinstance(request, EndDemonstration) and answer.ok:
             self.again = False
             self.automatic = not app.world.paused
 
