@@ -9,8 +9,10 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition, transition_from_message
 from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_interfaces import msg, srv
+from humanopts_interfaces.action import RunPolicy
 from humanopts_interfaces.msg import Criterion, LessonState, NodeStatus
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.planning.arbitration import Execution
 from humanopts_ros.publisher import PublishError
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -22,6 +24,7 @@ from humanopts_teach.lesson.requests import (
     LessonView,
     OpenSession,
     Phase,
+    PlayEpisodes,
     RequestStatus,
     Verdict,
     WithdrawDemonstration,
@@ -94,6 +97,13 @@ def test_a_moment_of_the_game_survives_the_way_through_a_message() -> None:
 def test_a_request_survives_the_way_through_a_message(request_value: LessonRequest) -> None:
     message = LESSON_SERVICES[type(request_value)][0].Request()
     assert decode(type(request_value), encode(request_value, message)) == request_value
+
+
+def test_a_run_becomes_the_goal_of_its_action() -> None:
+    run = PlayEpisodes('human', 'p1', 5, 7, Execution.MODULAR_MASS)
+    goal = encode(run, RunPolicy.Goal())
+    assert (goal.action_set, goal.participant, goal.episodes) == ('human', 'p1', 5)
+    assert (goal.seed, goal.execution) == (7, 'modular_mass')
 
 
 def test_a_verdict_that_does_not_exist_is_none() -> None:

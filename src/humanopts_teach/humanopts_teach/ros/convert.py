@@ -41,7 +41,7 @@ def encode(value: Any, message: Any) -> Any:
     """Copy the fields that a value and a message have in common, and return the message."""
     for name in message.get_fields_and_field_types():
         found = getattr(value, name, None)
-        if isinstance(found, Enum):
+        if isinstance(found, Enum) and name in _ENUMS:
             found = getattr(type(message), f'{name.upper()}_{found.name}')
         elif isinstance(found, tuple):
             found = list(found)
