@@ -20,7 +20,7 @@ from humanopts_interfaces.msg import (
     OptionResult,
 )
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
-from humanopts_learner.execution import OptionRun
+from humanopts_learner.execution import Run
 from humanopts_learner.options.files import option_to_json, save_option
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, Mode
@@ -440,7 +440,7 @@ def sampled(seed: int, episode: int) -> list[str]:
     """Return the actions that the option draws in an episode that begins at START."""
     option, state = OPTIONS[WANDER], TAXI.decode(START)
     rng = generator(seed, 'run', WANDER, episode, 0)
-    run = OptionRun(option, TAXI, TAXI.gamma, 0, Mode.SAMPLED, rng)
+    run = Run(option, TAXI, TAXI.gamma, 0, Mode.SAMPLED, rng)
     assert run.begin(state, episode, 0) is None
     actions: list[str] = []
     end = None

@@ -4,20 +4,20 @@ Execution of one option, or of options as modules: the rules of the runner, with
 The caller asks for the next action, sends it to the game, and reports the state that it led to.
 """
 
-from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
-from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.arrays import Rows
+from humanopts_env.domains.base import Domain
 from humanopts_learner.library import RunnableOption
 from humanopts_learner.options.option import Mode
+from humanopts_learner.options.rollout import is_deterministic
 from humanopts_learner.planning.arbiter import Arbiter
 from humanopts_learner.planning.arbitration import Execution
 import numpy as np
-from numpy.typing import NDArray
 
 
 class RunStatus(IntEnum):
@@ -106,41 +106,71 @@ def refusal(status: RunStatus, option_name: str, detail: str = '') -> RunResult:
     return RunResult(status, _describe(status, detail), option_name)
 
 
-class Run(ABC):
-    """
-    One run: ``begin``, then ``next_action`` and ``observe`` in turn until a ``RunResult``.
+@dataclass(frozen=True)
+class Modules:
+    """All options of a plan as modules, of which one acts in each step."""
 
+    arbiter: Arbiter
+    options: Mapping[str, RunnableOption]  # by name, primitive actions too
+
+    def winner(self, state: Any) -> RunnableOption:
+        """Return the module that acts in a state."""
+        name = self.arbiter.before_step(state, '')
+        assert name is not None  # modules are never stopped
+        return self.options[name]
+
+
+class Run:
+    """
+    One run of an option or of modules: ``begin``, then ``next_action`` and ``observe`` in turn.
+
+    It ends, in this order of precedence: REACHED where the option's termination condition holds,
+    which is looked at only after a step, even if the episode ends there too
+    (``RunResult.terminated`` and ``truncated`` tell); EPISODE_OVER where the episode ended, by the
+    task's end or at its step limit; MAX_STEPS after ``max_steps`` steps. Modules never reach an
+    end of their own.
+
+    :ivar name: of the option; empty for modules.
+    :ivar max_steps: 0: none but the domain's.
     :ivar acting: the option that took the last action.
+    :ivar acted: steps by the name of the option that acted.
     """
 
     acting: RunnableOption
 
     def __init__(
         self,
-        name: str,
-        max_steps: int,
+        runs: RunnableOption | Modules,
         domain: Domain[Any],
         gamma: float,
-        mode: Mode,
-        rng: np.random.Generator | None,
+        max_steps: int = 0,
+        mode: Mode = Mode.GREEDY,
+        rng: np.random.Generator | None = None,
     ) -> None:
         """
         Prepare a run.
 
-        :param name: of the option; empty for modules.
-        :param max_steps: 0: none.
+        :param max_steps: 0: the option's own limit; for modules none but the domain's.
         :param rng: what the sampled mode draws from; the greedy mode draws nothing.
-        :raises RunError: the sampled mode has nothing to draw from, or max_steps is negative.
+        :raises RunError: the sampled mode has nothing to draw from, max_steps is negative, or
+            modules would never be cut off.
         """
         if mode is Mode.SAMPLED and rng is None:
             raise RunError('the sampled mode needs a random generator')
         if max_steps < 0:
             raise RunError(f'max_steps is {max_steps}, and must be 0 or greater')
-        self.name, self.max_steps = name, max_steps
+        self._modules = runs if isinstance(runs, Modules) else None
+        if isinstance(runs, Modules):
+            if not (max_steps or domain.max_steps):
+                raise RunError(f'{domain.name} never cuts an episode off: give max_steps')
+            self.name, self.max_steps = '', max_steps
+        else:
+            self.name, self.max_steps = runs.name, max_steps or runs.max_steps
+            self.acting = runs
         self.step_count = 0
         self.total_reward = 0.0
         self.discounted_return = 0.0
-        self.acted: Counter[str] = Counter()  # steps by the option that acted
+        self.acted: Counter[str] = Counter()
         self._domain, self._gamma, self._mode = domain, gamma, mode
         self._rng = rng or np.random.default_rng(0)  # not drawn from in the greedy mode
         self._state: Any = None
@@ -161,7 +191,7 @@ class Run(ABC):
         self._state, self._episode, self._first_step = state, episode, step
         if episode == 0 or self._domain.is_over(state):
             return self.end(RunStatus.NO_EPISODE)
-        if not self._can_start():
+        if self._modules is None and not self.acting.can_start(self._row()[None])[0]:
             return self.end(RunStatus.NOT_AVAILABLE, self._domain.encode(state))
         self._going = True
         return None
@@ -169,7 +199,8 @@ class Run(ABC):
     def next_action(self) -> int:
         """Return the index of the action to take now."""
         self._check_going()
-        self.acting = self._actor()
+        if self._modules is not None:
+            self.acting = self._modules.winner(self._state)
         return self.acting.choose_action(self._row(), self._mode, self._rng)
 
     def observe(
@@ -190,7 +221,7 @@ class Run(ABC):
         self.step_count += 1
         self.acted[self.acting.name] += 1
         self._terminated, self._truncated = terminated, truncated
-        if self._ends():
+        if self._modules is None and self.acting.choose_end(self._row(), self._mode, self._rng):
             return self.end(RunStatus.REACHED)
         if terminated or truncated:
             why = 'the task is over' if terminated else 'at its step limit'
@@ -231,19 +262,7 @@ class Run(ABC):
             acted=dict(self.acted),
         )
 
-    @abstractmethod
-    def _can_start(self) -> bool:
-        """Tell whether it can start in the state."""
-
-    @abstractmethod
-    def _actor(self) -> RunnableOption:
-        """Return the option that takes the next action."""
-
-    @abstractmethod
-    def _ends(self) -> bool:
-        """Tell whether it ends in the state that it came to."""
-
-    def _row(self) -> NDArray[np.int32]:
+    def _row(self) -> Rows:
         return self._domain.feature_values(self._state)
 
     def _check_going(self) -> None:
@@ -253,94 +272,15 @@ class Run(ABC):
     def _cut_off(self) -> str:
         """Say how long the run was, and where it walked in a circle if it did for certain."""
         text = f'{self.max_steps} steps'
+        certain = self._mode is Mode.GREEDY and is_deterministic(self._domain)
         seen: dict[Any, int] = {}
         for step, state in enumerate([*self._path, self._state]):
-            if state in seen and self._certain():
+            if state in seen and certain:
                 length = step - seen[state]
                 where = self._domain.encode(state)
                 return f'{text}; it walked in a circle of {length} through {where}'
             seen[state] = step
         return text
-
-    def _certain(self) -> bool:
-        """Tell whether a state that comes again must come again and again."""
-        domain = self._domain
-        greedy = self._mode is Mode.GREEDY
-        return greedy and is_enumerable(domain) and domain.transitions().deterministic
-
-
-class OptionRun(Run):
-    """
-    A run of one option.
-
-    It ends, in this order of precedence: REACHED where its termination condition holds, which is
-    looked at only after a step, even if the episode ends there too (``RunResult.terminated`` and
-    ``truncated`` tell); EPISODE_OVER where the episode ended, by the task's end or at its step
-    limit; MAX_STEPS after ``max_steps`` steps.
-    """
-
-    def __init__(
-        self,
-        option: RunnableOption,
-        domain: Domain[Any],
-        gamma: float,
-        max_steps: int = 0,
-        mode: Mode = Mode.GREEDY,
-        rng: np.random.Generator | None = None,
-    ) -> None:
-        """
-        Prepare a run; errors as in ``Run``.
-
-        :param max_steps: 0: the option's own limit.
-        """
-        super().__init__(option.name, max_steps or option.max_steps, domain, gamma, mode, rng)
-        self.acting = option
-
-    def _can_start(self) -> bool:
-        return bool(self.acting.can_start(self._row()[None])[0])
-
-    def _actor(self) -> RunnableOption:
-        return self.acting
-
-    def _ends(self) -> bool:
-        return self.acting.choose_end(self._row(), self._mode, self._rng)
-
-
-class ModularRun(Run):
-    """A run of all options of a plan as modules, of which one acts in each step."""
-
-    def __init__(
-        self,
-        arbiter: Arbiter,
-        options: Mapping[str, RunnableOption],
-        domain: Domain[Any],
-        gamma: float,
-        max_steps: int = 0,
-        mode: Mode = Mode.GREEDY,
-        rng: np.random.Generator | None = None,
-    ) -> None:
-        """
-        Prepare a run; errors as in ``Run``.
-
-        :param options: by name, primitive actions too.
-        :param max_steps: 0: none but the domain's.
-        :raises RunError: it would never be cut off.
-        """
-        super().__init__('', max_steps, domain, gamma, mode, rng)
-        if not (max_steps or domain.max_steps):
-            raise RunError(f'{domain.name} never cuts an episode off: give max_steps')
-        self._arbiter, self._options = arbiter, options
-
-    def _can_start(self) -> bool:
-        return True
-
-    def _actor(self) -> RunnableOption:
-        acting = self._arbiter.before_step(self._state, '')
-        assert acting is not None  # modules are never stopped
-        return self._options[acting]
-
-    def _ends(self) -> bool:
-        return False
 
 
 def _describe(status: RunStatus, detail: str) -> str:

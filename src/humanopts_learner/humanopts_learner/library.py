@@ -2,12 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
+from humanopts_env.arrays import Flags, Floats, Rows
 from humanopts_env.domains.base import Domain
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 import numpy as np
-from numpy.typing import NDArray
 
 PRIMITIVE_PREFIX = 'action:'
 
@@ -30,76 +30,45 @@ def taught_nothing(participant: str, others: Iterable[str]) -> str:
     return f'{participant!r} taught no option; those who did: {known}'
 
 
-class RunnableOption(Protocol):
-    """What running and querying need of an option; rows (N, F) are of all features."""
-
-    @property
-    def name(self) -> str:
-        """Name of the option."""
-        ...
-
-    @property
-    def max_steps(self) -> int:
-        """Primitive steps after which a run is cut off."""
-        ...
-
-    def action_probabilities(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Return (N, A): pi of every action."""
-        ...
-
-    def initiation_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Return (N,)."""
-        ...
-
-    def termination_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Return (N,): beta."""
-        ...
-
-    def can_start(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Return (N,): whether each state is in the initiation set."""
-        ...
-
-    def choose_action(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> int:
-        """Return what the option does in one state (F,)."""
-        ...
-
-    def choose_end(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> bool:
-        """Return whether the option ends in one state (F,) that it came to."""
-        ...
-
-
 @dataclass(frozen=True)
 class PrimitiveOption:
-    """A primitive action as an option of one step that can start everywhere."""
+    """
+    A primitive action as an option of one step that can start everywhere.
+
+    It answers as ``LearnedOption`` does; rows (N, F) are of all features.
+    """
 
     name: str  # action:NAME
     action: int
     n_actions: int
     max_steps: int = 1
 
-    def action_probabilities(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+    def action_probabilities(self, rows: Rows) -> Floats:
         """Return (N, A): 1 for the action."""
         return np.tile(np.eye(self.n_actions)[self.action], (len(rows), 1))
 
-    def initiation_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+    def initiation_probability(self, rows: Rows) -> Floats:
         """Return (N,): 1."""
         return np.ones(len(rows))
 
-    def termination_probability(self, rows: NDArray[np.int32]) -> NDArray[np.float64]:
+    def termination_probability(self, rows: Rows) -> Floats:
         """Return (N,): 1."""
         return np.ones(len(rows))
 
-    def can_start(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
+    def can_start(self, rows: Rows) -> Flags:
         """Return (N,): True."""
         return np.ones(len(rows), dtype=np.bool_)
 
-    def choose_action(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> int:
+    def choose_action(self, row: Rows, mode: Mode, rng: np.random.Generator) -> int:
         """Return the action."""
         return self.action
 
-    def choose_end(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> bool:
+    def choose_end(self, row: Rows, mode: Mode, rng: np.random.Generator) -> bool:
         """Return True: it ends after its step."""
         return True
+
+
+RunnableOption = LearnedOption | PrimitiveOption
 
 
 class OptionLibrary:

@@ -6,8 +6,7 @@ import re
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_learner.execution import (
     execution_named,
-    ModularRun,
-    OptionRun,
+    Modules,
     refusal,
     Run,
     RunError,
@@ -85,7 +84,7 @@ def test_statuses_are_those_of_the_message() -> None:
 
 
 def test_a_run_that_reaches_its_end_adds_up_what_it_earned() -> None:
-    run = OptionRun(option(NORTH, feature('taxi_row') == 0), TAXI, gamma=0.9)
+    run = Run(option(NORTH, feature('taxi_row') == 0), TAXI, gamma=0.9)
     end = drive(run, FAR)
     assert end.discounted_return == pytest.approx(-(1 + 0.9 + 0.81 + 0.729))
     assert end == RunResult(
@@ -103,18 +102,18 @@ def test_a_run_that_reaches_its_end_adds_up_what_it_earned() -> None:
 
 
 def test_termination_is_looked_at_only_after_a_step() -> None:
-    end = drive(OptionRun(option(NORTH, True), TAXI, 0.9), FAR)
+    end = drive(Run(option(NORTH, True), TAXI, 0.9), FAR)
     assert (end.status, end.step_count) == (RunStatus.REACHED, 1)
 
 
 def test_reached_goes_before_the_end_of_the_episode() -> None:
     at_goal = TaxiState(0, 4, passenger=4, destination=1)
-    end = drive(OptionRun(primitive(DROPOFF), TAXI, 0.9), at_goal)
+    end = drive(Run(primitive(DROPOFF), TAXI, 0.9), at_goal)
     assert (end.status, end.terminated, end.total_reward) == (RunStatus.REACHED, True, 1.0)
 
 
 def test_the_end_of_the_task_ends_the_run() -> None:
-    run = OptionRun(option(NORTH, False), TAXI, 0.9)
+    run = Run(option(NORTH, False), TAXI, 0.9)
     assert run.begin(FAR, 1, 0) is None
     end = run.observe(TaxiState(0, 0, 1, 1), 1.0, terminated=True, truncated=False)
     assert end is not None
@@ -123,41 +122,41 @@ def test_the_end_of_the_task_ends_the_run() -> None:
 
 
 def test_the_step_limit_of_the_episode_ends_the_run_and_says_so() -> None:
-    end = drive(OptionRun(option(NORTH, False), TAXI, 0.9, max_steps=2), FAR, cut_off=2)
+    end = drive(Run(option(NORTH, False), TAXI, 0.9, max_steps=2), FAR, cut_off=2)
     assert (end.status, end.truncated, end.step_count) == (RunStatus.EPISODE_OVER, True, 2)
     assert 'step limit' in end.detail
 
 
 def test_max_steps_cuts_a_run_off_and_names_the_circle_it_walked_in() -> None:
     east_west = np.where(feature('taxi_col') == 0, EAST, WEST)
-    end = drive(OptionRun(option(east_west, False, max_steps=9), TAXI, 0.9), TaxiState(2, 0, 0, 1))
+    end = drive(Run(option(east_west, False, max_steps=9), TAXI, 0.9), TaxiState(2, 0, 0, 1))
     assert (end.status, end.step_count) == (RunStatus.MAX_STEPS, 9)
     assert '9 steps' in end.detail
     assert 'circle of 2 through taxi 2,0' in end.detail
 
 
 def test_max_steps_without_a_circle_does_not_speak_of_one() -> None:
-    end = drive(OptionRun(option(NORTH, False), TAXI, 0.9, max_steps=3), FAR)
+    end = drive(Run(option(NORTH, False), TAXI, 0.9, max_steps=3), FAR)
     assert (end.status, end.step_count) == (RunStatus.MAX_STEPS, 3)
     assert 'circle' not in end.detail
 
 
 def test_a_sampled_run_that_comes_back_is_not_said_to_walk_in_a_circle() -> None:
     rng = np.random.default_rng(0)
-    run = OptionRun(option(SOUTH, False), TAXI, 0.9, 3, Mode.SAMPLED, rng)
+    run = Run(option(SOUTH, False), TAXI, 0.9, 3, Mode.SAMPLED, rng)
     end = drive(run, FAR)
     assert end.status is RunStatus.MAX_STEPS
     assert 'circle' not in end.detail
 
 
 def test_a_primitive_action_is_an_option_of_one_step() -> None:
-    end = drive(OptionRun(primitive(NORTH), TAXI, 0.9), FAR)
+    end = drive(Run(primitive(NORTH), TAXI, 0.9), FAR)
     assert (end.status, end.option_name, end.step_count) == (RunStatus.REACHED, 'action:north', 1)
 
 
 def test_a_run_is_refused_outside_the_initiation_set() -> None:
     aboard = TaxiState(2, 2, passenger=4, destination=0)
-    end = OptionRun(option(NORTH, False), TAXI, 0.9).begin(aboard, 1, 5)
+    end = Run(option(NORTH, False), TAXI, 0.9).begin(aboard, 1, 5)
     assert end is not None
     assert (end.status, end.step_count) == (RunStatus.NOT_AVAILABLE, 0)
     assert 'taxi 2,2 passenger aboard' in end.detail
@@ -165,7 +164,7 @@ def test_a_run_is_refused_outside_the_initiation_set() -> None:
 
 @pytest.mark.parametrize(('state', 'episode'), [(FAR, 0), (TaxiState(0, 0, 1, 1), 4)])
 def test_a_run_is_refused_where_no_episode_is_under_way(state: TaxiState, episode: int) -> None:
-    end = OptionRun(option(NORTH, False), TAXI, 0.9).begin(state, episode, 0)
+    end = Run(option(NORTH, False), TAXI, 0.9).begin(state, episode, 0)
     assert end is not None
     assert end.status is RunStatus.NO_EPISODE
 
@@ -174,7 +173,7 @@ def test_a_run_is_refused_where_no_episode_is_under_way(state: TaxiState, episod
     'status', [RunStatus.NO_PROGRESS, RunStatus.INTERRUPTED, RunStatus.CANCELED, RunStatus.FAILED]
 )
 def test_a_run_ended_from_outside_keeps_what_it_did(status: RunStatus) -> None:
-    run = OptionRun(option(NORTH, False), TAXI, 0.9)
+    run = Run(option(NORTH, False), TAXI, 0.9)
     assert run.begin(FAR, 2, 1) is None
     run.observe(TaxiState(3, 0, 0, 1), -1.0, False, False)
     end = run.end(status, 'because')
@@ -198,14 +197,14 @@ MODULES = {'up': option(NORTH, False, 'up'), 'right': option(EAST, False, 'right
 
 def test_in_a_run_of_modules_the_winner_of_each_step_acts_and_is_counted() -> None:
     """From row 4 up to row 3 and then to the right; it goes on where a module would end."""
-    end = drive(ModularRun(ByRow(), MODULES, TAXI, 0.9, max_steps=4), FAR)
+    end = drive(Run(Modules(ByRow(), MODULES), TAXI, 0.9, max_steps=4), FAR)
     assert (end.status, end.step_count, end.option_name) == (RunStatus.MAX_STEPS, 4, '')
     assert end.acted == {'up': 1, 'right': 3}
     assert end.discounted_return == pytest.approx(-(1 + 0.9 + 0.81 + 0.729))
 
 
 def test_a_run_of_modules_ends_with_the_episode() -> None:
-    end = drive(ModularRun(ByRow(), MODULES, TAXI, 0.9), FAR, cut_off=9)
+    end = drive(Run(Modules(ByRow(), MODULES), TAXI, 0.9), FAR, cut_off=9)
     assert (end.status, end.truncated, end.step_count) == (RunStatus.EPISODE_OVER, True, 9)
 
 
@@ -213,7 +212,7 @@ def test_modules_that_nothing_would_cut_off_are_refused() -> None:
     endless = Taxi()
     endless.max_steps = 0
     with pytest.raises(RunError, match='give max_steps'):
-        ModularRun(ByRow(), MODULES, endless, 0.9)
+        Run(Modules(ByRow(), MODULES), endless, 0.9)
 
 
 class StopsAt:
@@ -229,7 +228,7 @@ class StopsAt:
 
 
 def test_a_plan_stops_a_run_before_its_next_action() -> None:
-    run = OptionRun(option(NORTH, False), TAXI, 0.9)
+    run = Run(option(NORTH, False), TAXI, 0.9)
     assert run.begin(FAR, 2, 1) is None
     run.next_action()
     assert run.observe(TaxiState(3, 0, 0, 1), -1.0, False, False) is None
@@ -256,16 +255,16 @@ def test_a_refused_request_names_the_option_and_the_reason(status: RunStatus) ->
 
 
 def test_a_run_driven_out_of_order_is_refused() -> None:
-    run = OptionRun(option(NORTH, False), TAXI, 0.9)
+    run = Run(option(NORTH, False), TAXI, 0.9)
     with pytest.raises(RunError, match='not begun'):
         run.next_action()
     run.begin(FAR, 1, 0)
     with pytest.raises(RunError, match='begun already'):
         run.begin(FAR, 1, 0)
     with pytest.raises(RunError, match='random generator'):
-        OptionRun(option(NORTH, False), TAXI, 0.9, mode=Mode.SAMPLED)
+        Run(option(NORTH, False), TAXI, 0.9, mode=Mode.SAMPLED)
     with pytest.raises(RunError, match='max_steps is -1'):
-        OptionRun(option(NORTH, False), TAXI, 0.9, max_steps=-1)
+        Run(option(NORTH, False), TAXI, 0.9, max_steps=-1)
 
 
 def primitive(action: int) -> PrimitiveOption:

@@ -10,7 +10,7 @@ from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options as taxi_options
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import OptionRun
+from humanopts_learner.execution import Run
 from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.option import LearnedOption, Mode, options_from_references
 from humanopts_learner.planning.arbiter import Arbiter, make_arbiter
@@ -102,7 +102,7 @@ class LiveGame:
     def _run(self) -> None:
         """Run an option until it ends or is stopped."""
         name = self._plan.choose(self.state).name
-        run = OptionRun(self._library.resolve(name), self._domain, self._plan.gamma)
+        run = Run(self._library.resolve(name), self._domain, self._plan.gamma)
         assert run.begin(self.state, 1, len(self.actors)) is None
         self.decisions += 1
         while len(self.actors) < LIMIT:
@@ -110,7 +110,7 @@ class LiveGame:
             if ended or self._arbiter.before_step(self.state, name) is None:
                 return
 
-    def _step(self, name: str, action: int, run: OptionRun | None = None) -> bool:
+    def _step(self, name: str, action: int, run: Run | None = None) -> bool:
         outcome = self._domain.step(self.state, action, self._rng)
         self.state = outcome.state
         self.actors.append(name)

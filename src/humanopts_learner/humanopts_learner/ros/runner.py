@@ -18,8 +18,7 @@ from humanopts_interfaces.srv import RunOption
 from humanopts_learner.execution import (
     execution_named,
     MODULAR,
-    ModularRun,
-    OptionRun,
+    Modules,
     refusal,
     Run,
     RunError,
@@ -241,8 +240,8 @@ class Runner:
         if execution is not Execution.RUN_TO_END:
             arbiter = self._plans.arbiter(execution, library)
         if arbiter is not None and execution in MODULAR:
-            return ModularRun(arbiter, self._plans.options(library), *rest), None
-        return OptionRun(library.resolve(goal.option_name, goal.participant), *rest), arbiter
+            return Run(Modules(arbiter, self._plans.options(library)), *rest), None
+        return Run(library.resolve(goal.option_name, goal.participant), *rest), arbiter
 
     def _announce(self, active: _Active) -> None:
         """Publish that a run begins."""
