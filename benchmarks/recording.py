@@ -17,8 +17,8 @@ from typing import Any
 
 from humanopts_interfaces.msg import ActionCommand, GameState
 from humanopts_ros.qos import STREAM
+from humanopts_teach.bags.check import count_loss
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.info import count_loss
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher
@@ -120,7 +120,7 @@ def _record(load: Load, name: str, folder: Path, on_sent: OnSent) -> Run:
     sent = _send(load, recorder, folder, on_sent)
     try:
         bag = open_bag(folder / 'bag')
-        streams = [stream for topic, _, stream in count_loss(bag) if topic in _TOPICS]
+        streams = [stream for stream in count_loss(bag) if stream.topic in _TOPICS]
         waited = max(recorded.message.lag for recorded in bag.messages([_STATUS]))
     except BagError as error:
         raise LaunchError(f'the recording cannot be read: {error}') from error

@@ -8,7 +8,7 @@ from graph_support import foxglove
 from graph_support.differences import differences
 from graph_support.samples import CALLS, filled, installed_types
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.schemas import Definitions
+from humanopts_teach.bags.schemas import find_schema
 from humanopts_teach.bags.writer import BagWriter
 from mcap.reader import make_reader
 from mcap_ros2._vendor.rosidl_adapter.parser import InvalidResourceName
@@ -138,13 +138,13 @@ def test_constants_and_defaults_of_every_kind_hinder_no_reader(tmp_path: Path) -
     folder.mkdir(parents=True)
     (folder / 'Thing.msg').write_text(THING)
     (folder / 'Part.msg').write_text('string<=9 name "part"\n')
-    schema = Definitions([tmp_path]).schema(SOME)
+    schema = find_schema(SOME, (tmp_path,))
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(schema, SOME))
     part = store.types['some_msgs/msg/Part']('left')
     thing = store.types[SOME](3, True, np.int8([-3]), np.float32([0.25, 4]), 'w', ['x, y'], [part])
-    with BagWriter(tmp_path / 'bag', definitions=Definitions([tmp_path])) as writer:
-        writer.add_topic('/thing', SOME)
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.add_topic('/thing', SOME, schema=schema)
         writer.write('/thing', bytes(store.serialize_cdr(thing, SOME)), 1)
     file = tmp_path / 'bag' / 'bag_0.mcap'
     with file.open('rb') as stream:

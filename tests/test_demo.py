@@ -14,8 +14,8 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Kind
 from humanopts_learner.options.files import option_from_json
+from humanopts_teach.bags.check import count_loss
 from humanopts_teach.bags.contents import DEMONSTRATION, Episode, read_episodes
-from humanopts_teach.bags.info import count_loss
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.evaluation.bag_evaluation import evaluate_bag
@@ -223,7 +223,7 @@ def _all(bag: Bag, topic: str) -> list[Any]:
 
 def test_no_message_is_lost(bag: Bag) -> None:
     streams = list(count_loss(bag))
-    assert [(t, who, s.missing) for t, who, s in streams if s.missing or s.duplicates] == []
+    assert [stream for stream in streams if stream.missing or stream.duplicates] == []
     assert len(streams) > 20
     assert bag.damage == ''
 

@@ -1,5 +1,7 @@
 """Files of JSON lines that are only appended to, and that a crash cannot spoil."""
 
+from collections.abc import Callable
+from contextlib import suppress
 import json
 import os
 from pathlib import Path
@@ -63,19 +65,34 @@ def append_bytes(path: Path, content: bytes) -> None:
     """
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     try:
-        size = os.fstat(handle).st_size
-        try:
-            left = memoryview(content)
-            while left:
-                left = left[os.write(handle, left) :]
-            os.fsync(handle)
-        except OSError:
-            os.ftruncate(handle, size)
-            raise
+        size = append_whole(handle, content, os.fsync)
     finally:
         os.close(handle)
     if size == 0:
         sync(path.parent)
+
+
+def append_whole(
+    handle: int, content: bytes, finish: Callable[[int], object] = lambda _: None
+) -> int:
+    """
+    Append to an open file.
+
+    :param finish: is called after the last byte, such as ``os.fsync``.
+    :return: the size of the file before, bytes.
+    :raises OSError: it could not be written; the file is cut back to what it was.
+    """
+    size = os.fstat(handle).st_size
+    try:
+        left = memoryview(content)
+        while left:
+            left = left[os.write(handle, left) :]
+        finish(handle)
+    except OSError:
+        with suppress(OSError):
+            os.ftruncate(handle, size)
+        raise
+    return size
 
 
 def sync(path: Path) -> None:

@@ -84,8 +84,8 @@ def contents(bag: Path) -> list[tuple[str, int, int, bytes]]:
 
 def numbers(bag: Path) -> dict[str, tuple[int, int, int, int, int]]:
     """Return sent, recorded, missing, repeated and late by publisher."""
-    accounts = check_bag(open_bag(bag)).accounts
-    return {a.publisher: (a.sent, a.recorded, a.missing, a.repeated, a.late) for a in accounts}
+    streams = check_bag(open_bag(bag)).streams
+    return {s.publisher: (s.last, s.received, s.missing, s.duplicates, s.late) for s in streams}
 
 
 def test_a_whole_bag_is_said_to_be_whole(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -206,7 +206,7 @@ def numbers_of_check(bag: Bag) -> tuple[Any, bool]:
     """Return what ``bag check`` tells, and whether it tells that something is wrong."""
     check = check_bag(bag)
     check.to_text()
-    return (check.messages, check.accounts), not check.whole
+    return (check.messages, check.streams), not check.whole
 
 
 def outcome(entry: Callable[[Bag], tuple[Any, bool]], path: Path) -> tuple[Any, bool]:

@@ -20,7 +20,8 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.ros.convert import demonstration_to_message
-from humanopts_teach.bags.info import count_loss, summarise
+from humanopts_teach.bags.check import count_loss
+from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.bags.writer import BagWriter
 from rclpy.serialization import serialize_message
@@ -37,8 +38,8 @@ def test_gaps_made_by_hand_are_counted_per_topic_and_publisher(tmp_path: Path) -
     entries += [('/rosout', String(data='not numbered'))]
     bag = write_messages(tmp_path / 'bag', entries)
     rows = {
-        (topic, who): (s.first, s.last, s.received, s.missing, s.duplicates)
-        for topic, who, s in count_loss(bag)
+        (s.topic, s.publisher): (s.first, s.last, s.received, s.missing, s.duplicates)
+        for s in count_loss(bag)
     }
     assert rows == {
         ('/a', '/game#1'): (1, 6, 4, 2, 1),

@@ -20,7 +20,7 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags import reader
 from humanopts_teach.bags.check import check_bag
-from humanopts_teach.bags.contents import read_episodes, RecordedEpisodes
+from humanopts_teach.bags.contents import find_episodes, read_episodes
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter
@@ -129,7 +129,7 @@ READERS: dict[str, Callable[[Bag], object]] = {
     'info': summarise,
     'check': check_bag,
     'episodes': lambda bag: drain(read_episodes(bag)),
-    'played': RecordedEpisodes,
+    'played': find_episodes,
     'tables': lambda bag: [drain(table.rows) for table in bag_tables(bag)],
 }
 

@@ -4,12 +4,12 @@ from pathlib import Path
 import re
 
 from humanopts_teach.bags.errors import SchemaError
-from humanopts_teach.bags.schemas import constants, Definitions, field_lines, SEPARATOR
+from humanopts_teach.bags.schemas import constants, field_lines, find_schema, SEPARATOR
 import pytest
 
 
 def test_a_schema_holds_every_dependency_once() -> None:
-    schema = Definitions().schema('humanopts_interfaces/srv/RunOption_Event')
+    schema = find_schema('humanopts_interfaces/srv/RunOption_Event')
     names = re.findall(r'^MSG: (\S+)$', schema, re.M)
     assert sorted(names) == [
         'builtin_interfaces/Time',
@@ -27,7 +27,7 @@ def test_constants_defaults_and_comments_are_kept(tmp_path: Path) -> None:
     text = '# A thing.\nuint8 KIND_A=1 # first\nint32 LOW = -2\nuint8 kind 1\nPart[] parts\n'
     (folder / 'Thing.msg').write_text(text)
     (folder / 'Part.msg').write_text('string<=5 name "x"')
-    schema = Definitions([tmp_path]).schema('some_msgs/msg/Thing')
+    schema = find_schema('some_msgs/msg/Thing', (tmp_path,))
     assert schema == f'{text}{SEPARATOR}\nMSG: some_msgs/Part\nstring<=5 name "x"\n'
     assert constants(schema, 'KIND_') == {1: 'A'}
     assert constants(schema, '') == {1: 'KIND_A', -2: 'LOW'}
@@ -45,4 +45,4 @@ def test_constants_defaults_and_comments_are_kept(tmp_path: Path) -> None:
 )
 def test_a_type_that_is_not_there_is_named(name: str, reason: str) -> None:
     with pytest.raises(SchemaError, match=reason):
-        Definitions().schema(name)
+        find_schema(name)

@@ -31,7 +31,7 @@ def replay(taxi: Domain[Any]) -> Replay:
     actors = Actors()
     for command in COMMANDS:
         actors.add(*command)
-    return Replay(taxi, episodes, lambda _: actors)
+    return Replay(taxi, [lambda e=e: e for e in episodes], lambda _: actors)
 
 
 def words(replay: Replay) -> str:

@@ -2,15 +2,14 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from humanopts_teach.bags.errors import BagError
-from humanopts_teach.bags.reader import Bag, Recorded, Topic
-from humanopts_teach.bags.rosbag2 import Extent, FILE, load
-from humanopts_teach.bags.schemas import Definitions
-from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp, Stamp
+from humanopts_teach.bags.reader import Bag, Recorded
+from humanopts_teach.bags.rosbag2 import Extent, FILE, profiles
+from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp, Stamp, Stream
 from humanopts_teach.bags.summary import table
 from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
 
@@ -18,22 +17,35 @@ RECORDER = '(recorder)'  # shown as publisher where only the recorder numbers me
 UNNUMBERED = '(nobody)'  # shown where messages have no numbers, so loss cannot be counted
 
 
-@dataclass(frozen=True)
-class StreamCheck:
-    """The messages of one publisher on one topic, as in ``Stream``."""
+class Tally:
+    """Counts the messages of a bag: by topic, by time, and by their publishers' numbers."""
 
-    topic: str
-    publisher: str
-    sent: int  # up to the last message that was recorded
-    recorded: int  # without repetitions
-    missing: int
-    repeated: int
-    late: int  # recorded after a message that was sent later
+    def __init__(self, bag: Bag) -> None:
+        self.counts: Counter[str] = Counter()  # by topic
+        self.extent = Extent()
+        self.ledger = Ledger()
+        self.stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
+        self._bag = bag
 
-    @property
-    def whole(self) -> bool:
-        """Whether every message is there once and in order."""
-        return not (self.missing or self.repeated or self.late)
+    def add(self, recorded: Recorded) -> bool:
+        """Count a message; False: it does not decode, which ``Bag.damage`` then says."""
+        self.counts[recorded.topic] += 1
+        self.extent.add(recorded.log_time)
+        if recorded.topic in self.stamped:
+            stamp = read_stamp(recorded.data)
+            if stamp is None:
+                self._bag.note(f'a message on {recorded.topic} does not decode')
+                return False
+            self.ledger.add(recorded.topic, stamp)
+        return True
+
+
+def count_loss(bag: Bag) -> Ledger:
+    """Count what is missing in a bag, by the numbers in every humanopts message."""
+    tally = Tally(bag)
+    for recorded in bag.messages(tally.stamped, decoded=False):
+        tally.add(recorded)
+    return tally.ledger
 
 
 @dataclass(frozen=True)
@@ -43,7 +55,7 @@ class Check:
     path: str
     messages: int  # that can be read
     damage: tuple[str, ...]  # of the files, in words
-    accounts: tuple[StreamCheck, ...]
+    streams: tuple[Stream, ...]
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -51,10 +63,10 @@ class Check:
         found = list(self.damage)
         for name, text in (
             ('missing', 'messages were sent and are missing'),
-            ('repeated', 'messages are there more than once'),
+            ('duplicates', 'messages are there more than once'),
             ('late', 'messages are after one that was sent later'),
         ):
-            counts = [getattr(account, name) for account in self.accounts]
+            counts = [getattr(stream, name) for stream in self.streams]
             if total := sum(counts):
                 found.append(f'{total} {text} (in {sum(map(bool, counts))} streams)')
         return tuple(found)
@@ -66,14 +78,19 @@ class Check:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the check as JSON data."""
-        return {**asdict(self), 'whole': self.whole, 'findings': list(self.findings)}
+        return {
+            'path': self.path,
+            'messages': self.messages,
+            'damage': list(self.damage),
+            'accounts': [_columns(stream) for stream in self.streams],
+            'whole': self.whole,
+            'findings': list(self.findings),
+        }
 
     def to_text(self) -> str:
         """Return the check as text for a person."""
-        numbers = table(
-            ('topic', 'publisher', 'sent', 'recorded', 'missing', 'repeated', 'late'),
-            [tuple(asdict(account).values()) for account in self.accounts],
-        )
+        rows = [_columns(stream) for stream in self.streams]
+        numbers = table(list(rows[0]), [list(row.values()) for row in rows]) if rows else ''
         if self.whole:
             verdict = f'{self.path} is whole: {self.messages} messages, none missing'
         else:
@@ -81,57 +98,44 @@ class Check:
         return '\n'.join([verdict, *(f'- {text}' for text in self.findings), '', numbers])
 
 
+def _columns(stream: Stream) -> dict[str, str | int]:
+    return {
+        'topic': stream.topic,
+        'publisher': stream.publisher,
+        'sent': stream.last,  # up to the last message that was recorded
+        'recorded': stream.received,
+        'missing': stream.missing,
+        'repeated': stream.duplicates,
+        'late': stream.late,
+    }
+
+
 def check_bag(bag: Bag) -> Check:
     """
     Read a bag once and compare it with its checksums, numbers and metadata.yaml.
 
-    It needs memory for a few chunks, the index and one attached file.
+    Messages without a publisher's number are counted by those of our recorder. It needs memory for
+    a few chunks, the index and one attached file.
     """
     bag.compare_bytes()
-    counts: Counter[str] = Counter()
-    extent = Extent()
-    numbers = _Numbers(bag)
+    tally, numbered = Tally(bag), bag.numbered
     for recorded in bag.messages(decoded=False):
-        counts[recorded.topic] += 1
-        extent.add(recorded.log_time)
-        numbers.add(recorded)
+        tally.add(recorded)
+        if numbered and recorded.topic not in tally.stamped:
+            tally.ledger.add(recorded.topic, Stamp(RECORDER, recorded.sequence))
     for _ in bag.attached():
         pass  # what is damaged is noted
-    _compare(bag, counts, extent)
-    accounts = [
-        StreamCheck(topic, who, s.last, s.received, s.missing, s.duplicates, s.late)
-        for topic, who, s in numbers.ledger
-    ]
-    unnumbered = set(counts) - {account.topic for account in accounts}
-    accounts += [
-        StreamCheck(name, UNNUMBERED, counts[name], counts[name], 0, 0, 0) for name in unnumbered
-    ]
+    _compare(bag, tally.counts, tally.extent)
+    streams = list(tally.ledger)
+    for topic in set(tally.counts) - {stream.topic for stream in streams}:
+        count = tally.counts[topic]
+        streams.append(Stream(topic, UNNUMBERED, last=count, received=count))
     return Check(
         str(bag.path),
-        counts.total(),
+        tally.extent.messages,
         tuple(bag.damage.splitlines()),
-        tuple(sorted(accounts, key=lambda account: (account.topic, account.publisher))),
+        tuple(sorted(streams, key=lambda stream: (stream.topic, stream.publisher))),
     )
-
-
-class _Numbers:
-    """Counts messages by their publishers' numbers, or else by those of our recorder."""
-
-    def __init__(self, bag: Bag) -> None:
-        self.ledger = Ledger()
-        self._bag = bag
-        self._stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
-
-    def add(self, recorded: Recorded) -> None:
-        """Count one message."""
-        if recorded.topic in self._stamped:
-            stamp = read_stamp(recorded.data)
-            if stamp is None:
-                self._bag.note(f'a message on {recorded.topic} does not decode')
-            else:
-                self.ledger.add(recorded.topic, stamp)
-        elif self._bag.numbered:
-            self.ledger.add(recorded.topic, Stamp(RECORDER, recorded.sequence))
 
 
 def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
@@ -195,9 +199,11 @@ def repair(bag: Bag, out: Path) -> int:
     """
     if out.resolve().is_relative_to(bag.path.resolve()):
         raise BagError(f'{out} is inside {bag.path}, which a repair leaves alone; name another')
-    with BagWriter(out, bag.metadata.get(RECORD), _Recorded(bag)) as writer:
+    with BagWriter(out, bag.metadata.get(RECORD)) as writer:
         for topic in bag.topics.values():
-            writer.add_topic(topic.name, topic.type, _profiles(topic), topic.type_hash)
+            writer.add_topic(
+                topic.name, topic.type, profiles(topic.qos), topic.type_hash, topic.schema
+            )
         repeated = _copy(bag, writer)
         for file in bag.attached():
             times = (file.create_time, file.log_time)
@@ -211,37 +217,19 @@ def repair(bag: Bag, out: Path) -> int:
         return writer.extent.messages
 
 
-class _Recorded(Definitions):
-    """The definitions that are in a bag."""
-
-    def __init__(self, bag: Bag) -> None:
-        super().__init__([])
-        self._schemas = {topic.type: topic.schema for topic in bag.topics.values()}
-
-
 def _copy(bag: Bag, writer: BagWriter) -> int:
     """Copy the messages; return how many repetitions were left out."""
-    repeated, time = 0, -1
+    repeated, time, numbered = 0, -1, bag.numbered
     now: set[tuple[str, int, bytes]] = set()  # messages of this log time that were written
     for recorded in bag.messages(decoded=False):
         if recorded.log_time != time or len(now) == MOST_AT_ONCE:
             time = recorded.log_time
             now.clear()
         key = (recorded.topic, recorded.sequence, recorded.data)
-        if bag.numbered and key in now:
+        if numbered and key in now:
             repeated += 1
         else:
             now.add(key)
-            number = recorded.sequence if bag.numbered else None
+            number = recorded.sequence if numbered else None
             writer.write(recorded.topic, recorded.data, time, recorded.publish_time, number)
     return repeated
-
-
-def _profiles(topic: Topic) -> list[dict[str, Any]]:
-    """Return the QoS profiles of a topic; none where they are damaged."""
-    try:
-        profiles = load(topic.qos) or []
-    except ValueError:
-        return []
-    known = isinstance(profiles, list) and all(isinstance(p, dict) for p in profiles)
-    return profiles if known else []

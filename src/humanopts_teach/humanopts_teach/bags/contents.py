@@ -1,22 +1,18 @@
 """What was recorded of a study: its domain, demonstrations, episodes, and who acted in them."""
 
-from array import array
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, overload
+from functools import partial
+from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
 from humanopts_env.game import Source, Transition, transition_from_message
-from humanopts_learner.demonstrations import (
-    Demonstration,
-    demonstration_from_message,
-    DemonstrationError,
-)
+from humanopts_learner.demonstrations import Demonstration, demonstration_from_message
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
-from humanopts_teach.bags.sequence_numbers import read_place, read_stamp, tells_place
+from humanopts_teach.bags.sequence_numbers import read_place, tells_place
 
 DEMONSTRATION = 'humanopts_interfaces/msg/Demonstration'
 DOMAIN_INFO = 'humanopts_interfaces/msg/DomainInfo'
@@ -31,18 +27,9 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
 
     :raises BagError: the bag has no topic of demonstrations.
     """
-    topics = bag.of_type(DEMONSTRATION)
-    if not topics:
+    if not bag.of_type(DEMONSTRATION):
         raise BagError(f'{bag.path} has no topic of demonstrations')
-    found = []
-    for recorded in bag.messages(topics):
-        if recorded.message is not None:
-            with bag.skipping_missing_fields(recorded.topic):
-                try:
-                    found.append(demonstration_from_message(recorded.message))
-                except DemonstrationError as error:
-                    bag.note(f'a message on {recorded.topic} is left out: {error}')
-    return found
+    return list(bag.converted(DEMONSTRATION, demonstration_from_message))
 
 
 def read_domain(bag: Bag) -> Domain[Any]:
@@ -51,12 +38,7 @@ def read_domain(bag: Bag) -> Domain[Any]:
 
     :raises BagError: the bag names no domain, or several, or one that is not installed here.
     """
-    found = set()
-    for recorded in bag.messages(bag.of_type(DOMAIN_INFO)):
-        if (info := recorded.message) is not None:
-            with bag.skipping_missing_fields(recorded.topic):
-                found.add((info.domain, info.parameters))
-    played = sorted(found)
+    played = sorted(set(bag.converted(DOMAIN_INFO, lambda info: (info.domain, info.parameters))))
     if not played:
         reasons = '; '.join(['no domain_info', *bag.damage.splitlines()])
         raise BagError(f'{bag.path} does not say which domain was played ({reasons})')
@@ -112,48 +94,39 @@ class EpisodeGrouping:
     """
 
     def __init__(self, bag: Bag) -> None:
+        """Begin with nothing; topics whose messages do not tell their episode are left out."""
+        states = [t for t in bag.of_type(GAME_STATE) if t.rpartition('/')[2] != STATE_COPY]
+        self.topics = {name for name in states if tells_place(bag.topics[name].schema)}
+        for name in sorted({*states} - self.topics):
+            bag.note(f'{name} is left out: its messages do not begin with their place')
         self._bag = bag
         self._under_way: dict[tuple[str, str], EpisodeMessages] = {}
-        self._places = {topic: tells_place(bag.topics[topic].schema) for topic in _topics(bag)}
 
     def add(self, recorded: Recorded) -> EpisodeMessages | None:
-        """Add a state; return the episode that it shows to be over."""
-        if recorded.topic not in self._places:
+        """Add a message of ``topics``; return the episode that it shows to be over."""
+        place = read_place(recorded.data)
+        if place is None:
+            self._bag.note(f'a message on {recorded.topic} does not decode')
             return None
-        place = self._place(recorded)
-        if place is None or place[1] == 0:
+        if place.episode == 0:
             return None
-        publisher_id, episode, step = place
-        game = (recorded.topic, publisher_id)
+        game = (recorded.topic, place.publisher_id)
         before = self._under_way.get(game)
-        if before is not None and episode < before.number:
+        if before is not None and place.episode < before.number:
             self._bag.note(f'{recorded.topic}: states after a later episode are left out')
             return None
         group = before
-        if group is None or episode > group.number:
-            group = self._under_way[game] = EpisodeMessages(*game, episode, recorded.log_time)
-        group.states[step] = recorded.data
+        if group is None or place.episode > group.number:
+            group = EpisodeMessages(*game, place.episode, recorded.log_time)
+            self._under_way[game] = group
+        group.states[place.step] = recorded.data
         group.first = min(group.first, recorded.log_time)
         group.last = max(group.last, recorded.log_time)
         return None if group is before else before
 
-    def unfinished(self) -> Iterator[EpisodeMessages]:
-        """Yield the last episode of every game."""
-        yield from self._under_way.values()
-
-    def _place(self, recorded: Recorded) -> tuple[str, int, int] | None:
-        """Return the publisher, episode and step of a state; None: it is damaged."""
-        if not self._places[recorded.topic]:
-            state = self._bag.decode(recorded.topic, recorded.data)
-            if state is not None:
-                with self._bag.skipping_missing_fields(recorded.topic):
-                    return state.publisher_id, state.episode, state.step
-            return None
-        stamp, place = read_stamp(recorded.data), read_place(recorded.data)
-        if stamp is None or place is None:
-            self._bag.note(f'a message on {recorded.topic} does not decode')
-            return None
-        return stamp.publisher_id, *place
+    def unfinished(self) -> list[EpisodeMessages]:
+        """Return the last episode of every game."""
+        return list(self._under_way.values())
 
 
 def read_episodes(
@@ -174,67 +147,43 @@ def read_episodes(
             yield Episode(group.topic, group.publisher_id, group.number, transitions, times)
 
 
-class RecordedEpisodes(Sequence[Episode]):
-    """The episodes of a bag in the order of ``read_episodes``, each read when it is needed."""
+def find_episodes(bag: Bag) -> list[Callable[[], Episode]]:
+    """
+    Return a function for each episode of ``read_episodes``, in that order, which reads it.
 
-    def __init__(self, bag: Bag) -> None:
-        """Find the episodes of which at least one state can be decoded."""
-        self._bag = bag
-        self._games: dict[tuple[str, str], int] = {}
-        self._where = array('q')  # game, number, first and last log time, four for each episode
-        for group in _groups(bag, ALWAYS):
-            if next(_transitions(bag, group), None) is None:
-                continue
-            game = self._games.setdefault((group.topic, group.publisher_id), len(self._games))
-            self._where.extend((game, group.number, group.first, group.last))
+    It raises ``BagError`` where the episode cannot be read any more.
+    """
+    found: list[Callable[[], Episode]] = []
+    for group in _groups(bag, ALWAYS):
+        if next(_transitions(bag, group), None) is not None:
+            group.states.clear()
+            found.append(partial(_read_again, bag, group))
+    return found
 
-    def __len__(self) -> int:
-        """Return how many there are."""
-        return len(self._where) // 4
 
-    @overload
-    def __getitem__(self, place: int) -> Episode: ...
+def _read_again(bag: Bag, group: EpisodeMessages) -> Episode:
+    """
+    Read an episode.
 
-    @overload
-    def __getitem__(self, place: slice) -> Sequence[Episode]: ...
-
-    def __getitem__(self, place: int | slice) -> Episode | Sequence[Episode]:
-        """
-        Read an episode, or several.
-
-        :raises IndexError: there is none.
-        :raises BagError: it cannot be read any more.
-        """
-        if isinstance(place, slice):
-            return [self[each] for each in range(*place.indices(len(self)))]
-        at = 4 * range(len(self))[place]
-        game, number, first, last = self._where[at : at + 4]
-        key = (*list(self._games)[game], number)
-        found = read_episodes(
-            self._bag, (first, last), lambda g: (g.topic, g.publisher_id, g.number) == key
-        )
-        for episode in found:
-            return episode
-        raise BagError(f'{self._bag.path}: episode {place + 1} cannot be read any more')
+    :raises BagError: it cannot be read any more.
+    """
+    key = (group.topic, group.publisher_id, group.number)
+    for episode in read_episodes(
+        bag, (group.first, group.last), lambda g: (g.topic, g.publisher_id, g.number) == key
+    ):
+        return episode
+    raise BagError(f'{bag.path}: episode {group.number} cannot be read any more')
 
 
 def is_ended(bag: Bag, group: EpisodeMessages) -> bool:
     """Tell whether the last recorded state of an episode is terminal or truncated."""
-    last = bag.decode(group.topic, group.states[max(group.states)])
-    if last is not None:
-        with bag.skipping_missing_fields(group.topic):
-            return bool(last.terminated or last.truncated)
-    return False
-
-
-def _topics(bag: Bag) -> list[str]:
-    """Return the topics that carry every state of a game once."""
-    return [t for t in bag.of_type(GAME_STATE) if t.rpartition('/')[2] != STATE_COPY]
+    last = group.states[max(group.states)]
+    return bool(bag.convert(group.topic, last, lambda state: state.terminated or state.truncated))
 
 
 def _groups(bag: Bag, between: tuple[int, int]) -> Iterator[EpisodeMessages]:
     games = EpisodeGrouping(bag)
-    for recorded in bag.messages(_topics(bag), decoded=False, between=between):
+    for recorded in bag.messages(games.topics, decoded=False, between=between):
         if (over := games.add(recorded)) is not None:
             yield over
     yield from games.unfinished()
@@ -243,13 +192,9 @@ def _groups(bag: Bag, between: tuple[int, int]) -> Iterator[EpisodeMessages]:
 def _transitions(bag: Bag, group: EpisodeMessages) -> Iterator[Transition]:
     """Yield the transitions of an episode that can be decoded, in order."""
     for step in sorted(group.states):
-        state = bag.decode(group.topic, group.states[step])
-        if state is not None:
-            with bag.skipping_missing_fields(group.topic):
-                try:
-                    yield transition_from_message(state)
-                except ValueError as error:
-                    bag.note(f'a message on {group.topic} is left out: {error}')
+        found = bag.convert(group.topic, group.states[step], transition_from_message)
+        if found is not None:
+            yield found
 
 
 ACTION_COMMAND = 'humanopts_interfaces/msg/ActionCommand'
@@ -259,41 +204,36 @@ _REQUEST, _RESPONSE = 1, 2  # ServiceEventInfo: REQUEST_RECEIVED, RESPONSE_SENT;
 _EVENTS = '/reset_game/_service_event'
 
 
-@dataclass
-class _Runs:
-    """Runs of consecutive commands of one actor, by their sequence numbers."""
+@dataclass(slots=True)
+class _Run:
+    """Consecutive commands of one option, by their sequence numbers."""
 
-    first: 'array[int]' = field(default_factory=lambda: array('Q'))  # ascending
-    last: 'array[int]' = field(default_factory=lambda: array('Q'))
-    actor: 'array[int]' = field(default_factory=lambda: array('Q'))
+    first: int
+    last: int
+    name: str  # of the option
 
 
 class Actors:
     """The option that sent each command, by the command's publisher and sequence number."""
 
     def __init__(self) -> None:
-        self._names: dict[str, int] = {'': 0}
-        self._runs: dict[str, _Runs] = {}
+        self._runs: dict[str, list[_Run]] = {}  # ascending, by publisher
 
     def add(self, publisher_id: str, sequence: int, name: str) -> None:
         """Add a command; a repetition changes nothing."""
-        runs = self._runs.setdefault(publisher_id, _Runs())
-        actor = self._names.setdefault(name, len(self._names))
-        at = bisect_right(runs.first, sequence)
-        before = runs.last[at - 1] if at else -1
-        if at and before == sequence - 1 and runs.actor[at - 1] == actor:
-            runs.last[at - 1] = sequence
-        elif before < sequence:
-            runs.first.insert(at, sequence)
-            runs.last.insert(at, sequence)
-            runs.actor.insert(at, actor)
+        runs = self._runs.setdefault(publisher_id, [])
+        at = bisect_right(runs, sequence, key=lambda run: run.first)
+        before = runs[at - 1] if at else _Run(-1, -1, '')
+        if before.last == sequence - 1 and before.name == name and at:
+            before.last = sequence
+        elif before.last < sequence:
+            runs.insert(at, _Run(sequence, sequence, name))
 
     def name(self, publisher_id: str, sequence: int) -> str:
         """Return an option's name, or action:NAME; empty: a person's command, or not known."""
-        runs = self._runs.get(publisher_id, _Runs())
-        at = bisect_right(runs.first, sequence) - 1
-        known = at >= 0 and sequence <= runs.last[at]
-        return list(self._names)[runs.actor[at]] if known else ''
+        runs = self._runs.get(publisher_id, [])
+        at = bisect_right(runs, sequence, key=lambda run: run.first)
+        return runs[at - 1].name if at and sequence <= runs[at - 1].last else ''
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,12 +259,14 @@ def read_actors(bag: Bag, between: tuple[int, int] = ALWAYS) -> Actors:
     :param between: log times that are read, ns.
     """
     actors = Actors()
-    for recorded in bag.messages(bag.of_type(ACTION_COMMAND), between=between):
-        if (command := recorded.message) is not None:
-            name = getattr(command, 'option_name', '')  # older versions have no such field
-            with bag.skipping_missing_fields(recorded.topic):
-                actors.add(command.publisher_id, command.sequence, name)
+    for command in bag.converted(ACTION_COMMAND, _sender, between):
+        actors.add(*command)
     return actors
+
+
+def _sender(command: Any) -> tuple[str, int, str]:
+    name = getattr(command, 'option_name', '')  # older versions have no such field
+    return command.publisher_id, command.sequence, name
 
 
 def actors_in(bag: Bag, episode: Episode) -> Actors:
@@ -345,23 +287,18 @@ def source_of(transition: Transition) -> str:
 
 def read_beginnings(bag: Bag) -> Beginnings:
     """Return the requests that began episodes, where they were recorded."""
-    asked: dict[tuple[Any, ...], Any] = {}
+    requests: dict[tuple[Any, ...], Any] = {}  # that have no response yet, which names the episode
     found: Beginnings = {}
-    for recorded in bag.messages(bag.of_type(RESET_EVENT)):
-        if recorded.message is not None:
-            with bag.skipping_missing_fields(recorded.topic):
-                _take_event(recorded.topic, recorded.message, asked, found)
+
+    def add(topic: str, event: Any) -> None:
+        call = (topic, tuple(event.info.client_gid), event.info.sequence_number)
+        if event.info.event_type == _REQUEST and event.request:
+            requests[call] = event.request[0]
+        elif event.info.event_type == _RESPONSE and event.response and call in requests:
+            request, answer = requests.pop(call), event.response[0]
+            key = (topic.removesuffix(_EVENTS), answer.episode, answer.state)
+            found[key] = Beginning(int(request.seed), request.start_state)
+
+    for recorded in bag.messages(bag.of_type(RESET_EVENT), decoded=False):
+        bag.convert(recorded.topic, recorded.data, partial(add, recorded.topic))
     return found
-
-
-def _take_event(
-    topic: str, event: Any, asked: dict[tuple[Any, ...], Any], found: Beginnings
-) -> None:
-    """Keep a request until its response comes, which names the episode."""
-    call = (topic, tuple(event.info.client_gid), event.info.sequence_number)
-    if event.info.event_type == _REQUEST and event.request:
-        asked[call] = event.request[0]
-    elif event.info.event_type == _RESPONSE and event.response and call in asked:
-        request, answer = asked.pop(call), event.response[0]
-        key = (topic.removesuffix(_EVENTS), answer.episode, answer.state)
-        found[key] = Beginning(int(request.seed), request.start_state)

@@ -13,26 +13,29 @@ from os import SEEK_END
 from pathlib import Path
 import re
 import struct
-from typing import NamedTuple
 import zlib
 
 from humanopts_teach.bags.errors import BagError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE, SeekingReader
+from mcap.reader import FOOTER_SIZE
 from mcap.records import (
     Attachment,
+    AttachmentIndex,
     Channel,
     Chunk,
     ChunkIndex,
     Footer,
+    Header,
     McapRecord,
     Message,
     Metadata,
+    MetadataIndex,
     Schema,
+    Statistics,
 )
-from mcap.stream_reader import breakup_chunk, MAGIC_SIZE
+from mcap.stream_reader import breakup_chunk, MAGIC_SIZE, StreamReader
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
@@ -44,7 +47,7 @@ _DATA_END = struct.Struct('<BQI')  # a whole DataEnd record: opcode, length, che
 _MESSAGE_HEAD = 22  # bytes of a message before its data
 _PIECE = 1 << 20  # bytes that are read at a time where a file has no structure
 _ZSTD = b'\4\0\0\0zstd'  # how a chunk names its compression ...
-_ZSTD_AT = 28  # ... at this offset in its content
+_ZSTD_AT = 28  # ... at this offset in its content, before the length of its records
 _OPCODES = {int(opcode) for opcode in Opcode}
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)  # that may also be outside
 # What damaged bytes make the ``mcap`` package raise.
@@ -65,19 +68,11 @@ class Block:
     """A chunk, or a run of records outside chunks."""
 
     offset: int  # of the chunk's content, or of the first record
-    length: int  # bytes of a run
-    start: int  # earliest log time, ns
-    end: int  # latest log time, ns
-    channels: frozenset[int]  # ids of the channels that have messages in it
+    length: int  # bytes
+    start: int = 0  # earliest log time, ns
+    end: int = 0  # latest log time, ns
+    channels: frozenset[int] = frozenset()  # ids of the channels that have messages in it
     is_chunk: bool = True
-
-
-class Attached(NamedTuple):
-    """Where an attached file is."""
-
-    offset: int  # of its record
-    size: int  # of the attached file, bytes
-    media_type: str
 
 
 @dataclass
@@ -90,13 +85,19 @@ class FileIndex:
     counts: Counter[int] = field(default_factory=Counter)  # messages by channel id
     blocks: list[Block] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: dict[str, Attached] = field(default_factory=dict)  # by name
+    attachments: dict[str, AttachmentIndex] = field(default_factory=dict)  # by name
     damage: list[str] = field(default_factory=list)  # what is wrong with the file, in words
     library: str = ''  # that wrote the file; empty: not known
+    closed: bool = False  # whether its data has an end
 
     def note(self, damage: str) -> None:
         """Keep what is wrong with the file."""
         self.damage.append(f'{self.path.name}: {damage}')
+
+    def describes(self, channel_id: int) -> bool:
+        """Tell whether topic and type of a channel's messages are known."""
+        channel = self.channels.get(channel_id)
+        return channel is not None and channel.schema_id in {0, *self.schemas}
 
 
 class McapStream(BufferedReader):
@@ -105,7 +106,6 @@ class McapStream(BufferedReader):
     def __init__(self, path: Path) -> None:
         super().__init__(FileIO(path))
         self.size = path.stat().st_size
-        self.limit = LARGEST  # bytes that are read at once
 
     def read(self, size: int | None = -1, /) -> bytes:
         """
@@ -114,12 +114,20 @@ class McapStream(BufferedReader):
         :raises EndOfFile: there are fewer.
         """
         wanted = -1 if size is None else size
-        if wanted > min(self.size, self.limit):
-            raise EndOfFile(f'a length of {wanted} bytes is damaged')
-        data = super().read(wanted)
+        data = b'' if wanted > self.size else super().read(wanted)
         if len(data) < wanted:
             raise EndOfFile('it is cut short')
         return data
+
+    def record(self, offset: int) -> tuple[int, bytes]:
+        """
+        Return opcode and content of a record.
+
+        :raises EndOfFile: it is cut short.
+        """
+        self.seek(offset)
+        opcode, length = _HEAD.unpack(self.read(_HEAD.size))
+        return opcode, self.read(length)
 
 
 def read_index(path: Path, on_offset: OffsetCallback = lambda _: None) -> FileIndex:
@@ -135,10 +143,21 @@ def read_index(path: Path, on_offset: OffsetCallback = lambda _: None) -> FileIn
                 raise BagError(f'{path} is empty')
             if stream.peek(MAGIC_SIZE)[:MAGIC_SIZE] != MCAP0_MAGIC:
                 raise BagError(f'{path} is not an MCAP file: it was written by another program')
-            index = _find_messages(path, stream, on_offset)
+            damage, index = '', FileIndex(path)
             try:
-                stream.seek(0)
-                index.library = SeekingReader(stream).get_header().library
+                found = _read_summary(index, stream)
+            except DAMAGE as error:
+                damage = f'its index is damaged ({error}); everything else that was found is whole'
+                found = False
+            if not found:
+                index = FileIndex(path)
+                _scan(index, stream, on_offset)
+                if damage and not index.damage:
+                    index.note(damage)
+            try:
+                opcode, content = stream.record(MAGIC_SIZE)
+                if opcode == Opcode.HEADER:
+                    index.library = Header.read(_parser(content)).library
             except DAMAGE:
                 pass
             return index
@@ -147,98 +166,67 @@ def read_index(path: Path, on_offset: OffsetCallback = lambda _: None) -> FileIn
 
 
 def data_fits(path: Path, on_offset: OffsetCallback = lambda _: None) -> bool:
-    """Compare all bytes of a whole file with their checksum; True: they fit, or it has none."""
+    """
+    Compare all bytes of a whole file with their checksum; True: they fit, or it has none.
+
+    What is wrong with the end of the file is said by ``read_index``.
+    """
     with McapStream(path) as stream:
         try:
-            left = _read_footer(stream).summary_start - _DATA_END.size
-            stream.seek(left)
-            opcode, _, checksum = _DATA_END.unpack(stream.read(_DATA_END.size))
+            end = _read_footer(stream).summary_start - _DATA_END.size
+            checksum = _data_checksum(stream, end)
         except DAMAGE:
-            return True  # what is wrong with the end of the file is said by ``read_index``
-        if opcode != Opcode.DATA_END:
-            return False
+            return True
         stream.seek(0)
         found = 0
-        while checksum and left > 0:
-            found = zlib.crc32(stream.read(min(left, _PIECE)), found)
-            left -= _PIECE
+        for start in range(0, end if checksum else 0, _PIECE):
+            found = zlib.crc32(stream.read(min(end - start, _PIECE)), found)
             on_offset(stream.tell())
-        return bool(found == checksum)
+        return found == checksum
 
 
 def read_attachment(index: FileIndex, name: str) -> Attachment:
     """
     Return an attached file with its times.
 
-    :raises BagError: there is none of this name, or it is damaged.
+    :raises BagError: it is damaged.
     """
-    if name not in index.attachments:
-        raise BagError(f'{index.path} has no attachment {name!r}')
     with McapStream(index.path) as stream:
         try:
-            stream.seek(index.attachments[name].offset)
-            _, length = _HEAD.unpack(stream.read(_HEAD.size))
-            stream.limit = stream.size
-            content = stream.read(length)
+            _, content = stream.record(index.attachments[name].offset)
             checksum = int.from_bytes(content[-4:], 'little')
             if checksum and zlib.crc32(content[:-4]) != checksum:  # the package does not compare
                 raise ValueError('it does not fit its checksum')
-            attachment: Attachment = Attachment.read(ReadDataStream(BytesIO(content)))
+            attachment: Attachment = Attachment.read(_parser(content))
             return attachment
         except DAMAGE as error:
             raise BagError(f'attachment {name} of {index.path} is damaged: {error}') from error
 
 
-def _find_messages(path: Path, stream: McapStream, on_offset: OffsetCallback) -> FileIndex:
-    """Use the index of a file, or do without it."""
-    try:
-        return _read_summary(path, stream) or _scan(path, stream, on_offset)
-    except DAMAGE as error:
-        index = _scan(path, stream, on_offset)
-        if not index.damage:
-            index.note(f'its index is damaged ({error}); everything else that was found is whole')
-        return index
-
-
-def _read_summary(path: Path, stream: McapStream) -> FileIndex | None:
+def read_block(stream: McapStream, block: Block) -> list[McapRecord]:
     """
-    Read the index at the end of a file; None: it lacks one, or what some programs leave out.
+    Return the records of a block.
 
-    :raises Exception: one of ``DAMAGE``, where it is damaged or the file has no end.
+    :raises Exception: one of ``DAMAGE``, where they are damaged, or it claims to be huge.
     """
-    footer = _read_footer(stream)
-    if footer.summary_start == 0:
-        return None
-    _check_summary(stream, footer)
-    stream.seek(0)
-    reader = SeekingReader(stream)
-    summary = reader.get_summary()
-    if summary is None or summary.statistics is None:
-        return None
-    index = FileIndex(path, summary.schemas, summary.channels)
-    index.counts.update(summary.statistics.channel_message_counts)
-    described = all(_is_described(index, channel) for channel in index.counts)
-    if not index.counts or not summary.chunk_indexes or not described:
-        return None
-    groups: dict[frozenset[int], frozenset[int]] = {}  # one object for all blocks that have it
-    for chunk in summary.chunk_indexes:
-        _check_place(stream, chunk)
-        channels = frozenset(chunk.message_index_offsets or index.channels)
-        index.blocks.append(
-            Block(
-                chunk.chunk_start_offset + _HEAD.size,
-                chunk.chunk_length - _HEAD.size,
-                chunk.message_start_time,
-                chunk.message_end_time,
-                groups.setdefault(channels, channels),
-            )
-        )
-    index.metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-    if list(index.metadata) != list(dict.fromkeys(at.name for at in summary.metadata_indexes)):
-        raise ValueError('it names other metadata records')
-    for at in summary.attachment_indexes:
-        index.attachments[at.name] = Attached(at.offset, at.data_size, at.media_type)
-    return index
+    stream.seek(block.offset)
+    if block.length > LARGEST:
+        raise ValueError(f'a chunk claims {block.length} bytes')
+    content = stream.read(block.length)
+    if not block.is_chunk:  # as a chunk that is not compressed and has no checksum
+        loose = Chunk('', content, 0, 0, uncompressed_crc=0, uncompressed_size=len(content))
+        return breakup_chunk(loose)
+    chunk = Chunk.read(_parser(content))
+    sizes = [chunk.uncompressed_size]
+    if chunk.compression == 'zstd':
+        sizes.append(zstandard.frame_content_size(chunk.data))
+    if max(sizes) > LARGEST:
+        raise ValueError(f'a chunk claims {max(sizes)} bytes')
+    return breakup_chunk(chunk, validate_crc=True)
+
+
+def _parser(content: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(content))
 
 
 def _read_footer(stream: McapStream) -> Footer:
@@ -248,112 +236,132 @@ def _read_footer(stream: McapStream) -> Footer:
     :raises Exception: one of ``DAMAGE``, where the file has no end.
     """
     stream.seek(-FOOTER_SIZE - MAGIC_SIZE, SEEK_END)
-    opcode, _ = _HEAD.unpack(stream.read(_HEAD.size))
-    footer: Footer = Footer.read(ReadDataStream(stream))
-    if opcode != Opcode.FOOTER or stream.read(MAGIC_SIZE) != MCAP0_MAGIC:
+    content = stream.read(FOOTER_SIZE + MAGIC_SIZE)
+    if content[0] != Opcode.FOOTER or content[FOOTER_SIZE:] != MCAP0_MAGIC:
         raise ValueError('the file has no end')
+    footer: Footer = Footer.read(_parser(content[_HEAD.size :]))
     return footer
 
 
-def _check_summary(stream: McapStream, footer: Footer) -> None:
+def _data_checksum(stream: McapStream, offset: int) -> int:
     """
-    Compare the index with its place and its checksum, which the ``mcap`` package does not.
+    Return the checksum of all bytes before the end of the data; 0: there is none.
 
-    :raises Exception: one of ``DAMAGE``, where they do not fit.
+    :raises Exception: one of ``DAMAGE``, where the data does not end at this offset.
     """
-    stream.seek(footer.summary_start - _DATA_END.size)
-    if stream.read(1)[0] != Opcode.DATA_END:
+    stream.seek(offset)
+    opcode, _, checksum = _DATA_END.unpack(stream.read(_DATA_END.size))
+    if opcode != Opcode.DATA_END:
         raise ValueError('it is not where the end of the file says')
-    stream.seek(footer.summary_start)
-    stream.limit = stream.size
-    content = stream.read(stream.size - MAGIC_SIZE - footer.summary_start)
-    stream.limit = LARGEST
-    if footer.summary_crc and zlib.crc32(content[:-4]) != footer.summary_crc:
-        raise ValueError('it does not fit its checksum')
+    return int(checksum)
 
 
-def _check_place(stream: McapStream, chunk: ChunkIndex) -> None:
+def _read_summary(index: FileIndex, stream: McapStream) -> bool:
     """
-    Compare the beginning of a chunk with what the index says of it.
+    Read the index at the end of a file; False: it lacks one, or what some programs leave out.
+
+    It is compared with its checksum, its place and the file, which the ``mcap`` package does not.
+
+    :raises Exception: one of ``DAMAGE``, where it is damaged or the file has no end.
+    """
+    footer = _read_footer(stream)
+    if footer.summary_start == 0:
+        return False
+    _data_checksum(stream, footer.summary_start - _DATA_END.size)
+    content = stream.read(stream.size - footer.summary_start)
+    if footer.summary_crc and zlib.crc32(content[: -4 - MAGIC_SIZE]) != footer.summary_crc:
+        raise ValueError('it does not fit its checksum')
+    chunks = []
+    for record in StreamReader(BytesIO(content), skip_magic=True).records:
+        if isinstance(record, Schema):
+            index.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            index.channels[record.id] = record
+        elif isinstance(record, Statistics):
+            index.counts.update(record.channel_message_counts)
+        elif isinstance(record, ChunkIndex):
+            chunks.append(record)
+        elif isinstance(record, AttachmentIndex):
+            index.attachments[record.name] = record
+        elif isinstance(record, MetadataIndex):
+            _, found = stream.record(record.offset)
+            metadata = Metadata.read(_parser(found))
+            if metadata.name != record.name:
+                raise ValueError('it names other metadata records')
+            index.metadata[record.name] = metadata.metadata
+    groups: dict[frozenset[int], frozenset[int]] = {}  # one object for all blocks that have it
+    for chunk in chunks:
+        channels = frozenset(chunk.message_index_offsets or index.channels)
+        index.blocks.append(_indexed(stream, chunk, groups.setdefault(channels, channels)))
+    return bool(index.blocks and index.counts) and all(map(index.describes, index.counts))
+
+
+def _indexed(stream: McapStream, chunk: ChunkIndex, channels: frozenset[int]) -> Block:
+    """
+    Return a chunk, whose beginning is compared with what the index says of it.
 
     :raises Exception: one of ``DAMAGE``, where something else is there.
     """
+    times = (chunk.message_start_time, chunk.message_end_time)
+    length = chunk.chunk_length - _HEAD.size
     stream.seek(chunk.chunk_start_offset)
     head = _HEAD.unpack(stream.read(_HEAD.size))
-    times = _TIMES.unpack(stream.read(_TIMES.size))
-    indexed = (chunk.message_start_time, chunk.message_end_time)
-    if head != (Opcode.CHUNK, chunk.chunk_length - _HEAD.size) or times != indexed:
+    if head != (Opcode.CHUNK, length) or _TIMES.unpack(stream.read(_TIMES.size)) != times:
         raise ValueError(f'there is another chunk at byte {chunk.chunk_start_offset}')
+    return Block(chunk.chunk_start_offset + _HEAD.size, length, *times, channels)
 
 
-def read_block(stream: McapStream, block: Block) -> list[McapRecord]:
-    """
-    Return the records of a block.
-
-    :raises Exception: one of ``DAMAGE``, where they are damaged.
-    """
-    stream.seek(block.offset)
-    if block.is_chunk:
-        return _unpack(Chunk.read(ReadDataStream(stream)))
-    return _unpack(_as_chunk(stream.read(block.length)))
-
-
-def _as_chunk(records: bytes) -> Chunk:
-    """Return records outside chunks as a chunk that is not compressed and has no checksum."""
-    return Chunk('', records, 0, 0, uncompressed_crc=0, uncompressed_size=len(records))
-
-
-def _unpack(chunk: Chunk) -> list[McapRecord]:
-    """
-    Return the records of a chunk.
-
-    :raises Exception: one of ``DAMAGE``, where it is damaged, or claims to be huge.
-    """
-    sizes = [chunk.uncompressed_size]
-    if chunk.compression == 'zstd':
-        sizes.append(zstandard.frame_content_size(chunk.data))
-    if max(sizes) > LARGEST:
-        raise ValueError(f'a chunk claims {max(sizes)} bytes')
-    return breakup_chunk(chunk, validate_crc=True)
-
-
-def _scan(path: Path, stream: McapStream, on_offset: OffsetCallback) -> FileIndex:
+def _scan(index: FileIndex, stream: McapStream, on_offset: OffsetCallback) -> None:
     """Go through a file that has no index; what is damaged is noted and left out."""
-    index = FileIndex(path)
-    closed = False
-    run, run_end = 0, 0  # records outside chunks that follow one another
-    for opcode, start, end in _whole_records(stream, index):
+    for opcode, start, end in _pieces(index, stream):
         on_offset(start)
-        if opcode in _IN_CHUNKS and not closed:
-            if start != run_end or run_end - run >= _PIECE:
-                _add_run(index, stream, run, run_end)
-                run = start
-            run_end = end
-            continue
-        closed = closed or opcode == Opcode.DATA_END
         try:
-            _add_record(index, stream, opcode, start, end)
+            if opcode == Opcode.CHUNK:
+                _add_block(index, stream, Block(start + _HEAD.size, end - start - _HEAD.size))
+            elif opcode in _IN_CHUNKS:
+                _add_block(index, stream, Block(start, end - start, is_chunk=False))
+            elif opcode == Opcode.METADATA:
+                metadata = Metadata.read(_parser(stream.record(start)[1]))
+                index.metadata[metadata.name] = metadata.metadata
+            elif opcode == Opcode.ATTACHMENT:
+                file = Attachment.read(_parser(stream.record(start)[1]))
+                index.attachments[file.name] = AttachmentIndex(
+                    offset=start,
+                    length=end - start,
+                    create_time=file.create_time,
+                    log_time=file.log_time,
+                    data_size=len(file.data),
+                    name=file.name,
+                    media_type=file.media_type,
+                )
         except DAMAGE as error:
-            index.note(f'the record at byte {start} is damaged ({error}) and left out')
-    _add_run(index, stream, run, run_end)
-    if not closed and not index.damage:
+            why = str(error) or 'they end too soon'
+            index.note(f'bytes {start} to {end} are damaged ({why}) and left out')
+        index.closed = index.closed or opcode == Opcode.DATA_END
+    if not index.closed and not index.damage:
         index.note('it was not closed: it ends without an index')
-    counts = index.counts.items()
-    unknown = sum(count for channel, count in counts if not _is_described(index, channel))
+    unknown = Counter(index.counts)
+    for channel_id in filter(index.describes, index.counts):
+        del unknown[channel_id]
     if unknown:
-        index.note(f'{unknown} messages are left out: the record of their topic is damaged')
-    return index
+        index.note(
+            f'{unknown.total()} messages are left out: the record of their topic is damaged'
+        )
 
 
-def _whole_records(stream: McapStream, index: FileIndex) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, offset and end of every whole record; where there is none, find a chunk."""
-    at, closed = MAGIC_SIZE, False
+def _pieces(index: FileIndex, stream: McapStream) -> Iterator[tuple[int, int, int]]:
+    """
+    Yield opcode, offset and end of every whole record; where there is none, find a chunk.
+
+    Records outside chunks that follow one another are one piece; in an index, each is one.
+    """
+    at = MAGIC_SIZE
     while at < stream.size:
         opcode, end = _record_at(stream, at)
         if opcode == 0:
             found, end = _next_chunk(stream, at)
             if end == 0:
-                if not closed:
+                if not index.closed:
                     index.note(f'it is cut short in the record at byte {at} of {stream.size}')
                 return
             if found == at:
@@ -361,10 +369,14 @@ def _whole_records(stream: McapStream, index: FileIndex) -> Iterator[tuple[int, 
             else:
                 index.note(f'{found - at} bytes from byte {at} on are no whole record')
             opcode, at = int(Opcode.CHUNK), found
+        while opcode in _IN_CHUNKS and end - at < _PIECE and not index.closed:
+            following, its_end = _record_at(stream, end)
+            if following not in _IN_CHUNKS:
+                break
+            end = its_end
         yield opcode, at, end
         if opcode == Opcode.FOOTER:
             return
-        closed = closed or opcode == Opcode.DATA_END
         at = end
 
 
@@ -390,51 +402,17 @@ def _next_chunk(stream: McapStream, at: int) -> tuple[int, int]:
         stream.seek(place)
         window = stream.read(min(_PIECE + len(_ZSTD) - 1, stream.size - place))
         for match in re.finditer(re.escape(_ZSTD), window):
-            start = place + match.start() - _ZSTD_AT - _HEAD.size
-            if start >= at:
+            content = place + match.start() - _ZSTD_AT
+            if content >= at + _HEAD.size:
                 try:
-                    stream.seek(start + _HEAD.size)
-                    _unpack(Chunk.read(ReadDataStream(stream)))
+                    stream.seek(place + match.end())
+                    (length,) = struct.unpack('<Q', stream.read(8))
+                    block = Block(content, _ZSTD_AT + len(_ZSTD) + 8 + length)
+                    read_block(stream, block)
                 except DAMAGE:
                     continue
-                return start, stream.tell()
+                return content - _HEAD.size, content + block.length
     return 0, 0
-
-
-def _add_record(index: FileIndex, stream: McapStream, opcode: int, start: int, end: int) -> None:
-    """
-    Take in a record that is not in a run.
-
-    :raises Exception: one of ``DAMAGE``, where it is damaged.
-    """
-    stream.seek(start + _HEAD.size)
-    stream.limit = LARGEST if opcode == Opcode.CHUNK else max(LARGEST, end - start)
-    data = ReadDataStream(stream)
-    if opcode == Opcode.CHUNK:
-        block = Block(start + _HEAD.size, end - start - _HEAD.size, 0, 0, frozenset())
-        _add_block(index, stream, block)
-    elif opcode == Opcode.ATTACHMENT:
-        attachment = Attachment.read(data)
-        size = len(attachment.data)
-        index.attachments[attachment.name] = Attached(start, size, attachment.media_type)
-    elif opcode == Opcode.METADATA:
-        record = Metadata.read(data)
-        index.metadata[record.name] = record.metadata
-    elif opcode == Opcode.SCHEMA:  # of the index: needed only where the first one is damaged
-        schema = Schema.read(data)
-        index.schemas.setdefault(schema.id, schema)
-    elif opcode == Opcode.CHANNEL:
-        channel = Channel.read(data)
-        index.channels.setdefault(channel.id, channel)
-
-
-def _add_run(index: FileIndex, stream: McapStream, start: int, end: int) -> None:
-    """Take in records outside chunks, where there are any."""
-    if end > start:
-        try:
-            _add_block(index, stream, Block(start, end - start, 0, 0, frozenset(), is_chunk=False))
-        except DAMAGE as error:
-            index.note(f'the records from byte {start} are damaged ({error})')
 
 
 def _add_block(index: FileIndex, stream: McapStream, block: Block) -> None:
@@ -449,16 +427,11 @@ def _add_block(index: FileIndex, stream: McapStream, block: Block) -> None:
             times.append(record.log_time)
             counts[record.channel_id] += 1
         elif isinstance(record, Schema):
-            index.schemas[record.id] = record
+            index.schemas.setdefault(record.id, record)
         elif isinstance(record, Channel):
-            index.channels[record.id] = record
+            index.channels.setdefault(record.id, record)
     if times:
         index.counts.update(counts)
-        found = replace(block, start=min(times), end=max(times), channels=frozenset(counts))
-        index.blocks.append(found)
-
-
-def _is_described(index: FileIndex, channel_id: int) -> bool:
-    """Tell whether topic and type of a channel's messages are known."""
-    channel = index.channels.get(channel_id)
-    return channel is not None and channel.schema_id in {0, *index.schemas}
+        index.blocks.append(
+            replace(block, start=min(times), end=max(times), channels=frozenset(counts))
+        )

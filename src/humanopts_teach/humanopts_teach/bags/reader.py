@@ -2,15 +2,14 @@
 
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager, ExitStack
-from dataclasses import dataclass
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.mcap_file import (
-    Attached,
+    Block,
     DAMAGE,
     data_fits,
     FileIndex,
@@ -19,33 +18,23 @@ from humanopts_teach.bags.mcap_file import (
     read_block,
     read_index,
 )
-from humanopts_teach.bags.rosbag2 import FILE, find_files, load
-from humanopts_teach.bags.schemas import decode, Decoder, make_decoder
+from humanopts_teach.bags.rosbag2 import FILE, find_files, load, Topic
+from humanopts_teach.bags.schemas import Decoder, make_decoder
 from humanopts_teach.bags.writer import LIBRARY, RECORD, SELF, SELF_TEXT
-from mcap.records import Attachment, Message, Schema
+from mcap.records import Attachment, AttachmentIndex, Message
 
 INTERFACES = 'humanopts_interfaces/'
 ALWAYS = (0, 2**64)  # first and last log time
 MOST_WAITING = 64 << 20  # bytes of messages that are held to be put in order of time
 _MESSAGE_MEMORY = 500  # bytes that a message takes in memory apart from its data
 MOST_NOTES = 1000  # kinds of damage that are kept
+_UNDECODABLE = (*DAMAGE, IndexError, TypeError, AttributeError)  # what bytes of another type raise
 ProgressCallback = Callable[[int, int], object]  # takes how many bytes are read, and of how many
+T = TypeVar('T')
 
 
 def ignore_progress(done: int, total: int) -> None:
     """Do nothing."""
-
-
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """One topic of a bag."""
-
-    name: str
-    type: str  # such as humanopts_interfaces/msg/GameState
-    schema: str  # its ros2msg definition, complete
-    messages: int
-    qos: str  # offered profiles, YAML; empty: not known
-    type_hash: str  # RIHS01_...; empty: not known
 
 
 class Recorded(NamedTuple):
@@ -72,9 +61,9 @@ class Bag:
         self._files = files
         self._damage = dict.fromkeys([*damage, *(text for file in files for text in file.damage)])
         self._decoders: dict[str, Decoder] = {}
-        self.topics = _topics(files)
-        self._compare_topics()
-        self._compare_facts()
+        self.topics = self._find_topics()
+        if self.numbered:
+            self._compare_facts()
 
     @property
     def damage(self) -> str:
@@ -102,7 +91,7 @@ class Bag:
         return sum(topic.messages for topic in self.topics.values())
 
     @property
-    def attachments(self) -> dict[str, Attached]:
+    def attachments(self) -> dict[str, AttachmentIndex]:
         """The attached files by name, of which ``attached`` has the contents."""
         return {name: at for file in self._files for name, at in file.attachments.items()}
 
@@ -136,29 +125,55 @@ class Bag:
         """
         Yield messages in order of log time.
 
+        Where chunks overlap in time, the messages of several are held, up to ``MOST_WAITING``
+        bytes.
+
         :param topics: names; None: all.
         :param decoded: fill in ``Recorded.message``.
         :param between: first and last log time, ns.
         """
-        found = _in_order(
-            self._files,
-            [self._wanted(file, topics) for file in self._files],
-            between,
-            _by_file(self.files, self.on_read),
-            self.note,
+        wanted = [self._wanted(file, topics) for file in self._files]
+        blocks = sorted(
+            ((block.start, number, block.offset), block)
+            for number, file in enumerate(self._files)
+            for block in file.blocks
+            if block.start <= between[1]
+            and block.end >= between[0]
+            and not block.channels.isdisjoint(wanted[number])
         )
-        for number, message in found:
-            channel = self._files[number].channels[message.channel_id]
-            topic = self.topics[channel.topic]
-            yield Recorded(
-                topic.name,
-                topic.type,
-                message.log_time,
-                message.publish_time,
-                message.sequence,
-                message.data,
-                self.decode(topic.name, message.data) if decoded else None,
-            )
+        tell = _by_file(self.files, self.on_read)
+        waiting: list[tuple[int, int, int, int, Message]] = []  # time, file, block, place in it
+        with ExitStack() as stack:
+            streams = [stack.enter_context(McapStream(file)) for file in self.files]
+            for here, ((_, number, offset), block) in enumerate(blocks):
+                tell(number, offset)
+                waiting += [
+                    (record.log_time, number, offset, place, record)
+                    for place, record in enumerate(self._read(streams[number], number, block))
+                    if isinstance(record, Message)
+                    and record.channel_id in wanted[number]
+                    and between[0] <= record.log_time <= between[1]
+                ]
+                waiting.sort()
+                due = len(waiting)
+                if here + 1 < len(blocks):
+                    due = bisect_left(waiting, blocks[here + 1][0])
+                held = sum(len(entry[-1].data) + _MESSAGE_MEMORY for entry in waiting[due:])
+                if held > MOST_WAITING:
+                    self.note('its messages are so far out of order that they come as they are')
+                    due = len(waiting)
+                for _, file, _, _, message in waiting[:due]:
+                    topic = wanted[file][message.channel_id]
+                    yield Recorded(
+                        topic.name,
+                        topic.type,
+                        message.log_time,
+                        message.publish_time,
+                        message.sequence,
+                        message.data,
+                        self.decode(topic.name, message.data) if decoded else None,
+                    )
+                del waiting[:due]
 
     def decode(self, topic: str, data: bytes) -> Any:
         """Decode a message of a topic; None: its bytes are damaged, which ``damage`` then says."""
@@ -166,35 +181,69 @@ class Bag:
             if topic not in self._decoders:
                 entry = self.topics[topic]
                 self._decoders[topic] = make_decoder(entry.type, entry.schema)
-            return decode(self._decoders[topic], data)
         except BagError as error:
             self.note(f'a message on {topic} is left out: {error}')
             return None
-
-    @contextmanager
-    def skipping_missing_fields(self, topic: str) -> Iterator[None]:
-        """Leave a message out, and note it, where its type lacks a field that is read."""
         try:
-            yield
-        except AttributeError as error:
+            return self._decoders[topic](data)
+        except _UNDECODABLE as error:
+            self.note(f'a message on {topic} is left out: it does not decode: {error}')
+            return None
+
+    def convert(self, topic: str, data: bytes, convert: Callable[[Any], T]) -> T | None:
+        """
+        Decode a message of a topic, and make something of it.
+
+        :param convert: may raise ValueError where a value is wrong, and AttributeError where the
+            recorded type lacks a field.
+        :return: None: either was not possible, which ``damage`` then says.
+        """
+        message = self.decode(topic, data)
+        try:
+            return None if message is None else convert(message)
+        except (AttributeError, ValueError) as error:
             self.note(f'a message on {topic} is left out: {error}')
+            return None
+
+    def converted(
+        self, type_name: str, convert: Callable[[Any], T], between: tuple[int, int] = ALWAYS
+    ) -> Iterator[T]:
+        """Yield what ``convert`` makes of the messages of a type, where it can, in order."""
+        for recorded in self.messages(self.of_type(type_name), decoded=False, between=between):
+            made = self.convert(recorded.topic, recorded.data, convert)
+            if made is not None:
+                yield made
 
     def note(self, damage: str) -> None:
         """Keep a description of damage, once."""
         self._damage[damage if len(self._damage) < MOST_NOTES else 'and more of the kind'] = None
 
-    def _compare_topics(self) -> None:
-        """Note where messages on one topic are of several types."""
+    def _find_topics(self) -> dict[str, Topic]:
+        """Return the topics of the files, sorted by name; note those of several types."""
+        found: dict[str, Topic] = {}
         for file in self._files:
             for channel in file.channels.values():
-                topic, schema = self.topics.get(channel.topic), file.schemas.get(channel.schema_id)
-                if topic and schema and (topic.type, topic.schema) != _definition(schema):
+                schema = file.schemas.get(channel.schema_id)
+                if schema is None or channel.message_encoding != 'cdr':
+                    continue
+                topic = Topic(
+                    channel.topic,
+                    schema.name,
+                    schema.data.decode(errors='replace'),
+                    channel.metadata.get('offered_qos_profiles', ''),
+                    channel.metadata.get('topic_type_hash', ''),
+                    file.counts.get(channel.id, 0),
+                )
+                before = found.get(topic.name, topic)
+                if (before.type, before.schema) != (topic.type, topic.schema):
                     self.note(f'{topic.name} is defined in several ways, and read by the last')
+                if before is not topic:
+                    topic.messages += before.messages
+                found[topic.name] = topic
+        return dict(sorted(found.items()))
 
     def _compare_facts(self) -> None:
         """Note where the copies of our recorder's facts differ."""
-        if not self.numbered:
-            return
         facts = self.metadata.get(RECORD, {})
         for file in self._files:
             if file.metadata.get(RECORD, facts) != facts:
@@ -209,12 +258,24 @@ class Bag:
             if (copy.get('custom_data') or {}) != facts:
                 self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
-    def _wanted(self, file: FileIndex, topics: Collection[str] | None) -> frozenset[int]:
-        return frozenset(
-            channel.id
+    def _wanted(self, file: FileIndex, topics: Collection[str] | None) -> dict[int, Topic]:
+        """Return the topics that are read from a file, by channel id."""
+        return {
+            channel.id: self.topics[channel.topic]
             for channel in file.channels.values()
             if channel.topic in self.topics and (topics is None or channel.topic in topics)
-        )
+        }
+
+    def _read(self, stream: McapStream, number: int, block: Block) -> Sequence[object]:
+        """Return the records of a block; none where it is damaged, which is noted."""
+        try:
+            return read_block(stream, block)
+        except DAMAGE as error:
+            self.note(
+                f'{self.files[number].name}: the chunk at byte {block.offset} is damaged and left '
+                f'out: {error}'
+            )
+            return ()
 
 
 def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> Bag:
@@ -231,8 +292,16 @@ def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> B
     """
     path = Path(path)
     found = find_files(path)
-    files, damage = _indexes(found.files, on_read)
-    bag = Bag(path, files, found.information, [*found.damage, *damage])
+    tell = _by_file(found.files, on_read)
+    files, errors = [], []
+    for number, file in enumerate(found.files):
+        try:
+            files.append(read_index(file, partial(tell, number)))
+        except BagError as error:
+            errors.append(error)
+    if not files:
+        raise errors[0]
+    bag = Bag(path, files, found.information, [*found.damage, *map(str, errors)])
     bag.on_read = on_read
     if not bag.topics and RECORD not in bag.metadata:  # ours may have been killed at once
         reason = f' ({bag.damage})' if bag.damage else ''
@@ -242,112 +311,9 @@ def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> B
     return bag
 
 
-def _indexes(
-    files: Sequence[Path], on_read: ProgressCallback
-) -> tuple[list[FileIndex], list[str]]:
-    """
-    Find the messages of the files that can be read; also return why others cannot.
-
-    :raises BagError: none can.
-    """
-    tell = _by_file(files, on_read)
-    found, errors = [], []
-    for number, file in enumerate(files):
-        try:
-            found.append(read_index(file, partial(tell, number)))
-        except BagError as error:
-            errors.append(error)
-    if not found:
-        raise errors[0]
-    return found, list(map(str, errors))
-
-
-def _topics(files: list[FileIndex]) -> dict[str, Topic]:
-    """Return the topics of the files, sorted by name."""
-    found: dict[str, Topic] = {}
-    for file in files:
-        for channel in file.channels.values():
-            schema = file.schemas.get(channel.schema_id)
-            if schema is None or channel.message_encoding != 'cdr':
-                continue
-            before = found[channel.topic].messages if channel.topic in found else 0
-            found[channel.topic] = Topic(
-                channel.topic,
-                *_definition(schema),
-                before + file.counts.get(channel.id, 0),
-                channel.metadata.get('offered_qos_profiles', ''),
-                channel.metadata.get('topic_type_hash', ''),
-            )
-    return dict(sorted(found.items()))
-
-
-def _definition(schema: Schema) -> tuple[str, str]:
-    """Return the name of a type and its ros2msg text."""
-    return schema.name, schema.data.decode(errors='replace')
-
-
 def _by_file(files: Sequence[Path], on_read: ProgressCallback) -> Callable[[int, int], object]:
     """Return what takes the number of a file and the offset up to which it is read."""
     sizes = [file.stat().st_size if file.exists() else 0 for file in files]
     total = sum(sizes)
     before = [sum(sizes[:number]) for number in range(len(sizes))]
     return lambda number, offset: on_read(before[number] + offset, total)
-
-
-def _in_order(
-    files: Sequence[FileIndex],
-    wanted: Sequence[frozenset[int]],
-    between: tuple[int, int],
-    on_block: Callable[[int, int], object],
-    note: Callable[[str], object],
-) -> Iterator[tuple[int, Message]]:
-    """
-    Yield messages of several files by log time, each with the number of its file.
-
-    Where blocks overlap in time, the messages of several are held, up to ``MOST_WAITING`` bytes.
-
-    :param wanted: ids of the channels that are read, of each file.
-    :param between: first and last log time that are read, ns.
-    :param on_block: takes the number of the file and the offset of each block that is read.
-    :param note: takes in words what is damaged.
-    """
-    first, last = between
-    blocks = sorted(
-        ((block.start, number, block.offset), block)
-        for number, file in enumerate(files)
-        for block in file.blocks
-        if block.start <= last
-        and block.end >= first
-        and not block.channels.isdisjoint(wanted[number])
-    )
-    waiting: list[tuple[int, int, int, int, Message]] = []  # time, file, block, place in it
-    with ExitStack() as stack:
-        streams = [stack.enter_context(McapStream(file.path)) for file in files]
-        for here, ((_, number, offset), block) in enumerate(blocks):
-            on_block(number, offset)
-            try:
-                records = read_block(streams[number], block)
-            except DAMAGE as error:
-                name = files[number].path.name
-                note(f'{name}: the chunk at byte {offset} is damaged and left out: {error}')
-                continue
-            waiting += [
-                (record.log_time, number, offset, place, record)
-                for place, record in enumerate(records)
-                if isinstance(record, Message)
-                and record.channel_id in wanted[number]
-                and first <= record.log_time <= last
-            ]
-            waiting.sort()
-            due = len(waiting)
-            if here + 1 < len(blocks):
-                due = bisect_left(waiting, blocks[here + 1][0])
-            if (
-                sum(len(entry[-1].data) + _MESSAGE_MEMORY for entry in waiting[due:])
-                > MOST_WAITING
-            ):
-                note('its messages are so far out of order that they come as they are')
-                due = len(waiting)
-            yield from ((entry[1], entry[-1]) for entry in waiting[:due])
-            del waiting[:due]
-        yield from ((entry[1], entry[-1]) for entry in waiting)

@@ -1,12 +1,11 @@
 """A rosbag2 directory (version 9, Jazzy): its metadata.yaml and its MCAP files."""
 
-from collections.abc import Mapping, Sequence
-from copy import deepcopy
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from pathlib import Path
 from textwrap import indent
-from typing import Any
+from typing import Any, NamedTuple
 
 from humanopts_teach.bags.errors import BagError
 import yaml
@@ -16,32 +15,57 @@ ROOT = 'rosbag2_bagfile_information'
 VERSION = 9
 ROS_DISTRO = 'jazzy'
 _NEVER = 2**63 - 1  # starting time of a bag without messages, as rosbag2 writes it
-_DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
-Qos = Mapping[str, Any]  # one offered QoS profile, keys as in rosbag2's metadata
+_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
+# What damaged text makes the loader raise, ValueError apart.
+_NO_YAML = (
+    yaml.YAMLError,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    RecursionError,
+    TypeError,
+)
 
 
-@dataclass
-class TopicEntry:
+class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
+    """Writes equal parts out, not as references."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def load(text: str) -> Any:
+    """
+    Read YAML.
+
+    :raises ValueError: the text is not YAML.
+    """
+    try:
+        return yaml.load(text, Loader=_LOADER)
+    except _NO_YAML as error:
+        raise ValueError(str(error)) from error
+
+
+def dump(values: Any) -> str:
+    """Return plain values as YAML."""
+    return str(yaml.dump(values, Dumper=_Dumper, sort_keys=False, default_flow_style=False))
+
+
+@dataclass(slots=True)
+class Topic:
     """One topic of a bag."""
 
     name: str
-    type: str
-    qos: tuple[Qos, ...]
+    type: str  # such as humanopts_interfaces/msg/GameState
+    schema: str  # its ros2msg definition, complete
+    qos: str  # offered profiles, YAML; empty: not known
     type_hash: str  # RIHS01_...; empty: not known
     messages: int = 0
-
-    @cached_property
-    def channel_metadata(self) -> dict[str, str]:
-        """What an MCAP channel of this topic carries."""
-        return {
-            'offered_qos_profiles': qos_text(self.qos),
-            'topic_type_hash': self.type_hash,
-        }
 
 
 @dataclass
 class Extent:
-    """How much one bag file holds."""
+    """How much a bag, or one of its files, holds."""
 
     messages: int = 0
     first: int = _NEVER  # earliest log time, ns
@@ -53,41 +77,33 @@ class Extent:
         self.first = min(self.first, log_time)
         self.last = max(self.last, log_time)
 
-    def include(self, other: 'Extent') -> None:
-        """Count what another file holds."""
-        self.messages += other.messages
-        self.first = min(self.first, other.first)
-        self.last = max(self.last, other.last)
-
     @property
     def duration(self) -> int:
         """Time from the first to the last message, ns."""
         return max(0, self.last - self.first)
 
 
-def qos_text(profiles: Sequence[Qos]) -> str:
-    """Return QoS profiles as the YAML text that an MCAP channel carries."""
-    return dump(deepcopy(list(map(dict, profiles)))) if profiles else ''
-
-
-def dump(values: Any) -> str:
-    """Return plain values as YAML."""
-    return str(yaml.dump(values, Dumper=_DUMPER, sort_keys=False, default_flow_style=False))
+def whole_extent(parts: Iterable[Extent]) -> Extent:
+    """Return how much several files hold together."""
+    whole = Extent()
+    for part in parts:
+        whole.messages += part.messages
+        whole.first = min(whole.first, part.first)
+        whole.last = max(whole.last, part.last)
+    return whole
 
 
 def bag_information(
-    files: Mapping[str, Extent], topics: Sequence[TopicEntry], custom: Mapping[str, str]
-) -> dict[str, Any]:
+    files: Mapping[str, Extent], topics: Iterable[Topic], custom: Mapping[str, str]
+) -> str:
     """
-    Return the contents of metadata.yaml for a bag.
+    Return the contents of metadata.yaml for a bag, without its first line.
 
     :param files: by name within the directory, in order.
     :param custom: facts that the recorder was given.
     """
-    whole = Extent()
-    for extent in files.values():
-        whole.include(extent)
-    return deepcopy(  # equal parts are written out, not as references
+    whole = whole_extent(files.values())
+    return dump(
         {
             'version': VERSION,
             'storage_identifier': 'mcap',
@@ -107,6 +123,11 @@ def bag_information(
     )
 
 
+def document(information: str) -> str:
+    """Return the text of metadata.yaml from that of ``bag_information``."""
+    return f'{ROOT}:\n{indent(information, "  ")}'
+
+
 def _times(extent: Extent) -> dict[str, Any]:
     return {
         'duration': {'nanoseconds': extent.duration},
@@ -114,40 +135,35 @@ def _times(extent: Extent) -> dict[str, Any]:
     }
 
 
-def document(information: str) -> str:
-    """Return the text of metadata.yaml from the YAML text of ``bag_information``."""
-    return f'{ROOT}:\n{indent(information, "  ")}'
-
-
-def _topic_information(topic: TopicEntry) -> dict[str, Any]:
+def _topic_information(topic: Topic) -> dict[str, Any]:
     return {
         'topic_metadata': {
             'name': topic.name,
             'type': topic.type,
             'serialization_format': 'cdr',
-            'offered_qos_profiles': [deepcopy(dict(profile)) for profile in topic.qos],
+            'offered_qos_profiles': profiles(topic.qos),
             'type_description_hash': topic.type_hash,
         },
         'message_count': topic.messages,
     }
 
 
+@lru_cache
+def profiles(text: str) -> list[dict[str, Any]]:
+    """Return QoS profiles from YAML; none where it is damaged."""
+    try:
+        found = load(text)
+    except ValueError:
+        return []
+    known = isinstance(found, list) and all(isinstance(p, dict) for p in found)
+    return found if known else []
+
+
 MOST_FILES = 100_000  # larger numbers in a file's name are not taken for its place
 _MOST_NAMED = 3  # bags below a folder that are named in an error message
-_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
-# What damaged text makes the loader raise, ValueError apart.
-_NO_YAML = (
-    yaml.YAMLError,
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    RecursionError,
-    TypeError,
-)
 
 
-@dataclass(frozen=True)
-class Directory:
+class Directory(NamedTuple):
     """The files of a bag, and the contents of metadata.yaml."""
 
     files: list[Path]  # in order
@@ -200,7 +216,7 @@ def _place(file: Path) -> tuple[str, int]:
     return (name, int(number)) if number.isdecimal() else (file.stem, -1)
 
 
-def _gaps(files: list[Path]) -> list[str]:
+def _gaps(files: Sequence[Path]) -> list[str]:
     """Return the names of files whose numbers are missing among the others."""
     found: dict[str, set[int]] = {}
     for name, number in map(_place, files):
@@ -217,26 +233,14 @@ def _gaps(files: list[Path]) -> list[str]:
 def _information(path: Path) -> tuple[dict[str, Any], list[str]]:
     """Return the contents of metadata.yaml, and what is wrong with it; {} if it is unusable."""
     try:
-        document = load(path.read_text('utf-8'))
+        values = load(path.read_text('utf-8'))
     except OSError as error:
         return {}, [f'{path.name} cannot be read: {error.strerror}']
     except ValueError:
         return {}, [f'{path.name} is damaged']
-    information = document.get(ROOT) if isinstance(document, dict) else None
+    information = values.get(ROOT) if isinstance(values, dict) else None
     if not isinstance(information, dict):
         return {}, [f'{path.name} is not that of a bag']
     if not isinstance(information.get('relative_file_paths', []), list):
         return {}, [f'{path.name} is damaged']
     return information, []
-
-
-def load(text: str) -> Any:
-    """
-    Read YAML.
-
-    :raises ValueError: the text is not YAML.
-    """
-    try:
-        return yaml.load(text, Loader=_LOADER)
-    except _NO_YAML as error:
-        raise ValueError(str(error)) from error

@@ -5,14 +5,14 @@ Definitions are built from the .msg, .srv and .action files that every ROS 2 pac
 since the generated classes lose constants, defaults and comments.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import cache
 import os
 from pathlib import Path
 import re
 from typing import Any
 
 from humanopts_teach.bags.errors import BagError, SchemaError
-from humanopts_teach.bags.mcap_file import DAMAGE
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
@@ -33,89 +33,73 @@ _ACTION_PARTS = {
 # P is package/Service.
 _EVENT = 'service_msgs/ServiceEventInfo info\nP_Request[<=1] request\nP_Response[<=1] response\n'
 _SECTIONS = {'srv': ('_Request', '_Response'), 'action': ('_Goal', '_Result', '_Feedback')}
+_EVENTS = {'srv': ('_Event',), 'action': ('_SendGoal_Event', '_GetResult_Event')}
 
 
-class Definitions:
-    """The definitions below some install prefixes."""
+def find_schema(type_name: str, prefixes: tuple[Path, ...] | None = None) -> str:
+    """
+    Return the definition of a type and of all that it depends on, each once, as one text.
 
-    def __init__(self, prefixes: Sequence[Path] | None = None) -> None:
-        """
-        Look below ``prefixes``, the first that has a file wins.
+    :param type_name: package/msg/Name, package/srv/Name_Event, package/action/Name_Feedback
+        and so on.
+    :param prefixes: folders with share/, the first that has a file wins; None: those of
+        AMENT_PREFIX_PATH.
+    :raises SchemaError: one of the types is not installed here, or is no such name.
+    """
+    if prefixes is None:
+        paths = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+        prefixes = tuple(Path(path) for path in paths if path)
+    texts = {type_name: _definition(type_name, prefixes)}
+    queue = _dependencies(type_name, texts[type_name])
+    for wanted in queue:  # which grows
+        if wanted not in texts:
+            texts[wanted] = _definition(wanted, prefixes)
+            queue += _dependencies(wanted, texts[wanted])
+    own, *others = texts.items()
+    return own[1] + ''.join(
+        f'{SEPARATOR}\nMSG: {name.split("/")[0]}/{name.split("/")[2]}\n{text}'
+        for name, text in others
+    )
 
-        :param prefixes: folders with share/; None: those of AMENT_PREFIX_PATH.
-        """
-        if prefixes is None:
-            paths = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
-            prefixes = [Path(path) for path in paths if path]
-        self._prefixes = list(prefixes)
-        self._schemas: dict[str, str] = {}
 
-    def definition(self, type_name: str) -> str:
-        """
-        Return the definition of one type, without those that it depends on.
+@cache
+def _definition(type_name: str, prefixes: tuple[Path, ...]) -> str:
+    """
+    Return the definition of one type, without those that it depends on.
 
-        :param type_name: package/msg/Name, package/srv/Name_Event, package/action/Name_Feedback
-            and so on.
-        :raises SchemaError: it is not installed here, or is no such name.
-        """
-        match = re.fullmatch(r'(\w+)/(msg|srv|action)/(\w+)', type_name)
-        if match is None:
-            raise SchemaError(f'{type_name!r} is not a type name such as std_msgs/msg/String')
-        package, kind, name = match.groups()
-        if kind == 'msg':
-            return self._file(package, kind, name)
-        return self._derived(package, kind, name)
+    :raises SchemaError: it is not installed here, or is no such name.
+    """
+    match = re.fullmatch(r'(\w+)/(msg|srv|action)/(\w+)', type_name)
+    if match is None:
+        raise SchemaError(f'{type_name!r} is not a type name such as std_msgs/msg/String')
+    package, kind, name = match.groups()
+    if kind == 'msg':
+        return _read_file(package, kind, name, prefixes)
+    base = name.partition('_')[0]
+    suffix, own = name[len(base) :], f'{package}/{base}'
+    text = _read_file(package, kind, base, prefixes)
+    if suffix in _SECTIONS[kind]:
+        sections = re.split(r'^---[ \t]*\n', text, flags=re.M)
+        return _qualified(sections[_SECTIONS[kind].index(suffix)], package)
+    if kind == 'action' and suffix in _ACTION_PARTS:
+        return _ACTION_PARTS[suffix].replace('P_', own + '_')
+    if suffix in _EVENTS[kind]:
+        return _EVENT.replace('P_', f'{package}/{name.removesuffix("Event")}')
+    raise SchemaError(f'{type_name} is not a message made of {own}')
 
-    def schema(self, type_name: str) -> str:
-        """
-        Return the definition of a type and of all that it depends on, as one text.
 
-        :raises SchemaError: one of them is not installed here.
-        """
-        if type_name not in self._schemas:
-            self._schemas[type_name] = self._assemble(type_name)
-        return self._schemas[type_name]
-
-    def _assemble(self, type_name: str) -> str:
-        """Append the definitions that a type depends on, each once, to its own."""
-        parts = [self.definition(type_name)]
-        known, queue = {type_name}, _dependencies(type_name, parts[0])
-        while queue:
-            wanted = queue.pop(0)
-            if wanted not in known:
-                known.add(wanted)
-                text = self.definition(wanted)
-                package, _, name = wanted.split('/')
-                parts.append(f'{SEPARATOR}\nMSG: {package}/{name}\n{text}')
-                queue += _dependencies(wanted, text)
-        return ''.join(parts)
-
-    def _derived(self, package: str, kind: str, name: str) -> str:
-        """Return the definition of a message that is derived from a service or an action."""
-        base = name.partition('_')[0]
-        suffix, own = name[len(base) :], f'{package}/{base}'
-        if suffix in _SECTIONS[kind]:
-            sections = re.split(r'^---[ \t]*\n', self._file(package, kind, base), flags=re.M)
-            return _qualified(sections[_SECTIONS[kind].index(suffix)], package)
-        self._file(package, kind, base)  # only of what is installed
-        if kind == 'action' and suffix in _ACTION_PARTS:
-            return _ACTION_PARTS[suffix].replace('P_', own + '_')
-        if suffix in {'srv': ['_Event'], 'action': ['_SendGoal_Event', '_GetResult_Event']}[kind]:
-            return _EVENT.replace('P_', f'{package}/{name.removesuffix("Event")}')
-        raise SchemaError(f'{package}/{kind}/{name} is not a message made of {own}')
-
-    def _file(self, package: str, kind: str, name: str) -> str:
-        relative = Path('share', package, kind, f'{name}.{kind}')
-        for prefix in self._prefixes:
-            try:
-                text = (prefix / relative).read_text('utf-8')
-            except OSError:
-                continue
-            return text if text.endswith('\n') else text + '\n'
-        raise SchemaError(
-            f'no definition of {package}/{kind}/{name}: {relative} is below none of the prefixes '
-            f'in AMENT_PREFIX_PATH; install or build {package}'
-        )
+def _read_file(package: str, kind: str, name: str, prefixes: tuple[Path, ...]) -> str:
+    relative = Path('share', package, kind, f'{name}.{kind}')
+    for prefix in prefixes:
+        try:
+            text = (prefix / relative).read_text('utf-8')
+        except OSError:
+            continue
+        return text if text.endswith('\n') else text + '\n'
+    raise SchemaError(
+        f'no definition of {package}/{kind}/{name}: {relative} is below none of the prefixes '
+        f'in AMENT_PREFIX_PATH; install or build {package}'
+    )
 
 
 def constants(schema: str, prefix: str) -> dict[int, str]:
@@ -143,6 +127,12 @@ def field_lines(schema: str) -> list[tuple[str, str]]:
     ]
 
 
+def _types(text: str) -> dict[str, str]:
+    """Return the types of the fields in ``text`` that are messages, with and without bounds."""
+    kinds = {kind: re.sub(r'\[.*\]$', '', kind).partition('<')[0] for kind, _ in field_lines(text)}
+    return {kind: base for kind, base in kinds.items() if base not in _PRIMITIVE}
+
+
 def _qualified(text: str, package: str) -> str:
     """
     Put the package before the types in ``text`` that are named without it.
@@ -150,34 +140,22 @@ def _qualified(text: str, package: str) -> str:
     Readers look for a bare name in the folder of the type that uses it, and parts of services and
     actions are in another folder than messages.
     """
-    for kind in {kind for kind, _ in field_lines(text) if '/' not in kind}:
-        if _base(kind) not in _PRIMITIVE:
+    for kind in _types(text):
+        if '/' not in kind:
             place = rf'^(\s*){re.escape(kind)}(?=\s)'
             text = re.sub(place, rf'\g<1>{package}/{kind}', text, flags=re.M)
     return text
 
 
-def _base(kind: str) -> str:
-    """Return the type of a field without array and string bounds."""
-    return re.sub(r'\[.*\]$', '', kind).partition('<')[0]
-
-
 def _dependencies(type_name: str, text: str) -> list[str]:
     """Return the full names of the types of the fields in ``text``."""
-    package = type_name.split('/')[0]
+    package, kind, _ = type_name.split('/')
     found = []
-    for kind, _ in field_lines(text):
-        base = _base(kind)
-        if base not in _PRIMITIVE:
-            owner, _, name = base.rpartition('/')
-            found.append(_full_name(owner.removesuffix('/msg') or package, name, type_name))
+    for base in _types(text).values():
+        owner, _, name = base.rpartition('/')
+        folder = kind if '_' in name else 'msg'  # parts of services and actions have an _
+        found.append(f'{owner.removesuffix("/msg") or package}/{folder}/{name}')
     return found
-
-
-def _full_name(package: str, name: str, user: str) -> str:
-    """Return a type's name with its folder: names with _ are parts of services and actions."""
-    kind = user.split('/')[1] if '_' in name else 'msg'
-    return f'{package}/{kind}/{name}'
 
 
 Decoder = Callable[[bytes], Any]
@@ -190,41 +168,26 @@ def make_decoder(type_name: str, schema: str) -> Decoder:
     """
     Return a function that makes of a message's bytes an object with its fields.
 
+    The _ in type names is replaced, since mcap_ros2 refuses it. Parts of services and actions have
+    it, such as Plan_Result; there may be a PlanResult too.
+
     :raises BagError: the schema is not a message definition.
     """
-    name, text = plain_names(type_name, schema)
-    text = _CHAR.sub(r'\1uint8', text)
-    record = Schema(id=1, data=text.encode(), encoding='ros2msg', name=name)
+    names = {name.rsplit('/', 1)[-1] for name in (type_name, *_NAME.findall(schema))}
+    text = schema
+    for name in sorted(name for name in names if '_' in name):
+        place = rf'^((?:MSG:\s+)?(?:\w+/)*){name}\b'  # where a line names a type
+        text = re.sub(place, rf'\g<1>{name.replace("_", _PLAIN)}', text, flags=re.M)
+    package, _, name = type_name.rpartition('/')
+    record = Schema(
+        id=1,
+        data=_CHAR.sub(r'\1uint8', text).encode(),
+        encoding='ros2msg',
+        name=f'{package}/{name.replace("_", _PLAIN)}',
+    )
     try:
         decoder = DecoderFactory().decoder_for('cdr', record)
     except Exception as error:
         raise BagError(f'the definition of {type_name} in the bag is damaged: {error}') from error
-    if decoder is None:
-        raise BagError(f'the definition of {type_name} in the bag is not ros2msg')
+    assert decoder is not None  # it is None for other encodings
     return decoder
-
-
-def decode(decoder: Decoder, data: bytes) -> Any:
-    """
-    Decode one message.
-
-    :raises BagError: its bytes do not fit its type.
-    """
-    try:
-        return decoder(data)
-    except (*DAMAGE, IndexError, TypeError, AttributeError) as error:
-        raise BagError(f'it does not decode: {error}') from error
-
-
-def plain_names(type_name: str, schema: str) -> tuple[str, str]:
-    """
-    Replace the _ in the type names of a schema, since mcap_ros2 refuses them.
-
-    Parts of services and actions have them, such as Plan_Result; there may be a PlanResult too.
-    """
-    names = {name.rsplit('/', 1)[-1] for name in (type_name, *_NAME.findall(schema))}
-    for name in sorted(name for name in names if '_' in name):
-        place = rf'^((?:MSG:\s+)?(?:\w+/)*){name}\b'  # where a line names a type
-        schema = re.sub(place, rf'\g<1>{name.replace("_", _PLAIN)}', schema, flags=re.M)
-    package, _, name = type_name.rpartition('/')
-    return f'{package}/{name.replace("_", _PLAIN)}', schema

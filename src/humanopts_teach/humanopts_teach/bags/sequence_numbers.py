@@ -16,6 +16,7 @@ _FIELDS = [
 _PLACE = [('uint32', 'episode'), ('uint32', 'step')]
 _ORIGIN = 4  # CDR aligns from after the encapsulation header
 _FRAME_ID = _ORIGIN + 8  # after header.stamp
+_DAMAGE = (struct.error, IndexError, UnicodeDecodeError)  # what damaged bytes raise
 
 
 class Stamp(NamedTuple):
@@ -23,6 +24,14 @@ class Stamp(NamedTuple):
 
     publisher_id: str
     sequence: int  # 1, 2, 3, ...
+
+
+class Place(NamedTuple):
+    """The step of an episode that a message is of."""
+
+    publisher_id: str
+    episode: int
+    step: int
 
 
 def is_stamped(schema: str) -> bool:
@@ -39,17 +48,17 @@ def read_stamp(data: bytes) -> Stamp | None:
     """Return the stamp of a CDR message whose type ``is_stamped``; None: it is damaged."""
     try:
         return _read(data)[0]
-    except (struct.error, IndexError, UnicodeDecodeError):
+    except _DAMAGE:
         return None
 
 
-def read_place(data: bytes) -> tuple[int, int] | None:
-    """Return episode and step of a message whose type ``tells_place``; None: it is damaged."""
+def read_place(data: bytes) -> Place | None:
+    """Return the place of a CDR message whose type ``tells_place``; None: it is damaged."""
     try:
-        _, end = _read(data)
+        stamp, end = _read(data)
         episode, step = struct.unpack_from('<II' if data[1] & 1 else '>II', data, end)
-        return episode, step
-    except (struct.error, IndexError, UnicodeDecodeError):
+        return Place(stamp.publisher_id, episode, step)
+    except _DAMAGE:
         return None
 
 
@@ -82,6 +91,8 @@ class Stream:
     that fills an older gap counts as a repetition, so the number missing is never too low.
     """
 
+    topic: str = ''
+    publisher: str = ''
     first: int = 0  # smallest number received; 0: none yet
     last: int = 0  # largest number received
     received: int = 0  # without repetitions
@@ -130,11 +141,14 @@ class Ledger:
 
     def add(self, topic: str, stamp: Stamp) -> None:
         """Count one message."""
-        stream = self._streams.setdefault((topic, stamp.publisher_id), Stream())
+        key = (topic, stamp.publisher_id)
+        if key not in self._streams:
+            self._streams[key] = Stream(*key)
+        stream = self._streams[key]
         before = stream.missing
         stream.add(stamp.sequence)
         self.missing += stream.missing - before
 
-    def __iter__(self) -> Iterator[tuple[str, str, Stream]]:
-        """Yield (topic, publisher, stream), sorted."""
-        return iter((*key, self._streams[key]) for key in sorted(self._streams))
+    def __iter__(self) -> Iterator[Stream]:
+        """Yield the streams, sorted by topic and publisher."""
+        return iter(self._streams[key] for key in sorted(self._streams))

@@ -1,9 +1,11 @@
 """What ``humanopts bag info`` prints: the facts about a bag as text and as JSON."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, UTC
 from typing import Any
+
+from humanopts_teach.bags.sequence_numbers import Stream
 
 NO_TEACHER = 'none: a person taught'  # shown for the simulated teacher's error rate
 
@@ -71,19 +73,6 @@ class AttachedRow:
 
 
 @dataclass(frozen=True)
-class StreamRow:
-    """The messages of one publisher on one topic, as in ``Stream``."""
-
-    topic: str
-    publisher: str
-    first: int
-    last: int
-    received: int
-    missing: int
-    duplicates: int
-
-
-@dataclass(frozen=True)
 class BagInfo:
     """What a bag holds."""
 
@@ -107,7 +96,7 @@ class BagInfo:
     execution_changes: int  # of policies while they ran
     episodes: int
     episodes_ended: int  # whose last state was recorded
-    streams: tuple[StreamRow, ...]
+    streams: tuple[Stream, ...]
 
     @property
     def messages(self) -> int:
@@ -133,10 +122,22 @@ class BagInfo:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the facts as JSON data."""
-        facts = asdict(self)
+        facts = asdict(replace(self, streams=()))
         return {
             'sittings': facts.pop('open_sessions'),  # the key of version 0.1.0
             **facts,
+            'streams': [
+                {
+                    'topic': stream.topic,
+                    'publisher': stream.publisher,
+                    'first': stream.first,
+                    'last': stream.last,
+                    'received': stream.received,
+                    'missing': stream.missing,
+                    'duplicates': stream.duplicates,
+                }
+                for stream in self.streams
+            ],
             'messages': self.messages,
             'missing': self.missing,
             'participants': list(self.participants),
@@ -145,25 +146,47 @@ class BagInfo:
 
     def to_text(self) -> str:
         """Return the facts as text for a person."""
+        taught = ('participant', 'option', 'shown', 'not here', 'taken back')
         parts = [
             self._head(),
-            self._facts(),
-            self._attached(),
-            self._options(),
+            table(
+                ('recorded with', ''),
+                [
+                    (name.replace('_', ' '), NO_TEACHER if value == 'None' else value)
+                    for name, value in sorted(self.facts.items())
+                ],
+            ),
+            table(
+                ('attached file', 'bytes', 'type'),
+                [(row.name, row.bytes, row.media_type) for row in self.attached],
+            ),
+            table(
+                (*taught, 'steps', 'seconds', 'criteria met'),
+                [
+                    (
+                        *(row.participant, row.option),
+                        *(row.demonstrations, row.not_here, row.withdrawn),
+                        *(row.steps, f'{row.seconds:.0f}', 'yes' if row.criteria_met else 'no'),
+                    )
+                    for row in self.options
+                ],
+            ),
             self._criteria(),
             self._events(),
-            self._topics(),
+            table(
+                ('topic', 'messages', 'type'),
+                [(topic.name, topic.messages, topic.type) for topic in self.topics],
+            ),
             self._loss(),
         ]
         return '\n\n'.join(part for part in parts if part)
 
     def _head(self) -> str:
         begun = datetime.fromtimestamp(self.start / 1e9, UTC).strftime('%Y-%m-%d %H:%M:%S UTC')
-        begun = begun if self.messages else 'nothing was recorded'
         pairs = [
             ('bag', self.path),
             *(('DAMAGED', line) for line in self.damage.splitlines()),
-            ('begun', begun),
+            ('begun', begun if self.messages else 'nothing was recorded'),
             ('duration', f'{self.duration / 1e9:.1f} s'),
             ('messages', f'{self.messages} on {len(self.topics)} topics'),
             ('size', f'{self.bytes:,} bytes in {self.files} file{"s"[: self.files > 1]}'),
@@ -174,49 +197,16 @@ class BagInfo:
         width = max(len(name) for name, _ in pairs)
         return '\n'.join(f'{name:{width}}  {value}' for name, value in pairs)
 
-    def _options(self) -> str:
-        rows = [
-            (
-                row.participant,
-                row.option,
-                row.demonstrations,
-                row.not_here,
-                row.withdrawn,
-                row.steps,
-                f'{row.seconds:.0f}',
-                'yes' if row.criteria_met else 'no',
-            )
-            for row in self.options
-        ]
-        taught = ('participant', 'option', 'shown', 'not here', 'taken back')
-        return table((*taught, 'steps', 'seconds', 'criteria met'), rows)
-
-    def _facts(self) -> str:
-        rows = [
-            (name.replace('_', ' '), NO_TEACHER if value == 'None' else value)
-            for name, value in sorted(self.facts.items())
-        ]
-        return table(('recorded with', ''), rows)
-
-    def _attached(self) -> str:
-        rows = [(row.name, row.bytes, row.media_type) for row in self.attached]
-        return table(('attached file', 'bytes', 'type'), rows)
-
     def _criteria(self) -> str:
         """Return when each criterion held first, and its value then and at the end."""
         rows = []
         for row in self.criteria:
-            met, last = row.first_met, row.points[-1]
-            rows.append(
-                (
-                    row.participant,
-                    row.option,
-                    row.criterion,
-                    row.threshold,
-                    *(('never', '-', '-') if met is None else _when(met)),
-                    _measured(last),
-                )
-            )
+            first = ('never', '-', '-')
+            if (met := row.first_met) is not None:
+                shown = f'{met.demonstrations} shown, {met.not_here} not here'
+                first = (shown, f'{met.seconds:.1f}', _measured(met))
+            named = (row.participant, row.option, row.criterion, row.threshold)
+            rows.append((*named, *first, _measured(row.points[-1])))
         head = ('participant', 'option', 'criterion', 'target')
         return table((*head, 'first held after', 'at second', 'value', 'at the end'), rows)
 
@@ -238,12 +228,6 @@ class BagInfo:
             )
         return '\n'.join(lines)
 
-    def _topics(self) -> str:
-        return table(
-            ('topic', 'messages', 'type'),
-            [(topic.name, topic.messages, topic.type) for topic in self.topics],
-        )
-
     def _loss(self) -> str:
         odd = [row for row in self.streams if row.missing or row.duplicates]
         if not odd:
@@ -252,12 +236,6 @@ class BagInfo:
             ('topic', 'publisher', 'sent', 'missing', 'repeated'),
             [(row.topic, row.publisher, row.last, row.missing, row.duplicates) for row in odd],
         )
-
-
-def _when(point: CriterionPoint) -> tuple[str, str, str]:
-    """Return after how many demonstrations a criterion held, when, and its value."""
-    shown = f'{point.demonstrations} shown, {point.not_here} not here'
-    return shown, f'{point.seconds:.1f}', _measured(point)
 
 
 def _measured(point: CriterionPoint) -> str:

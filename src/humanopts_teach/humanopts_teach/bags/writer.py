@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import os
 from pathlib import Path
 from types import TracebackType
-from typing import Any, cast, IO
+from typing import Any
 
+from humanopts_learner.append_only_log import append_whole
 from humanopts_teach.bags.errors import BagWriteError
 from humanopts_teach.bags.rosbag2 import (
     bag_information,
@@ -15,16 +16,22 @@ from humanopts_teach.bags.rosbag2 import (
     dump,
     Extent,
     FILE,
-    Qos,
-    TopicEntry,
+    Topic,
+    whole_extent,
 )
-from humanopts_teach.bags.schemas import Definitions
+from humanopts_teach.bags.schemas import find_schema
 from mcap.writer import CompressionType, Writer
+
+CHUNK_BYTES = 256 * 1024
+LIBRARY = 'humanopts'  # the program that wrote the file, in its header
+RECORD = 'humanopts'  # name of the MCAP metadata record with the recorder's facts
+SELF = 'rosbag2'  # name of the record with a copy of metadata.yaml ...
+SELF_TEXT = 'serialized_metadata'  # ... under this key
 
 
 class Sink:
     """
-    Writes whole MCAP records to a new file, unbuffered.
+    A new file of whole MCAP records, unbuffered.
 
     A record that does not fit on the disk is removed, so that the file stays readable; after that
     nothing more is written.
@@ -37,8 +44,8 @@ class Sink:
         :raises OSError: it exists, or cannot be created.
         """
         self._path = path
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-        self._end = 0
+        self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._size = 0
         self._failure = ''
 
     def write(self, data: bytes) -> None:
@@ -49,17 +56,13 @@ class Sink:
         """
         if self._failure:
             raise BagWriteError(self._failure)
-        view = memoryview(data)
         try:
-            while view:
-                view = view[os.write(self._file, view) :]
+            append_whole(self._handle, data)
         except OSError as error:
             self._failure = f'cannot write to {self._path}: {error.strerror}; what was written'
             self._failure += ' before is kept. Free space and start another recording'
-            with suppress(OSError):
-                os.ftruncate(self._file, self._end)
             raise BagWriteError(self._failure) from error
-        self._end += len(data)
+        self._size += len(data)
 
     def rename(self, path: Path) -> None:
         """
@@ -78,126 +81,29 @@ class Sink:
 
     def tell(self) -> int:
         """Return the size of the file."""
-        return self._end
+        return self._size
 
     def flush(self) -> None:
         """Do nothing: the operating system has everything that was written."""
 
     def close(self) -> None:
         """Close the file; it can be called again."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        if self._handle >= 0:
+            os.close(self._handle)
+            self._handle = -1
 
 
-CHUNK_BYTES = 256 * 1024
-LIBRARY = 'humanopts'  # the program that wrote the file, in its header
-RECORD = 'humanopts'  # name of the MCAP metadata record with the recorder's facts
-SELF = 'rosbag2'  # name of the record with a copy of metadata.yaml ...
-SELF_TEXT = 'serialized_metadata'  # ... under this key
+@dataclass
+class _File:
+    """One file that is being written."""
 
-
-class BagFile:
-    """
-    One file that is being written.
-
-    The file gets its name only when its head is on the disk, so that no reader finds it empty.
-    """
-
-    def __init__(self, path: Path, facts: Mapping[str, str]) -> None:
-        """
-        Begin the file.
-
-        :param facts: kept in the metadata record ``humanopts``.
-        :raises OSError: it cannot be created.
-        :raises BagWriteError: the disk is full.
-        """
-        self.name = path.name
-        self.extent = Extent()
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._finished = False
-        self._sink = Sink(path.with_name(f'{path.name}.new'))
-        self._writer: Any = Writer(
-            cast(IO[Any], self._sink),
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
-        try:
-            self._writer.start(profile='ros2', library=LIBRARY)
-            self.note(RECORD, facts)
-            self._sink.rename(path)
-        except OSError:
-            self._sink.discard()
-            raise
-
-    @property
-    def bytes_written(self) -> int:
-        """Size of the file."""
-        return self._sink.tell()
-
-    def announce(self, topic: TopicEntry, schema: str) -> None:
-        """Add a topic; errors as ``write``."""
-        if topic.type not in self._schemas:
-            self._schemas[topic.type] = self._writer.register_schema(
-                topic.type, 'ros2msg', schema.encode()
-            )
-        self._channels[topic.name] = self._writer.register_channel(
-            topic.name, 'cdr', self._schemas[topic.type], topic.channel_metadata
-        )
-
-    def knows(self, topic: str) -> bool:
-        """Tell whether a topic was announced."""
-        return topic in self._channels
-
-    def write(
-        self, topic: str, data: bytes, log_time: int, publish_time: int, sequence: int
-    ) -> None:
-        """
-        Add one message on a topic that was announced.
-
-        :raises BagWriteError: the disk is full or the file cannot be written.
-        """
-        self._writer.add_message(
-            self._channels[topic], log_time, data, publish_time, sequence=sequence % 2**32
-        )
-        self.extent.add(log_time)
-
-    def attach(self, name: str, data: bytes, media_type: str, times: tuple[int, int]) -> None:
-        """Keep a file of another kind; errors as ``write``."""
-        self._writer.flush()
-        made, recorded = times
-        self._writer.add_attachment(made, recorded, name, media_type, data)
-
-    def note(self, name: str, values: Mapping[str, str]) -> None:
-        """Keep facts in a metadata record; errors as ``write``."""
-        self._writer.add_metadata(name, dict(values))
-
-    def flush(self) -> None:
-        """Write the present chunk; errors as ``write``."""
-        self._writer.flush()
-
-    def finish(self, information: str) -> None:
-        """
-        Write index and statistics, and close the file; errors as ``write``.
-
-        :param information: the contents of metadata.yaml.
-        """
-        if self._finished:
-            return
-        self._finished = True
-        try:
-            self._writer.flush()
-            self.note(SELF, {SELF_TEXT: information})
-            self._writer.finish()
-            self._writer = None  # its index takes memory
-        finally:
-            self._sink.close()
-
-    def discard(self) -> None:
-        """Remove the file."""
-        self._sink.discard()
+    name: str
+    sink: Sink
+    writer: Any  # of the ``mcap`` package; None: the file is whole
+    extent: Extent = field(default_factory=Extent)
+    channels: dict[str, int] = field(default_factory=dict)  # ids by topic
+    schemas: dict[str, int] = field(default_factory=dict)  # ids by type
+    finished: bool = False
 
 
 @dataclass(frozen=True)
@@ -206,13 +112,6 @@ class Limits:
 
     bytes: int = 0  # size of a file, without the present chunk and the index
     seconds: float = 0.0  # after the first message in the file
-
-    def reached(self, file: BagFile, log_time: int) -> bool:
-        """Tell whether a message of this time (ns) belongs into the next file."""
-        if file.extent.messages == 0:
-            return False
-        age = log_time - file.extent.first
-        return 0 < self.bytes <= file.bytes_written or 0 < self.seconds * 1e9 <= age
 
 
 NO_LIMITS = Limits()
@@ -227,37 +126,38 @@ class BagWriter:
     """
 
     def __init__(
-        self,
-        path: Path,
-        facts: Mapping[str, str] | None = None,
-        definitions: Definitions | None = None,
-        limits: Limits = NO_LIMITS,
+        self, path: Path, facts: Mapping[str, str] | None = None, limits: Limits = NO_LIMITS
     ) -> None:
         """
         Begin a bag.
 
         :param path: its directory; must not exist.
         :param facts: settings and versions, kept in the MCAP metadata record ``humanopts``.
-        :param definitions: where message definitions are found; None: AMENT_PREFIX_PATH.
         :param limits: when the next file is begun.
         :raises BagWriteError: the directory exists, or cannot be made.
         """
         self.path = Path(path)
+        self.topics: dict[str, Topic] = {}  # every topic that was added, with its message count
         self._facts = dict(facts or {})
-        self._definitions = definitions or Definitions()
         self._limits = limits
-        self._topics: dict[str, TopicEntry] = {}
         self._described = -1  # topics in metadata.yaml
         self._closed = False
-        self._make_directory()
-        self._file = self._begin_file(0)
-        self._files = [self._file]
+        try:
+            self.path.mkdir(parents=True)
+        except FileExistsError:
+            raise BagWriteError(
+                f'{self.path} exists already; name a folder that does not, or remove it'
+            ) from None
+        except OSError as error:
+            raise BagWriteError(f'cannot make {self.path}: {error.strerror}') from error
+        self._files: list[_File] = []
+        self._begin_file()
         self.flush()
 
     @property
     def bytes_written(self) -> int:
         """Size of the MCAP files."""
-        return sum(file.bytes_written for file in self._files)
+        return sum(file.sink.tell() for file in self._files)
 
     @property
     def n_files(self) -> int:
@@ -267,37 +167,35 @@ class BagWriter:
     @property
     def extent(self) -> Extent:
         """How much the files hold."""
-        whole = Extent()
-        for file in self._files:
-            whole.include(file.extent)
-        return whole
-
-    @property
-    def topics(self) -> list[TopicEntry]:
-        """Every topic that was added, with its message count."""
-        return list(self._topics.values())
+        return whole_extent(file.extent for file in self._files)
 
     def add_topic(
-        self, name: str, type_name: str, qos: Sequence[Qos] = (), type_hash: str = ''
+        self,
+        name: str,
+        type_name: str,
+        qos: Sequence[Mapping[str, Any]] = (),
+        type_hash: str = '',
+        schema: str | None = None,
     ) -> str:
         """
         Add a topic; one that was added already stays as it is.
 
         :param type_name: such as humanopts_interfaces/msg/GameState.
-        :param qos: the profiles that its publishers offer.
+        :param qos: the profiles that its publishers offer, keys as in rosbag2's metadata.
         :param type_hash: RIHS01_..., where it is known; kept for messages only.
-        :return: the schema of its messages.
+        :param schema: of its messages, ros2msg; None: that of the type installed here.
+        :return: the schema.
         :raises SchemaError: the type's definition is not installed here.
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        schema = self._definitions.schema(type_name)
-        if name in self._topics:
-            return schema
-        if '/msg/' not in type_name:
-            type_hash = ''  # rosbags 0.11 opens no bag with that of a service event or feedback
-        self._topics[name] = TopicEntry(name, type_name, tuple(qos), type_hash)
-        self._file.announce(self._topics[name], schema)
-        return schema
+        if name not in self.topics:
+            if '/msg/' not in type_name:
+                type_hash = ''  # rosbags 0.11 opens no bag with that of an event or feedback
+            profiles = dump([dict(profile) for profile in qos]) if qos else ''
+            schema = find_schema(type_name) if schema is None else schema
+            self.topics[name] = Topic(name, type_name, schema, profiles, type_hash)
+            self._channel(self.topics[name])
+        return self.topics[name].schema
 
     def write(
         self,
@@ -316,14 +214,15 @@ class BagWriter:
         :param sequence: its number; None: the next one of its topic.
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        if self._limits.reached(self._file, log_time):
+        if self._reached_limit(log_time):
             self._split()
-        entry, file = self._topics[topic], self._file
-        if not file.knows(topic):
-            file.announce(entry, self._definitions.schema(entry.type))
+        entry, file = self.topics[topic], self._files[-1]
         sent = log_time if publish_time is None else publish_time
         number = entry.messages + 1 if sequence is None else sequence
-        file.write(topic, data, log_time, sent, number)
+        file.writer.add_message(
+            self._channel(entry), log_time, data, sent, sequence=number % 2**32
+        )
+        file.extent.add(log_time)
         entry.messages += 1
 
     def attach(
@@ -339,8 +238,10 @@ class BagWriter:
         :param times: when the file was made and recorded, ns; None: that of the last message.
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        last = self.extent.last
-        self._file.attach(name, data, media_type, times or (last, last))
+        made, recorded = times or (self.extent.last, self.extent.last)
+        writer = self._files[-1].writer
+        writer.flush()
+        writer.add_attachment(made, recorded, name, media_type, data)
 
     def note(self, name: str, values: Mapping[str, str]) -> None:
         """
@@ -348,7 +249,7 @@ class BagWriter:
 
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        self._file.note(name, values)
+        self._files[-1].writer.add_metadata(name, dict(values))
 
     def flush(self) -> None:
         """
@@ -356,8 +257,8 @@ class BagWriter:
 
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        self._file.flush()
-        if self._described != len(self._topics):
+        self._files[-1].writer.flush()
+        if self._described != len(self.topics):
             self._describe(self._information())
 
     def close(self) -> None:
@@ -369,7 +270,7 @@ class BagWriter:
         if not self._closed:
             self._closed = True
             information = self._information()
-            self._file.finish(information)
+            _finish(self._files[-1], information)
             self._describe(information)
 
     def __enter__(self) -> 'BagWriter':
@@ -385,42 +286,67 @@ class BagWriter:
         """Close the bag."""
         self.close()
 
+    def _channel(self, topic: Topic) -> int:
+        """Return the id of a topic in the present file, which describes it from now on."""
+        file = self._files[-1]
+        if topic.name not in file.channels:
+            if topic.type not in file.schemas:
+                file.schemas[topic.type] = file.writer.register_schema(
+                    topic.type, 'ros2msg', topic.schema.encode()
+                )
+            metadata = {'offered_qos_profiles': topic.qos, 'topic_type_hash': topic.type_hash}
+            file.channels[topic.name] = file.writer.register_channel(
+                topic.name, 'cdr', file.schemas[topic.type], metadata
+            )
+        return file.channels[topic.name]
+
+    def _reached_limit(self, log_time: int) -> bool:
+        """Tell whether a message of this time (ns) belongs into the next file."""
+        file, limits = self._files[-1], self._limits
+        if file.extent.messages == 0:
+            return False
+        age = log_time - file.extent.first
+        return 0 < limits.bytes <= file.sink.tell() or 0 < limits.seconds * 1e9 <= age
+
     def _split(self) -> None:
         """Begin the next file and finish this one."""
-        file, self._file = self._file, self._begin_file(len(self._files))
-        self._files.append(self._file)
+        self._begin_file()
         information = self._information()
         try:
-            file.finish(information)
+            _finish(self._files[-2], information)
         except BagWriteError:
-            self._files.pop().discard()
-            self._file = file
+            self._files.pop().sink.discard()
             raise
         self._describe(information)  # on failure the new file stays: the old takes nothing more
 
-    def _make_directory(self) -> None:
+    def _begin_file(self) -> None:
+        """Begin a file, which gets its name when its head is on the disk: none is found empty."""
+        path = self.path / f'{self.path.resolve().name}_{len(self._files)}.mcap'
         try:
-            self.path.mkdir(parents=True)
-        except FileExistsError:
-            raise BagWriteError(
-                f'{self.path} exists already; name a folder that does not, or remove it'
-            ) from None
-        except OSError as error:
-            raise BagWriteError(f'cannot make {self.path}: {error.strerror}') from error
-
-    def _begin_file(self, number: int) -> BagFile:
-        name = f'{self.path.resolve().name}_{number}.mcap'
-        try:
-            return BagFile(self.path / name, self._facts)
+            sink = Sink(path.with_name(f'{path.name}.new'))
+            try:
+                writer: Any = Writer(
+                    sink,  # type: ignore[arg-type]
+                    chunk_size=CHUNK_BYTES,
+                    compression=CompressionType.ZSTD,
+                    enable_data_crcs=True,
+                )
+                writer.start(profile='ros2', library=LIBRARY)
+                writer.add_metadata(RECORD, self._facts)
+                sink.rename(path)
+            except OSError:
+                sink.discard()
+                raise
         except BagWriteError:
             raise
         except OSError as error:
             raise BagWriteError(f'cannot write in {self.path}: {error.strerror}') from error
+        self._files.append(_File(path.name, sink, writer))
 
     def _information(self) -> str:
         """Return the contents of metadata.yaml."""
         extents = {file.name: file.extent for file in self._files}
-        return dump(bag_information(extents, self.topics, self._facts))
+        return bag_information(extents, self.topics.values(), self._facts)
 
     def _describe(self, information: str) -> None:
         """Replace metadata.yaml atomically."""
@@ -432,4 +358,23 @@ class BagWriter:
             with suppress(OSError):
                 new.unlink()
             raise BagWriteError(f'cannot write in {self.path}: {error.strerror}') from error
-        self._described = len(self._topics)
+        self._described = len(self.topics)
+
+
+def _finish(file: _File, information: str) -> None:
+    """
+    Write the index and statistics of a file, and close it; only once.
+
+    :param information: the contents of metadata.yaml.
+    :raises BagWriteError: the disk is full or the file cannot be written.
+    """
+    if file.finished:
+        return
+    file.finished = True
+    try:
+        file.writer.flush()
+        file.writer.add_metadata(SELF, {SELF_TEXT: information})
+        file.writer.finish()
+        file.writer = None  # its index takes memory
+    finally:
+        file.sink.close()

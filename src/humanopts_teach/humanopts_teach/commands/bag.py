@@ -11,7 +11,7 @@ from typing import Protocol
 
 from humanopts_env.domains.base import StateError
 from humanopts_teach.bags.check import check_bag, repair
-from humanopts_teach.bags.contents import actors_in, read_domain, RecordedEpisodes
+from humanopts_teach.bags.contents import actors_in, find_episodes, read_domain
 from humanopts_teach.bags.errors import BagWriteError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import ignore_progress, open_bag
@@ -93,7 +93,7 @@ def play(path: Path, episode: int, speed: float) -> int:
     """
     with progress_bar() as show:
         bag = open_bag(path, show)
-        domain, episodes = read_domain(bag), RecordedEpisodes(bag)
+        domain, episodes = read_domain(bag), find_episodes(bag)
         bag.on_read = ignore_progress  # what follows is read quickly, while the screen is drawn
     if not 1 <= episode <= len(episodes):
         there = f'1 to {len(episodes)}' if episodes else 'none'

@@ -279,8 +279,13 @@ class Recorder(NodeBase):
             complete=self._complete,
             missing=self._ledger.missing,
             losses=[
-                StreamLoss(topic=topic, sender=sender, sent=stream.last, missing=stream.missing)
-                for topic, sender, stream in self._ledger
+                StreamLoss(
+                    topic=stream.topic,
+                    sender=stream.publisher,
+                    sent=stream.last,
+                    missing=stream.missing,
+                )
+                for stream in self._ledger
                 if stream.missing
             ],
             lag=self._pace.report(),

@@ -34,7 +34,7 @@ class Replay:
     def __init__(
         self,
         domain: Domain[Any],
-        episodes: Sequence[Episode],
+        episodes: Sequence[Callable[[], Episode]],
         actors_of: Callable[[Episode], Actors],
         place: int = 0,
         speed: float = 1.0,
@@ -42,7 +42,7 @@ class Replay:
         """
         Stand at the first step of an episode.
 
-        :param episodes: one or more, which may be read only when they are asked for.
+        :param episodes: one or more, each a function that reads it.
         :param actors_of: whose the commands in an episode were.
         :param place: of the episode, from 0.
         :param speed: 2 is twice as fast.
@@ -109,7 +109,7 @@ class Replay:
     def _begin(self, place: int) -> None:
         """Stand at the first step of an episode."""
         self._place, self._step = place, 0
-        self._episode = self._episodes[place]
+        self._episode = self._episodes[place]()
         self._actors = self._actors_of(self._episode)
 
     def _turn(self, by: int) -> None:
