@@ -19,7 +19,14 @@ from humanopts_learner.planning.action_sets import (
     HUMAN_AND_PRIMITIVE,
     PRIMITIVE,
 )
-from humanopts_learner.qlearning import best_rates, drawn_rates, learn, Method, option_table
+from humanopts_learner.qlearning import (
+    best_rates,
+    drawn_rates,
+    learn,
+    Method,
+    option_table,
+    Settings,
+)
 from humanopts_teach.report.figures import Drawing
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 import pandas as pd
@@ -109,9 +116,10 @@ def learn_curve(parameters: Mapping[str, Any]) -> dict[str, Any]:
         owner_seed(parameters, 'figure 4', purpose) for purpose in ('search', 'judging')
     )
     rates = drawn_rates(parameters['seed'], TRIED)
-    best = best_rates(domain, choices, rates, TRIALS, episodes, search, method, LIMIT)
+    settings = Settings(episodes, method, max_steps=LIMIT)
+    best = best_rates(domain, choices, rates, TRIALS, settings, search)
     learners = [best] * parameters['learners']
-    judged = learn(domain, choices, learners, episodes, judging, method, max_steps=LIMIT)
+    judged = learn(domain, choices, learners, settings, judging)
     return {
         'steps': judged.steps.mean(axis=0).tolist(),
         'learning_rate': best.learning_rate,

@@ -17,7 +17,7 @@ Intra-option learning ignores the step limits of options, which depend on more t
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -65,32 +65,27 @@ def option_table(
     """
     used = () if action_set == PRIMITIVE else tuple(options)
     check_action_set(action_set, [option.name for option in options])
-    count, going = domain.n_states, ~domain.over()
-    primitives = np.arange(len(domain.actions))
-    can = (
-        np.array([option.initiation for option in used], dtype=np.bool_).reshape(-1, count) & going
-    )
-    free = going & ~can.any(axis=0) if action_set in OPTIONS_ONLY else going
-    n_primitives = len(primitives) if free.any() else 0
-    shape = (n_primitives, count)
+    going = ~domain.over()
+    free = going
+    if action_set in OPTIONS_ONLY:
+        free = going & ~np.any([option.initiation for option in used], axis=0)
+    primitives = [
+        TabularOption(
+            name=PRIMITIVE_PREFIX + action.name,
+            max_steps=1,
+            action=np.full(len(free), index),
+            initiation=free,
+            termination=np.ones_like(free),
+        )
+        for index, action in enumerate(domain.actions)
+    ]
+    every = [*used, *primitives] if free.any() else used
     return OptionTable(
-        names=(
-            *(option.name for option in used),
-            *(PRIMITIVE_PREFIX + action.name for action in domain.actions[:n_primitives]),
-        ),
-        action=np.concatenate(
-            [
-                *(option.action[None] for option in used),
-                np.broadcast_to(primitives[:n_primitives, None], shape),
-            ]
-        ).astype(np.intp),
-        ends=np.concatenate(
-            [*(option.termination[None] for option in used), np.ones(shape, np.bool_)]
-        ),
-        available=np.concatenate([can, np.broadcast_to(free, shape)]).T.copy(),
-        limits=np.array(
-            [*(option.max_steps for option in used), *[1] * n_primitives], dtype=np.intp
-        ),
+        names=tuple(option.name for option in every),
+        action=np.array([option.action for option in every], dtype=np.intp),
+        ends=np.array([option.termination for option in every]),
+        available=(np.array([option.initiation for option in every]) & going).T.copy(),
+        limits=np.array([option.max_steps for option in every], dtype=np.intp),
     )
 
 
@@ -119,6 +114,16 @@ class Rates:
 
 
 @dataclass(frozen=True)
+class Settings:
+    """How long, and by which method, all learners learn."""
+
+    episodes: int
+    method: Method = Method.SMDP
+    gamma: float = 0.0  # discount per primitive step; 0: the domain's own
+    max_steps: int = 0  # after which an episode is cut off; 0: the domain's own limit
+
+
+@dataclass(frozen=True)
 class Learning:
     """Results of N learners in E episodes each."""
 
@@ -131,11 +136,8 @@ def learn(
     domain: EnumerableDomain[Any],
     options: OptionTable,
     rates: Sequence[Rates],
-    episodes: int,
+    settings: Settings,
     seed: int,
-    method: Method = Method.SMDP,
-    gamma: float | None = None,
-    max_steps: int = 0,
     progress: Progress | None = None,
 ) -> Learning:
     """
@@ -144,20 +146,18 @@ def learn(
     Where an episode is cut off, SMDP learning takes the running option as ended there.
 
     :param rates: of the N learners, which draw independently.
-    :param gamma: discount per primitive step; None: the domain's own.
-    :param max_steps: episodes are cut off after so many steps; 0: the domain's own limit.
     :raises PlanError: nothing limits the episodes, or there are no learners or no episodes.
     :raises PlanCanceled: from ``progress``.
     """
-    limit = max_steps or domain.max_steps
-    if limit < 1 or episodes < 1 or not rates:
+    limit = settings.max_steps or domain.max_steps
+    if limit < 1 or settings.episodes < 1 or not rates:
         raise PlanError(
-            f'cannot learn with {len(rates)} learners in {episodes} episodes of {limit} steps: '
-            'each must be 1 or more'
+            f'cannot learn with {len(rates)} learners in {settings.episodes} episodes of {limit} '
+            'steps: each must be 1 or more'
         )
-    rng = generator(seed, 'qlearning', method.value)
-    discount = domain.gamma if gamma is None else gamma
-    learners = _Learners(domain, options, rates, _Settings(episodes, method, discount, limit), rng)
+    in_force = replace(settings, gamma=settings.gamma or domain.gamma, max_steps=limit)
+    rng = generator(seed, 'qlearning', settings.method.value)
+    learners = _Learners(domain, options, rates, in_force, rng)
     rounds = 0
     while learners.live.size:
         learners.decide()
@@ -170,16 +170,6 @@ def learn(
     return learners.result
 
 
-@dataclass(frozen=True)
-class _Settings:
-    """How all learners learn."""
-
-    episodes: int
-    method: Method
-    gamma: float  # discount per primitive step
-    limit: int  # steps after which an episode is cut off
-
-
 class _Learners:
     """N learners, each in an episode of its own; ``live`` are those that go on."""
 
@@ -188,7 +178,7 @@ class _Learners:
         domain: EnumerableDomain[Any],
         options: OptionTable,
         rates: Sequence[Rates],
-        settings: _Settings,
+        settings: Settings,
         rng: np.random.Generator,
     ) -> None:
         self._simulator = TabularSimulator(domain.transitions(), domain.over())
@@ -256,7 +246,7 @@ class _Learners:
         self._gained[live] += self._discount[live] * reward
         self._discount[live] *= self._settings.gamma
         self._ran[live] += 1
-        cut: Flags = result.steps[at] >= self._settings.limit
+        cut: Flags = result.steps[at] >= self._settings.max_steps
         return cut
 
     def _best(self, live: Ints, state: Ints) -> Floats:
@@ -301,10 +291,8 @@ def best_rates(
     options: OptionTable,
     candidates: Sequence[Rates],
     runs: int,
-    episodes: int,
+    settings: Settings,
     seed: int,
-    method: Method = Method.SMDP,
-    max_steps: int = 0,
     progress: Progress | None = None,
 ) -> Rates:
     """
@@ -317,7 +305,7 @@ def best_rates(
     :raises PlanError: as ``learn``.
     """
     every = [rates for rates in candidates for _ in range(runs)]
-    learning = learn(domain, options, every, episodes, seed, method, None, max_steps, progress)
+    learning = learn(domain, options, every, settings, seed, progress)
     score = learning.steps.reshape(len(candidates), -1).mean(axis=1)
     return candidates[int(score.argmin())]
 

@@ -22,6 +22,7 @@ from humanopts_learner.qlearning import (
     Method,
     option_table,
     Rates,
+    Settings,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ MIXED = 'human+primitive'
 
 
 @dataclass(frozen=True)
-class TabularSimulator:
+class RandomWorld:
     """Random rules over a few states; what learning and planning ask of a domain."""
 
     seed: int
@@ -98,7 +99,7 @@ def learned(
 ) -> Learning:
     """Learn with the options of a random world."""
     choices = option_table(world, action_set, world.options())
-    return learn(world, choices, rates, episodes, seed, method)
+    return learn(world, choices, rates, Settings(episodes, method), seed)
 
 
 def taxi_options() -> list[TabularOption]:
@@ -112,7 +113,7 @@ def taxi_options() -> list[TabularOption]:
 @pytest.mark.parametrize('seed', range(2))
 def test_it_comes_to_the_values_of_planning(seed: int, action_set: str, method: Method) -> None:
     """Without chance and with everything tried often, a rate of 1 comes to them exactly."""
-    world = TabularSimulator(seed)
+    world = RandomWorld(seed)
     exact = planned(world, world.options(), action_set)
     values = learned(world, action_set, [WILD], 1000, method).values[0]
     known = ~np.isnan(exact)
@@ -122,7 +123,7 @@ def test_it_comes_to_the_values_of_planning(seed: int, action_set: str, method: 
 @pytest.mark.parametrize('method', Method)
 def test_with_chance_it_comes_to_the_values_of_planning_on_the_mean(method: Method) -> None:
     """Learners with a small rate, which is worth less than 5 % of the largest value."""
-    world = TabularSimulator(seed=1, outcomes=2)
+    world = RandomWorld(seed=1, outcomes=2)
     exact = planned(world, world.options())
     values = learned(world, MIXED, [Rates(0.05, 1.0)] * 40, 3000, method).values.mean(axis=0)
     known = ~np.isnan(exact)
@@ -131,7 +132,7 @@ def test_with_chance_it_comes_to_the_values_of_planning_on_the_mean(method: Meth
 
 def test_intra_option_learning_values_options_that_are_never_begun() -> None:
     """Option 2 can start in state 0 only; primitive steps that agree with it teach its value."""
-    world = TabularSimulator(seed=1)
+    world = RandomWorld(seed=1)
     everywhere = world.options()
     everywhere[2].initiation[:] = True
     exact = planned(world, world.options(), models=everywhere)[:-1, 2]
@@ -148,38 +149,37 @@ def test_hallway_options_need_fewer_steps_early_on() -> None:
     """Sutton, Precup and Singh (1999), figure 5: the first ten episodes, intervals apart."""
     rooms = Rooms('G1')
     options = [TabularOption.of_reference(o) for o in reference_options(rooms).values()]
-    early = [
-        Interval.of(
-            learn(rooms, option_table(rooms, s, options), [Rates()] * 20, 10, 0).steps.mean(axis=1)
-        )
+    some, none = (
+        learn(rooms, option_table(rooms, s, options), [Rates()] * 20, Settings(10), 0).steps
         for s in (MIXED, 'primitive')
-    ]
-    assert early[0].high < 0.8 * early[1].low
+    )
+    assert Interval.of(some.mean(axis=1)).high < 0.8 * Interval.of(none.mean(axis=1)).low
 
 
 def test_taxi_is_learned_at_once_with_the_options_that_people_taught() -> None:
     """Figure 4: with them every episode is about as short as the best; 13 steps on the mean."""
-    steps = {
-        s: learn(TAXI, option_table(TAXI, s, taxi_options()), [Rates()] * 10, 20, 0).steps.mean()
+    human, primitive = (
+        learn(TAXI, option_table(TAXI, s, taxi_options()), [Rates()] * 10, Settings(20), 0).steps
         for s in ('human', 'primitive')
-    }
-    assert steps['human'] < 16 < 150 < steps['primitive']
+    )
+    assert human.mean() < 16 < 150 < primitive.mean()
 
 
 def test_returns_are_the_sum_of_the_rewards() -> None:
     """A delivered passenger: 0 for the pickup, 1 for the delivery, -1 for all other steps."""
-    learning = learn(TAXI, option_table(TAXI, 'human', taxi_options()), [Rates()] * 3, 10, 0)
+    choices = option_table(TAXI, 'human', taxi_options())
+    learning = learn(TAXI, choices, [Rates()] * 3, Settings(10), 0)
     assert (learning.returns == 3 - learning.steps).all()
 
 
 def test_episodes_are_cut_off() -> None:
     choices = option_table(TAXI, 'primitive', ())
-    assert learn(TAXI, choices, [Rates()], 5, 0, max_steps=7).steps.max() == 7
-    assert learn(TAXI, choices, [Rates()], 3, 0).steps.max() <= 200
+    assert learn(TAXI, choices, [Rates()], Settings(5, max_steps=7), 0).steps.max() == 7
+    assert learn(TAXI, choices, [Rates()], Settings(3), 0).steps.max() <= 200
 
 
 def test_the_same_seed_learns_the_same() -> None:
-    world = TabularSimulator(0)
+    world = RandomWorld(0)
     first, again, other = (
         learned(world, MIXED, [Rates()] * 2, 20, Method.SMDP, seed) for seed in (5, 5, 6)
     )
@@ -193,18 +193,14 @@ def test_the_set_human_has_primitive_actions_where_no_option_can_start() -> None
     option, primitive = choices.available[:, 0], choices.available[:, 1:]
     assert (primitive.all(axis=1) == (~option & ~TAXI.over())).all()
     assert choices.names[:2] == (FETCH, 'action:south')
-    assert (
-        option_table(TabularSimulator(0), 'human', TabularSimulator(0).options())
-        .available[-1]
-        .sum()
-        == 0
-    )
+    world = RandomWorld(0)
+    assert not option_table(world, 'human', world.options()).available[-1].any()
 
 
 def test_the_search_finds_the_rates_that_learn_faster() -> None:
     slow, fast = Rates(0.1, 1.0), Rates(0.8, 0.02)
     choices = option_table(TAXI, 'human', taxi_options()[:1])
-    assert best_rates(TAXI, choices, [slow, fast], 4, 40, 0) is fast
+    assert best_rates(TAXI, choices, [slow, fast], 4, Settings(40), 0) is fast
 
 
 def test_rates_to_try_begin_with_the_usual_ones() -> None:
@@ -223,7 +219,7 @@ def test_progress_can_cancel() -> None:
             raise PlanCanceled
 
     with pytest.raises(PlanCanceled):
-        learn(TAXI, option_table(TAXI, 'primitive', ()), [Rates()], 20, 0, progress=note)
+        learn(TAXI, option_table(TAXI, 'primitive', ()), [Rates()], Settings(20), 0, note)
     assert told == sorted(told)
     assert told[-1] < 1.0
 
@@ -231,9 +227,9 @@ def test_progress_can_cancel() -> None:
 def test_requests_that_make_no_sense_are_refused() -> None:
     choices = option_table(TAXI, 'primitive', ())
     with pytest.raises(PlanError, match='0 episodes'):
-        learn(TAXI, choices, [Rates()], 0, 0)
+        learn(TAXI, choices, [Rates()], Settings(0), 0)
     with pytest.raises(PlanError, match='0 learners'):
-        learn(TAXI, choices, [], 1, 0)
+        learn(TAXI, choices, [], Settings(1), 0)
     with pytest.raises(PlanError, match='rate must be above 0'):
         Rates(0.0)
     with pytest.raises(NoOptionsError):

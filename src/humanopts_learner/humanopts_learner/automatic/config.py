@@ -1,8 +1,7 @@
 """The parameters of the search for options, each with its source."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-import math
+from dataclasses import dataclass, fields
 
 from humanopts_learner.planning.errors import PlanError
 
@@ -37,21 +36,12 @@ class Extraction:
 
         :raises PlanError: one is out of range.
         """
-        counts = (
-            'options',
-            'tasks',
-            'train_episodes',
-            'test_runs',
-            'option_episodes',
-            'max_steps',
-        )
-        for name in counts:
-            if getattr(self, name) < 1:
-                raise PlanError(f'{name} is {getattr(self, name)}, and must be 1 or more')
-        for name in ('learning_rate', 'explore', 'gamma'):
-            value = getattr(self, name)
-            if not 0.0 <= value <= 1.0 or math.isnan(value):
-                raise PlanError(f'{name} is {value}, and must be from 0 to 1')
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.type is int and value < 1:
+                raise PlanError(f'{field.name} is {value}, and must be 1 or more')
+            if field.type is float and not 0.0 <= value <= 1.0:
+                raise PlanError(f'{field.name} is {value}, and must be from 0 to 1')
 
 
 USUAL = Extraction()

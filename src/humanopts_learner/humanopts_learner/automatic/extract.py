@@ -1,6 +1,6 @@
 """Finding options without a person: tasks, visits, bottlenecks and internal policies."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 import time
 from typing import Any
@@ -79,105 +79,73 @@ def find_options(
     :raises PlanCanceled: from ``progress``.
     """
     space, report = search_space(domain), progress or ignore_progress
-    began = clock()
-    work = _Extraction(space, seed, config, report)
-    visits, solved = work.visit()
-    bottlenecks = find_bottlenecks(visits, config.options)
-    options = work.learn(bottlenecks, domain.max_steps or config.max_steps)
+    began, game_steps = clock(), 0
+    simulator = TabularSimulator(space.transitions, space.over)
+    check_tables(simulator, config.tasks)
+
+    def learn(stage: str, subgoals: Subgoals, episodes: int, rng: np.random.Generator) -> Values:
+        nonlocal game_steps
+        before = game_steps
+        values, steps = learn_to_reach(
+            simulator,
+            subgoals,
+            episodes,
+            config,
+            rng,
+            lambda done, so_far: report(stage, done, before + so_far),
+        )
+        game_steps += steps
+        report(stage, 1.0, game_steps)
+        return values
+
+    rng = generator(seed, 'automatic_options', 'tasks')
+    tasks = draw_tasks(space, config.tasks, rng)
+    values = learn('tasks', tasks, config.train_episodes, rng)
+    learner = np.repeat(np.arange(config.tasks), config.test_runs)
+    start = tasks.draw(learner, rng)
+    run, state, steps = greedy_runs(
+        simulator, values, tasks, learner, start, config.max_steps, rng
+    )
+    game_steps += steps
+    if not run.size:
+        raise PlanError(
+            f'not one of {config.tasks} tasks was learned in {config.train_episodes} episodes '
+            'each: give more'
+        )
+    visits = Visits(space, run, state)
+
+    found = [b for b in find_bottlenecks(visits, config.options) if b.initiation.any()]
+    if not found:
+        raise PlanError('no bottleneck has an initiation set: give more tasks')
+    rng = generator(seed, 'automatic_options', 'policies')
+    initiation = np.array([bottleneck.initiation for bottleneck in found])
+    target = np.array([bottleneck.target for bottleneck in found])
+    starts, counts = np.nonzero(initiation)[1], initiation.sum(axis=1)
+    subgoals = Subgoals(starts, counts, target, ~(initiation | target))
+    values = learn('policies', subgoals, config.option_episodes, rng)
+    owner = np.repeat(np.arange(len(found)), counts)
+    reached, _, _ = greedy_runs(simulator, values, subgoals, owner, starts, config.max_steps, rng)
+    reaches = np.bincount(owner[np.unique(reached)], minlength=len(found)) / counts
     return AutomaticOptions(
-        options=tuple(options),
+        options=tuple(
+            AutomaticOption(
+                name=bottleneck.name,
+                max_steps=domain.max_steps or config.max_steps,
+                action=table.argmax(axis=1),
+                initiation=bottleneck.initiation,
+                termination=~bottleneck.initiation,
+                target=bottleneck,
+                reaches=share,
+            )
+            for bottleneck, table, share in zip(found, values, reaches.tolist(), strict=True)
+        ),
         space=space,
         visits=visits.counts.sum(axis=0),
         seconds=clock() - began,
-        game_steps=work.game_steps,
-        episodes=work.episodes,
-        solved=solved,
+        game_steps=game_steps,
+        episodes=config.tasks * config.train_episodes + len(found) * config.option_episodes,
+        solved=len(np.unique(run)) / len(learner),
     )
-
-
-class _Extraction:
-    """One search for options."""
-
-    def __init__(
-        self, space: SearchSpace, seed: int, config: Extraction, report: Progress
-    ) -> None:
-        self._space, self._seed, self._config, self._report = space, seed, config, report
-        self._simulator = TabularSimulator(space.transitions, space.over)
-        self.game_steps, self.episodes = 0, 0
-
-    def visit(self) -> tuple[Visits, float]:
-        """Learn random tasks; return the visits of greedy runs, and the share that succeeded."""
-        config, rng = self._config, generator(self._seed, 'automatic_options', 'tasks')
-        check_tables(self._simulator, config.tasks)
-        subgoals = draw_tasks(self._space, config.tasks, rng)
-        values = self._learn('tasks', subgoals, config.train_episodes, rng)
-        learner = np.repeat(np.arange(config.tasks), config.test_runs)
-        start = subgoals.draw(learner, rng)
-        run, state, steps = greedy_runs(
-            self._simulator, values, subgoals, learner, start, config.max_steps, rng
-        )
-        self.game_steps += steps
-        if not run.size:
-            raise PlanError(
-                f'not one of {config.tasks} tasks was learned in {config.train_episodes} episodes '
-                'each: give more'
-            )
-        return Visits(self._space, run, state), len(np.unique(run)) / len(learner)
-
-    def learn(self, targets: Sequence[Bottleneck], max_steps: int) -> list[AutomaticOption]:
-        """Learn the internal policies, each with reward 1 at its target."""
-        targets = [target for target in targets if target.initiation.any()]
-        if not targets:
-            raise PlanError('no bottleneck has an initiation set: give more tasks')
-        rng = generator(self._seed, 'automatic_options', 'policies')
-        initiation = np.array([target.initiation for target in targets])
-        target = np.array([target.target for target in targets])
-        starts = np.nonzero(initiation)[1]
-        subgoals = Subgoals(starts, initiation.sum(axis=1), target, ~(initiation | target))
-        values = self._learn('policies', subgoals, self._config.option_episodes, rng)
-        reaches = self._reaches(values, subgoals, rng)
-        return [
-            AutomaticOption(
-                name=found.name,
-                max_steps=max_steps,
-                action=table.argmax(axis=1),
-                initiation=found.initiation,
-                termination=~found.initiation,
-                target=found,
-                reaches=share,
-            )
-            for found, table, share in zip(targets, values, reaches)
-        ]
-
-    def _learn(
-        self, stage: str, subgoals: Subgoals, episodes: int, rng: np.random.Generator
-    ) -> Values:
-        before = self.game_steps
-        values, steps = learn_to_reach(
-            self._simulator,
-            subgoals,
-            episodes,
-            self._config,
-            rng,
-            lambda done, so_far: self._report(stage, done, before + so_far),
-        )
-        self.game_steps += steps
-        self.episodes += episodes * len(subgoals.counts)
-        self._report(stage, 1.0, self.game_steps)
-        return values
-
-    def _reaches(
-        self, values: Values, subgoals: Subgoals, rng: np.random.Generator
-    ) -> list[float]:
-        """Return each learner's share of starts from which its greedy run reaches the target."""
-        owner = np.repeat(np.arange(len(subgoals.counts)), subgoals.counts)
-        limit = self._config.max_steps
-        run, _, _ = greedy_runs(
-            self._simulator, values, subgoals, owner, subgoals.starts, limit, rng
-        )
-        came = np.bincount(owner[np.unique(run)], minlength=len(subgoals.counts))
-        shares: list[float] = (came / subgoals.counts).tolist()
-        return shares
 
 
 def to_learned_options(

@@ -82,56 +82,6 @@ def _regions(space: SearchSpace) -> Ints:
     return region
 
 
-class _Learners:
-    """L learners, each in an episode of its own; ``live`` marks the unfinished ones."""
-
-    def __init__(
-        self,
-        simulator: TabularSimulator,
-        subgoals: Subgoals,
-        episodes: int,
-        config: Extraction,
-        rng: np.random.Generator,
-    ) -> None:
-        self._simulator, self._subgoals, self._config, self._rng = simulator, subgoals, config, rng
-        self._episodes, count = episodes, len(subgoals.counts)
-        self.live = np.arange(count)
-        self.values = np.zeros(
-            (count, *simulator.transitions.successor.shape[:2]), dtype=np.float32
-        )
-        self._state = subgoals.draw(self.live, rng)
-        self._ran = np.zeros(count, dtype=np.intp)  # steps of this episode
-        self._episode = np.zeros(count, dtype=np.intp)
-
-    @property
-    def done(self) -> float:
-        """Share of the episodes that are over."""
-        return float(self._episode.mean()) / self._episodes
-
-    def step(self) -> None:
-        """Take a step in every unfinished episode, and learn from it."""
-        live, subgoals, config = self.live, self._subgoals, self._config
-        state = self._state[live]
-        explore = self._rng.random((len(live), 1)) < config.explore
-        action = draw_among(explore | _best(self.values[live, state]), self._rng)
-        drawn = self._simulator.draw(self._rng, len(live))
-        there, _, over = self._simulator.step(state, action, drawn)
-        hit = subgoals.target[live, there]
-        ended = hit | subgoals.forbidden[live, there] | over
-        goal = np.where(ended, hit, config.gamma * self.values[live, there].max(axis=1))
-        at = live, state, action
-        self.values[at] += config.learning_rate * (goal - self.values[at])
-        self._state[live] = there
-        self._ran[live] += 1
-        self._begin_again(live[ended | (self._ran[live] >= config.max_steps)])
-
-    def _begin_again(self, ended: Ints) -> None:
-        self._episode[ended] += 1
-        self._ran[ended] = 0
-        self._state[ended] = self._subgoals.draw(ended, self._rng)
-        self.live = self.live[self._episode[self.live] < self._episodes]
-
-
 def check_tables(simulator: TabularSimulator, learners: int) -> None:
     """
     Check that the tables of so many learners can be held.
@@ -163,16 +113,35 @@ def learn_to_reach(
     :return: values (L, S, A), and the steps taken.
     :raises PlanError: the tables would not fit in memory.
     """
-    check_tables(simulator, len(subgoals.counts))
-    learners = _Learners(simulator, subgoals, episodes, config, rng)
+    count = len(subgoals.counts)
+    check_tables(simulator, count)
+    values = np.zeros((count, *simulator.transitions.successor.shape[:2]), dtype=np.float32)
+    live = np.arange(count)
+    state = subgoals.draw(live, rng)
+    ran, episode = np.zeros((2, count), dtype=np.intp)  # steps of this episode; episodes so far
     rounds, game_steps = 0, 0
-    while learners.live.size:
-        game_steps += learners.live.size
-        learners.step()
+    while live.size:
+        here = state[live]
+        explore = rng.random((len(live), 1)) < config.explore
+        action = draw_among(explore | _best(values[live, here]), rng)
+        there, _, over = simulator.step(here, action, simulator.draw(rng, len(live)))
+        hit = subgoals.target[live, there]
+        ended = hit | subgoals.forbidden[live, there] | over
+        goal = np.where(ended, hit, config.gamma * values[live, there].max(axis=1))
+        at = live, here, action
+        values[at] += config.learning_rate * (goal - values[at])
+        state[live] = there
+        ran[live] += 1
+        game_steps += live.size
+        finished = live[ended | (ran[live] >= config.max_steps)]
+        episode[finished] += 1
+        ran[finished] = 0
+        state[finished] = subgoals.draw(finished, rng)
+        live = live[episode[live] < episodes]
         rounds += 1
         if rounds % REPORT_EVERY == 0:
-            report(learners.done, game_steps)
-    return learners.values, game_steps
+            report(float(episode.mean()) / episodes, game_steps)
+    return values, game_steps
 
 
 def greedy_runs(
