@@ -1,10 +1,11 @@
-"""A base class for enumerable domains, which are written as the rules of single states."""
+"""Base classes of enumerable domains: by tables, or by the rules of single states."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from functools import cached_property
-from typing import TypeVar
+from typing import Generic, TypeVar
 
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import (
     Action,
     BoardSlice,
@@ -20,7 +21,6 @@ from humanopts_env.domains.tabular import (
     outcome_limits,
     reachable,
     read_only,
-    SharedTables,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +28,11 @@ from numpy.typing import NDArray
 S = TypeVar('S', bound=Hashable)
 
 
-class TableDomain(SharedTables[S]):
+class SharedTables(ABC, Generic[S]):
     """
-    An ``EnumerableDomain`` of up to some 100,000 states.
+    The methods of an ``EnumerableDomain`` that read its tables.
 
-    A subclass sets the attributes of ``Domain``, passes its states to ``__init__`` and writes the
-    abstract methods; all tables are built from these, each when it is first used.
+    A subclass has each table as a ``cached_property`` whose arrays are read-only.
     """
 
     name: str
@@ -43,6 +42,109 @@ class TableDomain(SharedTables[S]):
     gamma: float
     max_steps: int
     glyph_styles: Mapping[str, str] = {}
+
+    @abstractmethod
+    def index(self, state: S) -> int:
+        """Return the state's index, 0..n_states-1."""
+
+    @abstractmethod
+    def state_at(self, index: int) -> S:
+        """Return the state of an index."""
+
+    @abstractmethod
+    def encode(self, state: S) -> str:
+        """Return the state in the domain's notation, one line; different for every state."""
+
+    @property
+    @abstractmethod
+    def _transitions(self) -> Transitions: ...
+
+    @property
+    @abstractmethod
+    def _feature_table(self) -> NDArray[np.int32]: ...
+
+    @property
+    @abstractmethod
+    def _start_states(self) -> NDArray[np.int32]: ...
+
+    @property
+    @abstractmethod
+    def _over(self) -> Flags: ...
+
+    @property
+    @abstractmethod
+    def _open(self) -> Ints:
+        """Indices of the states that an episode can pass through, never over."""
+
+    def transitions(self) -> Transitions:
+        """Return the exact transitions; built once, then shared and read-only."""
+        return self._transitions
+
+    def feature_table(self) -> NDArray[np.int32]:
+        """Return (S, F): ``feature_values`` of every state; shared and read-only."""
+        return self._feature_table
+
+    def start_states(self) -> NDArray[np.int32]:
+        """Return the indices that ``reset`` draws from, uniformly."""
+        return self._start_states
+
+    def over(self) -> Flags:
+        """Return (S,): ``is_over`` of every state; shared and read-only."""
+        return self._over
+
+    def feature_values(self, state: S) -> NDArray[np.int32]:
+        """Return the value of every feature, (F,), indices into ``Feature.values``."""
+        values: NDArray[np.int32] = self.feature_table()[self.index(state)]
+        return values
+
+    def reset(self, rng: np.random.Generator) -> S:
+        """Draw a start state of the task."""
+        return self.state_at(int(rng.choice(self.start_states())))
+
+    def step(self, state: S, action: int, rng: np.random.Generator) -> Outcome[S]:
+        """
+        Take one primitive action.
+
+        :raises DomainError: the action is not in the domain, or the episode is over in ``state``.
+        """
+        if not 0 <= action < len(self.actions):
+            raise DomainError(
+                f'{self.name} has no action {action}; it has 0 to {len(self.actions) - 1}'
+            )
+        number, table = self.index(state), self.transitions()
+        if self.over()[number]:
+            raise DomainError(f'the task is over in {self.encode(state)!r}: no step can be taken')
+        chosen = 0
+        if not table.deterministic:
+            chosen = int(draw_outcomes(self._limits, number, action, rng.random()))
+        at = number, action, chosen
+        successor = self.state_at(int(table.successor[at]))
+        return Outcome(successor, float(table.reward[at]), bool(table.terminated[at]))
+
+    def can_follow(self, state: S, action: int, successor: S) -> bool:
+        """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
+        number, table = self.index(state), self.transitions()
+        if self.over()[number] or not 0 <= action < len(self.actions):
+            return False
+        possible = table.probability[number, action] > 0
+        return self.index(successor) in table.successor[number, action][possible]
+
+    def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
+        """Draw states uniformly from those that an episode can pass through, never over."""
+        return [self.state_at(int(number)) for number in rng.choice(self._open, count)]
+
+    @cached_property
+    def _limits(self) -> Floats:
+        return outcome_limits(self.transitions())
+
+
+class TableDomain(SharedTables[S]):
+    """
+    An ``EnumerableDomain`` of up to some 100,000 states.
+
+    A subclass sets the attributes of ``Domain``, passes its states to ``__init__`` and writes the
+    abstract methods; all tables are built from these, each when it is first used.
+    """
 
     def __init__(self, states: Sequence[S]) -> None:
         """
@@ -73,10 +175,6 @@ class TableDomain(SharedTables[S]):
     @abstractmethod
     def values_of(self, state: S) -> Sequence[int]:
         """Return the value of every feature, indices into ``Feature.values``."""
-
-    @abstractmethod
-    def encode(self, state: S) -> str:
-        """Return the state in the domain's notation, one line; different for every state."""
 
     @abstractmethod
     def render(self, state: S, shown: Collection[str] | None = None) -> str:
@@ -123,38 +221,6 @@ class TableDomain(SharedTables[S]):
             raise StateError(f'{text!r} is not a state of {self.name}; one reads {example!r}')
         return self._states[self._texts[text]]
 
-    def step(self, state: S, action: int, rng: np.random.Generator) -> Outcome[S]:
-        """
-        Take one primitive action.
-
-        :raises DomainError: the action is not in the domain, or the episode is over in ``state``.
-        """
-        if not 0 <= action < len(self.actions):
-            raise DomainError(
-                f'{self.name} has no action {action}; it has 0 to {len(self.actions) - 1}'
-            )
-        number, table = self.index(state), self.transitions()
-        if self.over()[number]:
-            raise DomainError(f'the task is over in {self.encode(state)!r}: no step can be taken')
-        chosen = 0
-        if not table.deterministic:
-            chosen = int(draw_outcomes(self._limits, number, action, rng.random()))
-        at = number, action, chosen
-        successor = self._states[table.successor[at]]
-        return Outcome(successor, float(table.reward[at]), bool(table.terminated[at]))
-
-    def can_follow(self, state: S, action: int, successor: S) -> bool:
-        """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
-        number, table = self.index(state), self.transitions()
-        if self.over()[number] or not 0 <= action < len(self.actions):
-            return False
-        possible = table.probability[number, action] > 0
-        return self.index(successor) in table.successor[number, action][possible]
-
-    def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
-        """Draw states uniformly from those that an episode can pass through, never over."""
-        return [self._states[int(number)] for number in rng.choice(self._open, count)]
-
     def board_slices(self) -> list[BoardSlice]:
         """Return a few layouts for figures of values and policies: none."""
         return []
@@ -171,7 +237,8 @@ class TableDomain(SharedTables[S]):
     def _texts(self) -> dict[str, int]:
         return {self.encode(state): number for number, state in enumerate(self._states)}
 
-    def _build_transitions(self) -> Transitions:
+    @cached_property
+    def _transitions(self) -> Transitions:
         pairs = [
             list(self.outcomes(state, action))
             for state in self._states
@@ -193,19 +260,18 @@ class TableDomain(SharedTables[S]):
         )
 
     @cached_property
-    def _limits(self) -> NDArray[np.float64]:
-        return outcome_limits(self.transitions())
-
-    def _build_feature_table(self) -> NDArray[np.int32]:
-        return np.array([self.values_of(s) for s in self._states], dtype=np.int32)
-
-    def _build_start_states(self) -> NDArray[np.int32]:
-        begins = [self.can_begin(state) for state in self._states]
-        return np.flatnonzero(begins).astype(np.int32)
-
-    def _build_over(self) -> NDArray[np.bool_]:
-        return np.array([self.is_over(s) for s in self._states], dtype=np.bool_)
+    def _feature_table(self) -> NDArray[np.int32]:
+        return read_only(np.array([self.values_of(s) for s in self._states], dtype=np.int32))
 
     @cached_property
-    def _open(self) -> NDArray[np.intp]:
+    def _start_states(self) -> NDArray[np.int32]:
+        begins = [self.can_begin(state) for state in self._states]
+        return read_only(np.flatnonzero(begins).astype(np.int32))
+
+    @cached_property
+    def _over(self) -> Flags:
+        return read_only(np.array([self.is_over(s) for s in self._states], dtype=np.bool_))
+
+    @cached_property
+    def _open(self) -> Ints:
         return np.flatnonzero(reachable(self) & ~self.over())

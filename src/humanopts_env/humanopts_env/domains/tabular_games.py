@@ -6,7 +6,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.capabilities import Abstraction
-from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
+from humanopts_env.domains.tabular import TabularSimulator
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,8 +24,8 @@ class TabularGames:
         self._listed = domain
 
     @cached_property
-    def _limits(self) -> NDArray[np.float64]:
-        return outcome_limits(self._listed.transitions())
+    def _simulator(self) -> TabularSimulator:
+        return TabularSimulator(self._listed.transitions(), self._listed.over())
 
     def batch_reset(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
         """Begin games."""
@@ -67,12 +67,9 @@ class TabularGames:
         self, batch: NDArray[np.int64], actions: NDArray[np.intp], numbers: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         live = ~self.batch_over(batch)
-        outcome = draw_outcomes(self._limits, batch[0], actions, numbers)
-        at = batch[0], actions, outcome
-        rules = self._listed.transitions()
-        reward: NDArray[np.float64] = np.where(live, rules.reward[at], 0.0)
-        batch[0] = np.where(live, rules.successor[at], batch[0])
-        return reward
+        there, reward, _ = self._simulator.step(batch[0], actions, numbers)
+        batch[0] = np.where(live, there, batch[0])
+        return np.where(live, reward, 0.0)
 
     def batch_over(self, batch: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return (N,): whether each game is over."""

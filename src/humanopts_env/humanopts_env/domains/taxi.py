@@ -8,22 +8,24 @@ of Gymnasium's Taxi; the rewards are those of Subramanian, Isbell and Thomaz (20
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 import re
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import (
     Action,
     BoardSlice,
     DomainError,
     Feature,
     FeatureKind,
-    Outcome,
     Parameter,
     StateError,
     Transitions,
 )
 from humanopts_env.domains.capabilities import TeachingDefaults
 from humanopts_env.domains.search_space import plain_cell_name, SearchSpace, space_by_features
-from humanopts_env.domains.tabular import read_only, SharedTables
+from humanopts_env.domains.table_domain import SharedTables
+from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
 
@@ -320,30 +322,9 @@ class Taxi(SharedTables[TaxiState]):
         """Number of states, reachable or not."""
         return self.rows * self.cols * 20
 
-    def step(self, state: TaxiState, action: int, rng: np.random.Generator) -> Outcome[TaxiState]:
-        """
-        Take one primitive action; the outcome is deterministic.
-
-        :raises DomainError: the action is not in the domain, or the passenger was delivered.
-        """
-        if not 0 <= action < len(ACTIONS):
-            raise DomainError(f'taxi has no action {action}; it has 0 to {len(ACTIONS) - 1}')
-        if self.is_over(state):
-            raise DomainError('the passenger was delivered, so no step can be taken')
-        table, at = self.transitions(), (self.index(state), action, 0)
-        successor = self.state_at(int(table.successor[at]))
-        return Outcome(successor, float(table.reward[at]), bool(table.terminated[at]))
-
     def is_over(self, state: TaxiState) -> bool:
         """Return whether the passenger is at the destination."""
         return state.passenger == state.destination
-
-    def can_follow(self, state: TaxiState, action: int, successor: TaxiState) -> bool:
-        """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
-        if self.is_over(state) or not 0 <= action < len(ACTIONS):
-            return False
-        found = self.transitions().successor[self.index(state), action, 0]
-        return int(found) == self.index(successor)
 
     def encode(self, state: TaxiState) -> str:
         """Return the state as one line, such as ``taxi 2,3 passenger R destination B``."""
@@ -370,11 +351,6 @@ class Taxi(SharedTables[TaxiState]):
         if self.encode(state) != text:
             raise StateError(f'{text!r} is not written as {self.encode(state)!r}')
         return state
-
-    def sample_states(self, rng: np.random.Generator, count: int) -> list[TaxiState]:
-        """Draw states uniformly from those that an episode can pass through, never over."""
-        open_states = np.flatnonzero(~self.over())
-        return [self.state_at(int(index)) for index in rng.choice(open_states, count)]
 
     def render(self, state: TaxiState, shown: Collection[str] | None = None) -> str:
         """
@@ -439,17 +415,25 @@ class Taxi(SharedTables[TaxiState]):
             cell_name=name,
         )
 
-    def _build_over(self) -> NDArray[np.bool_]:
+    @cached_property
+    def _over(self) -> Flags:
         _, passenger, destination = state_parts(self.rows, self.cols)
-        over: NDArray[np.bool_] = passenger == destination
-        return over
+        over: Flags = passenger == destination
+        return read_only(over)
 
-    def _build_start_states(self) -> NDArray[np.int32]:
+    @cached_property
+    def _open(self) -> Ints:
+        return np.flatnonzero(~self.over())
+
+    @cached_property
+    def _start_states(self) -> NDArray[np.int32]:
         _, passenger, _ = state_parts(self.rows, self.cols)
-        return np.flatnonzero(~self.over() & (passenger != ABOARD)).astype(np.int32)
+        return read_only(np.flatnonzero(~self.over() & (passenger != ABOARD)).astype(np.int32))
 
-    def _build_transitions(self) -> Transitions:
+    @cached_property
+    def _transitions(self) -> Transitions:
         return transition_table(self.rows, self.cols)
 
-    def _build_feature_table(self) -> NDArray[np.int32]:
+    @cached_property
+    def _feature_table(self) -> NDArray[np.int32]:
         return feature_table(self.rows, self.cols)
