@@ -1,10 +1,8 @@
 """Rooms by what the paper and its figure say, and by numbers known by hand."""
 
 from collections import Counter
-from typing import Any
 
-from humanopts_env.contract import DomainContract
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.rooms import ACTIONS, Rooms, RoomsState
 from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
@@ -13,22 +11,6 @@ import pytest
 
 ROOMS = Rooms()
 UP, DOWN, LEFT, RIGHT = range(4)
-
-
-class TestRooms(DomainContract):
-    """The goal in a doorway."""
-
-    def make(self) -> Domain[Any]:
-        """Return the rooms of the first experiments."""
-        return Rooms()
-
-
-class TestRoomsWithTheGoalInARoom(DomainContract):
-    """The goal in a cell of a room."""
-
-    def make(self) -> Domain[Any]:
-        """Return the rooms of the other experiments."""
-        return Rooms('G2')
 
 
 def count_of(feature: str) -> dict[str, int]:
