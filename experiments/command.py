@@ -13,7 +13,7 @@ from humanopts_teach.bags.errors import BagError
 from humanopts_teach.commands.ending import CommandError
 from humanopts_teach.commands.options import PLAIN, SeveralValues, whole
 from humanopts_teach.evaluation.summary import SummaryError
-from humanopts_teach.report.words import counted, duration
+from humanopts_teach.report.pages import counted, duration
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 import typer

@@ -20,7 +20,7 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.evaluation.summary import accuracies
+from humanopts_teach.evaluation.measures import accuracies
 from humanopts_teach.lesson.in_process import SECONDS, teach
 from humanopts_teach.lesson.start_states import LessonRules
 from humanopts_teach.report.figures import Drawing

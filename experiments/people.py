@@ -34,7 +34,7 @@ from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.bag_evaluation import FACTS
-from humanopts_teach.evaluation.summary import settings_from_facts
+from humanopts_teach.evaluation.measures import settings_from_facts
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
 from humanopts_teach.lesson.start_states import LessonRules

@@ -9,8 +9,8 @@ from typing import Any
 
 from humanopts_teach.evaluation.summary import write_text
 from humanopts_teach.report.figures import Drawing, drawing, file_settings
-from humanopts_teach.report.pages import template
-from humanopts_teach.report.words import Finding, number, percent
+from humanopts_teach.report.pages import Finding, number
+from humanopts_teach.report.pages import render as render_page
 from markupsafe import Markup
 import matplotlib
 from matplotlib.axes import Axes
@@ -23,6 +23,7 @@ from experiments.paper import Statement
 from experiments.people import Participant, Study
 
 PAGE = 'report.html'
+TITLE = 'The paper\N{RIGHT SINGLE QUOTATION MARK}s figures and tables, reproduced'
 DPI = 160
 OURS = 'goal of this project'
 
@@ -233,12 +234,12 @@ def render(data: Reproduction) -> str:
         'study': data.study,
         'bags': list(dict.fromkeys(lesson.bag for lesson in data.study.bags)),
         'findings': findings + [Finding(False, f'Not computed: {x}') for x in data.missing],
-        'svg': _svg_for_page,
+        'title': TITLE,
+        'svg_of': _svg_for_page,
         'written': _written,
-        'percent': percent,
         'provenance': data.provenance,
     }
-    return template('experiments', 'page.html').render(values)
+    return render_page('experiments', 'page.html', values)
 
 
 def _written(value: Any) -> str:

@@ -67,7 +67,7 @@ def test_bag_eval_plans_too_and_says_nothing_against_it(
 
 def test_the_report_shows_an_episode_by_its_runs_and_no_board_of_values(demo: DemoRun) -> None:
     report = (demo.folder / 'report.html').read_text('utf-8')
-    assert 'id="film"' in report
+    assert 'id="episode"' in report
     assert 'id="planning"' in report
     assert 'id="boards"' not in report
     assert 'id="games"' not in report

@@ -58,13 +58,13 @@ def test_report_needs_nothing_from_outside(report: str) -> None:
 
 
 def test_report_holds_all_its_figures(demo: DemoRun, report: str) -> None:
-    learning, boards, planning, film = (
-        report.index(f'<h2 id="{part}">') for part in ('learning', 'boards', 'planning', 'film')
+    learning, boards, planning, episode = (
+        report.index(f'<h2 id="{part}">') for part in ('learning', 'boards', 'planning', 'episode')
     )
     assert report[learning:boards].count('<svg') >= 4  # two options
     assert report[boards:planning].count('<svg') >= 4  # two plans, two layouts
-    assert report[planning:film].count('<svg') >= 2  # time and return
-    frames = report[film:].count('<li class=')
+    assert report[planning:episode].count('<svg') >= 2  # time and return
+    frames = report[episode:].count('<li class=')
     assert frames == len(list(read_episodes(open_bag(demo.bag)))[-1].transitions)
 
 

@@ -1,4 +1,4 @@
-"""What a bag says: demonstrations, domain, episodes, numbers, and the film of a game."""
+"""What a bag says: demonstrations, domain, episodes, numbers, and the last episode of a game."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, MOST_NOTES
 from humanopts_teach.bags.sequence_numbers import MOST_GAPS, read_stamp, Stamp, Stream
-from humanopts_teach.report.data import bag_parts
+from humanopts_teach.report.recording import read_last_episode
 from hypothesis import given, strategies
 import pytest
 from rclpy.serialization import serialize_message
@@ -150,7 +150,7 @@ def test_a_stream_counts_like_a_set(numbers: list[int]) -> None:
     assert stream.missing == len(gaps)
 
 
-def test_the_film_is_of_the_last_game_even_where_two_count_alike(
+def test_the_last_episode_is_of_the_last_game_even_where_two_count_alike(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
     refused = OptionResult(option_name='unknown', status=OptionResult.STATUS_UNKNOWN_OPTION)
@@ -161,13 +161,15 @@ def test_the_film_is_of_the_last_game_even_where_two_count_alike(
         entries += [(f'/{where}/game_state', state) for state in states]
         run = OptionResult(option_name=where, episode=1, step_count=len(actions), terminated=True)
         entries.append((f'/{where}/option_results', run))
-    frames = bag_parts(write_messages(tmp_path / 'bag', entries)).frames
+    frames = read_last_episode(write_messages(tmp_path / 'bag', entries))
     assert [frame.action for frame in frames] == ['', 'south', 'south', 'west']
     assert [frame.option for frame in frames] == ['', 'right', 'right', 'right']
     assert [frame.ends_run for frame in frames] == [False, False, False, True]
 
 
-def test_the_film_of_modules_tells_which_of_them_acted(tmp_path: Path, taxi: Domain[Any]) -> None:
+def test_the_last_episode_of_modules_tells_which_of_them_acted(
+    tmp_path: Path, taxi: Domain[Any]
+) -> None:
     states = [
         transition_to_message(transition) for transition in play(taxi, ['south', 'west', 'west'])
     ]
@@ -182,7 +184,7 @@ def test_the_film_of_modules_tells_which_of_them_acted(tmp_path: Path, taxi: Dom
         entries.append(('/action', command))
     run = OptionResult(episode=1, step_count=3, terminated=True, execution='modular_mass')
     entries.append(('/option_results', run))
-    frames = bag_parts(write_messages(tmp_path / 'bag', entries)).frames
+    frames = read_last_episode(write_messages(tmp_path / 'bag', entries))
     assert [frame.option for frame in frames] == ['', 'down', 'left', 'action:west']
     assert [frame.ends_run for frame in frames] == [False, False, False, True]
 

@@ -8,7 +8,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_teach.evaluation.bag_evaluation import evaluate
 from humanopts_teach.evaluation.difference import compare, Difference, difference_text, Lesson
-from humanopts_teach.evaluation.summary import Settings
+from humanopts_teach.evaluation.measures import Settings
 import pytest
 
 

@@ -1,7 +1,7 @@
 """Every option learned again, from demonstrations and from bags, and nothing else is used."""
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import asdict, replace
 import json
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from humanopts_teach.evaluation.bag_evaluation import (
     evaluate_bag,
     EvaluationError,
 )
-from humanopts_teach.evaluation.summary import option_block, Settings, settings_from_facts
+from humanopts_teach.evaluation.measures import option_block, Settings, settings_from_facts
 from humanopts_teach.evaluation.text import evaluation_text
 import pytest
 from rclpy.serialization import serialize_message
@@ -41,7 +41,7 @@ FACTS = {
     'budget': '40',
     'teacher_error_rate': '0.0',
 }
-RECORDED = Settings(5, Thresholds(0.75, 0.05, 0.1), 'random', 40, 0.0)  # these
+RECORDED = Settings(5, 'random', Thresholds(0.75, 0.05, 0.1), 0.0, 40)  # these
 Lesson = list[Demonstration]
 
 
@@ -105,14 +105,10 @@ def test_what_was_taken_back_is_as_if_it_had_never_been_shown(
 
 def test_the_learning_curve_ends_at_the_options_block(evaluation: BagEvaluation) -> None:
     for option in evaluation.options:
-        last = option.curve[-1]
-        assert last.n_demonstrations == option.block.n_demonstrations
-        assert last.policy_accuracy == option.block.policy_accuracy
-        assert last.criteria_met == option.block.criteria_met
-        assert {c.name: c.value for c in last.criteria}['initiation'] == (
-            option.block.cv_error_initiation
-        )
-        counts = [point.n_demonstrations + point.n_not_here for point in option.curve]
+        point, block = option.to_dict()['learning_curve'][-1], asdict(option.last.block)
+        assert {name: point[name] for name in block if name in point}.items() <= block.items()
+        assert point['criteria']['initiation']['value'] == block['cv_error_initiation']
+        counts = [p.option.n_demonstrations + p.option.n_not_here for p in option.curve]
         assert counts == list(range(counts[0], counts[-1] + 1))
 
 
@@ -132,11 +128,11 @@ def test_people_are_evaluated_apart(taxi: Domain[Any], taxi_lesson: Lesson) -> N
     ]
     both = evaluate([*taxi_lesson, *other], taxi, SETTINGS)
     assert [option.participant for option in both.options] == ['p1', 'p1', 'p2', 'p2']
-    assert both.plan_names == ('human by p1', 'human by p2', 'primitive')
+    assert tuple(both.named_plans) == ('human by p1', 'human by p2', 'primitive')
 
 
 def test_progress_ends_at_its_total(taxi: Domain[Any], taxi_lesson: Lesson) -> None:
-    told: list[tuple[int, int]] = []
+    told: list[tuple[float, float]] = []
     evaluate(taxi_lesson, taxi, SETTINGS, (), lambda done, total, _: told.append((done, total)))
     assert told[-1][0] == told[-1][1]
     assert [done for done, _ in told] == sorted(done for done, _ in told)
@@ -188,7 +184,7 @@ def test_a_fact_that_makes_no_sense_is_replaced_and_named(name: str, text: str) 
 
 def files_of(evaluation: BagEvaluation, lesson: Lesson) -> dict[tuple[str, str], dict[str, Any]]:
     """Return the option files of a lesson."""
-    options = [each.option for each in evaluation.options]
+    options = [each.last.option for each in evaluation.options]
     shown = {demo.uuid: demo for demo in lesson}
     return {
         (o.participant, o.name): json.loads(option_to_json(o, [shown[u] for u in o.uuids]))
@@ -199,7 +195,7 @@ def files_of(evaluation: BagEvaluation, lesson: Lesson) -> dict[tuple[str, str],
 def test_options_learned_again_are_compared_with_their_files(
     taxi_lesson: Lesson, evaluation: BagEvaluation
 ) -> None:
-    files, options = files_of(evaluation, taxi_lesson), [e.option for e in evaluation.options]
+    files, options = files_of(evaluation, taxi_lesson), [e.last.option for e in evaluation.options]
     first, second = files
     assert compare_options(files, options, taxi_lesson) == ({first: True, second: True}, [])
     files[first]['policy']['nodes'][0]['counts'][0] += 1e-9
@@ -282,9 +278,10 @@ def test_the_status_message_gives_the_same_block_as_the_bag(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson
 ) -> None:
     for option in evaluate_bag(record_lesson(tmp_path / 'bag', taxi, taxi_lesson)).options:
-        status = status_to_message(option.option, option.judgement)
-        reference = reference_options(taxi)[option.block.name]
-        assert option_block(option.option, status, taxi, reference) == option.block
+        last = option.last
+        status = status_to_message(last.option, last.judgement)
+        reference = reference_options(taxi)[last.block.name]
+        assert option_block(last.option, status, taxi, reference) == last.block
 
 
 def test_a_bag_without_facts_is_evaluated_with_defaults_and_says_so(

@@ -15,15 +15,14 @@ from humanopts_learner.planning.sampled.plan import make_sampled_plan
 from humanopts_teach.evaluation.comparison import (
     Baseline,
     baselines_of,
-    Budgets,
     carried_over,
     compare,
     ComparisonRow,
+    CurveLimits,
     HEURISTIC,
     PLAN,
     planning_curve,
     RANDOM,
-    seconds_to_reach,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -115,32 +114,26 @@ def test_a_plan_is_judged_as_when_it_is_made_alone(
 def test_a_curve_has_the_same_score_for_the_same_budget(
     domain: PacMan, options: list[Toward], rows: list[ComparisonRow]
 ) -> None:
-    budgets = Budgets(STEPS // 2, STEPS)
-    curve = planning_curve(domain, HUMAN, options, 1e9, SEED, budgets, GAMES)
-    assert [row.budget_steps for row in curve] == [STEPS // 2, STEPS]
-    assert curve[-1].score == rows[0].score
+    plan, limits = Baseline('planned', PLAN, HUMAN, options), CurveLimits(STEPS // 2, STEPS)
+    curve = planning_curve(domain, plan, limits, SEED, GAMES)
+    assert [row.budget_steps for row in curve.rows] == [STEPS // 2, STEPS]
+    assert curve.rows[-1].score == rows[0].score
 
 
 def test_a_curve_ends_where_the_target_is_reached_and_shows_where_it_is_not(
     domain: PacMan, options: list[Toward]
 ) -> None:
     """Budgets are doubled; there are not so many points to be had."""
-    budgets = Budgets(STEPS, 2 * STEPS)
-    rows = planning_curve(domain, HUMAN, options, 1e9, SEED, budgets, GAMES)
-    assert [row.budget_steps for row in rows] == [STEPS, 2 * STEPS]
-    assert seconds_to_reach(rows, 1e9) is None
-    rows = planning_curve(domain, HUMAN, options, -1e9, SEED, budgets, GAMES)
-    assert [row.budget_steps for row in rows] == [STEPS]
-    assert seconds_to_reach(rows, -1e9) == rows[0].seconds > 0.0
-
-
-def test_a_curve_ends_when_planning_took_long_enough(
-    domain: PacMan, options: list[Toward]
-) -> None:
-    curve = planning_curve(
-        domain, HUMAN, options, 1e9, SEED, Budgets(STEPS, 8 * STEPS), GAMES, enough_seconds=1e-9
-    )
-    assert [row.budget_steps for row in curve] == [STEPS]
+    plan = Baseline('planned', PLAN, HUMAN, options)
+    limits = CurveLimits(STEPS, 2 * STEPS, target=1e9)
+    curve = planning_curve(domain, plan, limits, SEED, GAMES)
+    assert [row.budget_steps for row in curve.rows] == [STEPS, 2 * STEPS]
+    assert curve.seconds_to_reach(1e9) is None
+    curve = planning_curve(domain, plan, replace(limits, target=-1e9), SEED, GAMES)
+    assert [row.budget_steps for row in curve.rows] == [STEPS]
+    assert curve.seconds_to_reach(-1e9) == curve.rows[0].seconds > 0.0
+    limits = replace(limits, enough_seconds=1e-9)
+    assert len(planning_curve(domain, plan, limits, SEED, GAMES).rows) == 1
 
 
 def test_a_rule_is_that_of_the_baselines(domain: PacMan, rows: list[ComparisonRow]) -> None:
@@ -160,23 +153,29 @@ def test_options_play_better_than_random_moves(rows: list[ComparisonRow]) -> Non
 def test_the_same_seed_gives_the_same_rows(
     domain: PacMan, baselines: list[Baseline], rows: list[ComparisonRow]
 ) -> None:
-    again = compare(domain, baselines, SEED, GAMES, clock=lambda: 0.0)
-    assert again == [replace(row, seconds=None if row.seconds is None else 0.0) for row in rows]
+    again = compare(domain, baselines, SEED, GAMES)
+    assert [replace(row, seconds=None) for row in again] == [
+        replace(row, seconds=None) for row in rows
+    ]
 
 
 def test_progress_rises_over_all_and_can_cancel(domain: PacMan, baselines: list[Baseline]) -> None:
     told: list[tuple[str, float]] = []
-    compare(domain, baselines[:2], 1, 2, progress=lambda name, share: told.append((name, share)))
+
+    def report(done: float, total: float, text: str) -> None:
+        told.append((text, done / total))
+
+    compare(domain, baselines[:2], 1, 2, report)
     shares = [share for _, share in told]
     assert shares == sorted(shares)
     assert {name for name, _ in told} == {'planned', 'moves'}
     assert 0.0 <= shares[0] <= shares[-1] <= 1.0
 
-    def stop(name: str, share: float) -> None:
+    def stop(done: float, total: float, text: str) -> None:
         raise PlanCanceled
 
     with pytest.raises(PlanCanceled):
-        compare(domain, baselines, 1, 2, progress=stop)
+        compare(domain, baselines, 1, 2, stop)
 
 
 def test_only_a_domain_with_a_rule_plays_by_it(domain: PacMan) -> None:

@@ -1,6 +1,6 @@
-"""The numbers of a lesson: one function for live and offline, and summary.json."""
+"""The numbers of a lesson: one function for live and offline, and how they differ."""
 
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 import json
 import math
 from pathlib import Path
@@ -13,15 +13,12 @@ from humanopts_learner.demonstrations import Demonstration, group_by_option
 from humanopts_learner.options.criteria import judge, Judgement, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
+from humanopts_teach.evaluation.bag_evaluation import evaluate
+from humanopts_teach.evaluation.measures import option_block, OptionBlock, Settings
 from humanopts_teach.evaluation.summary import (
-    BagFacts,
     differences,
     Execution,
-    option_block,
-    OptionBlock,
-    PlanningRow,
-    Settings,
-    Summary,
+    Live,
     SummaryError,
     write_json,
 )
@@ -59,7 +56,6 @@ def test_a_message_and_the_judgement_it_carried_give_the_same_block(
     reference = reference_options(taxi)[option.name]
     offline = option_block(option, judgement, taxi, reference)
     assert option_block(option, as_message(judgement), taxi, reference) == offline
-    assert set(offline.to_dict()) == KEYS
 
 
 def test_what_cannot_be_measured_is_null_and_never_nan(
@@ -67,7 +63,7 @@ def test_what_cannot_be_measured_is_null_and_never_nan(
 ) -> None:
     option, judgement = learn(taxi, taxi_lesson, 1)
     block = option_block(option, as_message(judgement), taxi)
-    values = json.loads(json.dumps(block.to_dict(), allow_nan=False))
+    values = json.loads(json.dumps(asdict(block), allow_nan=False))
     unknown = {name for name, value in values.items() if value is None}
     assert unknown == {name for name in KEYS if name.startswith(('cv_', 'policy_', 'classif'))}
 
@@ -83,85 +79,40 @@ def test_accuracies_are_measured_where_states_cannot_be_listed(
     assert block.classification_accuracy_termination == 1.0
 
 
-def test_a_block_is_the_same_after_a_round_through_json(
+def test_a_difference_names_what_differs_and_both_values(
     taxi: Domain[Any], taxi_lesson: list[Demonstration]
 ) -> None:
-    block = option_block(*learn(taxi, taxi_lesson), taxi)
-    assert OptionBlock.from_dict(json.loads(json.dumps(block.to_dict()))) == block
+    offline = evaluate(taxi_lesson, taxi, Settings(seed=3))
+    block, other = offline.blocks
+    human, primitive = offline.planning
+    live = Live(offline.blocks, offline.planning, Execution(1, 1, 0, -10.0))
+    assert differences(live, offline) == []
+
+    changed = replace(block, mean_return_policy=-1.25)
+    was = f'mean_return_policy of {block.name!r} was -1.25 live'
+    found = differences(replace(live, options=(changed, other)), offline)
+    assert found == [f'{was} and is {block.mean_return_policy!r} offline']
+    for shown, why in (
+        ((block,), f'{other.name!r} is in the bag but was not learned live'),
+        ((block, other, replace(other, name='x')), "'x' was learned live but is not in the bag"),
+        ((block, other, other), f"'{other.name} (2)' was learned live but is not in the bag"),
+    ):
+        assert differences(replace(live, options=shown), offline) == [why]
+
+    slower = replace(human, model_seconds=human.model_seconds + 1.0)
+    assert differences(replace(live, planning=(slower, primitive)), offline) == []
+    more = replace(human, sweeps=human.sweeps + 1)
+    (plan,) = differences(replace(live, planning=(more, primitive)), offline)
+    assert plan.startswith('sweeps of the human plan was')
+    (gone,) = differences(live, replace(offline, plans=offline.plans[:1]))
+    assert gone == 'the plan with primitive actions cannot be made from the bag'
 
 
-def test_differences_name_the_option_the_measure_and_both_values(
-    taxi: Domain[Any], taxi_lesson: list[Demonstration]
-) -> None:
-    block = option_block(*learn(taxi, taxi_lesson), taxi)
-    other = replace(block, mean_return_policy=-1.25)
-    was = f'mean_return_policy of {block.name!r} was {block.mean_return_policy!r} live'
-    assert differences([block], [other]) == [f'{was} and is -1.25 offline']
-    assert differences([block], [block]) == []
-    assert 'not in the bag' in differences([block], [])[0]
-    assert 'not learned live' in differences([], [block])[0]
-    assert len(differences([block, block], [block])) == 1
-
-
-ROW = PlanningRow('human', 0.99, 0.1, 0.2, 0.3, 7, 1e-9, True, -10.5, None)
-SUMMARY = Summary(
-    domain='taxi',
-    settings=Settings(seed=4, thresholds=Thresholds(1.5, 0.05, 0.1), teacher_error_rate=0.02),
-    options=(),
-    planning=(ROW,),
-    execution=Execution(100, 100, 0, -10.5),
-    bag=BagFacts('bag', 1234, 30),
-    offline=(),
-)
-
-
-def test_the_summary_has_the_agreed_form() -> None:
-    assert SUMMARY.to_dict() == {
-        'domain': 'taxi',
-        'seed': 4,
-        'options': [],
-        'teaching': {
-            'strategy': 'failures',
-            'thresholds': {
-                'return_delta': 1.5,
-                'initiation_error': 0.05,
-                'termination_error': 0.1,
-            },
-            'teacher_error_rate': 0.02,
-            'budget': 150,
-        },
-        'planning': [
-            {
-                'action_set': 'human',
-                'gamma': 0.99,
-                'table_seconds': 0.1,
-                'model_seconds': 0.2,
-                'sweep_seconds': 0.3,
-                'sweeps': 7,
-                'residual': 1e-9,
-                'converged': True,
-                'mean_return': -10.5,
-                'mean_discounted_return': None,
-                'game_steps': 0,
-                'episodes': 0,
-                'mean_return_low': None,
-                'mean_return_high': None,
-                'fallbacks': None,
-                'outcomes': {},
-            }
-        ],
-        'execution': {'episodes': 100, 'successes': 100, 'fallbacks': 0, 'mean_return': -10.5},
-        'bag': {'path': 'bag', 'messages': 1234, 'topics': 30},
-        'offline': {'options': [], 'planning': []},
-        'games': None,
-    }
-
-
-def test_a_written_summary_reads_back_equal_and_leaves_nothing_else(tmp_path: Path) -> None:
-    path = tmp_path / 'summary.json'
+def test_a_written_file_reads_back_equal_and_leaves_nothing_else(tmp_path: Path) -> None:
+    path, values = tmp_path / 'summary.json', {'mean return': -10.5, 'games': None}
     path.write_text('old')
-    write_json(path, SUMMARY.to_dict())
-    assert json.loads(path.read_text()) == SUMMARY.to_dict()
+    write_json(path, values)
+    assert json.loads(path.read_text()) == values
     assert list(tmp_path.iterdir()) == [path]
 
 

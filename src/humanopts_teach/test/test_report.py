@@ -11,16 +11,17 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.planning.plan import Plan
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
-from humanopts_teach.evaluation.summary import BagFacts, Execution, Settings, Summary, SummaryError
-from humanopts_teach.report import sweeps as sweeps_module
-from humanopts_teach.report.boards import read_board
-from humanopts_teach.report.charts import learning_curves
-from humanopts_teach.report.data import Frame, ReportData, TopicRow
-from humanopts_teach.report.film import board_html, filmstrip, MINUS
+from humanopts_teach.evaluation.measures import Settings
+from humanopts_teach.evaluation.summary import Execution, Live, SummaryError
+from humanopts_teach.report import charts
+from humanopts_teach.report.boards import board_of
+from humanopts_teach.report.charts import learning_curves, sweep_report
+from humanopts_teach.report.episode import board_html, episode_strip
+from humanopts_teach.report.findings import findings
+from humanopts_teach.report.pages import counted, DASH, MINUS, number, percent
+from humanopts_teach.report.recording import Frame, TopicRow
 from humanopts_teach.report.rules import option_rules
-from humanopts_teach.report.sweeps import sweep_report
-from humanopts_teach.report.words import counted, DASH, findings, number, percent
-from humanopts_teach.report.write import render_report, write_evaluation_report, write_report
+from humanopts_teach.report.write import render_report, ReportData, write_evaluation_report
 import numpy as np
 import pytest
 
@@ -45,17 +46,8 @@ def evaluation(taxi: Domain[Any], taxi_lesson: list[Demonstration]) -> BagEvalua
 @pytest.fixture(scope='module')
 def data(evaluation: BagEvaluation) -> ReportData:
     """Everything that a report can show."""
-    summary = Summary(
-        'taxi',
-        SETTINGS,
-        evaluation.blocks,
-        evaluation.planning,
-        Execution(100, 100, 0, -11.375),
-        BagFacts('demo/bag', 4338, 2),
-        evaluation.blocks,
-        evaluation.planning,
-    )
-    return ReportData('Taxi, taught', evaluation, summary, FRAMES, TOPICS, {'Python': '3.11'})
+    live = Live(evaluation.blocks, evaluation.planning, Execution(100, 100, 0, -11.375))
+    return ReportData('Taxi, taught', evaluation, live, FRAMES, TOPICS, {'bag': 'demo/bag'})
 
 
 @pytest.fixture(scope='module')
@@ -105,7 +97,7 @@ def test_the_same_data_makes_the_same_page(data: ReportData, page: str) -> None:
 
 def test_every_criterion_is_drawn_with_its_own_threshold(evaluation: BagEvaluation) -> None:
     option = evaluation.options[0]
-    figures = learning_curves(option.curve, 'curve', option.block.name)
+    figures = learning_curves(option.curve, 'curve', option.last.block.name)
     assert len(figures) == 4
     for figure, threshold in zip(figures, ('2.25', '0.0625', '0.125')):
         assert f'met at or below {threshold}' in figure
@@ -115,12 +107,14 @@ def test_every_criterion_is_drawn_with_its_own_threshold(evaluation: BagEvaluati
 def test_an_option_that_nothing_is_known_of_is_drawn_without_accuracy(
     evaluation: BagEvaluation,
 ) -> None:
-    point = replace(
-        evaluation.options[0].curve[0],
+    first = evaluation.options[0].curve[0]
+    unknown = replace(
+        first.block,
         policy_accuracy=None,
         classification_accuracy_initiation=None,
         classification_accuracy_termination=None,
     )
+    point = replace(first, block=unknown)
     figures = learning_curves([point], 'curve', 'x')
     assert len(figures) == 3
     assert all('not yet measurable' in figure for figure in figures)
@@ -130,7 +124,7 @@ def test_an_option_that_nothing_is_known_of_is_drawn_without_accuracy(
 def test_walls_and_moves_are_those_of_dietterichs_grid(taxi: Domain[Any]) -> None:
     assert is_enumerable(taxi)
     for layout in taxi.board_slices():
-        board = read_board(taxi, layout)
+        board = board_of(taxi.transitions(), layout)
         east = {(int(r), int(c)) for r, c in np.argwhere(board.walls[0]) if c < 4}
         assert east == {(0, 1), (1, 1), (3, 0), (4, 0), (3, 2), (4, 2)}
         assert not board.walls[1][:4].any()
@@ -142,22 +136,20 @@ def test_numbers_on_the_page_are_those_of_the_data(data: ReportData, page: str) 
     assert f'{MINUS}11.38' in page  # the mean return of the execution
     assert '4,321' in page
     assert 'demo/bag' in page
-    assert all(option.block.name in page for option in data.evaluation.options)
+    assert all(block.name in page for block in data.evaluation.blocks)
     assert 'return at most 2.25 reward units short' in page
 
 
 def test_the_words_say_what_was_lost_and_what_differs(data: ReportData) -> None:
-    assert data.summary is not None
-    block = replace(data.summary.options[0], n_demonstrations=999)
-    summary = replace(data.summary, options=(block, *data.summary.options[1:]))
+    assert data.live is not None
+    block = replace(data.live.options[0], n_demonstrations=999)
+    live = replace(data.live, options=(block, *data.live.options[1:]))
     lost = replace(TOPICS[0], lost=3)
-    texts = {
-        finding.text: finding.good
-        for finding in findings(replace(data, summary=summary, topics=(lost,)))
-    }
+    texts = {finding.text: finding.good for finding in findings(data.evaluation, live, [lost])}
     assert texts['3 messages lost, on /game_state.'] is False
     assert any('999' in text and good is False for text, good in texts.items())
-    good = [finding.text for finding in findings(data) if finding.good]
+    found = findings(data.evaluation, data.live, TOPICS)
+    good = [finding.text for finding in found if finding.good]
     assert any(text.startswith('No message was lost: 4,321') for text in good)
     assert any('equals the live one' in text for text in good)
 
@@ -165,7 +157,7 @@ def test_the_words_say_what_was_lost_and_what_differs(data: ReportData) -> None:
 def test_rules_say_when_an_option_starts_and_ends(
     taxi: Domain[Any], evaluation: BagEvaluation
 ) -> None:
-    initiation, termination, policy = option_rules(evaluation.options[0].option, taxi)
+    initiation, termination, policy = option_rules(evaluation.options[0].last.option, taxi)
     assert 'passenger in taxi is yes: may not start' in initiation.text
     assert 'passenger in taxi is no: goes on' in termination.text
     assert termination.depth == 1
@@ -198,21 +190,21 @@ def test_plans_of_a_large_domain_are_not_made_again(
     evaluation: BagEvaluation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plans = {p.plan.action_set: p.plan for p in evaluation.plans if isinstance(p.plan, Plan)}
-    monkeypatch.setattr(sweeps_module, 'MOST_VALUES', 499)
+    monkeypatch.setattr(charts, 'MOST_VALUES', 499)
     assert sweep_report(plans, 'sweeps') is None
     assert sweep_report({}, 'sweeps') is None
 
 
-def test_the_film_shows_what_ran_and_only_the_board(taxi: Domain[Any]) -> None:
-    film = filmstrip(taxi, FRAMES).frames
-    assert [(f.action, f.reward) for f in film] == [
+def test_the_strip_shows_what_ran_and_only_the_board(taxi: Domain[Any]) -> None:
+    pictures = episode_strip(taxi, FRAMES).pictures
+    assert [(picture.action, picture.reward) for picture in pictures] == [
         ('', ''),
         ('west', f'{MINUS}1'),
         ('pickup', '0'),
     ]
-    assert [f.colour for f in film] == ['', 'o0', 'o0']
-    assert 'landmarks' not in film[0].board
-    assert '<b class="g3">' in film[0].board
+    assert [picture.colour for picture in pictures] == ['', 'o0', 'o0']
+    assert 'landmarks' not in pictures[0].board
+    assert '<b class="g3">' in pictures[0].board
 
 
 def test_what_a_board_shows_is_escaped() -> None:
@@ -232,7 +224,7 @@ def test_a_report_of_a_bag_alone_has_no_live_numbers(
     write_evaluation_report(path, evaluation)
     page = path.read_text('utf-8')
     assert '<th class="n">live</th>' not in page
-    assert 'id="film"' not in page
+    assert 'id="episode"' not in page
     assert 'id="recording"' not in page
     assert 'id="boards"' in page
 
@@ -243,8 +235,8 @@ def test_a_report_says_whether_options_equal_their_files(
 ) -> None:
     first, second = evaluation.options
     options = (replace(first, reproduced=equal), second)
-    data = ReportData('Taxi', replace(evaluation, options=options))
-    page, found = render_report(data), [finding.text for finding in findings(data)]
+    told = replace(evaluation, options=options)
+    page, found = render_report(ReportData('Taxi', told)), [f.text for f in findings(told)]
     assert page.count('Learned again, it is') == (equal is not None)
     assert ('>equal to its option file in the bag, to the last digit<' in page) is (equal is True)
     assert ('>NOT equal to its option file in the bag<' in page) is (equal is False)
@@ -252,10 +244,10 @@ def test_a_report_says_whether_options_equal_their_files(
 
 
 def test_a_report_that_cannot_be_written_is_an_error_with_its_path(
-    data: ReportData, tmp_path: Path
+    evaluation: BagEvaluation, tmp_path: Path
 ) -> None:
     with pytest.raises(SummaryError, match='gone'):
-        write_report(tmp_path / 'gone' / 'report.html', data)
+        write_evaluation_report(tmp_path / 'gone' / 'report.html', evaluation)
 
 
 @pytest.mark.parametrize(

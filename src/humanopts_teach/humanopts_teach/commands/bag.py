@@ -28,7 +28,7 @@ _LONGEST_WAIT = 0.2  # s, until a window of another size is seen
 class ProgressCallback(Protocol):
     """Shows how far work is."""
 
-    def __call__(self, done: int, total: int, text: str = 'reading') -> None:
+    def __call__(self, done: float, total: float, text: str = 'reading') -> None:
         """Show how much is done, of how much, and what is under way."""
         ...
 
@@ -41,7 +41,7 @@ def progress_bar() -> Iterator[ProgressCallback]:
         task = progress.add_task('reading', total=None)
         shown, due = '', 0.0
 
-        def show(done: int, total: int, text: str = 'reading') -> None:
+        def show(done: float, total: float, text: str = 'reading') -> None:
             nonlocal shown, due
             if text != shown or time.monotonic() >= due:
                 shown, due = text, time.monotonic() + _PERIOD

@@ -22,7 +22,6 @@ from humanopts_teach.evaluation.bag_evaluation import (
 from humanopts_teach.evaluation.difference import compare, difference_text, read_lesson
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.evaluation.text import evaluation_text
-from humanopts_teach.report.data import bag_parts
 from humanopts_teach.report.write import write_evaluation_report
 
 
@@ -49,11 +48,10 @@ def evaluate(paths: Sequence[Path], html: Path | None, games: int, *, as_json: b
     if html:
         with progress_bar() as show:
             bags[0].on_read = partial(show, text='reading for the report')
-            parts = bag_parts(bags[0])
-        try:
-            write_evaluation_report(html, found[0], parts.frames, parts.topics)
-        except (StateError, SummaryError) as error:
-            raise CommandError(f'no report: {error}') from error
+            try:
+                write_evaluation_report(html, found[0], bags[0])
+            except (StateError, SummaryError) as error:
+                raise CommandError(f'no report: {error}') from error
         print(f'report: {html}', file=sys.stderr)
     return 0
 
@@ -92,9 +90,7 @@ def _check_report(path: Path, bags: int) -> None:
 def _evaluated(bag: Bag, games: int, show: ProgressCallback) -> BagEvaluation:
     evaluation = evaluate_bag(bag, show)
     if games:
-        evaluation = with_games(
-            evaluation, games, lambda text, share: show(round(1000 * share), 1000, text)
-        )
+        evaluation = with_games(evaluation, games, show)
     return evaluation
 
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import sys
-from typing import Any
 
 from humanopts_env.domains.base import DomainError, is_enumerable
 from humanopts_env.domains.capabilities import HasTeachingDefaults
@@ -29,28 +28,23 @@ from humanopts_teach.commands.session import (
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate_bag,
-    EvaluationError,
     judged_by,
     with_games,
 )
+from humanopts_teach.evaluation.measures import option_block, row_of_result
 from humanopts_teach.evaluation.summary import (
-    BagFacts,
     differences,
     Execution,
-    option_block,
-    OptionBlock,
-    plan_differences,
-    PlanningRow,
-    row_of_result,
-    Summary,
+    Live,
+    summary,
     SummaryError,
     write_json,
 )
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import Setup
-from humanopts_teach.report.data import bag_parts, ReportData, TopicRow
-from humanopts_teach.report.write import write_report
+from humanopts_teach.report.recording import TopicRow
+from humanopts_teach.report.write import write_evaluation_report
 
 EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
 _WATCHED = 0.02  # s between steps of the machine, in a terminal
@@ -64,15 +58,6 @@ class Amounts:
     episodes: int  # live, by running options
     judged: int  # episodes that plans are judged by
     games: int  # that each way to play is compared in; 0: no comparison
-
-
-@dataclass(frozen=True)
-class Live:
-    """What was seen while the graph ran."""
-
-    options: tuple[OptionBlock, ...]
-    planning: tuple[PlanningRow, ...]
-    execution: Execution
 
 
 def run_demo(
@@ -101,18 +86,25 @@ def run_demo(
         with session(setup, launch.namespace, progress) as running:
             live = _teach_plan_play(running, setup, amounts, progress)
         bag, evaluation = _evaluate(setup, amounts, progress)
-        summary = _summarise(setup, live, evaluation, bag)
         progress.stage('writing the report')
-        parts = bag_parts(bag)
-        title = f'{setup.domain}: taught, planned, played'
-        data = ReportData(title, evaluation, summary, parts.frames, parts.topics)
+        holds = {
+            'path': str(setup.bag.relative_to(setup.directory)),
+            'messages': bag.n_messages,
+            'topics': len(bag.topics),
+        }
         try:
-            write_json(setup.directory / 'summary.json', summary.to_dict())
-            write_report(setup.directory / 'report.html', data)
+            write_json(setup.directory / 'summary.json', summary(live, evaluation, holds))
+            page = setup.directory / 'report.html'
+            topics = write_evaluation_report(page, evaluation, bag, live).topics
         except SummaryError as error:
             raise CommandError(str(error)) from error
-    status = _conclude(setup, summary, _problems(setup, summary, parts.topics))
-    return 1 if running.unclean else status
+    _print_results(live, evaluation)
+    print(f'the bag holds {bag.n_messages} messages on {len(bag.topics)} topics')
+    print(f'report: {page}')
+    problems = _problems(setup, live, evaluation, topics)
+    for problem in problems:
+        print(f'humanopts demo: {problem}', file=sys.stderr)
+    return 1 if problems or running.unclean else 0
 
 
 def _amounts(setup: Setup, episodes: int | None, games: int) -> Amounts:
@@ -127,12 +119,12 @@ def _evaluate(setup: Setup, amounts: Amounts, progress: DemoProgress) -> tuple[B
     progress.stage('evaluating the bag')
     try:
         bag = open_bag(setup.bag)
-        evaluation = evaluate_bag(bag, progress.offline, amounts.judged)
+        evaluation = evaluate_bag(bag, progress.evaluating, amounts.judged)
         if amounts.games:
             progress.stage(f'playing {amounts.games} games with each')
             evaluation = with_games(evaluation, amounts.games, progress.comparing)
         return bag, evaluation
-    except (BagError, EvaluationError) as error:
+    except BagError as error:
         raise LaunchError(f'the recording cannot be evaluated: {error}') from error
 
 
@@ -170,7 +162,12 @@ def _teach_plan_play(
         'the simulated teacher',
         graph.taught_so_far,
     )
-    options = _blocks(setup, graph.learned())
+    domain = make_domain(setup.domain, setup.domain_parameters)
+    references = reference_options(domain)
+    options = []
+    for model, status in graph.learned():
+        option, _ = option_from_json(model)
+        options.append(option_block(option, status, domain, references.get(option.name)))
     progress.stage('planning')
     plans = [graph.plan(name, amounts.judged, setup.seed) for name in (HUMAN, PRIMITIVE)]
     progress.stage(f'playing {amounts.episodes} episodes')
@@ -181,59 +178,32 @@ def _teach_plan_play(
         fallbacks=played.fallbacks,
         mean_return=played.mean_return,
     )
-    return Live(options, tuple(row_of_result(plan) for plan in plans), execution)
+    return Live(tuple(options), tuple(row_of_result(plan) for plan in plans), execution)
 
 
-def _blocks(setup: Setup, learned: Sequence[tuple[str, Any]]) -> tuple[OptionBlock, ...]:
-    domain = make_domain(setup.domain, setup.domain_parameters)
-    references = reference_options(domain)
-    blocks = []
-    for model, status in learned:
-        option, _ = option_from_json(model)
-        blocks.append(option_block(option, status, domain, references.get(option.name)))
-    return tuple(blocks)
-
-
-def _summarise(setup: Setup, live: Live, evaluation: BagEvaluation, bag: Bag) -> Summary:
-    return Summary(
-        domain=setup.domain,
-        settings=evaluation.settings,
-        options=live.options,
-        planning=live.planning,
-        execution=live.execution,
-        bag=BagFacts(
-            path=str(setup.bag.relative_to(setup.directory)),
-            messages=bag.n_messages,
-            topics=len(bag.topics),
-        ),
-        offline=evaluation.blocks,
-        offline_planning=evaluation.planning,
-        games=next(iter(evaluation.games.values()), None),
-    )
-
-
-def _problems(setup: Setup, summary: Summary, topics: Sequence[TopicRow]) -> list[str]:
+def _problems(
+    setup: Setup, live: Live, evaluation: BagEvaluation, topics: Sequence[TopicRow]
+) -> list[str]:
     """Return a sentence for each check of the demo that failed."""
-    learned = {block.name for block in summary.options}
+    learned = {block.name for block in live.options}
     found = [f'{name!r} was not learned' for name in setup.taught if name not in learned]
     found += [
-        f'the criteria of {b.name!r} are not met' for b in summary.options if not b.criteria_met
+        f'the criteria of {b.name!r} are not met' for b in live.options if not b.criteria_met
     ]
     found += [f'{topic.lost} messages of {topic.name} are lost' for topic in topics if topic.lost]
-    found += differences(summary.options, summary.offline)
-    found += plan_differences(summary.planning, summary.offline_planning)
-    undone = summary.execution.episodes - summary.execution.successes
-    if undone and is_enumerable(make_domain(setup.domain, setup.domain_parameters)):
+    found += differences(live, evaluation)
+    undone = live.execution.episodes - live.execution.successes
+    if undone and is_enumerable(evaluation.domain):
         found.append(f'{undone} episodes ended with the task not done')
     return found
 
 
-def _conclude(setup: Setup, summary: Summary, problems: Sequence[str]) -> int:
-    played = summary.execution
-    for block in summary.options:
+def _print_results(live: Live, evaluation: BagEvaluation) -> None:
+    played = live.execution
+    for block in live.options:
         met = 'met' if block.criteria_met else 'not met'
         print(f'{block.name}: {block.n_demonstrations} demonstrations, criteria {met}')
-    for row in summary.planning:
+    for row in live.planning:
         print(
             f'planning with {row.action_set}: {row.sweeps} sweeps, {1000 * row.seconds:.1f} ms, '
             f'mean return {row.mean_return:.2f}'
@@ -242,10 +212,5 @@ def _conclude(setup: Setup, summary: Summary, problems: Sequence[str]) -> int:
         f'{played.successes} of {played.episodes} episodes done by running options, '
         f'{played.fallbacks} fallbacks, mean return {played.mean_return:.2f}'
     )
-    if summary.games is not None:
-        print('\n'.join(games_text(summary.games)))
-    print(f'the bag holds {summary.bag.messages} messages on {summary.bag.topics} topics')
-    print(f'report: {setup.directory / "report.html"}')
-    for problem in problems:
-        print(f'humanopts demo: {problem}', file=sys.stderr)
-    return 1 if problems else 0
+    for games in evaluation.games.values():
+        print('\n'.join(games_text(games)))

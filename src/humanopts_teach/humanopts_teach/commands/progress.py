@@ -55,17 +55,16 @@ class DemoProgress:
         else:
             self._lines(graph)
 
-    def offline(self, done: int, total: int, text: str) -> None:
+    def evaluating(self, done: float, total: float, text: str) -> None:
         """Show how far the evaluation of the bag is."""
         if self._console.is_terminal:
-            self._live.update(Text(f'\n{self._stage}: {text} ({done} of {total})'))
+            self._live.update(Text(f'\n{self._stage}: {text} ({done / total:.0%})'))
 
-    def comparing(self, text: str, share: float) -> None:
-        """Show what plays many games, and the share of all this that is done."""
-        if self._console.is_terminal:
-            self._live.update(Text(f'\n{self._stage}: {text} ({share:.0%})'))
-        else:
-            self._say(f'{share:4.0%} {text}', key=text)
+    def comparing(self, done: float, total: float, text: str) -> None:
+        """Show what plays many games, as lines too."""
+        self.evaluating(done, total, text)
+        if not self._console.is_terminal:
+            self._say(f'{done / total:4.0%} {text}', key=text)
 
     def _picture(self, graph: GraphClient) -> Group:
         node = graph.node

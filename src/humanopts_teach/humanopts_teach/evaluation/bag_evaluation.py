@@ -1,13 +1,12 @@
 """Evaluation of a bag: every option learned again from its demonstrations, and planned with."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 import json
 from pathlib import Path
 from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
-from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import (
     check_demonstration,
@@ -16,7 +15,7 @@ from humanopts_learner.demonstrations import (
     group_by_option,
     Kind,
 )
-from humanopts_learner.options.criteria import Criterion, judge, Judgement
+from humanopts_learner.options.criteria import judge, Judgement
 from humanopts_learner.options.files import FORMAT, option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
@@ -28,10 +27,9 @@ from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, open_bag
-from humanopts_teach.evaluation.comparison import Report
+from humanopts_teach.evaluation.comparison import part_of, ProgressCallback
 from humanopts_teach.evaluation.games import evaluate_games, GAMES, GamesEvaluation
-from humanopts_teach.evaluation.summary import (
-    accuracies,
+from humanopts_teach.evaluation.measures import (
     finite,
     option_block,
     OptionBlock,
@@ -43,10 +41,15 @@ from humanopts_teach.evaluation.summary import (
 
 EPISODES = 100  # that plans are judged by, where models are exact
 FACTS = 'humanopts'  # the bag's metadata record of the lesson's settings
-
 SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # that learning depends on
+_OF_CURVE = (  # fields of an OptionBlock that a learning curve has
+    'n_demonstrations',
+    'policy_accuracy',
+    'classification_accuracy_initiation',
+    'classification_accuracy_termination',
+    'criteria_met',
+)
 Key = tuple[str, str]  # participant and name of an option
-ProgressCallback = Callable[[int, int, str], object]  # done, total, what is under way
 
 
 class EvaluationError(BagError):
@@ -57,22 +60,22 @@ class EvaluationError(BagError):
 class CurvePoint:
     """An option as it was after some of its demonstrations."""
 
-    n_demonstrations: int  # trajectories
-    n_not_here: int
+    option: LearnedOption = field(compare=False)
+    judgement: Judgement
+    block: OptionBlock
     seconds: float  # of the person's time so far
-    policy_accuracy: float | None
-    classification_accuracy_initiation: float | None
-    classification_accuracy_termination: float | None
-    criteria: tuple[Criterion, ...]
-    criteria_met: bool
 
     def to_dict(self) -> dict[str, Any]:
         """Return the point as JSON data, the criteria by name."""
-        criteria = {
-            c.name: {'value': finite(c.value), 'threshold': c.threshold, 'met': c.met}
-            for c in self.criteria
+        return {
+            **{name: getattr(self.block, name) for name in _OF_CURVE},
+            'n_not_here': self.option.n_not_here,
+            'seconds': self.seconds,
+            'criteria': {
+                c.name: {'value': finite(c.value), 'threshold': c.threshold, 'met': c.met}
+                for c in self.judgement.criteria
+            },
         }
-        return {**asdict(self), 'criteria': criteria}
 
 
 @dataclass(frozen=True)
@@ -80,18 +83,20 @@ class OptionEvaluation:
     """One option of one participant, learned again."""
 
     participant: str
-    block: OptionBlock
-    option: LearnedOption
-    judgement: Judgement
-    curve: tuple[CurvePoint, ...]
+    curve: tuple[CurvePoint, ...]  # from the first trajectory on; the last is the whole option
     reproduced: bool | None = None  # equals the option file in the bag; None: there is none
+
+    @property
+    def last(self) -> CurvePoint:
+        """The option with all its demonstrations."""
+        return self.curve[-1]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evaluation as JSON data."""
         return {
             'participant': self.participant,
-            **self.block.to_dict(),
-            'n_not_here': self.option.n_not_here,
+            **asdict(self.last.block),
+            'n_not_here': self.last.option.n_not_here,
             'equals_option_file': self.reproduced,
             'learning_curve': [point.to_dict() for point in self.curve],
         }
@@ -120,7 +125,7 @@ class BagEvaluation:
     @property
     def blocks(self) -> tuple[OptionBlock, ...]:
         """The options block of summary.json."""
-        return tuple(option.block for option in self.options)
+        return tuple(option.last.block for option in self.options)
 
     @property
     def planning(self) -> tuple[PlanningRow, ...]:
@@ -128,25 +133,34 @@ class BagEvaluation:
         return tuple(plan.row for plan in self.plans)
 
     @property
-    def plan_names(self) -> tuple[str, ...]:
-        """Names of the plans: the action set and, where several people taught, the person."""
-        several = len({option.participant for option in self.options}) > 1
-        return tuple(
+    def people(self) -> tuple[str, ...]:
+        """The participants, in order of their first demonstrations."""
+        return tuple(dict.fromkeys(option.participant for option in self.options))
+
+    def of(self, participant: str) -> list[OptionEvaluation]:
+        """Return the options of one participant."""
+        return [option for option in self.options if option.participant == participant]
+
+    @property
+    def named_plans(self) -> dict[str, PlanEvaluation]:
+        """The plans by action set and, where several people taught, person."""
+        several = len(self.people) > 1
+        return {
             f'{plan.row.action_set} by {plan.participant}'
             if several and plan.participant
-            else plan.row.action_set
+            else plan.row.action_set: plan
             for plan in self.plans
-        )
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evaluation as JSON data, without NaN."""
         return {
             'domain': self.domain.name,
             'domain_parameters': dict(self.domain.parameters),
-            **self.settings.to_dict(),
+            **asdict(self.settings),
             'options': [option.to_dict() for option in self.options],
             'planning': [
-                {'participant': plan.participant, **plan.row.to_dict()} for plan in self.plans
+                {'participant': plan.participant, **asdict(plan.row)} for plan in self.plans
             ],
             'games': {person: found.to_dict() for person, found in self.games.items()},
             'warnings': list(self.warnings),
@@ -176,10 +190,10 @@ def evaluate_bag(
     demonstrations, attached = read_demonstrations(opened), attached_options(opened)
     warnings = [*opened.damage.splitlines(), *assumed, *software_notes(facts)]
     found = evaluate(demonstrations, domain, settings, warnings, progress, episodes)
-    learned = [evaluated.option for evaluated in found.options]
+    learned = [evaluated.last.option for evaluated in found.options]
     equal, differing = compare_options(attached, learned, demonstrations)
     options = (
-        replace(each, reproduced=equal.get((each.participant, each.block.name)))
+        replace(each, reproduced=equal.get((each.participant, each.last.option.name)))
         for each in found.options
     )
     return replace(found, options=tuple(options), warnings=(*found.warnings, *differing))
@@ -202,33 +216,40 @@ def evaluate(
     groups, notes = _usable(demonstrations, domain)
     if not groups:
         raise EvaluationError('; '.join(['the bag holds no demonstration to learn from', *notes]))
-    people = list(dict.fromkeys(participant for participant, _ in groups))
-    work = _Progress(progress, sum(map(len, groups.values())) + len(people) + 1)
-    references = reference_options(domain)
+    requests = [*((person, HUMAN) for person, _ in groups), ('', PRIMITIVE)]
+    requests = list(dict.fromkeys(requests))
+    total = sum(map(len, groups.values())) + len(requests)
+    report, done = progress or _ignore, 0
     options = []
-    for (_, name), demos in groups.items():
-        options.append(_learn(demos, domain, settings, references.get(name), work))
-    judged = episodes or judged_by(domain)
-    plans, refused = _plans(options, people, domain, settings, judged, work)
-    return BagEvaluation(
-        domain, settings, tuple(options), tuple(plans), (*warnings, *notes, *refused)
-    )
+    for (participant, name), demos in groups.items():
+        curve = []
+        for count, point in _learning_curve(demos, domain, settings):
+            curve.append(point)
+            report(done + count, total, f'{name}: demonstration {count} of {len(demos)}')
+        options.append(OptionEvaluation(participant, tuple(curve)))
+        done += len(demos)
+    plans = []
+    for number, (person, action_set) in enumerate(requests, start=1):
+        report(done + number, total, f'planning with {action_set} actions')
+        chosen = [each.last.option for each in options if each.participant == person]
+        request = PlanRequest(action_set, seed=settings.seed)
+        try:
+            plan = plan_in(domain, chosen, request)
+            judged = judge_plan(plan, settings.seed, episodes or judged_by(domain))
+        except PlanError as error:
+            notes.append(f'no plan with {action_set} actions: {error}')
+            continue
+        plans.append(PlanEvaluation(person, plan, row_of_plan(plan, judged)))
+    return BagEvaluation(domain, settings, tuple(options), tuple(plans), (*warnings, *notes))
 
 
-class _Progress:
-    def __init__(self, callback: ProgressCallback | None, total: int) -> None:
-        self._callback, self._total, self.done = callback, total, 0
-
-    def reach(self, done: int, text: str) -> None:
-        """Report how many parts are done."""
-        self.done = done
-        if self._callback is not None:
-            self._callback(done, self._total, text)
+def _ignore(done: float, total: float, text: str) -> None:
+    """Show no progress."""
 
 
 def _usable(
     demonstrations: Sequence[Demonstration], domain: Domain[Any]
-) -> tuple[dict[tuple[str, str], list[Demonstration]], list[str]]:
+) -> tuple[dict[Key, list[Demonstration]], list[str]]:
     """Group the demonstrations by option; return sentences on those that are left out."""
     good, notes = [], []
     for demo in demonstrations:
@@ -245,61 +266,18 @@ def _usable(
     return groups, notes
 
 
-def _learn(
-    demos: Sequence[Demonstration],
-    domain: Domain[Any],
-    settings: Settings,
-    reference: ReferenceOption | None,
-    work: _Progress,
-) -> OptionEvaluation:
-    """Learn an option and judge it after every demonstration, from the first trajectory on."""
-    first, before, points = demos[0], work.done, []
-    for count in range(_first_trajectory(demos) + 1, len(demos) + 1):
+def _learning_curve(
+    demos: Sequence[Demonstration], domain: Domain[Any], settings: Settings
+) -> Iterator[tuple[int, CurvePoint]]:
+    """Learn an option after every demonstration, from the first trajectory on."""
+    reference = reference_options(domain).get(demos[0].option_name)
+    first = next(i for i, demo in enumerate(demos, start=1) if demo.kind is Kind.TRAJECTORY)
+    for count in range(first, len(demos) + 1):
         seen = demos[:count]
         option = learn_option(seen, domain, settings.seed)
         judgement = judge(seen, domain, settings.thresholds, settings.seed, option)
-        points.append(
-            CurvePoint(
-                option.n_demonstrations,
-                option.n_not_here,
-                sum(demo.seconds for demo in seen),
-                *accuracies(option, domain, reference),
-                criteria=judgement.criteria,
-                criteria_met=judgement.criteria_met,
-            )
-        )
-        work.reach(before + count, f'{first.option_name}: demonstration {count} of {len(demos)}')
-    block = option_block(option, judgement, domain, reference)
-    return OptionEvaluation(first.participant, block, option, judgement, tuple(points))
-
-
-def _first_trajectory(demos: Sequence[Demonstration]) -> int:
-    return next(i for i, demo in enumerate(demos) if demo.kind is Kind.TRAJECTORY)
-
-
-def _plans(
-    options: Sequence[OptionEvaluation],
-    people: Sequence[str],
-    domain: Domain[Any],
-    settings: Settings,
-    episodes: int,
-    work: _Progress,
-) -> tuple[list[PlanEvaluation], list[str]]:
-    """Plan with each participant's options, then with primitive actions."""
-    requests = [*((person, HUMAN) for person in people), ('', PRIMITIVE)]
-    plans, refused = [], []
-    for person, action_set in requests:
-        work.reach(work.done + 1, f'planning with {action_set} actions')
-        chosen = [o.option for o in options if o.participant == person]
-        request = PlanRequest(action_set, seed=settings.seed)
-        try:
-            plan = plan_in(domain, chosen, request)
-            row = row_of_plan(plan, judge_plan(plan, settings.seed, episodes))
-        except PlanError as error:
-            refused.append(f'no plan with {action_set} actions: {error}')
-            continue
-        plans.append(PlanEvaluation(person, plan, row))
-    return plans, refused
+        block = option_block(option, judgement, domain, reference)
+        yield count, CurvePoint(option, judgement, block, sum(demo.seconds for demo in seen))
 
 
 def attached_options(bag: Bag) -> dict[Key, Mapping[str, Any]]:
@@ -374,29 +352,24 @@ def check_games(domain: Domain[Any]) -> None:
 
 
 def with_games(
-    evaluation: BagEvaluation, games: int = GAMES, progress: Report | None = None
+    evaluation: BagEvaluation, games: int = GAMES, progress: ProgressCallback | None = None
 ) -> BagEvaluation:
     """
     Have each participant's options play many games, beside what they are compared with.
 
     :param games: that everything is judged by, two or more.
-    :param progress: told what is under way and the share that is done.
+    :param progress: called as the work goes on.
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """
-    domain = evaluation.domain
+    domain, people = evaluation.domain, evaluation.people
     check_games(domain)
-    people = list(dict.fromkeys(option.participant for option in evaluation.options))
     found = {}
     for number, person in enumerate(people):
-        options = [o.option for o in evaluation.options if o.participant == person]
-
-        def tell(what: str, share: float, before: int = number) -> None:
-            if progress is not None:
-                progress(what, (before + share) / len(people))
-
+        options = [each.last.option for each in evaluation.of(person)]
+        report = part_of(progress, number, len(people))
         try:
             found[person] = evaluate_games(
-                domain, options, evaluation.settings.seed, games, progress=tell
+                domain, options, evaluation.settings.seed, games, progress=report
             )
         except PlanError as error:
             raise EvaluationError(f'the games cannot be played: {error}') from error

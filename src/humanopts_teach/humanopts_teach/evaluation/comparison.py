@@ -7,8 +7,8 @@ hand where the domain has one; each plays as many games under the same rules.
 The curve of score against planning time has the same protocol for every action set. A plan is made
 from a budget of game steps and judged in new games. The budget is doubled until the 95 % interval
 of the mean score lies at or above the target, or the largest budget is spent, or planning has
-taken as long as anyone wants to wait. Planning seconds are those of one plan made from scratch,
-models counted; judging is not.
+taken as long as anyone wants to wait. Planning seconds are those of the processor, for one plan
+made from scratch, models counted; judging is not.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,25 +18,35 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.capabilities import Baselines, HasBaselines
+from humanopts_env.domains.capabilities import Baselines, HasBaselines, Scores
 from humanopts_env.domains.registry import parameters_json
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_learner.planning.action_sets import HUMAN, Progress
+from humanopts_learner.planning.action_sets import HUMAN
 from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.errors import ForeignOptionError, PlanError
 from humanopts_learner.planning.evaluate import Interval, Returns
-from humanopts_learner.planning.plan import Clock
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, Sampling
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
 import numpy as np
-from numpy.typing import NDArray
 
 PLAN, RANDOM, HEURISTIC = 'plan', 'chance', 'rule'  # kinds of baseline, as in summary.json
-Report = Callable[[str, float], object]  # called with the work under way and the share done
-OnRow = Callable[['CurveRow'], object]
+PLANNING = 0.8  # of the work of a plan and its games, about
+ProgressCallback = Callable[[float, float, str], object]  # done, total, what is under way
+
+
+def part_of(
+    progress: ProgressCallback | None, number: int, count: int, name: str = ''
+) -> ProgressCallback:
+    """Return the callback for one of several parts that take about as long as each other."""
+
+    def report(done: float, total: float, text: str) -> None:
+        if progress is not None:
+            progress(number + done / total, count, ': '.join(filter(None, (name, text))))
+
+    return report
 
 
 @dataclass(frozen=True)
@@ -75,8 +85,7 @@ def compare(
     baselines: Sequence[Baseline],
     seed: int,
     games: int = 1000,
-    progress: Report | None = None,
-    clock: Clock = time.perf_counter,
+    progress: ProgressCallback | None = None,
 ) -> list[ComparisonRow]:
     """
     Return a row for each baseline, in order.
@@ -86,17 +95,11 @@ def compare(
     :param progress: called as the work goes on; what it raises passes through.
     :raises PlanError: as ``make_sampled_plan``; or the domain has no rule written by hand.
     """
-    match = _Match(domain, seed, games, clock)
-    rows = []
-    for number, baseline in enumerate(baselines):
-
-        def report(share: float, name: str = baseline.name, before: int = number) -> None:
-            if progress is not None:
-                progress(name, (before + share) / len(baselines))
-
-        report(0.0)
-        rows.append(match.row(baseline, report))
-    return rows
+    count = len(baselines)
+    return [
+        _play(domain, baseline, seed, games, part_of(progress, number, count, baseline.name))
+        for number, baseline in enumerate(baselines)
+    ]
 
 
 def baselines_of(domain: Domain[Any]) -> Baselines:
@@ -118,81 +121,62 @@ def carried_over(option: LearnedOption, domain: Domain[Any]) -> LearnedOption:
     return moved
 
 
-@dataclass(frozen=True)
-class _Match:
-    """The settings that all baselines share."""
-
-    domain: Domain[Any]
-    seed: int
-    games: int
-    clock: Clock
-
-    def row(self, baseline: Baseline, report: Callable[[float], object]) -> ComparisonRow:
-        """
-        Have one baseline play.
-
-        :param report: called with the share of its work that is done.
-        """
-        if baseline.kind == PLAN:
-            return self._planned(baseline, report)
-        if baseline.kind == RANDOM:
-            return self._random(baseline)
-        return self._heuristic(baseline)
-
-    def _planned(self, baseline: Baseline, report: Callable[[float], object]) -> ComparisonRow:
-        def progress(stage: str, fraction: float, sweeps: int, residual: float) -> None:
-            if stage == 'models':
-                report(0.8 * fraction)
-
-        plan = make_sampled_plan(
-            self.domain,
-            baseline.action_set,
-            baseline.options,
-            baseline.budget_steps,
-            self.seed,
-            baseline.gamma,
-            baseline.sampling,
-            progress=progress,
-            clock=self.clock,
-            execution=baseline.execution,
-        )
-        row = _counted(baseline, plan.play(self.seed, self.games))
-        return replace(row, game_steps=plan.game_steps, seconds=plan.seconds)
-
-    def _random(self, baseline: Baseline) -> ComparisonRow:
-        abstraction = StateAbstraction(batch_games(self.domain), baseline.action_set)
-        actions = ActionSet(self.domain, baseline.action_set, baseline.options)
-        policy, gamma = UniformPolicy(actions), self.domain.gamma
-        returns = play_games(abstraction, actions, policy, gamma, self.seed, self.games)
-        return _counted(baseline, returns)
-
-    def _heuristic(self, baseline: Baseline) -> ComparisonRow:
-        play = baselines_of(self.domain).heuristic
-        if play is None:
-            raise PlanError(f'{self.domain.name} has no rule that was written by hand')
-        scores = play(self.games, self.seed, to_end=baseline.to_end)
-        return _row(baseline, scores.total, scores.outcomes)
-
-
-def _counted(baseline: Baseline, returns: Returns) -> ComparisonRow:
-    decisions, fallbacks = float(returns.decisions.mean()), float(returns.fallbacks.mean())
-    row = _row(baseline, returns.total, returns.outcomes)
-    return replace(row, decisions=decisions, fallbacks=fallbacks)
-
-
-def _row(
-    baseline: Baseline, total: NDArray[Any], outcomes: Mapping[str, NDArray[Any]]
+def _play(
+    domain: Domain[Any], baseline: Baseline, seed: int, games: int, progress: ProgressCallback
 ) -> ComparisonRow:
+    progress(0.0, 1.0, '')
+    results: Returns | Scores
+    found: dict[str, Any] = {}
+    if baseline.kind == PLAN:
+        plan = _make_plan(domain, baseline, seed, progress)
+        results = plan.play(seed, games)
+        found = {'game_steps': plan.game_steps, 'seconds': plan.seconds}
+    elif baseline.kind == RANDOM:
+        abstraction = StateAbstraction(batch_games(domain), baseline.action_set)
+        actions = ActionSet(domain, baseline.action_set, baseline.options)
+        policy = UniformPolicy(actions)
+        results = play_games(abstraction, actions, policy, domain.gamma, seed, games)
+    elif (play := baselines_of(domain).heuristic) is not None:
+        results = play(games, seed, to_end=baseline.to_end)
+    else:
+        raise PlanError(f'{domain.name} has no rule that was written by hand')
+    if isinstance(results, Returns):
+        found |= {
+            'decisions': float(results.decisions.mean()),
+            'fallbacks': float(results.fallbacks.mean()),
+        }
     return ComparisonRow(
         name=baseline.name,
         kind=baseline.kind,
         options=tuple(option.name for option in baseline.options),
-        games=len(total),
-        score=Interval.of(total),
+        games=games,
+        score=Interval.of(results.total),
         outcomes={
             name: Interval.of_share(values) if values.dtype == np.bool_ else Interval.of(values)
-            for name, values in outcomes.items()
+            for name, values in results.outcomes.items()
         },
+        **found,
+    )
+
+
+def _make_plan(
+    domain: Domain[Any], baseline: Baseline, seed: int, progress: ProgressCallback
+) -> SampledPlan:
+    def on_stage(stage: str, fraction: float, sweeps: int, residual: float) -> None:
+        if stage == 'models':
+            progress(PLANNING * fraction, 1.0, '')
+
+    return make_sampled_plan(
+        domain,
+        baseline.action_set,
+        baseline.options,
+        baseline.budget_steps,
+        seed,
+        baseline.gamma,
+        baseline.sampling,
+        progress=on_stage,
+        clock=time.process_time,  # no other program's work makes it longer
+        execution=baseline.execution,
     )
 
 
@@ -208,14 +192,33 @@ class CurveRow:
 
 
 @dataclass(frozen=True)
-class Budgets:
-    """Budgets of game steps: the first, doubled while they are at most the largest."""
+class Curve:
+    """Score against planning seconds, with one action set."""
 
-    first: int = 12_500
-    largest: int = 25_600_000
+    name: str
+    rows: tuple[CurveRow, ...]
 
-    def __iter__(self) -> Iterator[int]:
-        """Go through them."""
+    def seconds_to_reach(self, target: float) -> float | None:
+        """Return the planning seconds of the first plan that reached a score; None: none did."""
+        return next((row.seconds for row in self.rows if row.score.low >= target), None)
+
+    @property
+    def most_seconds(self) -> float:
+        """Planning seconds of the longest plan that was tried."""
+        return max(row.seconds for row in self.rows)
+
+
+@dataclass(frozen=True)
+class CurveLimits:
+    """Where a curve begins, and where it ends."""
+
+    first: int = 12_500  # budget of game steps
+    largest: int = 25_600_000  # budget
+    target: float = math.inf  # mean score that is enough
+    enough_seconds: float = math.inf  # no larger budget is tried once a plan took so long
+
+    def budgets(self) -> Iterator[int]:
+        """Yield the first budget, doubled while it is at most the largest."""
         budget = self.first
         while budget <= self.largest:
             yield budget
@@ -224,54 +227,31 @@ class Budgets:
 
 def planning_curve(
     domain: Domain[Any],
-    action_set: str,
-    options: Sequence[LearnedOption],
-    target: float,
+    baseline: Baseline,
+    limits: CurveLimits,
     seed: int,
-    budgets: Budgets = Budgets(),
-    episodes: int = 1000,
-    sampling: Sampling = Sampling(),  # noqa: B008
-    gamma: float | None = None,
-    progress: Progress | None = None,
-    on_row: OnRow | None = None,
-    enough_seconds: float = math.inf,
-    clock: Clock = time.perf_counter,
-) -> list[CurveRow]:
+    games: int = 1000,
+    progress: ProgressCallback | None = None,
+) -> Curve:
     """
-    Return a row for each budget, until the target is reached or the largest budget is spent.
+    Make plans from budget after budget, and judge each.
 
-    :param options: ignored in the set ``primitive``.
-    :param target: mean score.
+    :param baseline: a plan; its own budget is not used.
     :param seed: of the plans, and of the games, which are drawn independently.
-    :param gamma: as in ``make_sampled_plan``.
-    :param on_row: called with each row as it comes.
-    :param enough_seconds: no larger budget is tried once a plan took so long.
+    :param games: that each plan is judged by, two or more.
     :raises PlanError: as ``make_sampled_plan``.
-    :raises PlanCanceled: from ``progress``.
     """
     rows: list[CurveRow] = []
-    for budget in budgets:
-        plan = make_sampled_plan(
-            domain,
-            action_set,
-            options,
-            budget,
-            seed,
-            gamma,
-            sampling,
-            progress=progress,
-            clock=clock,
-        )
-        score = Interval.of(plan.play(seed, episodes).total)
-        row = CurveRow(action_set, budget, plan.seconds, score, len(plan.solution.values))
-        rows.append(row)
-        if on_row is not None:
-            on_row(row)
-        if score.low >= target or plan.seconds >= enough_seconds:
+    budgets = list(limits.budgets())
+    for number, budget in enumerate(budgets):
+        text = f'{baseline.name}, {budget:,} game steps'
+        report = part_of(progress, number, len(budgets), text)
+        plan = _make_plan(domain, replace(baseline, budget_steps=budget), seed, report)
+        score = Interval.of(plan.play(seed, games).total)
+        report(1.0, 1.0, f'score {score.mean:,.0f}')
+        states = len(plan.solution.values)
+        rows.append(CurveRow(baseline.action_set, budget, plan.seconds, score, states))
+        if score.low >= limits.target or plan.seconds >= limits.enough_seconds:
             break
-    return rows
-
-
-def seconds_to_reach(rows: Sequence[CurveRow], target: float) -> float | None:
-    """Return the planning seconds of the first row that reaches a score; None: not reached."""
-    return next((row.seconds for row in rows if row.score.low >= target), None)
+    part_of(progress, 0, 1, baseline.name)(1.0, 1.0, 'done')
+    return Curve(baseline.name, tuple(rows))

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 import json
 from typing import Any
 
@@ -10,13 +10,9 @@ from humanopts_learner.demonstrations import Demonstration, each_once
 from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.summary import table
-from humanopts_teach.evaluation.bag_evaluation import (
-    BagEvaluation,
-    evaluate_bag,
-    OptionEvaluation,
-    ProgressCallback,
-)
-from humanopts_teach.evaluation.summary import finite
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag
+from humanopts_teach.evaluation.comparison import ProgressCallback
+from humanopts_teach.evaluation.measures import finite
 
 HEAD = ('what', 'of', 'A', 'B')
 DEMONSTRATION = 'demonstration'
@@ -84,45 +80,33 @@ def _labelled(what: str, of: str, lesson: Lesson) -> str:
 def _facts(lesson: Lesson) -> dict[tuple[str, str], dict[str, Any]]:
     """Return what is compared, as JSON data by name; a group is a kind and what it belongs to."""
     evaluation = lesson.evaluation
-    options = {
-        f'{option.block.name} by {option.participant}': option for option in evaluation.options
-    }
-    plans = dict(zip(evaluation.plan_names, evaluation.planning))
-    people = sorted({option.participant for option in evaluation.options})
-    facts = {
-        ('setting', ''): _settings(evaluation),
-        ('participant', ''): dict.fromkeys(people, True),
+    options = {f'{o.last.block.name} by {o.participant}': o.last for o in evaluation.options}
+    settings = asdict(evaluation.settings)
+    limits = settings.pop('thresholds')
+    parameters = {f'domain {n}': v for n, v in evaluation.domain.parameters.items()}
+    facts: dict[tuple[str, str], dict[str, Any]] = {
+        ('setting', ''): {'domain': evaluation.domain.name, **parameters, **settings, **limits},
+        ('participant', ''): dict.fromkeys(sorted(evaluation.people), True),
         ('option', ''): dict.fromkeys(options, True),
     }
-    for name, option in options.items():
-        facts['features chosen', name] = {'features': list(option.block.features)}
-        facts['criteria', name] = _numbers(option)
-        facts['tree', name] = {part: getattr(option.option, part).to_dict() for part in TREES}
+    for name, learned in options.items():
+        facts['features chosen', name] = {'features': list(learned.block.features)}
+        facts['criteria', name] = {
+            **{key: value for key, value in asdict(learned.block).items() if key not in _APART},
+            'n_not_here': learned.option.n_not_here,
+            **{f'criterion {c.name}': finite(c.value) for c in learned.judgement.criteria},
+        }
+        facts['tree', name] = {part: getattr(learned.option, part).to_dict() for part in TREES}
     facts[DEMONSTRATION, ''] = {u: _brief(demo) for u, demo in lesson.demonstrations.items()}
     for uuid, demo in lesson.demonstrations.items():
         whole = json.loads(demo.to_json())
         facts[DEMONSTRATION, uuid] = {**whole, 'withdrawn': demo.withdrawn}
+    plans = evaluation.named_plans
     facts['plan', ''] = dict.fromkeys(plans, True)
-    for name, row in plans.items():
-        numbers = row.to_dict().items()
+    for name, plan in plans.items():
+        numbers = asdict(plan.row).items()
         facts['plan', name] = {key: v for key, v in numbers if not key.endswith('_seconds')}
     return facts
-
-
-def _settings(evaluation: BagEvaluation) -> dict[str, Any]:
-    settings = evaluation.settings.to_dict()
-    parameters = {f'domain {n}': v for n, v in evaluation.domain.parameters.items()}
-    limits = settings.pop('thresholds')
-    return {'domain': evaluation.domain.name, **parameters, **settings, **limits}
-
-
-def _numbers(side: OptionEvaluation) -> dict[str, Any]:
-    values = {field.name: getattr(side.block, field.name) for field in fields(side.block)}
-    return {
-        **{key: value for key, value in values.items() if key not in _APART},
-        'n_not_here': side.option.n_not_here,
-        **{f'criterion {c.name}': finite(c.value) for c in side.judgement.criteria},
-    }
 
 
 def _brief(demo: Demonstration) -> dict[str, Any]:

@@ -9,7 +9,6 @@ planning is given more time.
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 import math
-import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -23,23 +22,22 @@ from humanopts_learner.planning.sampled.plan import Sampling
 from humanopts_teach.evaluation.comparison import (
     Baseline,
     baselines_of,
-    Budgets,
     carried_over,
     compare,
     ComparisonRow,
-    CurveRow,
+    Curve,
+    CurveLimits,
     HEURISTIC,
+    part_of,
     PLAN,
     planning_curve,
+    ProgressCallback,
     RANDOM,
-    Report,
-    seconds_to_reach,
 )
 
 GAMES = 1000  # that everything is judged by
 TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
 PATIENCE = 4.0  # s of planning after which options that do not reach the target are given up
-CLOCK = time.process_time  # seconds of the processor, which no other program's work makes longer
 GENEROUS = 4  # times the game steps, in a second plan with primitive actions
 
 Options = Sequence[LearnedOption]
@@ -54,23 +52,6 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Curve:
-    """Score against planning seconds, with one action set."""
-
-    name: str
-    rows: tuple[CurveRow, ...]
-
-    def seconds_to_reach(self, target: float) -> float | None:
-        """Return the planning seconds of the first plan that reached a score; None: none did."""
-        return seconds_to_reach(self.rows, target)
-
-    @property
-    def most_seconds(self) -> float:
-        """Planning seconds of the longest plan that was tried."""
-        return max(row.seconds for row in self.rows)
-
-
-@dataclass(frozen=True)
 class GamesEvaluation:
     """Everything that was found out by playing."""
 
@@ -82,25 +63,13 @@ class GamesEvaluation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as JSON data, without NaN."""
-        return {
-            'games': self.games,
-            'settings': [
-                {'name': setting.name, 'rows': [asdict(row) for row in setting.rows]}
-                for setting in self.settings
-            ],
-            'curve_setting': self.curve_setting,
-            'curves': [
-                {
-                    'name': curve.name,
-                    'rows': [asdict(row) for row in curve.rows],
-                    'seconds_to_reach': [
-                        {'score': target, 'seconds': curve.seconds_to_reach(target)}
-                        for target in self.targets
-                    ],
-                }
-                for curve in self.curves
-            ],
-        }
+        values = asdict(self)
+        targets = values.pop('targets')
+        for curve, plain in zip(self.curves, values['curves']):
+            plain['seconds_to_reach'] = [
+                {'score': target, 'seconds': curve.seconds_to_reach(target)} for target in targets
+            ]
+        return values
 
 
 def option_sets(options: Options, fewer: Sequence[str]) -> dict[str, Options]:
@@ -110,10 +79,12 @@ def option_sets(options: Options, fewer: Sequence[str]) -> dict[str, Options]:
     :param fewer: names of the few.
     """
     few = [option for option in options if option.name in fewer]
-    sets: dict[str, Options] = {}
-    if 0 < len(fewer) == len(few) < len(options):
-        sets[_named(few)] = few
-    return {**sets, _named(options): options}
+    apart = 0 < len(fewer) == len(few) < len(options)
+    return {_counted(each): each for each in ([few, options] if apart else [options])}
+
+
+def _counted(options: Options) -> str:
+    return f'{len(options)} option{"" if len(options) == 1 else "s"}'
 
 
 def evaluate_games(
@@ -122,57 +93,68 @@ def evaluate_games(
     seed: int,
     games: int = GAMES,
     game_steps: int = GAME_STEPS,
-    budgets: Budgets = Budgets(),  # noqa: B008
-    progress: Report | None = None,
+    limits: CurveLimits = CurveLimits(),  # noqa: B008
+    progress: ProgressCallback | None = None,
 ) -> GamesEvaluation:
     """
     Compare action sets, chance and the domain's rule in games, and measure the curves.
 
+    The second curve, with primitive actions, goes on until planning took ten times as long as the
+    options needed.
+
     :param options: of one participant, learned in ``domain`` or in a variant of it.
     :param games: that everything is judged by, two or more.
     :param game_steps: that the plans which are compared are made from.
-    :param budgets: of the curves, in game steps.
-    :param progress: told what is under way and the share that is done; what it raises passes.
+    :param limits: of the budgets of the curves; the scores of interest are added.
+    :param progress: called as the work goes on; what it raises passes through.
     :raises PlanError: the domain cannot play many games, or the options are of another one.
     """
-    variants = _variants(domain)
-    parts = PartProgress(progress, len(variants) + 2)
-    settings = []
-    for name, variant in variants.items():
-        contenders = _contenders(variant, options, game_steps)
-        rows = compare(variant, contenders, seed, games, progress=parts.begin(name), clock=CLOCK)
-        settings.append(Setting(name, tuple(rows)))
-    name, variant = next(iter(variants.items()))
-    targets = baselines_of(variant).targets
-    curves = _curves(variant, options, seed, games, budgets, targets, parts)
-    return GamesEvaluation(games, tuple(settings), name, curves, targets)
-
-
-def _named(options: Options) -> str:
-    return f'{len(options)} option{"" if len(options) == 1 else "s"}'
-
-
-def _variants(domain: Domain[Any]) -> dict[str, Domain[Any]]:
-    """Return the settings that a domain is judged in, by name."""
-    return {
+    variants = {
         name: make_domain(domain.name, {**domain.parameters, **changed})
         for name, changed in baselines_of(domain).variants.items()
     } or {'': domain}
+    parts = len(variants) + 2
+    settings = []
+    for number, (name, variant) in enumerate(variants.items()):
+        report = part_of(progress, number, parts, name)
+        rows = compare(variant, _baselines(variant, options, game_steps), seed, games, report)
+        settings.append(Setting(name, tuple(rows)))
+    name, variant = next(iter(variants.items()))
+    usual = baselines_of(variant)
+    moved = [carried_over(option, variant) for option in options]
+    measured = (
+        Baseline(f'human, {_counted(options)}', PLAN, HUMAN, moved),
+        _planned(PRIMITIVE, PRIMITIVE, (), 0, usual.primitive),
+    )
+    limits = replace(limits, target=max(usual.targets, default=math.inf))
+    curves: list[Curve] = []
+    for number, baseline in enumerate(measured, start=len(variants)):
+        enough = TENFOLD * _needed(curves[0], usual.targets) if curves else PATIENCE
+        report = part_of(progress, number, parts, 'score by planning time')
+        limited = replace(limits, enough_seconds=enough)
+        curves.append(planning_curve(variant, baseline, limited, seed, games, report))
+    return GamesEvaluation(games, tuple(settings), name, tuple(curves), usual.targets)
 
 
-def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Baseline]:
+def _baselines(domain: Domain[Any], options: Options, steps: int) -> list[Baseline]:
+    """Return everything that plays in one variant of the game."""
     usual = baselines_of(domain)
-    sets = {
-        name: [carried_over(option, domain) for option in chosen]
-        for name, chosen in option_sets(options, usual.fewer_options).items()
-    }
-    found = [
-        Baseline(f'human, {name}', PLAN, HUMAN, chosen, steps) for name, chosen in sets.items()
-    ]
-    found += _interrupted(domain, *list(sets.items())[-1], steps)
+    moved = [carried_over(option, domain) for option in options]
+    sets = option_sets(moved, usual.fewer_options)
+    every = _counted(options)
+    mixture = f'human+primitive, {every}, interrupted, {GENEROUS}-fold steps'
+    found = [_planned(f'human, {name}', HUMAN, chosen, steps) for name, chosen in sets.items()]
+    for name, action_set, fold, settings in (
+        (f'human, {every}, interrupted', HUMAN, 1, usual.interrupted),
+        (mixture, HUMAN_AND_PRIMITIVE, GENEROUS, usual.interrupted_mixture),
+    ):
+        if settings is not None:
+            plan = _planned(name, action_set, moved, fold * steps, settings)
+            found.append(replace(plan, execution=Execution.INTERRUPTED))
+    many = f'primitive, {GENEROUS}-fold steps'
     found += [
-        _moves('primitive', domain, steps),
-        _moves(f'primitive, {GENEROUS}-fold steps', domain, GENEROUS * steps),
+        _planned('primitive', PRIMITIVE, (), steps, usual.primitive),
+        _planned(many, PRIMITIVE, (), GENEROUS * steps, usual.primitive),
         Baseline('random moves', RANDOM, PRIMITIVE),
     ]
     found += [
@@ -186,74 +168,18 @@ def _contenders(domain: Domain[Any], options: Options, steps: int) -> list[Basel
     return found
 
 
-def _moves(name: str, domain: Domain[Any], steps: int) -> Baseline:
-    """Return a plan with primitive actions, with settings that were found by hand."""
-    plain = Baseline(name, PLAN, PRIMITIVE, (), steps)
-    return _with_settings(plain, baselines_of(domain).primitive)
-
-
-def _interrupted(domain: Domain[Any], name: str, options: Options, steps: int) -> list[Baseline]:
-    """Return the plans that interrupt options, for which there are settings found by hand."""
-    usual = baselines_of(domain)
-    more = f'human+primitive, {name}, interrupted, {GENEROUS}-fold steps'
-    alone = Baseline(f'human, {name}, interrupted', PLAN, HUMAN, options, steps)
-    mixture = Baseline(more, PLAN, HUMAN_AND_PRIMITIVE, options, GENEROUS * steps)
-    return [
-        replace(_with_settings(baseline, settings), execution=Execution.INTERRUPTED)
-        for baseline, settings in (
-            (alone, usual.interrupted),
-            (mixture, usual.interrupted_mixture),
-        )
-        if settings is not None
-    ]
-
-
-def _with_settings(baseline: Baseline, settings: PlanSettings | None) -> Baseline:
-    """Return a plan with settings that were found by hand, where there are any."""
-    if settings is None:
-        return baseline
-    return replace(baseline, gamma=settings.gamma, sampling=Sampling(**settings.sampling))
-
-
-def _curves(
-    domain: Domain[Any],
+def _planned(
+    name: str,
+    action_set: str,
     options: Options,
-    seed: int,
-    games: int,
-    budgets: Budgets,
-    targets: Sequence[float],
-    parts: 'PartProgress',
-) -> tuple[Curve, ...]:
-    """Measure the options, and then primitive actions until they took ten times as long."""
-    moved = [carried_over(option, domain) for option in options]
-    curves: list[Curve] = []
-    measured = (
-        Baseline(f'human, {_named(options)}', PLAN, HUMAN, moved),
-        _moves(PRIMITIVE, domain, 0),
-    )
-    for one in measured:
-        enough = PATIENCE if not curves else TENFOLD * _needed(curves[0], targets)
-        curve_progress = CurveProgress(
-            parts.begin('score by planning time'), one.name, budgets, enough
-        )
-        rows = planning_curve(
-            domain,
-            one.action_set,
-            one.options,
-            max(targets, default=math.inf),
-            seed,
-            budgets,
-            games,
-            one.sampling,
-            one.gamma,
-            progress=curve_progress.on_progress,
-            on_row=curve_progress.on_row,
-            enough_seconds=enough,
-            clock=CLOCK,
-        )
-        curve_progress.end()
-        curves.append(Curve(one.name, tuple(rows)))
-    return tuple(curves)
+    steps: int,
+    settings: PlanSettings | None = None,
+) -> Baseline:
+    """Return a plan, with the settings that were found by hand where there are any."""
+    plan = Baseline(name, PLAN, action_set, options, steps)
+    if settings is None:
+        return plan
+    return replace(plan, gamma=settings.gamma, sampling=Sampling(**settings.sampling))
 
 
 def _needed(curve: Curve, targets: Sequence[float]) -> float:
@@ -261,48 +187,3 @@ def _needed(curve: Curve, targets: Sequence[float]) -> float:
     reached = [curve.seconds_to_reach(target) for target in sorted(targets, reverse=True)]
     best = max(curve.rows, key=lambda row: row.score.mean).seconds
     return next((seconds for seconds in reached if seconds is not None), best)
-
-
-class CurveProgress:
-    """Progress of a curve by seconds: each plan takes about twice as long as the last."""
-
-    def __init__(self, tell: Report, name: str, budgets: Budgets, enough: float) -> None:
-        self._tell, self._name, self._enough = tell, name, enough
-        self._left = iter(budgets)
-        self._budget, self._seconds, self._share = next(self._left), 0.0, 0.0
-
-    def on_progress(self, stage: str, fraction: float, sweeps: int, residual: float) -> None:
-        """Report how far a plan is."""
-        if stage == 'models':
-            self._say(f'{self._name}, {self._budget:,} game steps', (1 + fraction) * self._seconds)
-
-    def on_row(self, row: CurveRow) -> None:
-        """Report what a plan came to."""
-        mean, steps = row.score.mean, f'{row.budget_steps:,}'
-        self._seconds, self._budget = row.seconds, next(self._left, self._budget)
-        self._say(f'{self._name}, {steps} game steps: score {mean:,.0f}', row.seconds)
-
-    def end(self) -> None:
-        """Report that there is no more to come."""
-        self._say(f'{self._name}: done', math.inf)
-
-    def _say(self, what: str, seconds: float) -> None:
-        self._share = max(self._share, min(seconds / self._enough, 1.0))
-        self._tell(what, self._share)
-
-
-class PartProgress:
-    """The parts of the work, each taken to be as long as any other."""
-
-    def __init__(self, tell: Report | None, count: int) -> None:
-        self._tell, self._count, self._begun = tell, count, 0
-
-    def begin(self, name: str) -> Report:
-        """Begin the next part, and return its progress callback."""
-        before, self._begun = self._begun, self._begun + 1
-
-        def tell(what: str, share: float) -> None:
-            if self._tell is not None:
-                self._tell(f'{name}: {what}' if name else what, (before + share) / self._count)
-
-        return tell

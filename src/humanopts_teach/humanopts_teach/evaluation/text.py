@@ -6,7 +6,7 @@ from humanopts_learner.options.criteria import Criterion
 from humanopts_learner.planning.evaluate import Interval
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation
-from humanopts_teach.evaluation.summary import PlanningRow
+from humanopts_teach.evaluation.measures import PlanningRow
 
 MOST_POINTS = 12  # of a learning curve that are printed
 REPRODUCED = {
@@ -36,8 +36,8 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
         lines += ['', *_option(option)]
     if evaluation.plans:
         lines += ['', 'plans']
-        rows = zip(evaluation.plan_names, evaluation.planning)
-        lines += table(PLAN_HEAD, [_plan(name, row) for name, row in rows])
+        plans = evaluation.named_plans.items()
+        lines += table(PLAN_HEAD, [_plan(name, plan.row) for name, plan in plans])
     for person, games in evaluation.games.items():
         whose = f' with the options of {person}' if len(evaluation.games) > 1 else ''
         lines += ['', f'{games.games} games each{whose}', *games_text(games)]
@@ -104,33 +104,31 @@ def share(value: float | None) -> str:
 
 
 def _option(option: OptionEvaluation) -> list[str]:
-    block = option.block
+    block, judgement = option.last.block, option.last.judgement
     met = 'all criteria met' if block.criteria_met else 'criteria not met'
     points = option.curve
     chosen = sorted({round(i * (len(points) - 1) / (MOST_POINTS - 1)) for i in range(MOST_POINTS)})
     rows = [
         [
-            str(point.n_demonstrations),
-            str(point.n_not_here),
-            *(number(criterion.value, 3) for criterion in point.criteria),
-            share(point.policy_accuracy),
-            share(point.classification_accuracy_initiation),
-            share(point.classification_accuracy_termination),
-            'yes' if point.criteria_met else 'no',
+            str(point.block.n_demonstrations),
+            str(point.option.n_not_here),
+            *(number(criterion.value, 3) for criterion in point.judgement.criteria),
+            share(point.block.policy_accuracy),
+            share(point.block.classification_accuracy_initiation),
+            share(point.block.classification_accuracy_termination),
+            'yes' if point.block.criteria_met else 'no',
         ]
         for point in (points[i] for i in chosen)
     ]
+    equal = option.reproduced
+    again = [] if equal is None else [f'learned again: {REPRODUCED[equal]}']
     return [
         f'{block.name} (by {option.participant or "-"}): {met}',
         f'features: {", ".join(block.features)}',
-        *(
-            []
-            if option.reproduced is None
-            else [f'learned again: {REPRODUCED[option.reproduced]}']
-        ),
+        *again,
         f'mean return: demonstrations {number(block.mean_return_demonstrations)}, '
         f'learned policy {number(block.mean_return_policy)}',
-        *(f'not met: {_unmet(c)}' for c in option.judgement.criteria if not c.met),
+        *(f'not met: {_unmet(c)}' for c in judgement.criteria if not c.met),
         *table(CURVE_HEAD, rows),
     ]
 

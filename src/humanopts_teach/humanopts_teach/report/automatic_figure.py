@@ -6,7 +6,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.search_space import SearchSpace
-from humanopts_teach.report.boards import Board, board_of, COLORS, draw_walls
+from humanopts_teach.report.boards import Board, board_of, draw_heat
 from humanopts_teach.report.figures import Drawing
 from matplotlib.colors import Normalize
 import numpy as np
@@ -52,34 +52,15 @@ def draw_visits(work: Drawing, seen: VisitMap) -> None:
     rows, cols = seen.board.states.shape
     cells = np.where(seen.board.states >= 0, seen.cell[seen.board.states], -1)
     visits = np.where(cells >= 0, seen.visits[cells], np.nan)
-    edges = np.arange(cols + 1) - 0.5, np.arange(rows + 1) - 0.5
-    scale = Normalize(0.0, float(np.nanmax(visits)))
-    heat = work.axes.pcolormesh(*edges, visits, cmap=COLORS, norm=scale)
-    draw_walls(work, seen.board)
-    for cell, text in _labels(seen.targets).items():
-        for row, col in np.argwhere(cells == cell):
-            _mark(work, (row, col), text, max(7.5, 60.0 / max(rows, cols)))
-    work.axes.set(aspect='equal', xlabel='column', ylabel='row')
-    work.axes.set_title('Visits of greedy runs, and automatic options')
-    work.axes.invert_yaxis()
-    work.axes.tick_params(length=0)
-    work.axes.spines[:].set_visible(False)
-    bar = work.figure.colorbar(heat, ax=work.axes, shrink=0.85, pad=0.03)
-    bar.set_label('visits')
-    bar.outline.set_visible(False)
-
-
-def _labels(targets: Sequence[int]) -> dict[int, str]:
-    """Return the numbers of the options by the cell of their target."""
-    labels: dict[int, str] = {}
-    for number, cell in enumerate(targets, start=1):
-        before = labels.get(cell)
-        labels[cell] = f'{before}, {number}' if before else str(number)
-    return labels
-
-
-def _mark(work: Drawing, cell: tuple[int, int], text: str, size: float) -> None:
-    row, col = cell
+    draw_heat(work, seen.board, visits, Normalize(0.0, float(np.nanmax(visits))), 'visits')
     box = {'boxstyle': 'round,pad=0.25', 'fc': '#ffffff', 'ec': '#101418', 'lw': 1.0}
+    size = min(max(7.5, 60.0 / max(rows, cols)), 11.0)
     style: dict[str, Any] = {'ha': 'center', 'va': 'center', 'color': '#101418', 'weight': 'bold'}
-    work.axes.text(col, row, text, size=min(size, 11.0), bbox=box, **style)
+    labels: dict[int, list[str]] = {}
+    for number, target in enumerate(seen.targets, start=1):
+        labels.setdefault(target, []).append(str(number))
+    for target, numbers in labels.items():
+        for row, col in np.argwhere(cells == target):
+            work.axes.text(col, row, ', '.join(numbers), size=size, bbox=box, **style)
+    work.axes.set_title('Visits of greedy runs, and automatic options')
+    work.axes.tick_params(length=0)

@@ -1,13 +1,13 @@
 """Boards: walls and moves found in the exact transitions, and plans drawn on them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 import string
 from typing import Any
 
-from humanopts_env.domains.base import BoardSlice, EnumerableDomain, Transitions
+from humanopts_env.domains.base import BoardSlice, Transitions
 from humanopts_learner.planning.plan import Plan
-from humanopts_teach.report.figures import CaptionedFigure, Drawing, drawing, INK
+from humanopts_teach.report.figures import Drawing, drawing, INK
 from matplotlib.colors import Normalize
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ SIDES = ((0, 1), (1, 0))  # (row, column) steps to the neighbours looked at: eas
 MOST_MARKED = 24  # rows or columns up to which every cell shows what is chosen there
 MOST_VECTOR_CELLS = 900  # boards of more cells are drawn as a bitmap
 COLORS = 'cividis'
+ARROW = {'arrowstyle': '->', 'lw': 1.5, 'shrinkA': 0, 'shrinkB': 0}
 LETTERS = string.ascii_uppercase + string.ascii_lowercase
 
 
@@ -27,11 +28,6 @@ class Board:
     states: NDArray[np.int32]  # (rows, cols); -1: no state there
     walls: tuple[NDArray[np.bool_], NDArray[np.bool_]]  # between a cell and its east, south
     moves: dict[int, tuple[int, int]]  # action -> (rows, cols) by which it moves the agent
-
-
-def read_board(domain: EnumerableDomain[Any], layout: BoardSlice) -> Board:
-    """Return a slice with its walls and moves, as ``board_of`` finds them."""
-    return board_of(domain.transitions(), layout)
 
 
 def board_of(table: Transitions, layout: BoardSlice) -> Board:
@@ -85,9 +81,9 @@ def _moves(
     return moves
 
 
-def board_figures(plans: Mapping[str, Plan], name: str) -> list[CaptionedFigure]:
+def board_figures(plans: Mapping[str, Plan], name: str) -> list[tuple[str, str]]:
     """
-    Return one figure for each board slice and plan, slice by slice; all on one scale of values.
+    Return SVG and caption for each board slice and plan, slice by slice; on one scale of values.
 
     :param plans: of one domain, by what each is called.
     :param name: prefix of the identifiers.
@@ -95,13 +91,15 @@ def board_figures(plans: Mapping[str, Plan], name: str) -> list[CaptionedFigure]
     if not plans:
         return []
     domain = next(iter(plans.values())).domain
-    boards = [read_board(domain, layout) for layout in domain.board_slices()]
-    states = [board.states[board.states >= 0] for board in boards]
-    if not states:
+    boards = [board_of(domain.transitions(), layout) for layout in domain.board_slices()]
+    shown = [
+        plan.solution.values[board.states[board.states >= 0]]
+        for plan in plans.values()
+        for board in boards
+    ]
+    if not shown:
         return []
-    values = np.concatenate(
-        [plan.solution.values[shown] for plan in plans.values() for shown in states]
-    )
+    values = np.concatenate(shown)
     scale = Normalize(float(values.min()), float(values.max()))
     return [
         _figure(board, called, plan, scale, f'{name}-{b}-{p}')
@@ -110,38 +108,46 @@ def board_figures(plans: Mapping[str, Plan], name: str) -> list[CaptionedFigure]
     ]
 
 
-def _figure(board: Board, called: str, plan: Plan, scale: Normalize, name: str) -> CaptionedFigure:
+def _figure(board: Board, called: str, plan: Plan, scale: Normalize, name: str) -> tuple[str, str]:
     rows, cols = board.states.shape
-    title = f'Action set {called}\n{board.title}'
     marked = max(rows, cols) <= MOST_MARKED
     label = f'Value and policy with the action set {called}, {board.title}'
     with drawing(name, label, 5.0, 1.1 + 3.3 * min(2.0, rows / cols)) as work:
-        axes = work.axes
         values = np.where(board.states >= 0, plan.solution.values[board.states], np.nan)
-        edges = np.arange(cols + 1) - 0.5, np.arange(rows + 1) - 0.5
-        bitmap = values.size > MOST_VECTOR_CELLS
-        heat = axes.pcolormesh(*edges, values, cmap=COLORS, norm=scale, rasterized=bitmap)
-        draw_walls(work, board)
+        draw_heat(work, board, values, scale, 'value (discounted reward units)')
         used = _draw_choices(work, board, plan, scale) if marked else []
-        axes.set(aspect='equal', xlabel='column', ylabel='row', title=title)
-        axes.set_xticks(range(0, cols, -(-cols // 6)))
-        axes.set_yticks(range(0, rows, -(-rows // 6)))
-        axes.invert_yaxis()
-        axes.spines[:].set_visible(False)
-        bar = work.figure.colorbar(heat, ax=axes, shrink=0.85, pad=0.03)
-        bar.set_label('value (discounted reward units)')
-        bar.outline.set_visible(False)
-    return CaptionedFigure(work.svg, _caption(plan, used) if marked else '')
-
-
-def _caption(plan: Plan, used: Sequence[int]) -> str:
-    legend = [f'{LETTERS[o]}: {plan.options[o].name}' for o in used if o < len(plan.options)]
-    if any(column >= plan.first_fallback for column in used):
+        work.axes.set_title(f'Action set {called}\n{board.title}')
+        work.axes.set_xticks(range(0, cols, -(-cols // 6)))
+        work.axes.set_yticks(range(0, rows, -(-rows // 6)))
+    n_options = len(plan.options)
+    legend = [f'{_letter(o)}: {plan.options[o].name}' for o in used if o < n_options]
+    if any(option >= plan.first_fallback for option in used):
         legend.append('no letter: no option can start there, so one primitive action is taken')
-    return '; '.join(legend)
+    return work.svg, '; '.join(legend)
 
 
-def draw_walls(work: Drawing, board: Board) -> None:
+def _letter(option: int) -> str:
+    return LETTERS[option % len(LETTERS)]
+
+
+def draw_heat(
+    work: Drawing, board: Board, values: NDArray[np.float64], scale: Normalize, unit: str
+) -> None:
+    """Draw the values (rows, cols) of the cells of a board, NaN where there is none, and walls."""
+    rows, cols = values.shape
+    axes, edges = work.axes, (np.arange(cols + 1) - 0.5, np.arange(rows + 1) - 0.5)
+    bitmap = values.size > MOST_VECTOR_CELLS
+    heat = axes.pcolormesh(*edges, values, cmap=COLORS, norm=scale, rasterized=bitmap)
+    _draw_walls(work, board)
+    axes.set(aspect='equal', xlabel='column', ylabel='row')
+    axes.invert_yaxis()
+    axes.spines[:].set_visible(False)
+    bar = work.figure.colorbar(heat, ax=axes, shrink=0.85, pad=0.03)
+    bar.set_label(unit)
+    bar.outline.set_visible(False)
+
+
+def _draw_walls(work: Drawing, board: Board) -> None:
     """Draw the walls and the edge of a board, cell (row, col) at (col, row)."""
     east, south = board.walls
     shown = board.states >= 0
@@ -155,44 +161,31 @@ def draw_walls(work: Drawing, board: Board) -> None:
 
 def _draw_choices(work: Drawing, board: Board, plan: Plan, scale: Normalize) -> list[int]:
     """Mark every cell with its option's letter and the primitive action; return what is used."""
-    cells = np.argwhere(board.states >= 0)
-    states = board.states[tuple(cells.T)]
-    columns = plan.solution.best[states]
-    actions = _actions(plan, states)
     size = min(8.0, 55.0 / max(board.states.shape))
-    for (row, col), state, column, action in zip(cells, states, columns, actions):
-        if column < 0:
+    used = set()
+    for row, col in np.argwhere(board.states >= 0):
+        state = board.states[row, col]
+        chosen = int(plan.solution.best[state])
+        if chosen < 0:
             continue
+        used.add(chosen)
+        action = chosen - len(plan.options)
         ink = '#ffffff' if scale(plan.solution.values[state]) < 0.55 else '#101418'
-        if column < len(plan.options):
+        style: dict[str, Any] = {'color': ink, 'size': size}
+        if chosen < len(plan.options):
+            action = int(plan.options[chosen].action[state])
             at = (col - 0.44, row - 0.44)
-            style = {'color': ink, 'ha': 'left', 'va': 'top', 'size': size}
-            work.axes.text(*at, LETTERS[column % len(LETTERS)], **style)
-        if int(action) in board.moves:
-            down, right = board.moves[int(action)]
-            _draw_arrow(work, (row, col), (down, right), ink)
+            work.axes.text(*at, _letter(chosen), ha='left', va='top', **style)
+        if action in board.moves:
+            down, right = board.moves[action]
+            length = 0.28 / max(abs(down), abs(right))
+            work.axes.annotate(
+                '',
+                xy=(col + length * right, row + length * down),
+                xytext=(col - length * right, row - length * down),
+                arrowprops={**ARROW, 'color': ink},
+            )
         else:
-            name = plan.domain.actions[int(action)].name
-            style = {'color': ink, 'ha': 'center', 'va': 'center', 'weight': 'bold'}
-            work.axes.text(col, row + 0.08, name, size=size, **style)
-    return sorted({int(column) for column in columns if column >= 0})
-
-
-def _draw_arrow(work: Drawing, cell: tuple[int, int], move: tuple[int, int], ink: str) -> None:
-    (row, col), (down, right) = cell, move
-    size = 0.28 / max(abs(down), abs(right))
-    work.axes.annotate(
-        '',
-        xy=(col + size * right, row + size * down),
-        xytext=(col - size * right, row - size * down),
-        arrowprops={'arrowstyle': '->', 'color': ink, 'lw': 1.5, 'shrinkA': 0, 'shrinkB': 0},
-    )
-
-
-def _actions(plan: Plan, states: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the primitive action that follows the plan's choice in each state."""
-    columns = plan.solution.best[states].astype(np.int64)
-    actions = columns - len(plan.options)
-    for o, option in enumerate(plan.options):
-        actions = np.where(columns == o, option.action[states], actions)
-    return actions
+            name, at = plan.domain.actions[action].name, (col, row + 0.08)
+            work.axes.text(*at, name, ha='center', va='center', weight='bold', **style)
+    return sorted(used)

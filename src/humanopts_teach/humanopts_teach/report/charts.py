@@ -1,18 +1,24 @@
 """The charts of a report: learning curves, planning and its sweeps, and games."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise, zip_longest
+import math
+from typing import Any, Literal
 
+from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.evaluate import Interval
-from humanopts_learner.planning.value_iteration import SweepRow
+from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
 from humanopts_teach.evaluation.bag_evaluation import CurvePoint
-from humanopts_teach.evaluation.comparison import ComparisonRow
-from humanopts_teach.evaluation.games import Curve, GamesEvaluation, Setting
-from humanopts_teach.evaluation.summary import PlanningRow
-from humanopts_teach.report.figures import CaptionedFigure, Drawing, drawing, MUTED, SERIES
-from humanopts_teach.report.words import number, reached
+from humanopts_teach.evaluation.comparison import ComparisonRow, Curve
+from humanopts_teach.evaluation.games import GamesEvaluation, Setting
+from humanopts_teach.evaluation.measures import PlanningRow
+from humanopts_teach.report.figures import Drawing, drawing, MUTED, SERIES
+from humanopts_teach.report.findings import reached
+from humanopts_teach.report.pages import number
 from matplotlib.ticker import (
-    FuncFormatter,
     LogLocator,
     MaxNLocator,
     NullLocator,
@@ -48,6 +54,35 @@ STAGES = (
 MARKERS = 'osD^'
 WIDTH, ROW_HEIGHT = 5.6, 0.33  # inches
 CLEARED = 'cleared'
+MOST_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for their sweeps
+ALL_ROWS, STEP = 30, 1.1  # sweeps that are all in the table; from there on each so many times on
+NEAR = 1e-3  # a value so close to its end, in reward units, is settled
+
+
+@contextmanager
+def _chart(
+    name: str,
+    label: str,
+    size: tuple[float, float] = SIZE,
+    grid: Literal['x', 'y', 'both'] = 'y',
+    **axes: Any,
+) -> Iterator[Drawing]:
+    """
+    Draw a figure of one plot.
+
+    :param label: what it shows, for people who do not see it.
+    :param grid: axis that has lines.
+    :param axes: title and names of the axes.
+    """
+    with drawing(name, label, *size) as work:
+        work.axes.set(**axes)
+        work.axes.grid(axis=grid)
+        yield work
+
+
+def _series(place: int) -> dict[str, Any]:
+    """Return colour and marker of one of several series."""
+    return {'color': SERIES[place % len(SERIES)], 'marker': MARKERS[place % len(MARKERS)]}
 
 
 def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> list[str]:
@@ -58,38 +93,56 @@ def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> lis
         them came "not here" answers) the last is drawn.
     :param name: prefix of the identifiers.
     """
-    drawn = list({p.n_demonstrations: p for p in points if p.n_demonstrations}.values())
+    drawn = {p.block.n_demonstrations: p for p in points if p.block.n_demonstrations}
     if not drawn:
         return []
     figures = [_criterion_curve(drawn, f'{name}-{panel[0]}', option, panel) for panel in PANELS]
-    if any(getattr(p, field) is not None for p in drawn for field, _, _ in ACCURACIES):
-        figures.append(_accuracy_curves(drawn, f'{name}-accuracy', option))
+    curves = {
+        field: {n: getattr(point.block, field) for n, point in drawn.items()}
+        for field, _, _ in ACCURACIES
+    }
+    if any(value is not None for curve in curves.values() for value in curve.values()):
+        label = f'Accuracy of {option} by demonstrations'
+        title, unit = 'Accuracy against the reference option', 'share of states'
+        with _chart(f'{name}-accuracy', label, title=title, ylabel=unit) as work:
+            for field, part, style in ACCURACIES:
+                _curve(work, curves[field], label=part, **style)
+            work.axes.set_ylim(top=1.03)
+            work.axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+            _by_demonstrations(work, drawn)
+        figures.append(work.svg)
     return figures
 
 
 def _criterion_curve(
-    points: Sequence[CurvePoint], name: str, option: str, panel: tuple[str, str, str]
+    points: Mapping[int, CurvePoint], name: str, option: str, panel: tuple[str, str, str]
 ) -> str:
     criterion, title, unit = panel
-    known = [(p.n_demonstrations, c) for p in points for c in p.criteria if c.name == criterion]
-    measured = [(n, c.value) for n, c in known if c.value is not None]
-    with drawing(name, f'{title} of {option} by demonstrations', *SIZE) as work:
-        axes = work.axes
-        if measured:
-            style: dict[str, Any] = {
-                'color': SERIES[0],
-                'marker': 'o',
-                'ms': 3.5,
-                'label': 'held out',
-            }
-            axes.plot(*zip(*measured), markevery=_every(measured), **style)
-        if known:
-            _draw_threshold(work, known[-1][1].threshold, [value for _, value in measured])
+    known = {n: c for n, p in points.items() for c in p.judgement.criteria if c.name == criterion}
+    label = f'{title} of {option} by demonstrations'
+    with _chart(name, label, title=title, ylabel=unit) as work:
+        values = {n: c.value for n, c in known.items()}
+        style: dict[str, Any] = {'color': SERIES[0], 'marker': 'o', 'ms': 3.5}
+        measured = _curve(work, values, label='held out', **style)
+        _draw_threshold(work, list(known.values())[-1].threshold, measured)
         if not measured:
-            axes.text(0.5, 0.7, 'not yet measurable', transform=axes.transAxes, ha='center')
-        axes.set(title=title, ylabel=unit)
+            middle = work.axes.transAxes
+            work.axes.text(0.5, 0.7, 'not yet measurable', transform=middle, ha='center')
         _by_demonstrations(work, points)
     return work.svg
+
+
+def _curve(work: Drawing, curve: Mapping[int, float | None], **style: Any) -> list[float]:
+    """
+    Draw values by demonstrations, with so few markers that they do not overlap.
+
+    :return: the values that are known.
+    """
+    known = {n: value for n, value in curve.items() if value is not None}
+    if known:
+        every = -(-len(known) // MOST_MARKERS)
+        work.axes.plot(list(known), list(known.values()), markevery=every, **style)
+    return list(known.values())
 
 
 def _draw_threshold(work: Drawing, threshold: float, values: Sequence[float]) -> None:
@@ -104,158 +157,158 @@ def _draw_threshold(work: Drawing, threshold: float, values: Sequence[float]) ->
     axes.set_ylim(low, high)
 
 
-def _accuracy_curves(points: Sequence[CurvePoint], name: str, option: str) -> str:
-    with drawing(name, f'Accuracy of {option} by demonstrations', *SIZE) as work:
-        axes = work.axes
-        for field, label, style in ACCURACIES:
-            curve = [(p.n_demonstrations, getattr(p, field)) for p in points]
-            curve = [(n, value) for n, value in curve if value is not None]
-            if curve:
-                axes.plot(*zip(*curve), label=label, markevery=_every(curve), **style)
-        axes.set(title='Accuracy against the reference option', ylabel='share of states')
-        axes.set_ylim(top=1.03)
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-        _by_demonstrations(work, points)
-    return work.svg
+def _by_demonstrations(work: Drawing, points: Mapping[int, CurvePoint]) -> None:
+    work.axes.set_xlabel('demonstrations')
+    work.axes.set_xlim(0, max(points) + 0.6)
+    work.axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
+    work.axes.legend(loc='best')
 
 
-def _by_demonstrations(work: Drawing, points: Sequence[CurvePoint]) -> None:
-    axes = work.axes
-    axes.set_xlabel('demonstrations')
-    axes.set_xlim(0, max(p.n_demonstrations for p in points) + 0.6)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
-    axes.grid(axis='y')
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(loc='best')
-
-
-def _every(curve: Sequence[tuple[int, Any]]) -> int:
-    """Return every how many points a marker is drawn, so that they do not overlap."""
-    return -(-len(curve) // MOST_MARKERS)
-
-
-def planning_figures(rows: Mapping[str, PlanningRow], name: str) -> list[CaptionedFigure]:
+def planning_figures(rows: Mapping[str, PlanningRow], name: str) -> list[str]:
     """
     Return the planning time and, where it was measured, the return, by action set.
 
     :param rows: by what each is called.
     """
-    figures = [CaptionedFigure(_planning_times(rows, f'{name}-time'))] if rows else []
-    if any(row.mean_return is not None for row in rows.values()):
-        figures.append(CaptionedFigure(_mean_returns(rows, f'{name}-return')))
-    return figures
+    returns = {
+        called: (row.mean_return, row.mean_discounted_return)
+        for called, row in rows.items()
+        if row.mean_return is not None
+    }
+    figures = [_planning_times(rows, f'{name}-time')] if rows else []
+    return [*figures, _mean_returns(returns, f'{name}-return')] if returns else figures
 
 
 def _planning_times(rows: Mapping[str, PlanningRow], name: str) -> str:
-    with drawing(name, 'Planning time by action set', 5.0, 1.3 + 0.6 * len(rows)) as work:
-        axes = work.axes
-        left = [0.0] * len(rows)
-        scale, unit, word = _time_unit(rows)
+    left = [0.0] * len(rows)
+    longest = max(row.seconds for row in rows.values())
+    scale, unit, word = (1.0, 's', 'seconds') if longest >= 1.0 else (1e3, 'ms', 'milliseconds')
+    title, size = 'Planning time', (5.0, 1.3 + 0.6 * len(rows))
+    with _chart(name, f'{title} by action set', size, 'x', title=title, xlabel=word) as work:
         for field, label, color in STAGES:
             values = [scale * getattr(row, field) for row in rows.values()]
-            if not any(values):
-                continue
-            axes.barh(list(rows), values, 0.55, left=left, color=SERIES[color], label=label)
-            left = [a + b for a, b in zip(left, values)]
+            if any(values):
+                work.axes.barh(
+                    list(rows), values, 0.55, left=left, color=SERIES[color], label=label
+                )
+                left = [a + b for a, b in zip(left, values)]
         for place, total in enumerate(left):
             _value_label(work, (total, place), f'{total:.3g} {unit}', (5, 0), 'left')
-        axes.set(title='Planning time', xlabel=word)
-        axes.set_xlim(0, 1.22 * max(left))
-        axes.invert_yaxis()
-        axes.grid(axis='x')
+        work.axes.set_xlim(0, 1.22 * max(left))
+        work.axes.invert_yaxis()
         work.figure.legend(loc='outside lower center', ncols=3)
     return work.svg
 
 
-def _time_unit(rows: Mapping[str, PlanningRow]) -> tuple[float, str, str]:
-    """Return units in a second, and what the unit is called: short, and in full."""
-    longest = max(row.seconds for row in rows.values())
-    return (1.0, 's', 'seconds') if longest >= 1.0 else (1e3, 'ms', 'milliseconds')
-
-
-def _mean_returns(rows: Mapping[str, PlanningRow], name: str) -> str:
-    with drawing(name, 'Mean return by action set', 5.0, 1.3 + 0.6 * len(rows)) as work:
-        axes = work.axes
-        known = {name: row for name, row in rows.items() if row.mean_return is not None}
-        for place, row in enumerate(known.values()):
-            values = (row.mean_return, row.mean_discounted_return)
-            for value, marker, color, shift in zip(values, 'os', (0, 1), (10, -10)):
-                if value is not None:
-                    axes.plot(value, place, marker=marker, ms=8, color=SERIES[color], ls='')
-                    _value_label(work, (value, place), number(value), (0, shift), 'center')
-        axes.axvline(0, color=MUTED, lw=0.8)
-        axes.set_yticks(range(len(known)), list(known))
-        axes.set(title='Mean return of an episode', xlabel='reward units')
-        axes.set_ylim(len(known) - 0.4, -0.6)
-        axes.xaxis.set_major_locator(MaxNLocator(6))
-        axes.margins(x=0.15)
-        axes.grid(axis='x')
-        axes.plot([], [], 'o', color=SERIES[0], label='undiscounted')
-        axes.plot([], [], 's', color=SERIES[1], label='discounted')
+def _mean_returns(returns: Mapping[str, Sequence[float | None]], name: str) -> str:
+    title, size = 'Mean return of an episode', (5.0, 1.3 + 0.6 * len(returns))
+    label, unit = 'Mean return by action set', 'reward units'
+    with _chart(name, label, size, 'x', title=title, xlabel=unit) as work:
+        for series, (kind, shift) in enumerate((('undiscounted', 10), ('discounted', -10))):
+            style = {**_series(series), 'ms': 8, 'ls': ''}
+            work.axes.plot([], [], label=kind, **style)
+            for place, value in enumerate(pair[series] for pair in returns.values()):
+                if value is None:
+                    continue
+                work.axes.plot(value, place, **style)
+                _value_label(work, (value, place), number(value), (0, shift), 'center')
+        work.axes.axvline(0, color=MUTED, lw=0.8)
+        work.axes.set_yticks(range(len(returns)), list(returns))
+        work.axes.set_ylim(len(returns) - 0.4, -0.6)
+        work.axes.xaxis.set_major_locator(MaxNLocator(6))
+        work.axes.margins(x=0.15)
         work.figure.legend(loc='outside lower center', ncols=2)
     return work.svg
 
 
 def _value_label(
-    work: Drawing, at: tuple[float, float], text: str, shift: tuple[float, float], side: str
+    work: Drawing, at: tuple[Any, float], text: str, shift: tuple[float, float], side: Any
 ) -> None:
     """Write a value beside its mark; ``shift`` in points."""
-    place: dict[str, Any] = {
-        'xytext': shift,
-        'textcoords': 'offset points',
-        'ha': side,
-        'va': 'center',
-    }
-    work.axes.annotate(text, at, size=9, **place)
+    work.axes.annotate(text, at, shift, textcoords='offset points', ha=side, va='center', size=9)
 
 
-def sweep_figure(tables: Mapping[str, Sequence[SweepRow]], name: str) -> str:
+@dataclass(frozen=True)
+class SweepReport:
+    """What each sweep of value iteration brought, plan beside plan."""
+
+    names: list[str]
+    near: float
+    figure: str  # SVG
+    rows: list[tuple[int, list[str]]]  # sweep; residual and share settled of each plan
+
+
+def sweep_report(plans: Mapping[str, Plan], name: str) -> SweepReport | None:
     """
-    Return the residual of each sweep.
+    Make the plans again, sweep by sweep; None where that would take long, or there are none.
 
-    :param tables: the sweeps of each plan, by what it is called.
+    :param plans: with exact models, by what each is called.
+    :param name: prefix of the identifiers.
     """
-    with drawing(name, 'Residual by sweep', *SIZE) as work:
+    values = [plan.domain.n_states * plan.solution.sweeps for plan in plans.values()]
+    if not values or max(values) > MOST_VALUES:
+        return None
+    tables = {}
+    for called, plan in plans.items():
+        model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
+        tables[called] = sweep_table(model, near=NEAR, max_sweeps=plan.solution.sweeps)
+    states = next(iter(plans.values())).domain.n_states
+    found = list(zip_longest(*tables.values()))
+    rows = [
+        (sweep, [text for row in found[sweep] for text in _cells(row, states)])
+        for sweep in _shown([len(table) - 1 for table in tables.values()])
+    ]
+    return SweepReport(list(tables), NEAR, _residuals(tables, f'{name}-residual'), rows)
+
+
+def _shown(last: Sequence[int]) -> list[int]:
+    """Return the sweeps that the table shows: the first ones, fewer later on, and each last."""
+    shown, sweep = set(last), 0
+    while sweep <= max(last):
+        shown.add(sweep)
+        sweep = sweep + 1 if sweep < ALL_ROWS else math.ceil(sweep * STEP)
+    return sorted(shown)
+
+
+def _cells(row: SweepRow | None, states: int) -> tuple[str, str]:
+    if row is None:
+        return '', ''
+    return (number(row.residual, 3) if row.sweep else '', f'{row.settled / states:.1%}')
+
+
+def _residuals(tables: Mapping[str, Sequence[SweepRow]], name: str) -> str:
+    title, unit = 'Residual of each sweep', 'reward units'
+    label = 'Residual by sweep'
+    with _chart(name, label, title=title, xlabel='sweep', ylabel=unit, yscale='log') as work:
         axes = work.axes
         for place, (called, rows) in enumerate(tables.items()):
             changed = [row for row in rows[1:] if row.residual > 0]  # the last may change nothing
-            axes.plot(
-                [row.sweep for row in changed],
-                [row.residual for row in changed],
-                color=SERIES[place % len(SERIES)],
-                marker=MARKERS[place % len(MARKERS)],
-                ms=3,
-                label=f'{called}: {len(rows) - 1} sweeps',
-            )
-        axes.set_yscale('log')
+            sweeps, residuals = [row.sweep for row in changed], [row.residual for row in changed]
+            text = f'{called}: {len(rows) - 1} sweeps'
+            axes.plot(sweeps, residuals, ms=3, label=text, **_series(place))
         low, high = axes.get_ylim()
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 100 * low else (1,)))
         axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
         axes.yaxis.set_minor_locator(NullLocator())
-        axes.set(title='Residual of each sweep', xlabel='sweep', ylabel='reward units')
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.grid(axis='y')
         axes.legend(loc='best')
     return work.svg
 
 
-def games_figures(games: GamesEvaluation, name: str) -> list[CaptionedFigure]:
+def games_figures(games: GamesEvaluation, name: str) -> list[str]:
     """
     Return the scores, the share of mazes cleared where there are mazes, and the curves.
 
     :param name: prefix of the identifiers.
     """
-    figures = [
-        _intervals(games.settings, f'{name}-score', 'Mean score', 'points', lambda row: row.score)
-    ]
-    if all(CLEARED in row.outcomes for setting in games.settings for row in setting.rows):
+    settings = games.settings
+    figures = [_intervals(settings, f'{name}-score', 'Mean score', 'points', lambda r: r.score)]
+    if all(CLEARED in row.outcomes for setting in settings for row in setting.rows):
         title, unit = 'Mazes cleared', 'share of games'
         figures.append(
-            _intervals(
-                games.settings, f'{name}-cleared', title, unit, lambda row: row.outcomes[CLEARED]
-            )
+            _intervals(settings, f'{name}-cleared', title, unit, lambda r: r.outcomes[CLEARED])
         )
-    return [*map(CaptionedFigure, figures), CaptionedFigure(_score_curves(games, f'{name}-curve'))]
+    return [*figures, _score_curves(games, f'{name}-curve')]
 
 
 def _intervals(
@@ -265,58 +318,53 @@ def _intervals(
     unit: str,
     value: Callable[[ComparisonRow], Interval],
 ) -> str:
-    names = [row.name for row in settings[0].rows]
-    height = 1.2 + ROW_HEIGHT * len(names)
-    with drawing(name, f'{title} by what plays, with 95 % intervals', WIDTH, height) as work:
+    rows = settings[0].rows
+    size = WIDTH, 1.2 + ROW_HEIGHT * len(rows)
+    label = f'{title} by what plays, with 95 % intervals'
+    with _chart(name, label, size, 'x', title=title, xlabel=f'{unit}, with 95 % interval') as work:
         axes = work.axes
         for place, setting in enumerate(settings):
+            found = [value(row) for row in setting.rows]
             shift = 0.2 * (place - (len(settings) - 1) / 2)
-            for row, found in enumerate(map(value, setting.rows)):
-                _dot(work, found, row + shift, place, setting.name if not row else '')
-        for row, (one, other) in enumerate(zip(settings[0].rows, settings[0].rows[1:])):
+            heights = [row + shift for row in range(len(found))]
+            style = _series(place)
+            low, high = [each.low for each in found], [each.high for each in found]
+            axes.hlines(heights, low, high, color=style['color'], lw=2.0)
+            means = [each.mean for each in found]
+            axes.plot(means, heights, ls='', ms=4.5, label=setting.name or None, **style)
+        for row, (one, other) in enumerate(pairwise(rows)):
             if one.kind != other.kind:
                 axes.axhline(row + 0.5, color=MUTED, lw=0.6, alpha=0.5)
-        axes.set_yticks(range(len(names)), names)
-        axes.set_ylim(len(names) - 0.5, -0.5)
-        axes.set(title=title, xlabel=f'{unit}, with 95 % interval')
+        axes.set_yticks(range(len(rows)), [row.name for row in rows])
+        axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
         if unit.startswith('share'):
             axes.set_xlim(-0.02, 1.02)
             axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-        axes.grid(axis='x')
         if settings[0].name:
             work.figure.legend(loc='outside lower center', ncols=len(settings))
     return work.svg
 
 
-def _dot(work: Drawing, found: Interval, height: float, place: int, label: str) -> None:
-    color = SERIES[place % len(SERIES)]
-    work.axes.plot([found.low, found.high], [height, height], color=color, lw=2.0)
-    work.axes.plot(
-        found.mean,
-        height,
-        color=color,
-        marker=MARKERS[place % len(MARKERS)],
-        ms=4.5,
-        ls='',
-        label=label or None,
-    )
-
-
 def _score_curves(games: GamesEvaluation, name: str) -> str:
     where = f', {games.curve_setting}' if games.curve_setting else ''
-    with drawing(name, f'Mean score by planning seconds{where}', WIDTH, 4.4) as work:
+    names = {
+        'title': f'Score against planning time{where}',
+        'xlabel': 'planning seconds of the processor (models counted)',
+        'ylabel': 'mean score, with 95 % interval',
+        'xscale': 'log',
+    }
+    with _chart(
+        name, f'Mean score by planning seconds{where}', (WIDTH, 4.4), 'both', **names
+    ) as work:
         axes = work.axes
         for place, curve in enumerate(games.curves):
-            seconds = [row.seconds for row in curve.rows]
-            color, marker = SERIES[place % len(SERIES)], MARKERS[place % len(MARKERS)]
-            low, high = (
-                [getattr(r.score, bound) for r in curve.rows] for bound in ('low', 'high')
-            )
-            axes.fill_between(seconds, low, high, color=color, alpha=0.2, lw=0)
-            means = [row.score.mean for row in curve.rows]
+            seconds, scores = [r.seconds for r in curve.rows], [r.score for r in curve.rows]
+            style = _series(place)
+            low, high = [score.low for score in scores], [score.high for score in scores]
+            axes.fill_between(seconds, low, high, color=style['color'], alpha=0.2, lw=0)
             label = _curve_label(curve, games.targets)
-            axes.plot(seconds, means, color=color, marker=marker, ms=4.5, label=label)
+            axes.plot(seconds, [score.mean for score in scores], ms=4.5, label=label, **style)
         for target in games.targets:
             axes.axhline(target, color=MUTED, ls='--', lw=1.0)
             axes.annotate(
@@ -329,16 +377,9 @@ def _score_curves(games: GamesEvaluation, name: str) -> str:
                 size=8.5,
                 color=MUTED,
             )
-        axes.set_xscale('log')
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f'{x:g}'))
+        axes.xaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.set(
-            title=f'Score against planning time{where}',
-            xlabel='planning seconds of the processor (models counted)',
-            ylabel='mean score, with 95 % interval',
-        )
-        axes.grid()
         work.figure.legend(loc='outside lower left', ncols=1)
     return work.svg
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 import io
 import re
@@ -71,14 +70,6 @@ def file_settings(name: str) -> dict[Any, Any]:
         'svg.fonttype': 'path',
         'svg.hashsalt': name,
     }
-
-
-@dataclass(frozen=True)
-class CaptionedFigure:
-    """A finished figure."""
-
-    svg: str
-    caption: str = ''
 
 
 class Drawing:

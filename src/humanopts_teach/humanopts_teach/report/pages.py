@@ -1,10 +1,15 @@
-"""What all pages share: their style sheet, and how their templates are read."""
+"""What all pages share: style sheet, templates, findings, and how numbers are written."""
 
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 import jinja2
 from markupsafe import Markup
+
+DASH = '\N{EN DASH}'  # no number
+MINUS = '\N{MINUS SIGN}'
 
 
 @cache
@@ -13,11 +18,62 @@ def page_style() -> str:
     return files('humanopts_teach.report').joinpath('style.css').read_text('utf-8')
 
 
-@cache
-def template(package: str, name: str) -> jinja2.Template:
-    """Return a template of a package; it knows ``style``, and escapes what is filled in."""
+def render(package: str, name: str, values: dict[str, Any]) -> str:
+    """
+    Return a page from a template of a package, which may extend ``base.html`` of this one.
+
+    Templates know the functions of this module that write numbers, and ``markup`` for what is
+    HTML or SVG already; everything else that is filled in is escaped.
+    """
+    packages = dict.fromkeys((package, 'humanopts_teach.report'))
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(each, '') for each in packages]),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    environment.globals['style'] = Markup(page_style())
-    return environment.from_string(files(package).joinpath(name).read_text('utf-8'))
+    environment.globals.update(
+        style=Markup(page_style()),
+        markup=Markup,
+        number=number,
+        percent=percent,
+        duration=duration,
+        DASH=DASH,
+    )
+    return environment.get_template(name).render(values)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence, and whether it is a good result; None: neither good nor bad."""
+
+    good: bool | None
+    text: str
+
+    @property
+    def mark(self) -> str:
+        """A tick, a cross or a dot."""
+        return {True: '✓', False: '✗', None: '·'}[self.good]
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Return a number for people; a dash where there is none."""
+    if value is None or value != value:
+        return DASH
+    return f'{value:.{digits}g}'.replace('-', MINUS)
+
+
+def duration(seconds: float) -> str:
+    """Return a time for people."""
+    return f'{seconds:.1f} s' if seconds < 100 else f'{seconds / 60:.1f} min'
+
+
+def counted(count: int, thing: str) -> str:
+    """Return such as ``1 fallback`` or ``no fallbacks``."""
+    return f'{count or "no"} {thing}{"" if count == 1 else "s"}'
+
+
+def percent(value: float | None) -> str:
+    """Return a share for people; a dash where there is none."""
+    return DASH if value is None else f'{value:.1%}'.replace('.0%', '%')

@@ -2,32 +2,28 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 import platform
-from typing import Any
 
 from humanopts_learner.planning.plan import Plan
-from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
-from humanopts_teach.evaluation.summary import write_text
+from humanopts_teach.bags.reader import Bag
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
+from humanopts_teach.evaluation.summary import Live, write_text
 from humanopts_teach.evaluation.text import REPRODUCED
 from humanopts_teach.report.boards import board_figures
-from humanopts_teach.report.charts import games_figures, learning_curves, planning_figures
-from humanopts_teach.report.data import Frame, ReportData, TopicRow
-from humanopts_teach.report.film import filmstrip
-from humanopts_teach.report.pages import template
-from humanopts_teach.report.rules import option_rules
-from humanopts_teach.report.sweeps import sweep_report
-from humanopts_teach.report.words import (
-    DASH,
-    duration,
-    findings,
-    games_findings,
-    number,
-    percent,
-    planning_rows,
+from humanopts_teach.report.charts import (
+    games_figures,
+    learning_curves,
+    planning_figures,
+    sweep_report,
 )
-from markupsafe import Markup
+from humanopts_teach.report.episode import episode_strip
+from humanopts_teach.report.findings import findings, planning_rows
+from humanopts_teach.report.pages import DASH, duration, percent, render
+from humanopts_teach.report.recording import Frame, read_last_episode, read_topics, TopicRow
+from humanopts_teach.report.rules import option_rules
 
 MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
     ('n_demonstrations', 'demonstrations', False),
@@ -41,46 +37,53 @@ MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
 )
 
 
-def write_report(path: Path, data: ReportData) -> None:
-    """
-    Write a report that needs no other file and no network.
+@dataclass(frozen=True)
+class ReportData:
+    """One report. Parts that are empty are left out of it."""
 
-    :raises SummaryError: the file cannot be written.
-    :raises StateError: a frame is not of the domain.
-    """
-    write_text(path, render_report(data))
+    title: str
+    evaluation: BagEvaluation
+    live: Live | None = None  # what was seen while teaching
+    frames: Sequence[Frame] = ()  # one episode
+    topics: Sequence[TopicRow] = ()
+    provenance: Mapping[str, str] = field(default_factory=dict)  # name -> text, such as versions
 
 
 def write_evaluation_report(
-    path: Path,
-    evaluation: BagEvaluation,
-    frames: Sequence[Frame] = (),
-    topics: Sequence[TopicRow] = (),
-    provenance: Mapping[str, str] | None = None,
-) -> None:
+    path: Path, evaluation: BagEvaluation, bag: Bag | None = None, live: Live | None = None
+) -> ReportData:
     """
-    Write what a bag alone gives; errors as ``write_report``.
+    Write a report that needs no other file and no network.
 
-    :param provenance: what is to be known of the bag and the programs, by name.
+    :param bag: whose recording and last episode are shown, too; None: they are not known.
+    :param live: what was seen while teaching; None: it is not known.
+    :return: what the report shows.
+    :raises SummaryError: the file cannot be written.
+    :raises StateError: a recorded state is not of the domain.
     """
-    title = f'{evaluation.domain.name}: evaluated from a bag'
-    write_report(path, ReportData(title, evaluation, None, frames, topics, provenance or {}))
+    how = 'evaluated from a bag' if live is None else 'taught, planned, played'
+    title = f'{evaluation.domain.name}: {how}'
+    data = ReportData(title, evaluation, live)
+    if bag is not None:
+        holds = f'{bag.path.name}: {bag.n_messages:,} messages on {len(bag.topics)} topics'
+        frames, topics = read_last_episode(bag), read_topics(bag)
+        data = ReportData(title, evaluation, live, frames, topics, {'bag': holds})
+    write_text(path, render_report(data))
+    return data
 
 
 def render_report(data: ReportData) -> str:
     """Return the page."""
-    evaluation = data.evaluation
-    planning = planning_rows(data)
+    evaluation, live = data.evaluation, data.live
+    planning = planning_rows(evaluation, live)
     exact = {
-        name: p.plan
-        for name, p in zip(evaluation.plan_names, evaluation.plans)
-        if isinstance(p.plan, Plan)
+        name: found.plan
+        for name, found in evaluation.named_plans.items()
+        if isinstance(found.plan, Plan)
     }
-    values: dict[str, Any] = {
+    values = {
         'title': data.title,
-        'findings': findings(
-            data, [f for g in evaluation.games.values() for f in games_findings(g)]
-        ),
+        'findings': list(findings(evaluation, live, data.topics)),
         'games': [
             (person, games, games_figures(games, f'games-{place}'))
             for place, (person, games) in enumerate(evaluation.games.items())
@@ -90,65 +93,54 @@ def render_report(data: ReportData) -> str:
         'options': [
             (
                 option,
-                _seconds(option),
-                learning_curves(option.curve, f'option-{place}', option.block.name),
-                option_rules(option.option, evaluation.domain),
+                learning_curves(option.curve, f'option-{place}', option.last.block.name),
+                option_rules(option.last.option, evaluation.domain),
             )
             for place, option in enumerate(evaluation.options)
         ],
-        'live': {block.name: block for block in data.summary.options} if data.summary else {},
-        'has_live': data.summary is not None,
+        'live': None if live is None else {block.name: block for block in live.options},
         'measures': MEASURES,
         'reproduced': REPRODUCED,
         'boards': board_figures(exact, 'board'),
         'planning': planning,
         'teaching_cost': _teaching_cost(evaluation),
         'planning_figures': planning_figures(planning, 'planning'),
-        'film': filmstrip(evaluation.domain, data.frames),
-        'topics': sorted(data.topics, key=lambda topic: topic.name),
+        'episode': episode_strip(evaluation.domain, data.frames),
+        'topics': data.topics,
         'provenance': _provenance(data),
-        'svg': Markup,
-        'number': number,
-        'percent': percent,
-        'duration': duration,
     }
-    return template('humanopts_teach.report', 'report.html').render(values)
-
-
-def _seconds(option: OptionEvaluation) -> float:
-    return option.curve[-1].seconds if option.curve else 0.0
+    return render('humanopts_teach.report', 'report.html', values)
 
 
 def _teaching_cost(evaluation: BagEvaluation) -> dict[str, str]:
     """Return what it took to get the options of each plan, by what the plan is called."""
     cost = {}
-    for name, plan in zip(evaluation.plan_names, evaluation.plans):
-        taught = [o for o in evaluation.options if o.participant == plan.participant]
-        shown = sum(option.block.n_demonstrations for option in taught)
-        cost[name] = f'{shown} in {duration(sum(map(_seconds, taught)))}' if taught else DASH
+    for name, plan in evaluation.named_plans.items():
+        taught = [option.last for option in evaluation.of(plan.participant)]
+        shown = sum(point.block.n_demonstrations for point in taught)
+        seconds = duration(sum(point.seconds for point in taught))
+        cost[name] = f'{shown} in {seconds}' if taught else DASH
     return cost
 
 
 def _provenance(data: ReportData) -> dict[str, str]:
     """Return what a reader needs to get the same numbers again."""
-    settings = data.evaluation.settings
-    rate = settings.teacher_error_rate
-    parameters = ', '.join(f'{k} {v}' for k, v in data.evaluation.domain.parameters.items())
-    facts = {
-        'domain': f'{data.evaluation.domain.name} ({parameters})',
+    settings, domain = data.evaluation.settings, data.evaluation.domain
+    rate, limits = settings.teacher_error_rate, settings.thresholds
+    parameters = ', '.join(f'{name} {value}' for name, value in domain.parameters.items())
+    return {
+        'domain': f'{domain.name} ({parameters})',
         'seed': str(settings.seed),
         'start states chosen by': f'{settings.strategy}, at most {settings.budget} for an option',
         'criteria': (
-            f'return at most {settings.thresholds.return_delta:g} reward units short, '
-            f'initiation at most {settings.thresholds.initiation_error:g}, '
-            f'termination at most {settings.thresholds.termination_error:g}'
+            f'return at most {limits.return_delta:g} reward units short, '
+            f'initiation at most {limits.initiation_error:g}, '
+            f'termination at most {limits.termination_error:g}'
         ),
         'teacher': 'a person' if rate is None else f'simulated, {percent(rate)} of steps wrong',
+        **data.provenance,
+        'evaluated with': _versions(),
     }
-    if data.summary is not None:
-        bag = data.summary.bag
-        facts['bag'] = f'{bag.path}: {bag.messages:,} messages on {bag.topics} topics'
-    return {**facts, 'evaluated with': _versions(), **data.provenance}
 
 
 def _versions() -> str:
