@@ -1,14 +1,15 @@
 """Ways to play Pac-Man, compared under the same rules."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from humanopts_env.domains.base import feature_columns
 from humanopts_env.domains.pacman.baselines import play_heuristic
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options as rooms_references
-from humanopts_learner.options.option import options_from_references
+from humanopts_learner.demonstrations import Demonstration, group_by_option
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption, options_from_references
 from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.errors import ForeignOptionError, PlanCanceled, PlanError
 from humanopts_learner.planning.sampled.plan import make_sampled_plan
@@ -24,52 +25,26 @@ from humanopts_teach.evaluation.comparison import (
     planning_curve,
     RANDOM,
 )
-import numpy as np
-from numpy.typing import NDArray
 import pytest
 
 GAMES, STEPS, SEED = 40, 8_000, 3
-N_MOVES = 4
-
-
-@dataclass(frozen=True)
-class Toward:
-    """Goes to the nearest of some things, as a batch option."""
-
-    direction: int  # index of the feature
-    name: str
-    max_steps: int = 10
-
-    def can_start(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Return where there is a way to go."""
-        way: NDArray[np.bool_] = rows[:, self.direction] < N_MOVES
-        return way
-
-    def ends(self, rows: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Return where there is no way to go."""
-        return ~self.can_start(rows)
-
-    def greedy_action(self, rows: NDArray[np.int32]) -> NDArray[np.intp]:
-        """Return the first move of a shortest path."""
-        return np.minimum(rows[:, self.direction], N_MOVES - 1).astype(np.intp)
 
 
 @pytest.fixture(scope='module')
-def domain() -> PacMan:
+def domain(yard: PacMan) -> PacMan:
     """A small maze."""
-    return PacMan('yard', max_steps=150)
+    return yard
 
 
 @pytest.fixture(scope='module')
-def options(domain: PacMan) -> list[Toward]:
-    """Ways to food, to pills and to scared ghosts."""
-    things = ('food', 'pill', 'prey')
-    columns = feature_columns(domain, [f'{thing}_direction' for thing in things])
-    return [Toward(column, thing) for column, thing in zip(columns, things)]
+def options(domain: PacMan, yard_lesson: list[Demonstration]) -> list[LearnedOption]:
+    """Ways to food, from ghosts, to pills and to scared ghosts."""
+    groups = group_by_option(yard_lesson).values()
+    return [learn_option(demonstrations, domain, SEED) for demonstrations in groups]
 
 
 @pytest.fixture(scope='module')
-def baselines(options: list[Toward]) -> list[Baseline]:
+def baselines(options: list[LearnedOption]) -> list[Baseline]:
     """One of each kind, and primitive actions."""
     return [
         Baseline('planned', PLAN, HUMAN, options, STEPS),
@@ -104,7 +79,7 @@ def test_every_baseline_has_its_row_in_order(rows: list[ComparisonRow]) -> None:
 
 
 def test_a_plan_is_judged_as_when_it_is_made_alone(
-    domain: PacMan, options: list[Toward], rows: list[ComparisonRow]
+    domain: PacMan, options: list[LearnedOption], rows: list[ComparisonRow]
 ) -> None:
     returns = make_sampled_plan(domain, HUMAN, options, STEPS, SEED).play(SEED, GAMES)
     assert rows[0].score.mean == returns.total.mean()
@@ -112,7 +87,7 @@ def test_a_plan_is_judged_as_when_it_is_made_alone(
 
 
 def test_a_curve_has_the_same_score_for_the_same_budget(
-    domain: PacMan, options: list[Toward], rows: list[ComparisonRow]
+    domain: PacMan, options: list[LearnedOption], rows: list[ComparisonRow]
 ) -> None:
     plan, limits = Baseline('planned', PLAN, HUMAN, options), CurveLimits(STEPS // 2, STEPS)
     curve = planning_curve(domain, plan, limits, SEED, GAMES)
@@ -121,7 +96,7 @@ def test_a_curve_has_the_same_score_for_the_same_budget(
 
 
 def test_a_curve_ends_where_the_target_is_reached_and_shows_where_it_is_not(
-    domain: PacMan, options: list[Toward]
+    domain: PacMan, options: list[LearnedOption]
 ) -> None:
     """Budgets are doubled; there are not so many points to be had."""
     plan = Baseline('planned', PLAN, HUMAN, options)
