@@ -9,7 +9,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.sampled.state_abstraction import batch_games
+from humanopts_learner.planning.request import batch_games
 import numpy as np
 
 from benchmarks.measure import compare, in_turns, OnMeasured, Row

@@ -26,9 +26,9 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree, Tree
 from humanopts_learner.options.option import LearnedOption, MEMBERSHIP, TabularOption, tabulate
-from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
+from humanopts_learner.planning.exact import make_exact_plan
 from humanopts_learner.planning.multi_time_models import MultiTimeModel
-from humanopts_learner.planning.plan import plan_with_tables
+from humanopts_learner.planning.request import HUMAN, PlanRequest, PRIMITIVE
 from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
 from numpy.typing import NDArray
@@ -152,7 +152,11 @@ class Solver:
 def _planned(
     case: TaxiCase, action_set: str, options: Sequence[TabularOption], table_seconds: float = 0.0
 ) -> Solved:
-    plan = plan_with_tables(case.domain, action_set, options, GAMMA, TOLERANCE, MAX_SWEEPS)
+    plan = make_exact_plan(
+        case.domain,
+        options,
+        PlanRequest(action_set, gamma=GAMMA, tol=TOLERANCE, max_sweeps=MAX_SWEEPS),
+    )
     return Solved(
         plan.solution.values,
         table_seconds,

@@ -12,7 +12,7 @@ from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.options.option import tabulate
-from humanopts_learner.planning.action_sets import (
+from humanopts_learner.planning.request import (
     AUTOMATIC,
     AUTOMATIC_AND_PRIMITIVE,
     HUMAN,

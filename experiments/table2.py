@@ -17,20 +17,23 @@ from humanopts_env.domains.pacman.baselines import INTERRUPTED
 from humanopts_env.domains.pacman.baselines import PRIMITIVE as PRIMITIVE_SETTINGS
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
-from humanopts_learner.planning.action_sets import (
+from humanopts_learner.options.option import LearnedOption, TabularOption
+from humanopts_learner.planning.evaluate import play, Returns
+from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
+from humanopts_learner.planning.interruption import as_executed, policy_values
+from humanopts_learner.planning.plan import AnyPlan
+from humanopts_learner.planning.request import (
     AUTOMATIC,
     AUTOMATIC_AND_PRIMITIVE,
+    Execution,
     HUMAN,
     HUMAN_AND_PRIMITIVE,
+    MAX_SWEEPS,
+    PlanRequest,
     PRIMITIVE,
+    Sampling,
 )
-from humanopts_learner.planning.any_domain import AnyPlan, MAX_SWEEPS
-from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.evaluate import play, Returns
-from humanopts_learner.planning.interruption import as_executed, policy_values
-from humanopts_learner.planning.plan import Plan, plan_with_tables
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_teach.evaluation.comparison import carried_over
 import numpy as np
 from numpy.typing import NDArray
@@ -256,17 +259,15 @@ def plan_exactly(
     """
     named = {'action set': variant.name}
 
-    def make(max_sweeps: int = MAX_SWEEPS) -> tuple[Plan, Plan]:
+    def make(max_sweeps: int = MAX_SWEEPS) -> tuple[ExactPlan, ExactPlan]:
         """Return a plan, with all its seconds, and the one that executes it."""
-        began = CLOCK()
-        tabled = [tabulate(option, domain) for option in options]
-        limits: Any = {'max_sweeps': max_sweeps, 'clock': CLOCK, 'table_seconds': CLOCK() - began}
-        plan = plan_with_tables(domain, variant.action_set, tabled, domain.gamma, **limits)
+        request = PlanRequest(variant.action_set, max_sweeps=max_sweeps)
+        plan = make_exact_plan(domain, options, request, clock=CLOCK)
         began = CLOCK()
         executed = as_executed(plan, variant.execution)
         return replace(plan, model_seconds=plan.model_seconds + CLOCK() - began), executed
 
-    def judge(max_sweeps: int = MAX_SWEEPS) -> tuple[Plan, dict[str, Any]]:
+    def judge(max_sweeps: int = MAX_SWEEPS) -> tuple[ExactPlan, dict[str, Any]]:
         """Judge the plan of the median seconds of several, since one takes hardly any."""
         made = [make(max_sweeps) for _ in range(REPEATS)]
         made.sort(key=lambda pair: sum(getattr(pair[0], name) for name in SECONDS))
@@ -353,17 +354,15 @@ def plan_from_samples(
         return int(generator(seed, 'table 2', purpose, number).integers(2**31))
 
     def make(setting: Setting, budget: int, seed: int) -> SampledPlan:
-        how = setting.gamma, setting.sampling
-        return make_sampled_plan(
-            domain,
+        request = PlanRequest(
             variant.action_set,
-            options,
-            budget,
-            seed,
-            *how,
-            clock=CLOCK,
+            gamma=setting.gamma,
+            game_steps=budget,
+            seed=seed,
+            sampling=setting.sampling,
             execution=variant.execution,
         )
+        return make_sampled_plan(domain, options, request, clock=CLOCK)
 
     settings, search = settings_to_try(domain.gamma, effort.tried), draw('search')
     tried = [

@@ -8,17 +8,17 @@ from graph_support.scripted import TAXI
 from graph_support.tour import Step, steps, TOUR, touring, USE
 from humanopts_interfaces.msg import OptionResult, OptionValues, PolicyResult
 from humanopts_interfaces.srv import RunOption, SetExecution
-from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.evaluate import episode_starts
 from humanopts_learner.planning.interruption import option_values
 from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.request import Execution, PlanRequest
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_ros.qos import LATCHED_LARGE
 import pytest
 
 EPISODES, SEED = 5, 12
 OPTIONS = touring()
-PLAN = make_plan(TAXI, 'human', OPTIONS)
+PLAN = make_plan(TAXI, OPTIONS, PlanRequest('human'))
 STARTS = episode_starts(TAXI, SEED, EPISODES)
 CHANGED = [e for e in Execution if e is not Execution.RUN_TO_END]
 

@@ -10,6 +10,7 @@ from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.option import options_from_references
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.request import PlanRequest
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / 'examples' / 'humanopts_greenhouse'
@@ -51,7 +52,9 @@ def test_it_is_planned_in_by_its_name(size: int) -> None:
     assert is_enumerable(domain)
     options = options_from_references(domain, reference_options(domain).values())
     starts = domain.start_states()
-    human, primitive = (make_plan(domain, name, options) for name in ('human', 'primitive'))
+    human, primitive = (
+        make_plan(domain, options, PlanRequest(name)) for name in ('human', 'primitive')
+    )
     returns = play(human, starts)
     assert returns.successes.all()
     assert (returns.decisions == 6).all()  # fill and water, three times

@@ -24,6 +24,7 @@ from humanopts_learner.automatic.extract import (
     to_learned_options,
 )
 from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.request import PlanRequest
 from humanopts_learner.ros.convert import options_from_message
 from humanopts_ros.qos import CURRENT
 import pytest
@@ -105,7 +106,7 @@ def test_who_comes_late_gets_them_whole(
 def test_an_episode_is_played_by_a_plan_of_automatic_options(
     at_work: Planning, extracted: ExtractionResult, found: AutomaticOptions
 ) -> None:
-    plan = make_plan(TAXI, 'automatic', to_learned_options(TAXI, found))
+    plan = make_plan(TAXI, to_learned_options(TAXI, found), PlanRequest('automatic'))
     result = at_work.plan('automatic')
     assert result.status == PlanResult.STATUS_CONVERGED
     assert tuple(result.option_names) == plan.names

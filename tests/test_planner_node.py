@@ -13,9 +13,9 @@ from humanopts_env.ros.convert import domain_to_info
 from humanopts_env.ros.game_node import GameNode
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import DomainInfo, PlanResult, PolicyResult
-from humanopts_learner.planning.any_domain import judge_plan
 from humanopts_learner.planning.evaluate import episode_starts, play
-from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.plan import judge_plan, make_plan
+from humanopts_learner.planning.request import PlanRequest
 from humanopts_ros.qos import LATCHED, LATCHED_ALL
 import pytest
 from rcl_interfaces.msg import Log
@@ -41,7 +41,7 @@ def planning(at_work: Planning) -> Planning:
 @pytest.mark.parametrize('action_set', ['human', 'primitive', 'human+primitive'])
 def test_a_plan_is_the_plan_of_the_pure_code(planning: Planning, action_set: str) -> None:
     result = planning.plan(action_set, evaluation_episodes=EPISODES)
-    plan = make_plan(TAXI, action_set, OPTIONS)
+    plan = make_plan(TAXI, OPTIONS, PlanRequest(action_set))
     returns = play(plan, episode_starts(TAXI, SEED, EPISODES))
     assert result.status == PlanResult.STATUS_CONVERGED
     assert (result.action_set, tuple(result.option_names)) == (action_set, plan.names)
@@ -92,7 +92,7 @@ def test_goals_and_results_of_plans_are_on_the_graph(planning: Planning) -> None
 
 def test_some_of_the_options_can_be_planned_with(planning: Planning) -> None:
     result = planning.plan('human', options=[FETCH], evaluation_episodes=3)
-    alone = make_plan(TAXI, 'human', FIRST_ONLY)
+    alone = make_plan(TAXI, FIRST_ONLY, PlanRequest('human'))
     assert tuple(result.option_names) == alone.names
     returns = play(alone, episode_starts(TAXI, SEED, 3))
     assert result.fallbacks == returns.fallbacks.sum() > 0
@@ -102,7 +102,7 @@ def test_an_option_that_cannot_be_read_does_not_hide_the_others(planning: Planni
     logged = planning.graph.listen(Log, '/rosout', LATCHED_ALL)
     planning.teach(OPTIONS, spoilt=['spoilt'])
     result = planning.plan('human')
-    assert tuple(result.option_names) == make_plan(TAXI, 'human', OPTIONS).names
+    assert tuple(result.option_names) == make_plan(TAXI, OPTIONS, PlanRequest('human')).names
     planning.graph.until(
         lambda: any("'spoilt' in learned_options" in entry.msg for entry in logged), 'the error'
     )
@@ -164,7 +164,7 @@ def test_options_of_two_people_are_not_mixed(planning: Planning) -> None:
 def test_playing_by_a_plan_is_what_the_pure_code_says(planning: Planning) -> None:
     planned = planning.plan('human')
     runs = [planning.play('human') for _ in range(2)]
-    plan = make_plan(TAXI, 'human', OPTIONS)
+    plan = make_plan(TAXI, OPTIONS, PlanRequest('human'))
     returns = play(plan, episode_starts(TAXI, SEED, EPISODES))
     for result in runs:
         assert result.status == PolicyResult.STATUS_DONE
@@ -181,7 +181,7 @@ def test_fallbacks_are_counted(planning: Planning) -> None:
     planning.teach(FIRST_ONLY)
     planning.plan('human')
     result = planning.play('human', episodes=3)
-    plan = make_plan(TAXI, 'human', FIRST_ONLY)
+    plan = make_plan(TAXI, FIRST_ONLY, PlanRequest('human'))
     returns = play(plan, episode_starts(TAXI, SEED, 3))
     assert result.status == PolicyResult.STATUS_DONE
     assert result.fallbacks == returns.fallbacks.sum() > 0

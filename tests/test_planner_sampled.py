@@ -13,9 +13,9 @@ from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import PlanResult, PolicyResult
 from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.option import LearnedOption, Mode
-from humanopts_learner.planning.any_domain import AnyPlan, judge_plan, plan_in, PlanRequest
-from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.evaluate import episode_start
+from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan
+from humanopts_learner.planning.request import Execution, PlanRequest
 from humanopts_learner.planning.sampled.plan import SampledPlan
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def planning(shared: Graph, options: list[LearnedOption]) -> Planning:
 
 
 def pure(options: Sequence[LearnedOption], action_set: str = 'human') -> AnyPlan:
-    return plan_in(MAZE, options, PlanRequest(action_set, game_steps=STEPS, seed=SEED))
+    return make_plan(MAZE, options, PlanRequest(action_set, game_steps=STEPS, seed=SEED))
 
 
 def numbers(result: PlanResult) -> dict[str, Any]:

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, options_from_references
-from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.interruption import action_table, as_executed
-from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.request import Execution
 
 from graph_support.scripted import DELIVER, TAXI, walk
 
@@ -46,7 +46,7 @@ class Step:
     stopped: bool  # and what ran was stopped for it
 
 
-def steps(plan: Plan, execution: Execution, start: int, limit: int) -> Iterator[Step]:
+def steps(plan: ExactPlan, execution: Execution, start: int, limit: int) -> Iterator[Step]:
     """Play an episode by the tables of the vectorised play, which the runner never sees."""
     acting, rules = as_executed(plan, execution), TAXI.transitions()
     does, at, column, stopped = action_table(plan), start, -1, False

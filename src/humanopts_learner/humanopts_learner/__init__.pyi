@@ -10,7 +10,7 @@ from .options.files import load_option, save_option
 from .options.learn import learn_option
 from .options.option import LearnedOption
 from .options.start_states import choose_start_state
-from .planning.any_domain import judge_plan, plan
+from .planning.plan import judge_plan, plan
 from .planning.value_iteration import solve_smdp
 
 __all__ = [

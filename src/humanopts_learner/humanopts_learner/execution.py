@@ -16,7 +16,7 @@ from humanopts_learner.library import RunnableOption
 from humanopts_learner.options.option import Mode
 from humanopts_learner.options.rollout import is_deterministic
 from humanopts_learner.planning.arbiter import Arbiter
-from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.request import Execution
 import numpy as np
 
 

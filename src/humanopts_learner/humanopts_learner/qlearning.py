@@ -25,10 +25,8 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
-from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.action_sets import check_action_set, OPTIONS_ONLY, PRIMITIVE
-from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.request import PlanError, PlanRequest, PRIMITIVE
 import numpy as np
 
 # Called with the share of the episodes that is done, 0..1; raises ``PlanCanceled`` to stop
@@ -63,23 +61,8 @@ def option_table(
     :param options: ignored in the set ``primitive``.
     :raises PlanError: there is no such set, or its options are none or not distinct.
     """
+    PlanRequest(action_set).in_force(domain, options, sampled=False)
     used = () if action_set == PRIMITIVE else tuple(options)
-    check_action_set(action_set, [option.name for option in options])
-    going = ~domain.over()
-    free = going
-    if action_set in OPTIONS_ONLY:
-        free = going & ~np.any([option.initiation for option in used], axis=0)
-    primitives = [
-        TabularOption(
-            name=PRIMITIVE_PREFIX + action.name,
-            max_steps=1,
-            action=np.full(len(free), index),
-            initiation=free,
-            termination=np.ones_like(free),
-        )
-        for index, action in enumerate(domain.actions)
-    ]
-    every = [*used, *primitives] if free.any() else used
     return OptionTable(
         names=tuple(option.name for option in every),
         action=np.array([option.action for option in every], dtype=np.intp),

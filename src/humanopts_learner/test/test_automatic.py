@@ -19,13 +19,19 @@ from humanopts_learner.automatic.extract import (
     to_learned_options,
 )
 from humanopts_learner.automatic.subgoals import draw_tasks
-from humanopts_learner.planning.action_sets import HUMAN_AND_PRIMITIVE, PRIMITIVE
-from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
-from humanopts_learner.planning.plan import plan_with_tables
+from humanopts_learner.planning.exact import make_exact_plan
+from humanopts_learner.planning.request import (
+    batch_games,
+    HUMAN_AND_PRIMITIVE,
+    PlanCanceled,
+    PlanError,
+    PlanRequest,
+    PRIMITIVE,
+)
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import Runs
 from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
+from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 import numpy as np
 import pytest
 
@@ -142,8 +148,10 @@ def test_the_doorways_of_rooms_lie_on_most_runs() -> None:
 
 def test_planning_with_automatic_options_and_primitives_loses_nothing() -> None:
     taxi = Taxi()
-    best = plan_with_tables(taxi, PRIMITIVE, (), 0.99).solution.values
-    both = plan_with_tables(taxi, HUMAN_AND_PRIMITIVE, found('taxi').options, 0.99)
+    best = make_exact_plan(taxi, (), PlanRequest(PRIMITIVE, gamma=0.99)).solution.values
+    both = make_exact_plan(
+        taxi, found('taxi').options, PlanRequest(HUMAN_AND_PRIMITIVE, gamma=0.99)
+    )
     assert both.solution.values == pytest.approx(best, abs=1e-6)
 
 
@@ -226,5 +234,5 @@ def test_a_domain_that_cannot_be_listed_is_refused() -> None:
     class Endless:
         name = 'endless'
 
-    with pytest.raises(NotEnumerableError, match='endless cannot all be listed'):
+    with pytest.raises(PlanError, match='endless cannot all be listed'):
         find_options(Endless(), 0)  # type: ignore[arg-type]

@@ -16,11 +16,16 @@ from humanopts_learner.automatic.extract import (
 )
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, tabulate
-from humanopts_learner.planning.any_domain import plan_in, PlanRequest, select_options
-from humanopts_learner.planning.errors import NoOptionsError, PlanError
-from humanopts_learner.planning.plan import plan_with_tables
+from humanopts_learner.planning.exact import make_exact_plan
+from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.request import (
+    batch_games,
+    NoOptionsError,
+    PlanError,
+    PlanRequest,
+    select_options,
+)
 from humanopts_learner.planning.sampled.plan import make_sampled_plan
-from humanopts_learner.planning.sampled.state_abstraction import batch_games
 import numpy as np
 import pytest
 
@@ -92,8 +97,8 @@ def test_a_file_keeps_an_automatic_option_without_demonstrations() -> None:
 @pytest.mark.parametrize('action_set', ['automatic', 'automatic+primitive'])
 def test_plans_of_learned_form_and_of_tables_are_the_same(action_set: str) -> None:
     taxi = Taxi()
-    plan: Any = plan_in(taxi, options('taxi'), PlanRequest(action_set))
-    tabled = plan_with_tables(taxi, action_set, found('taxi').options, taxi.gamma)
+    plan: Any = make_plan(taxi, options('taxi'), PlanRequest(action_set))
+    tabled = make_exact_plan(taxi, found('taxi').options, PlanRequest(action_set))
     space = found('taxi').space
     going = space.reached & ~space.over
     assert (plan.solution.values == tabled.solution.values)[going].all()
@@ -103,7 +108,9 @@ def test_plans_of_learned_form_and_of_tables_are_the_same(action_set: str) -> No
 
 def test_fallbacks_of_automatic_options_are_where_none_can_start() -> None:
     sampled = make_sampled_plan(
-        make_domain('pacman'), 'automatic', options('pacman'), 60_000, 0, max_sweeps=100
+        make_domain('pacman'),
+        options('pacman'),
+        PlanRequest('automatic', game_steps=60_000, seed=0, max_sweeps=100),
     )
     assert sampled.first_fallback == len(options('pacman'))
 
@@ -125,4 +132,4 @@ def test_sets_choose_between_what_people_taught_and_what_was_found() -> None:
     with pytest.raises(PlanError, match='name one of automatic, automatic 2'):
         select_options([*both, second], 'automatic')
     with pytest.raises(NoOptionsError, match='extract them first'):
-        plan_in(Rooms(), select_options([taught], 'automatic'), PlanRequest('automatic'))
+        make_plan(Rooms(), select_options([taught], 'automatic'), PlanRequest('automatic'))

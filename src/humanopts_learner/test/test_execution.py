@@ -27,7 +27,7 @@ from humanopts_learner.options.option import (
     OptionError,
     TabularOption,
 )
-from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.request import Execution
 import numpy as np
 from numpy.typing import NDArray
 import pytest

@@ -9,21 +9,6 @@ from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_learner.options.option import LearnedOption, options_from_references
-from humanopts_learner.planning.any_domain import (
-    check_plan_request,
-    judge_plan,
-    plan_in,
-    PlanRequest,
-    select_options,
-)
-from humanopts_learner.planning.errors import (
-    GammaError,
-    ModelError,
-    NoOptionsError,
-    NotEnumerableError,
-    PlanCanceled,
-    PlanError,
-)
 from humanopts_learner.planning.evaluate import (
     episode_start,
     episode_starts,
@@ -31,7 +16,14 @@ from humanopts_learner.planning.evaluate import (
     NORMAL_95,
     play,
 )
-from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.plan import judge_plan, make_plan
+from humanopts_learner.planning.request import (
+    NoOptionsError,
+    PlanCanceled,
+    PlanError,
+    PlanRequest,
+    select_options,
+)
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 import numpy as np
 import pytest
@@ -49,8 +41,8 @@ def request(**values: Any) -> PlanRequest:
 
 def test_where_states_can_be_listed_the_plan_is_the_exact_one() -> None:
     """Whatever is asked of samples."""
-    plan = plan_in(ROOMS, OPTIONS, request(action_set='human'))
-    exact = make_plan(ROOMS, 'human', OPTIONS)
+    plan = make_plan(ROOMS, OPTIONS, request(action_set='human'))
+    exact = make_plan(ROOMS, OPTIONS, PlanRequest('human'))
     assert (plan.names, plan.game_steps) == (exact.names, 0)
     assert np.array_equal(plan.solution.values, exact.solution.values)
 
@@ -58,28 +50,28 @@ def test_where_states_can_be_listed_the_plan_is_the_exact_one() -> None:
 def test_elsewhere_the_plan_is_the_sampled_one_of_the_seed() -> None:
     """With the number of game steps that were asked for."""
     plan, sampled = (
-        plan_in(YARD, [], request()),
-        make_sampled_plan(YARD, 'primitive', [], STEPS, 3),
+        make_plan(YARD, [], request()),
+        make_sampled_plan(YARD, [], PlanRequest('primitive', game_steps=STEPS, seed=3)),
     )
     assert (plan.names, plan.game_steps) == (sampled.names, STEPS)
     assert np.array_equal(plan.solution.values, sampled.solution.values)
-    other = plan_in(YARD, [], request(seed=4))
+    other = make_plan(YARD, [], request(seed=4))
     assert not np.array_equal(other.solution.values, plan.solution.values)
 
 
 def test_defaults_fit_the_models() -> None:
     """Exact models need no game steps, and sampled ones no tolerance finer than themselves."""
     asked = PlanRequest('primitive')
-    assert asked.in_force(ROOMS) == PlanRequest('primitive', 0.9, 1e-8, 10_000, 0)
-    assert asked.in_force(YARD) == PlanRequest('primitive', 0.97, 1e-3, 10_000, 800_000)
+    assert asked.in_force(ROOMS, []) == PlanRequest('primitive', 0.9, 1e-8, 10_000, 0)
+    assert asked.in_force(YARD, []) == PlanRequest('primitive', 0.97, 1e-3, 10_000, 800_000)
     own = PlanRequest('primitive', 0.5, 0.1, 7, 500, 9)
-    assert own.in_force(YARD) == own
-    assert own.in_force(ROOMS) == replace(own, game_steps=0)
+    assert own.in_force(YARD, []) == own
+    assert own.in_force(ROOMS, []) == replace(own, game_steps=0)
 
 
 def test_an_exact_plan_is_judged_by_the_starts_of_the_seed() -> None:
     """The interval by hand: 1.96 standard errors of the episodes' returns on each side."""
-    plan = make_plan(ROOMS, 'human', OPTIONS[:2])
+    plan = make_plan(ROOMS, OPTIONS[:2], PlanRequest('human'))
     found = judge_plan(plan, SEED, 40)
     returns = play(plan, episode_starts(ROOMS, SEED, 40), seed=SEED)
     error = returns.discounted.std(ddof=1) / math.sqrt(40)
@@ -93,7 +85,7 @@ def test_an_exact_plan_is_judged_by_the_starts_of_the_seed() -> None:
 
 def test_a_sampled_plan_is_judged_as_it_plays() -> None:
     """Telling how far the games are changes nothing in them."""
-    plan = plan_in(YARD, [], request())
+    plan = make_plan(YARD, [], request())
     assert isinstance(plan, SampledPlan)
     returns, found = plan.play(SEED, 30), judge_plan(plan, SEED, 30)
     assert found.total == Interval.of(returns.total)
@@ -107,7 +99,7 @@ def test_a_sampled_plan_is_judged_as_it_plays() -> None:
 @pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
 def test_one_episode_has_a_mean_without_bounds(domain: Domain[Any]) -> None:
     """And none is refused."""
-    plan = plan_in(domain, [], request())
+    plan = make_plan(domain, [], request())
     found = judge_plan(plan, SEED, 1).total
     assert math.isfinite(found.mean)
     assert math.isnan(found.low)
@@ -119,7 +111,7 @@ def test_one_episode_has_a_mean_without_bounds(domain: Domain[Any]) -> None:
 @pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
 def test_judging_says_how_far_it_is_and_can_be_canceled(domain: Domain[Any]) -> None:
     """From its first start state to its last step."""
-    plan, seen = plan_in(domain, [], request()), list[float]()
+    plan, seen = make_plan(domain, [], request()), list[float]()
 
     def note(stage: str, fraction: float, sweeps: int, residual: float) -> None:
         assert (stage, sweeps) == ('evaluation', 0)
@@ -141,7 +133,7 @@ def test_judging_says_how_far_it_is_and_can_be_canceled(domain: Domain[Any]) -> 
 @pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
 def test_a_plan_chooses_in_states_of_the_domain(domain: Domain[Any]) -> None:
     """A primitive action, never as a fallback where they are what is planned with."""
-    plan = plan_in(domain, [], request())
+    plan = make_plan(domain, [], request())
     decision = plan.choose(episode_start(domain, SEED, 0))
     assert decision.name in plan.names
     assert not decision.fallback
@@ -150,17 +142,17 @@ def test_a_plan_chooses_in_states_of_the_domain(domain: Domain[Any]) -> None:
 def test_what_makes_no_sense_is_refused_before_planning(plain_taxi: Any) -> None:
     """Among it a domain that can be planned in neither way."""
     for domain in BOTH:
-        with pytest.raises(GammaError):
-            check_plan_request(domain, [], request(gamma=-1.0))
-        with pytest.raises(ModelError, match='tol'):
-            check_plan_request(domain, [], request(tol=math.nan))
+        with pytest.raises(PlanError, match='gamma'):
+            request(gamma=-1.0).in_force(domain, [])
+        with pytest.raises(PlanError, match='tol'):
+            request(tol=math.nan).in_force(domain, [])
         with pytest.raises(NoOptionsError):
-            check_plan_request(domain, [], request(action_set='human'))
+            request(action_set='human').in_force(domain, [])
     with pytest.raises(PlanError, match='game_steps is 399, and must be at least 400'):
-        check_plan_request(YARD, [], request(game_steps=399))
-    with pytest.raises(NotEnumerableError, match=r'no exact models; .* no method batch_games'):
-        check_plan_request(plain_taxi, [], request())
-    assert check_plan_request(ROOMS, [], request(game_steps=1)).game_steps == 0
+        request(game_steps=399).in_force(YARD, [])
+    with pytest.raises(PlanError, match=r'no exact models; .* no method batch_games'):
+        request().in_force(plain_taxi, [])
+    assert request(game_steps=1).in_force(ROOMS, []).game_steps == 0
 
 
 def named(name: str, participant: str) -> LearnedOption:

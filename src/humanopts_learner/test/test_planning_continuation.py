@@ -12,16 +12,11 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.table_domain import TableDomain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.arbitration import (
-    Execution,
-    greatest_mass,
-    OptionValues,
-    strongest,
-)
-from humanopts_learner.planning.errors import ModelError, PlanError
+from humanopts_learner.planning.arbitration import greatest_mass, OptionValues, strongest
 from humanopts_learner.planning.evaluate import play
+from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.interruption import as_executed, option_values, policy_values
-from humanopts_learner.planning.plan import Plan, plan_with_tables
+from humanopts_learner.planning.request import Execution, PlanError, PlanRequest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -44,13 +39,13 @@ def tabled(domain: Any, max_steps: int = 200, names: Sequence[str] = ()) -> list
 
 
 @cache
-def rooms_plan(action_set: str, goal: str, max_steps: int = 200) -> Plan:
+def rooms_plan(action_set: str, goal: str, max_steps: int = 200) -> ExactPlan:
     """Return a plan over the hallway options."""
     domain = Rooms(goal)
-    return plan_with_tables(domain, action_set, tabled(domain, max_steps), domain.gamma)
+    return make_exact_plan(domain, tabled(domain, max_steps), PlanRequest(action_set))
 
 
-def assert_never_worse(plan: Plan) -> None:
+def assert_never_worse(plan: ExactPlan) -> None:
     """Compare with running to the end, state by state."""
     to_end = policy_values(plan)
     assert to_end == pytest.approx(plan.solution.values, abs=1e-5)
@@ -64,7 +59,7 @@ def assert_never_worse(plan: Plan) -> None:
 @pytest.mark.parametrize('action_set', ['human', 'human+primitive'])
 def test_it_is_never_worse_on_taxi(action_set: str, max_steps: int) -> None:
     taxi = Taxi()
-    assert_never_worse(plan_with_tables(taxi, action_set, tabled(taxi, max_steps), taxi.gamma))
+    assert_never_worse(make_exact_plan(taxi, tabled(taxi, max_steps), PlanRequest(action_set)))
 
 
 @pytest.mark.parametrize('max_steps', [2, 6, 200])
@@ -81,7 +76,7 @@ def test_it_is_never_worse_in_the_greenhouse(monkeypatch: pytest.MonkeyPatch) ->
 
     house = Greenhouse()
     options = [TabularOption.of_reference(o) for o in greenhouse_options(house).values()]
-    assert_never_worse(plan_with_tables(house, 'human', options, house.gamma))
+    assert_never_worse(make_exact_plan(house, options, PlanRequest('human')))
 
 
 class RandomWorld(TableDomain[int]):
@@ -133,7 +128,7 @@ class RandomWorld(TableDomain[int]):
 
 def random_plan(
     seed: int, n_states: int, outcomes: int, action_set: str, limits: Sequence[int]
-) -> Plan:
+) -> ExactPlan:
     """Plan with random options, some of which can start nowhere or end nowhere."""
     world, rng = RandomWorld(seed, n_states, outcomes), np.random.default_rng(seed + 1)
     options = [
@@ -146,7 +141,7 @@ def random_plan(
         )
         for number, limit in enumerate(limits)
     ]
-    return plan_with_tables(world, action_set, options, world.gamma, tol=1e-10)
+    return make_exact_plan(world, options, PlanRequest(action_set, tol=1e-10))
 
 
 random_plans = st.builds(
@@ -161,13 +156,15 @@ random_plans = st.builds(
 
 @settings(deadline=None, max_examples=100)
 @given(random_plans)
-def test_it_is_never_worse_in_random_worlds_whatever_the_step_limits(plan: Plan) -> None:
+def test_it_is_never_worse_in_random_worlds_whatever_the_step_limits(plan: ExactPlan) -> None:
     assert_never_worse(plan)
 
 
 @settings(deadline=None, max_examples=30)
 @given(random_plans)
-def test_going_on_is_worth_a_run_from_there_or_with_fewer_steps_left_the_best(plan: Plan) -> None:
+def test_going_on_is_worth_a_run_from_there_or_with_fewer_steps_left_the_best(
+    plan: ExactPlan,
+) -> None:
     """One step at a time; where no run is cut off, both are the same."""
     table = option_values(plan)
     live = ~plan.domain.over()
@@ -185,7 +182,7 @@ def test_going_on_is_worth_a_run_from_there_or_with_fewer_steps_left_the_best(pl
 
 
 def one_step_more(
-    plan: Plan, option: TabularOption, ahead: NDArray[np.float64]
+    plan: ExactPlan, option: TabularOption, ahead: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return what going on is worth with one step more left, in every state, one by one."""
     rules, over, values = plan.domain.transitions(), plan.domain.over(), plan.solution.values
@@ -214,7 +211,7 @@ def test_interruption_gains_where_an_option_passes_by_the_goal() -> None:
 def test_play_earns_what_the_linear_solve_says(execution: Execution) -> None:
     """Without chance exactly; with chance within five standard errors."""
     taxi = Taxi()
-    plan = plan_with_tables(taxi, 'human', tabled(taxi, 4), taxi.gamma)
+    plan = make_exact_plan(taxi, tabled(taxi, 4), PlanRequest('human'))
     acting, starts = as_executed(plan, execution), taxi.start_states()
     returns, values = play(acting, starts, max_steps=2000), policy_values(acting)
     assert returns.discounted == pytest.approx(values[starts], abs=1e-6)
@@ -232,7 +229,7 @@ def test_an_option_that_walks_in_a_circle_is_stopped() -> None:
     up = np.ones(taxi.n_states, dtype=np.intp)
     north = TabularOption('north', 50, up, everywhere, taxi.over())
     options = [*tabled(taxi, 200, (PICKUP, DROPOFF)), north]
-    plan = plan_with_tables(taxi, 'human', options, taxi.gamma)
+    plan = make_exact_plan(taxi, options, PlanRequest('human'))
     wrong = replace(plan.solution, best=np.where(everywhere, 2, -1).astype(np.int32))
     starts = taxi.start_states()
     obstinate = play(replace(plan, solution=wrong), starts)
@@ -259,19 +256,19 @@ def test_values_survive_being_laid_out_flat() -> None:
     assert all(np.asarray(part).ndim <= 1 for part in flat.values())
     for name, part in vars(table).items():
         assert np.array_equal(getattr(again, name), part), name
-    with pytest.raises(ModelError, match='continuation_values has'):
+    with pytest.raises(PlanError, match='continuation_values has'):
         OptionValues.from_flat({**flat, 'continuation_values': flat['continuation_values'][1:]})
-    with pytest.raises(ModelError, match='ascend'):
+    with pytest.raises(PlanError, match='ascend'):
         OptionValues.from_flat({**flat, 'states': flat['states'][::-1]})
-    with pytest.raises(ModelError, match='no number'):
+    with pytest.raises(PlanError, match='no number'):
         OptionValues.from_flat({**flat, 'option_values': flat['option_values'] * np.nan})
-    with pytest.raises(ModelError, match='interruption_margin'):
+    with pytest.raises(PlanError, match='interruption_margin'):
         OptionValues.from_flat({**flat, 'interruption_margin': -1.0})
 
 
 def test_a_policy_that_never_ends_has_no_undiscounted_value() -> None:
     taxi = Taxi()
-    plan = plan_with_tables(taxi, 'primitive', [], 1.0)
+    plan = make_exact_plan(taxi, [], PlanRequest('primitive', gamma=1.0))
     stuck = plan.solution.best.copy()
     stuck[stuck >= 0] = 1  # north for ever
     with pytest.raises(PlanError, match='gamma below 1'):

@@ -14,12 +14,13 @@ from humanopts_learner.execution import Run
 from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.option import LearnedOption, Mode, options_from_references
 from humanopts_learner.planning.arbiter import Arbiter, make_arbiter
-from humanopts_learner.planning.arbitration import Execution, OptionValues
-from humanopts_learner.planning.errors import ModelError
+from humanopts_learner.planning.arbitration import OptionValues
 from humanopts_learner.planning.evaluate import play
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.interruption import as_executed, option_values
-from humanopts_learner.planning.plan import make_plan, Plan
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
+from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.request import Execution, PlanError, PlanRequest, Sampling
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -67,9 +68,9 @@ def options_of(domain: Any) -> list[LearnedOption]:
 TAXI, BATCH_TAXI, ROOMS = Taxi(), BatchTaxi(), Rooms('G2')
 
 
-def arbiter_of(plan: Plan | SampledPlan, execution: Execution) -> Arbiter:
+def arbiter_of(plan: ExactPlan | SampledPlan, execution: Execution) -> Arbiter:
     """Return the arbiter that is made of what a message carries."""
-    values = option_values(plan) if isinstance(plan, Plan) else plan.option_values()
+    values = option_values(plan) if isinstance(plan, ExactPlan) else plan.option_values()
     options = options_of(plan.domain)[::-1]
     return make_arbiter(OptionValues.from_flat(values.flat()), execution, plan.domain, options)
 
@@ -77,7 +78,7 @@ def arbiter_of(plan: Plan | SampledPlan, execution: Execution) -> Arbiter:
 class LiveGame:
     """One game as a runner drives it: who acted in each step, and what came of it."""
 
-    def __init__(self, plan: Plan | SampledPlan, execution: Execution, start: Any) -> None:
+    def __init__(self, plan: ExactPlan | SampledPlan, execution: Execution, start: Any) -> None:
         """Play to the end, or for LIMIT steps."""
         self._plan, self._domain, self.state = plan, plan.domain, start
         self._library, self._rng = OptionLibrary(plan.domain), generator(0, 'live')
@@ -120,9 +121,9 @@ class LiveGame:
 
 
 @cache
-def exact_plan() -> Plan:
+def exact_plan() -> ExactPlan:
     """Return a plan on Taxi whose values prefer what is near: with gamma 0.8."""
-    return make_plan(TAXI, 'human', options_of(TAXI), gamma=0.8)
+    return make_plan(TAXI, options_of(TAXI), PlanRequest('human', gamma=0.8))
 
 
 @cache
@@ -130,7 +131,9 @@ def sampled_plan(execution: Execution = Execution.RUN_TO_END) -> SampledPlan:
     """Return a plan over aliased abstract states, so that options are often stopped."""
     config = Sampling(n_games=200, game_steps=LIMIT, interruption_margin=0.1)
     return make_sampled_plan(
-        BATCH_TAXI, 'human', options_of(BATCH_TAXI), 24_000, 1, config=config, execution=execution
+        BATCH_TAXI,
+        options_of(BATCH_TAXI),
+        PlanRequest('human', game_steps=24_000, seed=1, execution=execution, sampling=config),
     )
 
 
@@ -172,7 +175,7 @@ def test_the_executions_differ_where_values_are_aliased() -> None:
 @pytest.mark.parametrize('execution', [Execution.INTERRUPTED, *MODULAR])
 def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(execution: Execution) -> None:
     """In every state, by the tables that exact evaluation uses."""
-    plan = make_plan(ROOMS, 'human', options_of(ROOMS))
+    plan = make_plan(ROOMS, options_of(ROOMS), PlanRequest('human'))
     acting, arbiter = as_executed(plan, execution), arbiter_of(plan, execution)
     for index in np.flatnonzero(~ROOMS.over()).tolist():
         state = ROOMS.state_at(index)
@@ -189,9 +192,9 @@ def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(execution: E
 def test_values_that_fit_neither_options_nor_domain_are_refused() -> None:
     """With what is missing."""
     values = option_values(exact_plan())
-    with pytest.raises(ModelError, match='pickup/dropoff'):
+    with pytest.raises(PlanError, match='pickup/dropoff'):
         make_arbiter(values, Execution.INTERRUPTED, TAXI, options_of(TAXI)[:2])
-    with pytest.raises(ModelError, match='every state of taxi'):
+    with pytest.raises(PlanError, match='every state of taxi'):
         make_arbiter(values, Execution.INTERRUPTED, Taxi(6, 6), options_of(TAXI))
     unnamed = OptionValues.from_flat(
         {**sampled_plan().option_values().flat(), 'names': list(TAXI_OPTIONS[::-1])}

@@ -12,19 +12,10 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
 from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
-from humanopts_learner.planning.errors import (
-    DuplicateOptionError,
-    ForeignOptionError,
-    GammaError,
-    ModelError,
-    NoOptionsError,
-    NotEnumerableError,
-    PlanCanceled,
-    PlanError,
-    UnknownActionSetError,
-)
 from humanopts_learner.planning.evaluate import episode_starts, play
-from humanopts_learner.planning.plan import make_plan, Plan, plan_with_tables
+from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
+from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.request import NoOptionsError, PlanCanceled, PlanError, PlanRequest
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -66,9 +57,9 @@ def learned(name: str, domain: Taxi = TAXI) -> LearnedOption:
 
 
 @cache
-def plan(action_set: str) -> Plan:
+def plan(action_set: str) -> ExactPlan:
     """Return a plan with the two exact options."""
-    return make_plan(TAXI, action_set, [learned(PICKUP), learned(DROPOFF)])
+    return make_plan(TAXI, [learned(PICKUP), learned(DROPOFF)], PlanRequest(action_set))
 
 
 @pytest.mark.parametrize('action_set', ['human', 'primitive', 'human+primitive'])
@@ -113,7 +104,7 @@ def test_columns_are_named_and_a_plan_of_full_options_has_no_primitive_actions()
 
 
 def test_where_no_option_is_available_the_best_primitive_action_is_a_counted_fallback() -> None:
-    found = make_plan(TAXI, 'human', [learned(DROPOFF)])
+    found = make_plan(TAXI, [learned(DROPOFF)], PlanRequest('human'))
     aboard, over = learned_tables(DROPOFF).initiation, TAXI.over()
     for state in np.flatnonzero(~over).tolist():
         decision = found.choose(TAXI.state_at(state))
@@ -139,7 +130,7 @@ def learned_tables(name: str) -> TabularOption:
 @pytest.mark.parametrize('max_steps', [1, 2, 3, 5])
 def test_options_cut_off_by_max_steps_are_planned_and_played_alike(max_steps: int) -> None:
     options = [tabled(PICKUP, max_steps), tabled(DROPOFF, max_steps)]
-    found = plan_with_tables(TAXI, 'human', options, TAXI.gamma)
+    found = make_exact_plan(TAXI, options, PlanRequest('human'))
     returns = play(found, TAXI.start_states())
     assert returns.discounted == pytest.approx(found.solution.values[TAXI.start_states()])
     fetch, deliver = (reference_options(TAXI)[name] for name in (PICKUP, DROPOFF))
@@ -151,7 +142,7 @@ def test_options_cut_off_by_max_steps_are_planned_and_played_alike(max_steps: in
 
 def test_play_equals_single_episodes_in_the_rules_of_the_game() -> None:
     options = [tabled(PICKUP, 4), tabled(DROPOFF, 3), tabled('move away from obstacles', 2)]
-    found = plan_with_tables(TAXI, 'human', options, TAXI.gamma)
+    found = make_exact_plan(TAXI, options, PlanRequest('human'))
     starts = episode_starts(TAXI, seed=8, episodes=40)
     returns = play(found, starts, max_steps=15)
     by_name = {option.name: option for option in options}
@@ -164,7 +155,7 @@ def test_play_equals_single_episodes_in_the_rules_of_the_game() -> None:
         assert returns.successes[episode] == expected.success
 
 
-def play_one(found: Plan, options: dict[str, TabularOption], start: int, limit: int) -> Any:
+def play_one(found: ExactPlan, options: dict[str, TabularOption], start: int, limit: int) -> Any:
     """Play one episode, the slow and obvious way."""
     rng = np.random.default_rng(0)
     state = TAXI.state_at(start)
@@ -214,12 +205,8 @@ def test_choose_refuses_states_in_which_nothing_is_to_be_done() -> None:
 
 def test_progress_goes_through_every_stage_and_only_forward() -> None:
     seen: list[tuple[str, float, int, float]] = []
-    found = make_plan(
-        TAXI,
-        'human+primitive',
-        [learned(PICKUP), learned(DROPOFF)],
-        progress=lambda *now: seen.append(now),
-    )
+    options, request = [learned(PICKUP), learned(DROPOFF)], PlanRequest('human+primitive')
+    found = make_plan(TAXI, options, request, progress=lambda *now: seen.append(now))
     assert list(dict.fromkeys(stage for stage, *_ in seen)) == ['tables', 'models', 'sweeps']
     for stage in ('tables', 'models', 'sweeps'):
         fractions = [fraction for name, fraction, *_ in seen if name == stage]
@@ -236,33 +223,34 @@ def test_planning_can_be_canceled_in_every_stage(stage: str) -> None:
             raise PlanCanceled
 
     with pytest.raises(PlanCanceled):
-        make_plan(TAXI, 'human', [learned(PICKUP)], progress=cancel)
+        make_plan(TAXI, [learned(PICKUP)], PlanRequest('human'), progress=cancel)
 
 
 def test_seconds_are_those_of_the_clock() -> None:
     ticks = iter(range(100))
-    found = make_plan(TAXI, 'human', [learned(PICKUP)], clock=lambda: float(next(ticks)))
+    clock = lambda: float(next(ticks))  # noqa: E731
+    found = make_plan(TAXI, [learned(PICKUP)], PlanRequest('human'), clock=clock)
     assert (found.table_seconds, found.model_seconds, found.sweep_seconds) == (1.0, 1.0, 1.0)
 
 
 def test_a_request_that_makes_no_sense_is_refused_by_name() -> None:
     option = learned(PICKUP)
-    with pytest.raises(UnknownActionSetError, match='human, primitive'):
-        make_plan(TAXI, 'robot', [option])
+    with pytest.raises(PlanError, match='human, primitive'):
+        make_plan(TAXI, [option], PlanRequest('robot'))
     with pytest.raises(NoOptionsError, match='teach one'):
-        make_plan(TAXI, 'human', [])
-    with pytest.raises(DuplicateOptionError, match=PICKUP):
-        make_plan(TAXI, 'human', [option, option])
-    with pytest.raises(ForeignOptionError, match='"rows": 6'):
-        make_plan(TAXI, 'human', [learned(PICKUP, Taxi(6, 6))])
-    with pytest.raises(ModelError, match='max_sweeps'):
-        make_plan(TAXI, 'human', [option], max_sweeps=0)
-    for gamma in (0.0, -0.5, 1.01, math.nan):
-        with pytest.raises(GammaError, match='gamma'):
-            make_plan(TAXI, 'human', [option], gamma=gamma)
+        make_plan(TAXI, [], PlanRequest('human'))
+    with pytest.raises(PlanError, match=PICKUP):
+        make_plan(TAXI, [option, option], PlanRequest('human'))
+    with pytest.raises(PlanError, match='"rows": 6'):
+        make_plan(TAXI, [learned(PICKUP, Taxi(6, 6))], PlanRequest('human'))
+    with pytest.raises(PlanError, match='max_sweeps'):
+        make_plan(TAXI, [option], PlanRequest('human', max_sweeps=-1))
+    for gamma in (-0.5, 1.01, math.nan):
+        with pytest.raises(PlanError, match='gamma'):
+            make_plan(TAXI, [option], PlanRequest('human', gamma=gamma))
 
 
 def test_a_domain_whose_states_cannot_be_listed_is_refused() -> None:
     unlisted = SimpleNamespace(name='fog', gamma=0.9)
-    with pytest.raises(NotEnumerableError, match='fog'):
-        make_plan(cast(Domain[Any], unlisted), 'primitive', [])
+    with pytest.raises(PlanError, match='fog'):
+        make_plan(cast(Domain[Any], unlisted), [], PlanRequest('primitive'))

@@ -9,9 +9,11 @@ from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, options_from_references, tabulate
 from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.evaluate import episode_starts, play
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.multi_time_models import SparseMultiTimeModel
 from humanopts_learner.planning.option_models import StochasticModeller
-from humanopts_learner.planning.plan import make_plan, Plan
+from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.request import PlanRequest
 from humanopts_learner.planning.value_iteration import sweep_table, value_history
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +29,10 @@ def hallway_options(domain: Rooms) -> list[LearnedOption]:
 
 
 @cache
-def plan(action_set: str, goal: str = 'G1') -> Plan:
+def plan(action_set: str, goal: str = 'G1') -> ExactPlan:
     """Return a plan over the ready hallway options."""
     domain = Rooms(goal)
-    return make_plan(domain, action_set, hallway_options(domain))
+    return make_plan(domain, hallway_options(domain), PlanRequest(action_set))
 
 
 @cache

@@ -10,13 +10,21 @@ from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, options_from_references
-from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.errors import NotEnumerableError, PlanCanceled, PlanError
 from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.request import (
+    batch_games,
+    Execution,
+    ignore_progress,
+    PlanCanceled,
+    PlanError,
+    PlanRequest,
+    Progress,
+    Sampling,
+)
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games, Recording, Runs, Sampler
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_learner.planning.sampled.sampled_models import (
     SampleCounts,
@@ -24,7 +32,7 @@ from humanopts_learner.planning.sampled.sampled_models import (
     shrunk,
     StateIndex,
 )
-from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
+from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
 from numpy.typing import NDArray
@@ -47,11 +55,14 @@ def rooms_options(domain: Rooms) -> list[LearnedOption]:
     return options_from_references(domain, reference_options(domain).values())
 
 
-def rooms_plan(action_set: str, steps: int = 200_000, **kwargs: Any) -> SampledPlan:
+def rooms_plan(
+    action_set: str, steps: int = 200_000, progress: Progress = ignore_progress, **kwargs: Any
+) -> SampledPlan:
     """Plan in the rooms from samples."""
     domain = BatchRooms()
-    given: dict[str, Any] = {'seed': 1, 'config': EXACT, **kwargs}
-    return make_sampled_plan(domain, action_set, rooms_options(domain), steps, **given)
+    settings: dict[str, Any] = {'seed': 1, 'sampling': EXACT, **kwargs}
+    request = PlanRequest(action_set, game_steps=steps, **settings)
+    return make_sampled_plan(domain, rooms_options(domain), request, progress)
 
 
 @pytest.mark.parametrize('action_set', ['human', 'primitive', 'human+primitive'])
@@ -59,7 +70,7 @@ def test_values_come_near_those_of_exact_models(action_set: str) -> None:
     """Where starts are drawn from, after 400,000 steps; Rooms has chance and eight options."""
     plan = rooms_plan(action_set, 400_000)
     domain = BatchRooms()
-    exact = make_plan(domain, action_set, rooms_options(domain)).solution.values
+    exact = make_plan(domain, rooms_options(domain), PlanRequest(action_set)).solution.values
     starts = domain.start_states()
     number, seen = plan.policy.index.find(starts.astype(np.int64))
     assert seen.all()
@@ -216,7 +227,9 @@ def test_interruption_gains_where_options_pass_by_the_goal(execution: Execution)
     domain = BatchRooms('G2')
     for sampled_by in (Execution.RUN_TO_END, execution):
         plan = make_sampled_plan(
-            domain, 'human', rooms_options(domain), 200_000, 1, config=EXACT, execution=sampled_by
+            domain,
+            rooms_options(domain),
+            PlanRequest('human', game_steps=200_000, seed=1, execution=sampled_by, sampling=EXACT),
         )
         to_end = plan.play(3, 1000, Execution.RUN_TO_END).discounted
         gain = Interval.of(plan.play(3, 1000, execution).discounted - to_end)
@@ -260,9 +273,9 @@ def test_progress_rises_and_can_cancel() -> None:
 
 def test_what_makes_no_sense_is_refused_by_name() -> None:
     """Domains without a batched form, budgets below one game, and numbers out of range."""
-    with pytest.raises(NotEnumerableError, match='batch_games'):
+    with pytest.raises(PlanError, match='batch_games'):
         batch_games(Taxi())
-    with pytest.raises(PlanError, match='fewer than'):
+    with pytest.raises(PlanError, match='at least 100'):
         rooms_plan('human', 99)
     with pytest.raises(PlanError, match='two rounds'):
         Sampling(rounds=1)
@@ -272,7 +285,7 @@ def test_what_makes_no_sense_is_refused_by_name() -> None:
     with pytest.raises(PlanError, match='explore from 0 to 1'):
         Sampling(explore=1.5)
     with pytest.raises(PlanError, match='needs options'):
-        make_sampled_plan(BatchRooms(), 'human', [], 10_000, 1)
+        make_sampled_plan(BatchRooms(), [], PlanRequest('human', game_steps=10_000, seed=1))
 
 
 def test_games_that_begin_again_are_seen_as_they_are() -> None:
@@ -325,7 +338,7 @@ def test_plans_with_options_and_primitive_actions_see_what_both_are_told() -> No
 
 def test_a_primitive_penalty_leaves_primitive_actions_where_they_gain_less() -> None:
     """So great a penalty leaves only options wherever one can start."""
-    plan = rooms_plan('human+primitive', config=replace(EXACT, primitive_penalty=100.0))
+    plan = rooms_plan('human+primitive', sampling=replace(EXACT, primitive_penalty=100.0))
     values = plan.policy.values
     n_options = len(plan.actions.options)
     some = np.isfinite(values[:, :n_options]).any(axis=1)

@@ -5,13 +5,13 @@ from dataclasses import replace
 import itertools
 import tracemalloc
 
-from humanopts_learner.planning.errors import ModelError, PlanCanceled
 from humanopts_learner.planning.multi_time_models import (
     concatenate,
     MultiTimeModel,
     primitive_model,
     SparseMultiTimeModel,
 )
+from humanopts_learner.planning.request import PlanCanceled, PlanError
 from humanopts_learner.planning.value_iteration import solve_smdp
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -214,13 +214,13 @@ def test_a_model_that_contradicts_itself_is_refused(
     change: Callable[[MultiTimeModel], dict[str, object]], text: str
 ) -> None:
     model = random_model(4, 5, 2)
-    with pytest.raises(ModelError, match=text):
+    with pytest.raises(PlanError, match=text):
         replace(model, **change(model))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(('tol', 'max_sweeps'), [(-1.0, 10), (float('nan'), 10), (1e-8, 0)])
 def test_limits_that_make_no_sense_are_refused(tol: float, max_sweeps: int) -> None:
-    with pytest.raises(ModelError, match='tol'):
+    with pytest.raises(PlanError, match='tol'):
         solve_smdp(random_model(5, 3, 2), tol, max_sweeps)
 
 
@@ -288,5 +288,5 @@ def dense_policy_iteration(dense: Floats, reward: Floats, over: Flags) -> Floats
 )
 def test_rows_that_are_no_probabilities_are_refused(rows: Floats, text: str) -> None:
     available = np.array([[True], [False]])
-    with pytest.raises(ModelError, match=text):
+    with pytest.raises(PlanError, match=text):
         SparseMultiTimeModel(('one',), np.zeros((2, 1)), available, csr_array(rows))

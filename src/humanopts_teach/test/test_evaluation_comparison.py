@@ -10,8 +10,13 @@ from humanopts_env.domains.rooms_reference import reference_options as rooms_ref
 from humanopts_learner.demonstrations import Demonstration, group_by_option
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, options_from_references
-from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
-from humanopts_learner.planning.errors import ForeignOptionError, PlanCanceled, PlanError
+from humanopts_learner.planning.request import (
+    HUMAN,
+    PlanCanceled,
+    PlanError,
+    PlanRequest,
+    PRIMITIVE,
+)
 from humanopts_learner.planning.sampled.plan import make_sampled_plan
 from humanopts_teach.evaluation.comparison import (
     Baseline,
@@ -47,9 +52,9 @@ def options(domain: PacMan, yard_lesson: list[Demonstration]) -> list[LearnedOpt
 def baselines(options: list[LearnedOption]) -> list[Baseline]:
     """One of each kind, and primitive actions."""
     return [
-        Baseline('planned', PLAN, HUMAN, options, STEPS),
+        Baseline('planned', PLAN, HUMAN, PlanRequest, options, STEPS),
         Baseline('moves', RANDOM, PRIMITIVE),
-        Baseline('any option', RANDOM, HUMAN, options),
+        Baseline('any option', RANDOM, HUMAN, PlanRequest, options),
         Baseline('rule', HEURISTIC),
         Baseline('rule, each step', HEURISTIC, to_end=False),
     ]
@@ -81,7 +86,8 @@ def test_every_baseline_has_its_row_in_order(rows: list[ComparisonRow]) -> None:
 def test_a_plan_is_judged_as_when_it_is_made_alone(
     domain: PacMan, options: list[LearnedOption], rows: list[ComparisonRow]
 ) -> None:
-    returns = make_sampled_plan(domain, HUMAN, options, STEPS, SEED).play(SEED, GAMES)
+    request = PlanRequest(HUMAN, PlanRequest, game_steps=STEPS, seed=SEED)
+    returns = make_sampled_plan(domain, options, request).play(SEED, GAMES)
     assert rows[0].score.mean == returns.total.mean()
     assert rows[0].fallbacks == returns.fallbacks.mean()
 
@@ -89,7 +95,10 @@ def test_a_plan_is_judged_as_when_it_is_made_alone(
 def test_a_curve_has_the_same_score_for_the_same_budget(
     domain: PacMan, options: list[LearnedOption], rows: list[ComparisonRow]
 ) -> None:
-    plan, limits = Baseline('planned', PLAN, HUMAN, options), CurveLimits(STEPS // 2, STEPS)
+    plan, limits = (
+        Baseline('planned', PLAN, HUMAN, PlanRequest, options),
+        CurveLimits(STEPS // 2, STEPS),
+    )
     curve = planning_curve(domain, plan, limits, SEED, GAMES)
     assert [row.budget_steps for row in curve.rows] == [STEPS // 2, STEPS]
     assert curve.rows[-1].score == rows[0].score
@@ -99,7 +108,7 @@ def test_a_curve_ends_where_the_target_is_reached_and_shows_where_it_is_not(
     domain: PacMan, options: list[LearnedOption]
 ) -> None:
     """Budgets are doubled; there are not so many points to be had."""
-    plan = Baseline('planned', PLAN, HUMAN, options)
+    plan = Baseline('planned', PLAN, HUMAN, PlanRequest, options)
     limits = CurveLimits(STEPS, 2 * STEPS, target=1e9)
     curve = planning_curve(domain, plan, limits, SEED, GAMES)
     assert [row.budget_steps for row in curve.rows] == [STEPS, 2 * STEPS]
@@ -165,5 +174,5 @@ def test_options_go_along_to_other_parameters_but_not_to_other_features() -> Non
     other = Rooms(goal='G2')
     assert option.domain_parameters != parameters_json(other)
     carried_over(option, other).check_domain(other)
-    with pytest.raises(ForeignOptionError):
+    with pytest.raises(PlanError):
         carried_over(option, PacMan())

@@ -11,9 +11,9 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning import any_domain
-from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
+from humanopts_learner.planning import request
 from humanopts_learner.planning.evaluate import Interval
+from humanopts_learner.planning.request import HUMAN, PRIMITIVE
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate,
@@ -44,7 +44,7 @@ GAMES, SEED, STEPS = 20, 5, 20_000
 def evaluation(yard: Domain[Any], yard_lesson: list[Demonstration]) -> BagEvaluation:
     """Four options, taught a little."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(any_domain, 'GAME_STEPS', STEPS)
+        patch.setattr(request, 'GAME_STEPS', STEPS)
         return evaluate(yard_lesson, yard, Settings(seed=SEED), episodes=GAMES)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import Thresholds
-from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
 from humanopts_teach.evaluation.measures import Settings
 from humanopts_teach.evaluation.summary import Execution, Live, SummaryError
@@ -169,7 +169,7 @@ def test_rules_say_when_an_option_starts_and_ends(
 def test_sweeps_of_every_plan_are_in_the_table_up_to_its_last(
     evaluation: BagEvaluation, page: str
 ) -> None:
-    plans = {p.plan.action_set: p.plan for p in evaluation.plans if isinstance(p.plan, Plan)}
+    plans = {p.plan.action_set: p.plan for p in evaluation.plans if isinstance(p.plan, ExactPlan)}
     sweeps = sweep_report(plans, 'sweeps')
     assert sweeps is not None
     assert sweeps.names == ['human', 'primitive']
@@ -189,7 +189,7 @@ def test_sweeps_of_every_plan_are_in_the_table_up_to_its_last(
 def test_plans_of_a_large_domain_are_not_made_again(
     evaluation: BagEvaluation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plans = {p.plan.action_set: p.plan for p in evaluation.plans if isinstance(p.plan, Plan)}
+    plans = {p.plan.action_set: p.plan for p in evaluation.plans if isinstance(p.plan, ExactPlan)}
     monkeypatch.setattr(charts, 'MOST_VALUES', 499)
     assert sweep_report(plans, 'sweeps') is None
     assert sweep_report({}, 'sweeps') is None

@@ -12,7 +12,7 @@ from humanopts_interfaces import msg, srv
 from humanopts_interfaces.action import RunPolicy
 from humanopts_interfaces.msg import Criterion, LessonState, NodeStatus
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.request import Execution
 from humanopts_ros.publisher import PublishError
 from humanopts_teach.lesson.requests import (
     Answer,

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
-from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.request import PlanError
 
 # Called with the stage (tasks or policies), the share done (0..1) and the game steps so far;
 # raises ``PlanCanceled`` to stop

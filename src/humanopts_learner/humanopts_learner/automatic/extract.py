@@ -22,8 +22,7 @@ from humanopts_learner.automatic.subgoals import (
     Values,
 )
 from humanopts_learner.options.option import LearnedOption, option_from_table, TabularOption
-from humanopts_learner.planning.action_sets import MACHINE
-from humanopts_learner.planning.errors import NotEnumerableError, PlanError
+from humanopts_learner.planning.request import MACHINE, PlanError
 import numpy as np
 
 
@@ -52,13 +51,13 @@ def search_space(domain: Domain[Any]) -> SearchSpace:
     """
     Return the search space that the domain defines, else all of its states.
 
-    :raises NotEnumerableError: the domain defines none, and its states cannot all be listed.
+    :raises PlanError: the domain defines none, and its states cannot all be listed.
     """
     if isinstance(domain, HasSearchSpace):
         return domain.search_space()
     if is_enumerable(domain):
         return space_of_states(domain)
-    raise NotEnumerableError(
+    raise PlanError(
         f'the states of {domain.name} cannot all be listed, so no tasks can be set in it'
     )
 

@@ -11,7 +11,7 @@ from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.search_space import SearchSpace
 from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_learner.automatic.config import Extraction
-from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.request import PlanError
 from humanopts_learner.qlearning import draw_among
 import numpy as np
 from numpy.typing import NDArray

@@ -11,13 +11,13 @@ from typing import Any, Protocol
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, tabulate
-from humanopts_learner.planning.arbitration import Execution, OptionValues
-from humanopts_learner.planning.errors import ModelError
+from humanopts_learner.planning.arbitration import OptionValues
 from humanopts_learner.planning.interruption import interruptions, winners
-from humanopts_learner.planning.sampled.action_set import ActionSet, check_options
+from humanopts_learner.planning.request import batch_games, Execution, PlanError
+from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.policies import as_executed, GreedyPolicy
 from humanopts_learner.planning.sampled.sampled_models import StateIndex
-from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
+from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,14 +45,14 @@ def make_arbiter(
     Return the arbiter of a plan.
 
     :param options: that were planned with, in any order.
-    :raises ModelError: an option of the plan is missing, or the values do not fit the domain.
+    :raises PlanError: an option of the plan is missing, or the values do not fit the domain.
     :raises PlanError: the domain, or an option, cannot be used for a plan of this kind.
     """
     by_name = {option.name: option for option in options}
     wanted = [name for name in values.names if not name.startswith(PRIMITIVE_PREFIX)]
     missing = [repr(name) for name in wanted if name not in by_name]
     if missing:
-        raise ModelError(f'values came for options that are not here: {", ".join(missing)}')
+        raise PlanError(f'values came for options that are not here: {", ".join(missing)}')
     used = [by_name[name] for name in wanted]
     if execution is Execution.RUN_TO_END:
         return _NoArbiter()
@@ -79,7 +79,7 @@ class _ExactArbiter:
         options: Sequence[LearnedOption],
     ) -> None:
         if not is_enumerable(domain) or domain.n_states != len(values.states):
-            raise ModelError(f'the values are not for every state of {domain.name}')
+            raise PlanError(f'the values are not for every state of {domain.name}')
         self._domain, self._names = domain, values.names
         self._interruptions = interruptions(values)
         self._winner: NDArray[np.int32] | None = None
@@ -108,11 +108,10 @@ class _SampledArbiter:
         domain: Domain[Any],
         options: Sequence[LearnedOption],
     ) -> None:
-        check_options(domain, options)
         self._execution = execution
         self._actions = ActionSet(domain, values.action_set, options)
         if self._actions.names[: self._actions.first_fallback] != values.names:
-            raise ModelError(f'the values are not for the actions of {domain.name}')
+            raise PlanError(f'the values are not for the actions of {domain.name}')
         greedy = GreedyPolicy(self._actions, StateIndex(values.states), values.option_values)
         self._policy = as_executed(
             greedy, values.continuation_values, execution, values.interruption_margin

@@ -8,43 +8,14 @@ always give the same run.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_learner.planning.errors import ModelError
+from humanopts_learner.planning.request import PlanError
 import numpy as np
 from numpy.typing import NDArray
 
 ROUNDING = 1e-9  # relative to the largest value: differences of values that are rounding
-
-
-class Execution(StrEnum):
-    """How a policy over options is executed."""
-
-    RUN_TO_END = 'run_to_end'
-    """An option that was chosen runs until it ends."""
-
-    INTERRUPTED = 'interrupted'
-    """
-    An option is stopped where going on with it is worth less than choosing anew, both by the
-    values of the policy that runs to the end (Sutton, Precup and Singh 1999, section 4).
-    """
-
-    MODULAR_MASS = 'modular_mass'
-    """
-    In every step all options that can start want their action as modules, and the greatest mass
-    wins: the action with the greatest sum of strengths (Karlsson 1997, "greatest mass"; Humphrys
-    1997, "maximise the collective happiness"). A module's strength is by how much its option is
-    worth more than that of the weakest one.
-    """
-
-    MODULAR_STRONGEST = 'modular_strongest'
-    """
-    In every step the strongest module wins: the option of which going on is worth the most, inside
-    its initiation set or not (Humphrys 1997, "maximise the best happiness"). Exact values make
-    this as safe as interruption, by the same theorem.
-    """
 
 
 @dataclass(frozen=True)
@@ -55,7 +26,7 @@ class OptionValues:
     States are those of an enumerable domain, by their indices, or the abstract states of a sampled
     plan, by their codes. Values are discounted returns; -inf: not available, or not known.
 
-    :raises ModelError: the arrays contradict each other.
+    :raises PlanError: the arrays contradict each other.
     """
 
     action_set: str
@@ -70,17 +41,17 @@ class OptionValues:
         """Check the arrays."""
         shape = len(self.states), len(self.names)
         if self.option_values.shape != shape or self.continuation_values.shape != shape:
-            raise ModelError(
+            raise PlanError(
                 f'values are {self.option_values.shape} and {self.continuation_values.shape}, '
                 f'not {shape}'
             )
         if (np.diff(self.states) <= 0).any():
-            raise ModelError('the states do not ascend')
+            raise PlanError('the states do not ascend')
         for values in (self.option_values, self.continuation_values):
             if np.isnan(values).any() or (values == np.inf).any():
-                raise ModelError('a value is no number, or infinite')
+                raise PlanError('a value is no number, or infinite')
         if not 0.0 <= self.interruption_margin < np.inf:
-            raise ModelError(
+            raise PlanError(
                 f'interruption_margin is {self.interruption_margin}, and must be 0 or greater'
             )
 
@@ -98,7 +69,7 @@ class OptionValues:
         """
         Return the values that ``flat`` was called on.
 
-        :raises ModelError: the parts contradict each other.
+        :raises PlanError: the parts contradict each other.
         """
         states = np.asarray(parts['states'], dtype=np.int64)
         shape = len(states), len(parts['names'])
@@ -106,7 +77,7 @@ class OptionValues:
         def table(name: str) -> Floats:
             values = np.asarray(parts[name], dtype=np.float64)
             if values.size != shape[0] * shape[1]:
-                raise ModelError(f'{name} has {values.size} values, and not {shape}')
+                raise PlanError(f'{name} has {values.size} values, and not {shape}')
             return values.reshape(shape)
 
         return cls(

@@ -9,9 +9,8 @@ from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import Domain, EnumerableDomain, S
 from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.action_sets import ignore_progress, Progress
-from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.request import ignore_progress, PlanError, Progress
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,8 +49,10 @@ class Interval:
 
     @classmethod
     def of(cls, values: NDArray[Any]) -> 'Interval':
-        """Return the normal interval of the mean of independent values (E,), two or more."""
+        """Return the normal interval of the mean of independent values (E,); NaN around one."""
         mean = float(values.mean())
+        if len(values) == 1:
+            return cls(mean, math.nan, math.nan)
         half = NORMAL_95 * float(values.std(ddof=1)) / float(np.sqrt(len(values)))
         return cls(mean, mean - half, mean + half)
 
@@ -70,7 +71,7 @@ class Interval:
 
 
 def episode_starts(
-    domain: EnumerableDomain[Any], seed: int, episodes: int, progress: Progress | None = None
+    domain: EnumerableDomain[Any], seed: int, episodes: int, progress: Progress = ignore_progress
 ) -> NDArray[np.int32]:
     """
     Draw the start states of episodes, (E,) state indices.
@@ -79,10 +80,9 @@ def episode_starts(
 
     :param progress: called with the stage evaluation, which begins with this.
     """
-    report = progress or ignore_progress
     starts = np.empty(episodes, dtype=np.int32)
     for episode in range(episodes):
-        report('evaluation', 0.0, 0, math.nan)
+        progress('evaluation', 0.0, 0, math.nan)
         starts[episode] = domain.index(episode_start(domain, seed, episode))
     return starts
 
@@ -93,11 +93,11 @@ def episode_start(domain: Domain[S], seed: int, episode: int) -> S:
 
 
 def play(
-    plan: Plan,
+    plan: ExactPlan,
     starts: NDArray[np.integer],
     max_steps: int = 0,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = ignore_progress,
 ) -> Returns:
     """
     Run each option of the policy to its end, as the runner does, until the episode ends.
@@ -115,11 +115,11 @@ def play(
         raise PlanError(f'{plan.domain.name} never cuts an episode off: give max_steps')
     if len(starts) and not 0 <= starts.min() <= starts.max() < plan.domain.n_states:
         raise PlanError(f'a start is not within 0..{plan.domain.n_states - 1}')
-    episodes, report = _Episodes(plan, starts), progress or ignore_progress
+    episodes = _Episodes(plan, starts)
     for step in range(limit):
         if not len(episodes.live):
             break
-        report('evaluation', step / limit, 0, math.nan)
+        progress('evaluation', step / limit, 0, math.nan)
         episodes.decide()
         episodes.step(generator(seed, 'play', step))
     return episodes.returns
@@ -128,7 +128,7 @@ def play(
 class _Episodes:
     """E episodes side by side; ``live`` are those that go on."""
 
-    def __init__(self, plan: Plan, starts: NDArray[np.integer]) -> None:
+    def __init__(self, plan: ExactPlan, starts: NDArray[np.integer]) -> None:
         count = len(starts)
         self._plan = plan
         over = plan.domain.over()
@@ -175,7 +175,7 @@ class _Episodes:
 class _OptionTables:
     """The options of a plan as arrays; primitive actions are options of one step."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: ExactPlan) -> None:
         n_options = len(plan.options)
         primitives = len(plan.names) - n_options
         self._n_options = n_options

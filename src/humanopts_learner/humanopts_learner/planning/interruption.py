@@ -16,23 +16,22 @@ from humanopts_env.domains.base import Transitions
 from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.arbitration import (
-    Execution,
     greatest_mass,
     OptionValues,
     ROUNDING,
     stops,
     strongest,
 )
-from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.option_models import option_modeller, visited
-from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.request import Execution, PlanError
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import splu
 
 
-def option_values(plan: Plan) -> OptionValues:
+def option_values(plan: ExactPlan) -> OptionValues:
     """
     Return the values that arbitration decides by, for every state.
 
@@ -58,7 +57,7 @@ def option_values(plan: Plan) -> OptionValues:
     )
 
 
-def as_executed(plan: Plan, execution: Execution) -> Plan:
+def as_executed(plan: ExactPlan, execution: Execution) -> ExactPlan:
     """
     Return a plan that, with each option run to its end, acts as ``plan`` does by ``execution``.
 
@@ -108,7 +107,7 @@ def winners(
     return np.where(over, -1, option).astype(np.int32)
 
 
-def action_table(plan: Plan) -> Ints:
+def action_table(plan: ExactPlan) -> Ints:
     """Return (S, O): the action of each option of a plan in every state."""
     n_options, n_states = len(plan.options), plan.domain.n_states
     action = np.tile(np.arange(len(plan.names)) - n_options, (n_states, 1))
@@ -117,7 +116,7 @@ def action_table(plan: Plan) -> Ints:
     return action
 
 
-def policy_values(plan: Plan) -> Floats:
+def policy_values(plan: ExactPlan) -> Floats:
     """
     Return what a plan is worth in every state, (S,), each option run to its end.
 
@@ -152,7 +151,7 @@ def _module(option: TabularOption, wins: Flags) -> TabularOption:
     return replace(option, max_steps=1, initiation=wins)
 
 
-def _interruption_margin(plan: Plan) -> float:
+def _interruption_margin(plan: ExactPlan) -> float:
     """Return how far values can differ that would be equal had the sweeps gone on for ever."""
     solution = plan.solution
     rounding = ROUNDING * max(1.0, float(np.abs(solution.values).max()))
@@ -160,7 +159,7 @@ def _interruption_margin(plan: Plan) -> float:
     return rounding + 8.0 * solution.residual / left
 
 
-def _continuation_values(plan: Plan, option: TabularOption) -> Floats:
+def _continuation_values(plan: ExactPlan, option: TabularOption) -> Floats:
     """Return the value of running an option from each state, (S,), started there or not."""
     domain, values = plan.domain, plan.solution.values
     rules, over = domain.transitions(), domain.over()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from humanopts_env.domains.base import Transitions
-from humanopts_learner.planning.errors import check_gamma, ModelError
+from humanopts_learner.planning.request import PlanError
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
@@ -49,7 +49,7 @@ class MultiTimeModel:
     of pairs that are not available are ignored, but must be valid numbers. Planning reads the
     arrays options-major, so transposed (O, S) arrays are used without a copy.
 
-    :raises ModelError: shapes disagree, a number is not finite, or an entry is out of range.
+    :raises PlanError: shapes disagree, a number is not finite, or an entry is out of range.
     """
 
     names: tuple[str, ...]  # of the options, (O,)
@@ -64,7 +64,7 @@ class MultiTimeModel:
         shape = self.reward.shape
         for name in ('successor', 'discount'):
             if getattr(self, name).shape != shape:
-                raise ModelError(f'{name} is {getattr(self, name).shape}, and reward is {shape}')
+                raise PlanError(f'{name} is {getattr(self, name).shape}, and reward is {shape}')
         _check_range('successor', self.successor, 0, shape[0] - 1)
         _check_range('discount', self.discount, 0, 1)
 
@@ -121,7 +121,7 @@ class SparseMultiTimeModel:
     """
     Rewards and successors of running option o from state s, with any number of successors.
 
-    :raises ModelError: shapes disagree, a number is not finite or out of range, a row sums to
+    :raises PlanError: shapes disagree, a number is not finite or out of range, a row sums to
         more than 1, or belongs to a pair that is not available.
     """
 
@@ -135,13 +135,13 @@ class SparseMultiTimeModel:
         _check_shapes(self.names, self.reward, self.available)
         count, options = self.reward.shape
         if self.rows.shape != (options * count, count):
-            raise ModelError(f'rows are {self.rows.shape}, and reward is {self.reward.shape}')
+            raise PlanError(f'rows are {self.rows.shape}, and reward is {self.reward.shape}')
         if self.rows.nnz:
             _check_range('a row', self.rows.data, 0, 1 + ROUNDING)
         sums = self.rows.sum(axis=1)
         _check_range('the sums of rows', sums, 0, 1 + ROUNDING)
         if sums[~self.available.T.ravel()].any():
-            raise ModelError('a pair that is not available has successors')
+            raise PlanError('a pair that is not available has successors')
 
     def first(self, count: int) -> 'SparseMultiTimeModel':
         """Return the model of the first options only."""
@@ -209,9 +209,7 @@ def primitive_model(
 
     :param over: (S,) states where no action is available, because the task is over.
     :param names: of the actions, (A,).
-    :raises PlanError: gamma is not in (0, 1].
     """
-    check_gamma(gamma)
     if not transitions.deterministic:
         return _primitive_rows(transitions, over, gamma, names)
     reward = np.ascontiguousarray(transitions.reward[:, :, 0].T)
@@ -250,13 +248,13 @@ def _check_shapes(
     names: Sequence[str], reward: NDArray[np.float64], available: NDArray[np.bool_]
 ) -> None:
     if available.shape != reward.shape:
-        raise ModelError(f'available is {available.shape}, and reward is {reward.shape}')
+        raise PlanError(f'available is {available.shape}, and reward is {reward.shape}')
     if reward.ndim != 2 or 0 in reward.shape or reward.shape[1] != len(names):
-        raise ModelError(f'{len(names)} names do not fit arrays of shape {reward.shape}')
+        raise PlanError(f'{len(names)} names do not fit arrays of shape {reward.shape}')
     largest = float(np.finfo(np.float64).max)
     _check_range('reward', reward, -largest, largest)
 
 
 def _check_range(name: str, array: NDArray[Any], low: float, high: float) -> None:
     if not (array.min() >= low and array.max() <= high):  # false for NaN
-        raise ModelError(f'{name} holds an entry that is not within {low}..{high}')
+        raise PlanError(f'{name} holds an entry that is not within {low}..{high}')

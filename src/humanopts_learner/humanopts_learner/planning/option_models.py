@@ -22,8 +22,8 @@ from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
-from humanopts_learner.planning.errors import check_gamma, ModelError, NotDeterministicError
 from humanopts_learner.planning.multi_time_models import Rows
+from humanopts_learner.planning.request import PlanError
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array
@@ -76,11 +76,7 @@ class DeterministicModeller:
         Prepare for one domain.
 
         :param over: (S,) states where the task is over.
-        :raises PlanError: gamma is not in (0, 1], or the transitions are not deterministic.
         """
-        check_gamma(gamma)
-        if not transitions.deterministic:
-            raise NotDeterministicError('an action of this domain has more than one outcome')
         self._n_actions = transitions.successor.shape[1]
         self._gamma = gamma
         self._over = over
@@ -110,7 +106,7 @@ class DeterministicModeller:
         :param termination: (S,).
         :param max_steps: 1 or more.
         :param starts: (S,) states from which the answer is needed; None: all.
-        :raises ModelError: max_steps is below 1.
+        :raises PlanError: max_steps is below 1.
         """
         _check_max_steps(max_steps)
         policy = self._policy(action, termination | self._over, starts)
@@ -219,9 +215,7 @@ class StochasticModeller:
         Prepare for one domain.
 
         :param over: (S,) states where the task is over.
-        :raises GammaError: gamma is not in (0, 1].
         """
-        check_gamma(gamma)
         self._rules, self._over, self._gamma = transitions, over, gamma
 
     def model(
@@ -306,7 +300,7 @@ def visited(
 
 def _check_max_steps(max_steps: int) -> None:
     if max_steps < 1:
-        raise ModelError(f'max_steps is {max_steps}, and must be 1 or more')
+        raise PlanError(f'max_steps is {max_steps}, and must be 1 or more')
 
 
 def _rewards(step: _StochasticStep, max_steps: int) -> tuple[Floats, Floats]:

@@ -1,194 +1,122 @@
-"""Making a plan: from an action set to the greedy policy over its options."""
+"""
+Planning in any domain: exact where its states can all be listed, from samples elsewhere.
 
-from collections.abc import Callable, Sequence
+``make_plan``, ``judge_plan`` and ``option_values`` take domains and plans of both kinds. The same
+request, options and seed always give the same numbers, seconds apart.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 import time
 from typing import Any
 
-from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
-from humanopts_learner.options.option import (
-    LearnedOption,
-    OptionError,
-    TabularOption,
-    tabulate,
-)
-from humanopts_learner.planning.action_sets import (
-    build_model,
-    check_action_set,
+from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.evaluate import episode_starts, Interval, play
+from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
+from humanopts_learner.planning.request import (
+    Clock,
+    HUMAN_AND_PRIMITIVE,
     ignore_progress,
-    OPTIONS_ONLY,
+    PlanError,
+    PlanRequest,
     PRIMITIVE,
     Progress,
 )
-from humanopts_learner.planning.errors import (
-    check_gamma,
-    ForeignOptionError,
-    NotEnumerableError,
-    PlanError,
-)
-from humanopts_learner.planning.value_iteration import Solution, solve_smdp
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 
-Clock = Callable[[], float]  # seconds
-
-
-@dataclass(frozen=True)
-class Decision:
-    """What a policy over options runs next."""
-
-    name: str  # an option, or action:NAME
-    fallback: bool  # a primitive action because no option is available
-
-
-@dataclass(frozen=True)
-class Plan:
-    """
-    A greedy policy over options.
-
-    Option indices count the learned options and then, where the action set needs them, all
-    primitive actions. In the sets ``human`` and ``automatic`` these are the fallback: available
-    only in states where no option is, so that the one chosen there is the best by one step of
-    look-ahead in the plan's own values, the first of equals.
-    """
-
-    domain: EnumerableDomain[Any]
-    action_set: str
-    gamma: float
-    options: tuple[TabularOption, ...]
-    names: tuple[str, ...]  # by option index
-    solution: Solution
-    table_seconds: float
-    model_seconds: float
-    sweep_seconds: float
-
-    def choose(self, state: Any) -> Decision:
-        """
-        Return what the policy runs in a state of the domain.
-
-        :raises PlanError: the task is over in it.
-        """
-        option = int(self.solution.best[self.domain.index(state)])
-        if option < 0:
-            raise PlanError('there is nothing to do: the task is over')
-        return Decision(self.names[option], option >= self.first_fallback)
-
-    @property
-    def first_fallback(self) -> int:
-        """Option index from which on a choice is a fallback; the number of names if none is."""
-        return len(self.options) if self.action_set in OPTIONS_ONLY else len(self.names)
-
-    @property
-    def game_steps(self) -> int:
-        """Game steps that were sampled: 0."""
-        return 0
+AnyPlan = ExactPlan | SampledPlan
+"""
+Both have domain, action_set, gamma, names, first_fallback, solution, game_steps (0: exact),
+table_seconds, model_seconds, sweep_seconds, and ``choose(state)``.
+"""
 
 
 def make_plan(
     domain: Domain[Any],
-    action_set: str,
     options: Sequence[LearnedOption],
-    gamma: float | None = None,
-    tol: float = 1e-8,
-    max_sweeps: int = 10_000,
-    progress: Progress | None = None,
+    request: PlanRequest,
+    progress: Progress = ignore_progress,
     clock: Clock = time.perf_counter,
-) -> Plan:
+) -> AnyPlan:
     """
-    Plan with learned options, primitive actions, or both.
+    Plan with exact models where all states can be listed, and with sampled ones elsewhere.
 
-    :param action_set: one of ``ACTION_SETS``; ``options`` are ignored in ``primitive``.
-    :param gamma: discount per primitive step; None: the domain's own.
-    :param tol: largest change allowed in the last sweep, in reward units.
-    :raises PlanError: the request makes no sense; its subclasses say which part.
+    :param options: ignored in the set ``primitive``.
+    :param progress: called with the stages tables, models and sweeps; models and sweeps alternate
+        where they are sampled.
+    :raises PlanError: as ``PlanRequest.in_force``.
     :raises PlanCanceled: from ``progress``.
     """
-    gamma = domain.gamma if gamma is None else gamma
-    used = () if action_set == PRIMITIVE else tuple(options)
-    check_request(domain, action_set, used, gamma)
-    if not is_enumerable(domain):
-        raise NotEnumerableError(
-            f'the states of {domain.name} cannot all be listed, so it has no exact models'
-        )
-    report = progress or ignore_progress
-    domain.feature_table()  # built once for all plans, so no part of this one's time
-    began = clock()
-    tabled = []
-    for done, option in enumerate(used):
-        report('tables', done / len(used), 0, math.nan)
-        tabled.append(tabulate(option, domain))
-    table_seconds = clock() - began
-    return plan_with_tables(
-        domain, action_set, tabled, gamma, tol, max_sweeps, report, clock, table_seconds
+    if is_enumerable(domain):
+        return make_exact_plan(domain, options, request, progress, clock)
+    return make_sampled_plan(domain, options, request, progress, clock)
+
+
+def plan(
+    domain: Domain[Any],
+    options: Sequence[LearnedOption] = (),
+    action_set: str = '',
+    gamma: float = 0.0,
+    max_sweeps: int = 0,
+    game_steps: int = 0,
+    seed: int = 0,
+) -> AnyPlan:
+    """
+    Plan with options and primitive actions; ``make_plan`` with the settings that people change.
+
+    :param action_set: one of ``ACTION_SETS``; empty: ``human+primitive``, or ``primitive``
+        without options.
+    :param gamma: discount per primitive step; 0: the domain's own.
+    :param max_sweeps: of value iteration; 0: 10,000.
+    :param game_steps: to be sampled, where states cannot all be listed; 0: 800,000.
+    :param seed: of the samples.
+    :return: the plan; its ``choose(state)`` says which option to run.
+    :raises PlanError: the plan cannot be made.
+    """
+    usual = HUMAN_AND_PRIMITIVE if options else PRIMITIVE
+    request = PlanRequest(
+        action_set or usual, gamma, max_sweeps=max_sweeps, game_steps=game_steps, seed=seed
     )
+    return make_plan(domain, options, request)
 
 
-def plan_with_tables(
-    domain: EnumerableDomain[Any],
-    action_set: str,
-    options: Sequence[TabularOption],
-    gamma: float,
-    tol: float = 1e-8,
-    max_sweeps: int = 10_000,
-    progress: Progress | None = None,
-    clock: Clock = time.perf_counter,
-    table_seconds: float = 0.0,
-) -> Plan:
+@dataclass(frozen=True)
+class Performance:
+    """The results of a plan in episodes; intervals of a single episode have no bounds."""
+
+    episodes: int
+    total: Interval  # undiscounted return
+    discounted: Interval
+    fallbacks: int  # primitive actions because no option could start
+    outcomes: Mapping[str, Interval]  # other results that the domain reports; exact: none
+
+
+def judge_plan(
+    plan: AnyPlan, seed: int, episodes: int, progress: Progress = ignore_progress
+) -> Performance:
     """
-    Plan with options that are tables already; parameters and errors as ``make_plan``.
+    Play episodes by a plan in the real rules, each option run to its end.
 
-    :param table_seconds: time that evaluating the tables took.
+    :param seed: of start states and chance.
+    :param episodes: 1 or more.
+    :param progress: called with the stage evaluation.
+    :raises PlanError: the domain never cuts an episode off, or ``episodes`` is below 1.
+    :raises PlanCanceled: from ``progress``.
     """
-    report = progress or ignore_progress
-    used = () if action_set == PRIMITIVE else tuple(options)
-    domain.transitions(), domain.over()  # built once for all plans, so no part of this one's time
-    began = clock()
-    model = build_model(domain, action_set, used, gamma, report)
-    modelled = clock()
-    solution = solve_smdp(model, tol, max_sweeps, SweepProgress(report, tol, max_sweeps))
-    return Plan(
-        domain=domain,
-        action_set=action_set,
-        gamma=gamma,
-        options=used,
-        names=model.names,
-        solution=solution,
-        table_seconds=table_seconds,
-        model_seconds=modelled - began,
-        sweep_seconds=clock() - modelled,
+    if episodes < 1:
+        raise PlanError(f'cannot play {episodes} episodes')
+    if isinstance(plan, ExactPlan):
+        starts = episode_starts(plan.domain, seed, episodes, progress)
+        returns = play(plan, starts, seed=seed, progress=progress)
+    else:
+        returns = plan.play(seed, episodes, progress=progress)
+    progress('evaluation', 1.0, 0, math.nan)
+    return Performance(
+        episodes=episodes,
+        total=Interval.of(returns.total),
+        discounted=Interval.of(returns.discounted),
+        fallbacks=int(returns.fallbacks.sum()),
+        outcomes={name: Interval.of(values) for name, values in returns.outcomes.items()},
     )
-
-
-def check_request(
-    domain: Domain[Any], action_set: str, options: Sequence[LearnedOption], gamma: float
-) -> None:
-    """
-    Check a request to plan, without planning.
-
-    :raises PlanError: the request makes no sense; its subclasses say which part.
-    """
-    check_action_set(action_set, [option.name for option in options])
-    check_gamma(gamma)
-    for option in options:
-        try:
-            option.check_domain(domain)
-        except OptionError as error:
-            raise ForeignOptionError(str(error)) from error
-
-
-class SweepProgress:
-    """Reports the residual as a share of the sweeps: its logarithm falls about linearly."""
-
-    def __init__(self, report: Progress, tol: float, max_sweeps: int) -> None:
-        self._report, self._tol, self._max_sweeps = report, tol, max_sweeps
-        self._first, self._fraction = 0.0, 0.0
-
-    def __call__(self, sweeps: int, residual: float) -> None:
-        self._first = max(self._first, residual)
-        fraction = sweeps / self._max_sweeps
-        if residual <= self._tol:
-            fraction = 1.0
-        elif self._tol > 0.0:
-            fallen = math.log(self._first / residual) / math.log(self._first / self._tol)
-            fraction = max(fraction, fallen)
-        self._fraction = max(self._fraction, fraction)
-        self._report('sweeps', self._fraction, sweeps, residual)

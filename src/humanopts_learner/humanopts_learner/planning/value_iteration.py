@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from humanopts_env.arrays import Floats
-from humanopts_learner.planning.errors import check_limits
 from humanopts_learner.planning.multi_time_models import Model
+from humanopts_learner.planning.request import check_limits
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,7 +76,7 @@ def solve_smdp(
     :param on_sweep: called with the number of sweeps and the residual after each; returning True
         ends the work early, and what it raises passes through.
     :param on_values: called with the values (S,) after each sweep; they must be copied to be kept.
-    :raises ModelError: tol is negative or no number, or max_sweeps is below 1.
+    :raises PlanError: tol is negative or no number, or max_sweeps is below 1.
     """
     check_limits(tol, max_sweeps)
     backup = _Backup(model)
@@ -107,7 +107,7 @@ def value_history(model: Model, tol: float = 1e-8, max_sweeps: int = 1000) -> Fl
     """
     Return the values after each sweep, (sweeps + 1, S), from 0 to the final ones.
 
-    :raises ModelError: as ``solve_smdp``.
+    :raises PlanError: as ``solve_smdp``.
     """
     history = [np.zeros(model.n_states)]
     solve_smdp(model, tol, max_sweeps, on_values=lambda values: history.append(values.copy()))
@@ -121,7 +121,7 @@ def sweep_table(
     Return one row for each sweep, from the values of 0 to the final ones.
 
     :param near: a value so close to its final one, in reward units, is settled.
-    :raises ModelError: as ``solve_smdp``.
+    :raises PlanError: as ``solve_smdp``.
     """
     history = value_history(model, tol, max_sweeps)
     distance = np.abs(history - history[-1])

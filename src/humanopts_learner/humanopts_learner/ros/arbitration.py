@@ -6,7 +6,7 @@ from humanopts_interfaces.msg import ExecutionState, OptionValues
 from humanopts_learner.library import OptionLibrary, RunnableOption
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.arbiter import Arbiter, make_arbiter
-from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.request import Execution
 from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT

@@ -15,7 +15,7 @@ from humanopts_learner.automatic.extract import (
     to_learned_options,
 )
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.action_sets import MACHINE
+from humanopts_learner.planning.request import MACHINE
 from humanopts_learner.ros.convert import options_to_message
 from humanopts_learner.ros.planner_actions import in_thread, LongAction, PlannerState
 from humanopts_ros.node_base import NodeBase

@@ -11,9 +11,8 @@ from typing import Any, Generic, TypeVar
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_interfaces.msg import ExtractionResult, PlanResult
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.action_sets import OF_MACHINES
-from humanopts_learner.planning.any_domain import AnyPlan
-from humanopts_learner.planning.errors import NoOptionsError, PlanCanceled, PlanError
+from humanopts_learner.planning.plan import AnyPlan
+from humanopts_learner.planning.request import NoOptionsError, OF_MACHINES, PlanCanceled, PlanError
 from humanopts_ros.node_base import end_goal, NodeBase
 from humanopts_ros.publisher import StampedPublisher
 from rclpy.action.server import ServerGoalHandle

@@ -9,15 +9,8 @@ from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.ros.convert import domain_from_info
 from humanopts_interfaces.action import Plan
 from humanopts_interfaces.msg import DomainInfo, LearnedOptions, PlanGoal, PlanResult
-from humanopts_learner.planning.any_domain import (
-    AnyPlan,
-    check_plan_request,
-    judge_plan,
-    Performance,
-    plan_in,
-    select_options,
-)
-from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
+from humanopts_learner.planning.request import PlanError, select_options
 from humanopts_learner.ros.convert import (
     options_from_message,
     plan_goal_to_message,
@@ -72,12 +65,12 @@ class PlanAction(LongAction[PlanResult]):
         await self._wait_for_options(goal.options_sequence)
         known = self._state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)
-        request = check_plan_request(domain, options, plan_request_from_goal(goal))
+        request = plan_request_from_goal(goal).in_force(domain, options)
         result.plan_id = plan_id = str(uuid.uuid4())  # the result from here on
         self._goals.publish(plan_goal_to_message(goal, plan_id, request, options))
 
         def compute() -> tuple[AnyPlan, Performance | None]:
-            plan, performance = plan_in(domain, options, request, progress), None
+            plan, performance = make_plan(domain, options, request, progress), None
             if goal.evaluation_episodes:
                 performance = judge_plan(plan, goal.seed, goal.evaluation_episodes, progress)
             return plan, performance

@@ -15,12 +15,11 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_interfaces.srv import ResetGame, RunOption, SetExecution
 from humanopts_learner.execution import execution_named, MODULAR, RunError
-from humanopts_learner.planning.action_sets import PRIMITIVE
-from humanopts_learner.planning.any_domain import AnyPlan
-from humanopts_learner.planning.arbitration import Execution
 from humanopts_learner.planning.evaluate import episode_start
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.interruption import option_values
-from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.plan import AnyPlan
+from humanopts_learner.planning.request import Execution, PRIMITIVE
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_learner.ros.planner_actions import in_thread, MadePlan, PlannerState, STOPS
 from humanopts_ros.node_base import end_goal, NodeBase
@@ -302,7 +301,7 @@ class PolicyServer:
         plan = made.plan
 
         def compute() -> OptionValues:
-            values = option_values(plan) if isinstance(plan, Plan) else plan.option_values()
+            values = option_values(plan) if isinstance(plan, ExactPlan) else plan.option_values()
             return option_values_to_message(values, made.plan_id, made.participant)
 
         message = await in_thread(self._node, self._state.pool, compute)

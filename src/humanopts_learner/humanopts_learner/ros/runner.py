@@ -28,8 +28,7 @@ from humanopts_learner.execution import (
 from humanopts_learner.library import OptionLibrary, UnknownOptionError
 from humanopts_learner.options.option import Mode
 from humanopts_learner.planning.arbiter import Arbiter
-from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.errors import PlanError
+from humanopts_learner.planning.request import Execution, PlanError
 from humanopts_learner.ros.arbitration import Arbitration
 from humanopts_learner.ros.convert import end_to_message
 from humanopts_ros.node_base import NodeBase

@@ -9,9 +9,7 @@ from humanopts_env.domains.base import DomainError, is_enumerable
 from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.files import option_from_json
-from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
-from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.planning.sampled.state_abstraction import batch_games
+from humanopts_learner.planning.request import batch_games, HUMAN, PlanError, PRIMITIVE
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.commands.ending import CommandError

@@ -19,10 +19,14 @@ from humanopts_learner.options.criteria import judge, Judgement
 from humanopts_learner.options.files import FORMAT, option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
-from humanopts_learner.planning.any_domain import AnyPlan, judge_plan, plan_in, PlanRequest
-from humanopts_learner.planning.errors import PlanError
-from humanopts_learner.planning.sampled.state_abstraction import batch_games
+from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan
+from humanopts_learner.planning.request import (
+    batch_games,
+    HUMAN,
+    PlanError,
+    PlanRequest,
+    PRIMITIVE,
+)
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.provenance import software, UNKNOWN
@@ -234,7 +238,7 @@ def evaluate(
         chosen = [each.last.option for each in options if each.participant == person]
         request = PlanRequest(action_set, seed=settings.seed)
         try:
-            plan = plan_in(domain, chosen, request)
+            plan = make_plan(domain, chosen, request)
             judged = judge_plan(plan, settings.seed, episodes or judged_by(domain))
         except PlanError as error:
             notes.append(f'no plan with {action_set} actions: {error}')

@@ -21,15 +21,20 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import Baselines, HasBaselines, Scores
 from humanopts_env.domains.registry import parameters_json
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_learner.planning.action_sets import HUMAN
-from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.errors import ForeignOptionError, PlanError
 from humanopts_learner.planning.evaluate import Interval, Returns
+from humanopts_learner.planning.request import (
+    batch_games,
+    Execution,
+    HUMAN,
+    PlanError,
+    PlanRequest,
+    Sampling,
+)
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan, Sampling
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
+from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 import numpy as np
 
 PLAN, RANDOM, HEURISTIC = 'plan', 'chance', 'rule'  # kinds of baseline, as in summary.json
@@ -111,13 +116,13 @@ def carried_over(option: LearnedOption, domain: Domain[Any]) -> LearnedOption:
     """
     Return an option that was learned in the same game with other parameters, for use in this one.
 
-    :raises ForeignOptionError: another game, or its features or actions are others there.
+    :raises PlanError: another game, or its features or actions are others there.
     """
     moved = replace(option, domain_parameters=parameters_json(domain))
     try:
         moved.check_domain(domain)
     except OptionError as error:
-        raise ForeignOptionError(str(error)) from error
+        raise PlanError(str(error)) from error
     return moved
 
 
@@ -166,18 +171,16 @@ def _make_plan(
         if stage == 'models':
             progress(PLANNING * fraction, 1.0, '')
 
-    return make_sampled_plan(
-        domain,
+    request = PlanRequest(
         baseline.action_set,
-        baseline.options,
-        baseline.budget_steps,
-        seed,
-        baseline.gamma,
-        baseline.sampling,
-        progress=on_stage,
-        clock=time.process_time,  # no other program's work makes it longer
+        gamma=baseline.gamma or 0.0,
+        game_steps=baseline.budget_steps,
+        seed=seed,
+        sampling=baseline.sampling,
         execution=baseline.execution,
     )
+    clock = time.process_time  # no other program's work makes it longer
+    return make_sampled_plan(domain, baseline.options, request, on_stage, clock)
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,14 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import PlanSettings
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.action_sets import HUMAN, HUMAN_AND_PRIMITIVE, PRIMITIVE
-from humanopts_learner.planning.any_domain import GAME_STEPS
-from humanopts_learner.planning.arbitration import Execution
-from humanopts_learner.planning.sampled.plan import Sampling
+from humanopts_learner.planning.request import (
+    Execution,
+    GAME_STEPS,
+    HUMAN,
+    HUMAN_AND_PRIMITIVE,
+    PRIMITIVE,
+    Sampling,
+)
 from humanopts_teach.evaluation.comparison import (
     Baseline,
     baselines_of,

@@ -10,7 +10,7 @@ from humanopts_env.domains.reference import ReferenceOption
 from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
 from humanopts_learner.options.criteria import INITIATION, TERMINATION, Thresholds
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.any_domain import AnyPlan, Performance
+from humanopts_learner.planning.plan import AnyPlan, Performance
 
 
 @dataclass(frozen=True)

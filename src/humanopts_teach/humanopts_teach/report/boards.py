@@ -6,7 +6,7 @@ import string
 from typing import Any
 
 from humanopts_env.domains.base import BoardSlice, Transitions
-from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_teach.report.figures import Drawing, drawing, INK
 from matplotlib.colors import Normalize
 import numpy as np
@@ -81,7 +81,7 @@ def _moves(
     return moves
 
 
-def board_figures(plans: Mapping[str, Plan], name: str) -> list[tuple[str, str]]:
+def board_figures(plans: Mapping[str, ExactPlan], name: str) -> list[tuple[str, str]]:
     """
     Return SVG and caption for each board slice and plan, slice by slice; on one scale of values.
 
@@ -108,7 +108,9 @@ def board_figures(plans: Mapping[str, Plan], name: str) -> list[tuple[str, str]]
     ]
 
 
-def _figure(board: Board, called: str, plan: Plan, scale: Normalize, name: str) -> tuple[str, str]:
+def _figure(
+    board: Board, called: str, plan: ExactPlan, scale: Normalize, name: str
+) -> tuple[str, str]:
     rows, cols = board.states.shape
     marked = max(rows, cols) <= MOST_MARKED
     label = f'Value and policy with the action set {called}, {board.title}'
@@ -159,7 +161,7 @@ def _draw_walls(work: Drawing, board: Board) -> None:
         work.axes.plot(x, y, color=INK, lw=2.2, solid_capstyle='round', clip_on=False)
 
 
-def _draw_choices(work: Drawing, board: Board, plan: Plan, scale: Normalize) -> list[int]:
+def _draw_choices(work: Drawing, board: Board, plan: ExactPlan, scale: Normalize) -> list[int]:
     """Mark every cell with its option's letter and the primitive action; return what is used."""
     size = min(8.0, 55.0 / max(board.states.shape))
     used = set()

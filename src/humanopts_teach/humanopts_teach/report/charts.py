@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.evaluate import Interval
-from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
 from humanopts_teach.evaluation.bag_evaluation import CurvePoint
 from humanopts_teach.evaluation.comparison import ComparisonRow, Curve
@@ -238,7 +238,7 @@ class SweepReport:
     rows: list[tuple[int, list[str]]]  # sweep; residual and share settled of each plan
 
 
-def sweep_report(plans: Mapping[str, Plan], name: str) -> SweepReport | None:
+def sweep_report(plans: Mapping[str, ExactPlan], name: str) -> SweepReport | None:
     """
     Make the plans again, sweep by sweep; None where that would take long, or there are none.
 

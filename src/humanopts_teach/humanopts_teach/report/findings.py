@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 import math
 
-from humanopts_learner.planning.action_sets import HUMAN, PRIMITIVE
 from humanopts_learner.planning.evaluate import Interval
+from humanopts_learner.planning.request import HUMAN, PRIMITIVE
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.comparison import ComparisonRow, Curve, PLAN, RANDOM
 from humanopts_teach.evaluation.games import GamesEvaluation, Setting, TENFOLD

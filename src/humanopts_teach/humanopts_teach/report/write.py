@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 import platform
 
-from humanopts_learner.planning.plan import Plan
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
 from humanopts_teach.evaluation.summary import Live, write_text
@@ -79,7 +79,7 @@ def render_report(data: ReportData) -> str:
     exact = {
         name: found.plan
         for name, found in evaluation.named_plans.items()
-        if isinstance(found.plan, Plan)
+        if isinstance(found.plan, ExactPlan)
     }
     values = {
         'title': data.title,

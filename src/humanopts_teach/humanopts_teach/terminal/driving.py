@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.arbitration import Execution
+from humanopts_learner.planning.request import Execution
 from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,

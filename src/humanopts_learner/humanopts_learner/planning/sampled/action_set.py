@@ -6,26 +6,12 @@ from typing import Any
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain
 from humanopts_learner.library import PRIMITIVE_PREFIX
-from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_learner.planning.action_sets import OPTIONS_ONLY, PRIMITIVE
-from humanopts_learner.planning.errors import ForeignOptionError
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.request import OPTIONS_ONLY, PRIMITIVE
 from humanopts_learner.planning.sampled.state_abstraction import Observation
 import numpy as np
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2**64 by the golden ratio, odd: for hashing
-
-
-def check_options(domain: Domain[Any], options: Sequence[LearnedOption]) -> None:
-    """
-    Check that options belong to a domain.
-
-    :raises ForeignOptionError: one was learned in another domain.
-    """
-    for option in options:
-        try:
-            option.check_domain(domain)
-        except OptionError as error:
-            raise ForeignOptionError(str(error)) from error
 
 
 class ActionSet:

@@ -15,9 +15,8 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.action_sets import ignore_progress, Progress
-from humanopts_learner.planning.errors import PlanError
 from humanopts_learner.planning.evaluate import Returns
+from humanopts_learner.planning.request import ignore_progress, PlanError, Progress
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.policies import Choice, Policy
 from humanopts_learner.planning.sampled.sampled_models import SampleCounts, Samples
@@ -97,7 +96,7 @@ def play_games(
     gamma: float,
     seed: int,
     episodes: int,
-    progress: Progress | None = None,
+    progress: Progress = ignore_progress,
 ) -> Returns:
     """
     Play games from the start of the task by a policy.
@@ -111,14 +110,14 @@ def play_games(
     limit = games.domain.max_steps
     if limit < 1 or episodes < 1:
         raise PlanError(f'cannot play {episodes} episodes of at most {limit} steps')
-    rng, report = generator(seed, 'play_games'), progress or ignore_progress
+    rng = generator(seed, 'play_games')
     batch = games.batch_reset(episodes, rng)
     outcomes = {name: values.copy() for name, values in games.batch_outcome(batch).items()}
     over = games.batch_over(batch)
     returns = Returns.of_none(over.copy(), outcomes)
     runs, at = Runs(abstraction, actions, batch, rng), np.arange(episodes)
     for step in range(limit):
-        report('evaluation', step / limit, 0, math.nan)
+        progress('evaluation', step / limit, 0, math.nan)
         if not over.all():
             _play_step(returns, runs, actions, policy, gamma, at, over)
             over = games.batch_over(runs.batch)

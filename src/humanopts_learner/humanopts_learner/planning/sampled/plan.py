@@ -10,18 +10,21 @@ from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.action_sets import (
-    check_action_set,
-    ignore_progress,
-    PRIMITIVE,
-    Progress,
-)
-from humanopts_learner.planning.arbitration import Execution, OptionValues
-from humanopts_learner.planning.errors import check_gamma, PlanError
+from humanopts_learner.planning.arbitration import OptionValues
 from humanopts_learner.planning.evaluate import Returns
+from humanopts_learner.planning.exact import Decision, SweepProgress
 from humanopts_learner.planning.multi_time_models import expected_values, SparseMultiTimeModel
-from humanopts_learner.planning.plan import Clock, Decision, SweepProgress
-from humanopts_learner.planning.sampled.action_set import ActionSet, check_options
+from humanopts_learner.planning.request import (
+    batch_games,
+    Clock,
+    Execution,
+    ignore_progress,
+    PlanError,
+    PlanRequest,
+    Progress,
+    Sampling,
+)
+from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games, Sampler
 from humanopts_learner.planning.sampled.policies import (
     ArbitratedPolicy,
@@ -32,46 +35,11 @@ from humanopts_learner.planning.sampled.policies import (
     UniformPolicy,
 )
 from humanopts_learner.planning.sampled.sampled_models import SampleCounts, shrunk
-from humanopts_learner.planning.sampled.state_abstraction import batch_games, StateAbstraction
+from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 import numpy as np
 
 IMPROVEMENTS = 4  # policy improvements by shrunk values after value iteration, each evaluated
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """How samples are drawn, and how plans are made from them."""
-
-    rounds: int = 8  # rounds of play; all but the first follow the policy so far
-    n_games: int = 1000  # side by side, at most
-    game_steps: int = 400  # smallest number of steps of each game in all
-    explore: float = 0.2  # share of random decisions, from the second round on
-    min_samples: int = 1  # pairs of state and option with fewer are not available
-    penalty: float = 0.0  # reward units, by the square root of the number of samples
-    shrinkage: float = 0.0  # weight, in samples, of the mean over states of other context
-    primitive_penalty: float = 0.0  # reward units off a primitive action's value
-    interruption_margin: float = 10.0  # reward units that stopping an option must gain
-
-    def __post_init__(self) -> None:
-        """
-        Check the numbers.
-
-        :raises PlanError: one is out of range.
-        """
-        if min(self.rounds - 1, self.n_games, self.min_samples) < 1:
-            raise PlanError(f'{self} needs at least two rounds, one game and one sample')
-        if self.game_steps < self.rounds:
-            raise PlanError(f'{self} needs at least one step of each game in every round')
-        numbers = (
-            self.penalty,
-            self.shrinkage,
-            self.primitive_penalty,
-            self.interruption_margin,
-        )
-        finite = all(0.0 <= number < math.inf for number in numbers)
-        if not 0.0 <= self.explore <= 1.0 or not finite:
-            raise PlanError(f'{self} needs explore from 0 to 1, and the others finite, 0 or more')
 
 
 @dataclass(frozen=True)
@@ -138,7 +106,7 @@ class SampledPlan:
         seed: int,
         episodes: int,
         execution: Execution | None = None,
-        progress: Progress | None = None,
+        progress: Progress = ignore_progress,
     ) -> Returns:
         """
         Play episodes in the real game.
@@ -167,78 +135,56 @@ class SampledPlan:
 
 def make_sampled_plan(
     domain: Domain[Any],
-    action_set: str,
     options: Sequence[LearnedOption],
-    budget_steps: int,
-    seed: int,
-    gamma: float | None = None,
-    config: Sampling = Sampling(),
-    tol: float = 1e-3,
-    max_sweeps: int = 10_000,
-    progress: Progress | None = None,
+    request: PlanRequest,
+    progress: Progress = ignore_progress,
     clock: Clock = time.perf_counter,
-    execution: Execution = Execution.RUN_TO_END,
 ) -> SampledPlan:
     """
-    Plan from samples, in a domain that plays many games at once.
+    Plan from samples, in a domain that plays many games at once; rounds get equal parts of them.
 
-    :param action_set: one of ``ACTION_SETS``; ``options`` are ignored in ``primitive``.
-    :param budget_steps: game steps that are sampled in all; rounds get equal parts.
-    :param gamma: discount per primitive step; None: the domain's own.
-    :param tol: largest change allowed in the last sweep, in reward units.
-    :param execution: how the policy so far is executed from the second round on. Where options are
-        interrupted, the models are of interrupted options (Sutton, Precup and Singh 1999, section
-        4: interrupted options can be interrupted again).
-    :param progress: called with the stages ``models`` and ``sweeps``, anew in each round.
-    :raises PlanError: the request makes no sense; its subclasses say which part.
-    :raises PlanCanceled: from ``progress``.
+    Parameters and errors are those of ``plan.make_plan``; ``progress`` is called with the stages
+    models and sweeps, anew in each round.
     """
-    gamma = domain.gamma if gamma is None else gamma
-    check_gamma(gamma)
-    used = () if action_set == PRIMITIVE else tuple(options)
-    check_options(domain, used)
-    check_action_set(action_set, [option.name for option in used])
-    if budget_steps < config.game_steps:
-        raise PlanError(
-            f'{budget_steps} game steps are fewer than the {config.game_steps} of a game'
-        )
-    abstraction = StateAbstraction(batch_games(domain), action_set)
-    actions = ActionSet(domain, action_set, used)
+    asked = request.in_force(domain, options, sampled=True)
+    config, limits = asked.sampling, (asked.tol, asked.max_sweeps)
+    abstraction = StateAbstraction(batch_games(domain), asked.action_set)
+    actions = ActionSet(domain, asked.action_set, options)
     counts = SampleCounts(actions.modelled, actions.first_fallback)
     sampler = Sampler(
         abstraction,
         actions,
         counts,
-        min(config.n_games, budget_steps // config.game_steps),
-        gamma,
-        generator(seed, 'sampled_plan', action_set),
+        min(config.n_games, asked.game_steps // config.game_steps),
+        asked.gamma,
+        generator(asked.seed, 'sampled_plan', asked.action_set),
     )
     estimate = _Estimate(abstraction, actions, counts, config)
-    report, part = progress or ignore_progress, budget_steps // config.rounds
+    part = asked.game_steps // config.rounds
     policy: Policy = UniformPolicy(actions)
     game_steps, model_seconds, sweep_seconds = 0, 0.0, 0.0
     for number in range(config.rounds):
 
         def on_steps(done: int, before: int = number) -> None:
-            report('models', (before + done / part) / config.rounds, 0, math.nan)
+            progress('models', (before + done / part) / config.rounds, 0, math.nan)
 
         began = clock()
         game_steps += sampler.play(policy, part, on_steps)
         model = counts.model(config.min_samples, config.penalty)
         modelled = clock()
-        estimate.update(model, tol, max_sweeps, SweepProgress(report, tol, max_sweeps))
+        estimate.update(model, *limits, SweepProgress(progress, *limits))
         model_seconds += modelled - began
         sweep_seconds += clock() - modelled
-        policy = estimate.exploring(execution)
+        policy = estimate.exploring(asked.execution)
     return SampledPlan(
         domain=domain,
-        action_set=action_set,
-        gamma=gamma,
+        action_set=asked.action_set,
+        gamma=asked.gamma,
         actions=actions,
         solution=estimate.solution,
         policy=estimate.policy,
         continuation_values=estimate.continuation_values,
-        execution=execution,
+        execution=asked.execution,
         interruption_margin=config.interruption_margin,
         abstraction=abstraction,
         game_steps=game_steps,

@@ -5,7 +5,8 @@ from functools import cached_property
 from typing import Protocol
 
 from humanopts_env.arrays import Flags, Ints
-from humanopts_learner.planning.arbitration import Execution, greatest_mass, stops, strongest
+from humanopts_learner.planning.arbitration import greatest_mass, stops, strongest
+from humanopts_learner.planning.request import Execution
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.sampled_models import StateIndex
 from humanopts_learner.planning.sampled.state_abstraction import Observation

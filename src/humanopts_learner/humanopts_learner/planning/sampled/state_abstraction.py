@@ -9,29 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.arrays import Ints
-from humanopts_env.domains.base import Domain
-from humanopts_env.domains.capabilities import BatchGames, HasBatchGames
-from humanopts_learner.planning.action_sets import OPTIONS_ONLY, PRIMITIVE
-from humanopts_learner.planning.errors import NotEnumerableError, PlanError
+from humanopts_env.domains.capabilities import BatchGames
+from humanopts_learner.planning.request import OPTIONS_ONLY, PlanError, PRIMITIVE
 import numpy as np
 from numpy.typing import NDArray
 
 Codes = NDArray[np.int64]
 LARGEST_CODE = 2**53  # abstract states are numbered below this
-
-
-def batch_games(domain: Domain[Any]) -> BatchGames:
-    """
-    Return the object that plays many games of a domain at once.
-
-    :raises NotEnumerableError: the domain cannot do that, so neither kind of planning is possible.
-    """
-    if isinstance(domain, HasBatchGames):
-        return domain.batch_games()
-    raise NotEnumerableError(
-        f'the states of {domain.name} cannot all be listed, so it has no exact models; and it has '
-        'no method batch_games, so it has no sampled ones'
-    )
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,130 @@
+"""Planning with exact models: from an action set to the greedy policy over its options."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+import time
+from typing import Any
+
+from humanopts_env.domains.base import EnumerableDomain
+from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
+from humanopts_learner.planning.action_sets import build_model
+from humanopts_learner.planning.request import (
+    Clock,
+    ignore_progress,
+    OPTIONS_ONLY,
+    PlanError,
+    PlanRequest,
+    PRIMITIVE,
+    Progress,
+)
+from humanopts_learner.planning.value_iteration import Solution, solve_smdp
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a policy over options runs next."""
+
+    name: str  # an option, or action:NAME
+    fallback: bool  # a primitive action because no option is available
+
+
+@dataclass(frozen=True)
+class ExactPlan:
+    """
+    A greedy policy over options.
+
+    Option indices count the learned options and then, where the action set needs them, all
+    primitive actions. In the sets ``human`` and ``automatic`` these are the fallback: available
+    only in states where no option is, so that the one chosen there is the best by one step of
+    look-ahead in the plan's own values, the first of equals.
+    """
+
+    domain: EnumerableDomain[Any]
+    action_set: str
+    gamma: float
+    options: tuple[TabularOption, ...]
+    names: tuple[str, ...]  # by option index
+    solution: Solution
+    table_seconds: float
+    model_seconds: float
+    sweep_seconds: float
+
+    def choose(self, state: Any) -> Decision:
+        """
+        Return what the policy runs in a state of the domain.
+
+        :raises PlanError: the task is over in it.
+        """
+        option = int(self.solution.best[self.domain.index(state)])
+        if option < 0:
+            raise PlanError('there is nothing to do: the task is over')
+        return Decision(self.names[option], option >= self.first_fallback)
+
+    @property
+    def first_fallback(self) -> int:
+        """Option index from which on a choice is a fallback; the number of names if none is."""
+        return len(self.options) if self.action_set in OPTIONS_ONLY else len(self.names)
+
+    @property
+    def game_steps(self) -> int:
+        """Game steps that were sampled: 0."""
+        return 0
+
+
+def make_exact_plan(
+    domain: EnumerableDomain[Any],
+    options: Sequence[LearnedOption | TabularOption],
+    request: PlanRequest,
+    progress: Progress = ignore_progress,
+    clock: Clock = time.perf_counter,
+) -> ExactPlan:
+    """
+    Plan with exact models; parameters and errors as ``plan.make_plan``.
+
+    :param options: learned, or as tables over all states.
+    """
+    asked = request.in_force(domain, options, sampled=False)
+    used = () if asked.action_set == PRIMITIVE else tuple(options)
+    # What is built once for all plans is no part of the time of this one.
+    domain.feature_table(), domain.transitions(), domain.over()
+    began = clock()
+    tabled = []
+    for done, option in enumerate(used):
+        progress('tables', done / len(used), 0, math.nan)
+        tabled.append(tabulate(option, domain))
+    evaluated = clock()
+    model = build_model(domain, asked.action_set, tabled, asked.gamma, progress)
+    modelled = clock()
+    on_sweep = SweepProgress(progress, asked.tol, asked.max_sweeps)
+    solution = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep)
+    return ExactPlan(
+        domain=domain,
+        action_set=asked.action_set,
+        gamma=asked.gamma,
+        options=tuple(tabled),
+        names=model.names,
+        solution=solution,
+        table_seconds=evaluated - began,
+        model_seconds=modelled - evaluated,
+        sweep_seconds=clock() - modelled,
+    )
+
+
+class SweepProgress:
+    """Reports the residual as a share of the sweeps: its logarithm falls about linearly."""
+
+    def __init__(self, report: Progress, tol: float, max_sweeps: int) -> None:
+        self._report, self._tol, self._max_sweeps = report, tol, max_sweeps
+        self._first, self._fraction = 0.0, 0.0
+
+    def __call__(self, sweeps: int, residual: float) -> None:
+        self._first = max(self._first, residual)
+        fraction = sweeps / self._max_sweeps
+        if residual <= self._tol:
+            fraction = 1.0
+        elif self._tol > 0.0:
+            fallen = math.log(self._first / residual) / math.log(self._first / self._tol)
+            fraction = max(fraction, fallen)
+        self._fraction = max(self._fraction, fraction)
+        self._report('sweeps', self._fraction, sweeps, residual)

@@ -1,0 +1,258 @@
+"""What can be asked of planning: action sets, settings, and the options to plan with."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+import math
+from typing import Any, Protocol
+
+from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.capabilities import BatchGames, HasBatchGames
+from humanopts_learner.library import taught_nothing
+from humanopts_learner.options.option import LearnedOption, OptionError
+
+HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE = 'human', 'primitive', 'human+primitive'
+AUTOMATIC, AUTOMATIC_AND_PRIMITIVE = 'automatic', 'automatic+primitive'
+ACTION_SETS = (HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE, AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)
+OPTIONS_ONLY = (HUMAN, AUTOMATIC)  # primitive actions only where no option can start
+OF_MACHINES = (AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)  # sets of options that nobody taught
+MACHINE = 'automatic'  # participant codes of options that nobody taught begin with this
+
+TOLERANCE, SAMPLED_TOLERANCE = 1e-8, 1e-3  # reward units
+MAX_SWEEPS, GAME_STEPS = 10_000, 800_000
+
+Clock = Callable[[], float]  # seconds
+
+
+class PlanError(ValueError):
+    """A plan cannot be made; the text says why."""
+
+
+class NoOptionsError(PlanError):
+    """The action set names options and there are none."""
+
+
+class PlanCanceled(Exception):  # noqa: N818 - no error: raised by a progress callback to stop
+    """Planning was canceled."""
+
+
+class Progress(Protocol):
+    """Called with how far planning is; raise ``PlanCanceled`` to stop it."""
+
+    def __call__(self, stage: str, fraction: float, sweeps: int, residual: float, /) -> object:
+        """
+        Receive the progress.
+
+        :param stage: tables, models, sweeps or evaluation.
+        :param fraction: of the stage, 0..1.
+        :param residual: of the last sweep, reward units; NaN before the first.
+        """
+
+
+def ignore_progress(stage: str, fraction: float, sweeps: int, residual: float) -> None:
+    """Do nothing."""
+
+
+class Execution(StrEnum):
+    """How a policy over options is executed; all but the first are polling executions."""
+
+    RUN_TO_END = 'run_to_end'
+    """An option that was chosen runs until it ends."""
+
+    INTERRUPTED = 'interrupted'
+    """
+    An option is stopped where going on with it is worth less than choosing anew, both by the
+    values of the policy that runs to the end (Sutton, Precup and Singh 1999, section 4).
+    """
+
+    MODULAR_MASS = 'modular_mass'
+    """
+    In every step all options that can start want their action as modules, and the greatest mass
+    wins: the action with the greatest sum of strengths (Karlsson 1997, "greatest mass"; Humphrys
+    1997, "maximise the collective happiness"). A module's strength is by how much its option is
+    worth more than that of the weakest one.
+    """
+
+    MODULAR_STRONGEST = 'modular_strongest'
+    """
+    In every step the strongest module wins: the option of which going on is worth the most, inside
+    its initiation set or not (Humphrys 1997, "maximise the best happiness"). Exact values make
+    this as safe as interruption, by the same theorem.
+    """
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """
+    How samples are drawn, and how plans are made from them.
+
+    :raises PlanError: a number is out of range.
+    """
+
+    rounds: int = 8  # rounds of play; all but the first follow the policy so far
+    n_games: int = 1000  # side by side, at most
+    game_steps: int = 400  # smallest number of steps of each game in all
+    explore: float = 0.2  # share of random decisions, from the second round on
+    min_samples: int = 1  # pairs of state and option with fewer are not available
+    penalty: float = 0.0  # reward units, by the square root of the number of samples
+    shrinkage: float = 0.0  # weight, in samples, of the mean over states of other context
+    primitive_penalty: float = 0.0  # reward units off a primitive action's value
+    interruption_margin: float = 10.0  # reward units that stopping an option must gain
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if min(self.rounds - 1, self.n_games, self.min_samples) < 1:
+            raise PlanError(f'{self} needs at least two rounds, one game and one sample')
+        if self.game_steps < self.rounds:
+            raise PlanError(f'{self} needs at least one step of each game in every round')
+        numbers = (
+            self.penalty,
+            self.shrinkage,
+            self.primitive_penalty,
+            self.interruption_margin,
+        )
+        finite = all(0.0 <= number < math.inf for number in numbers)
+        if not 0.0 <= self.explore <= 1.0 or not finite:
+            raise PlanError(f'{self} needs explore from 0 to 1, and the others finite, 0 or more')
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """
+    The settings of a plan; a number of 0 means the default.
+
+    :raises PlanError: one is out of range.
+    """
+
+    action_set: str  # one of ``ACTION_SETS``
+    gamma: float = 0.0  # discount per primitive step; default: the domain's own
+    tol: float = 0.0  # of the last sweep, reward units; default: 1e-8 exact, 1e-3 sampled
+    max_sweeps: int = 0  # default: 10,000
+    game_steps: int = 0  # sampled in all; default: 800,000. Exact models need none: always 0
+    seed: int = 0  # of the samples
+    sampling: Sampling = Sampling()
+    execution: Execution = Execution.RUN_TO_END
+    """
+    How the policy so far is executed while sampling, from the second round on. Where options are
+    interrupted, the models are of interrupted options (Sutton, Precup and Singh 1999, section 4:
+    interrupted options can be interrupted again).
+    """
+
+    def __post_init__(self) -> None:
+        """Check what does not depend on the domain."""
+        if self.action_set not in ACTION_SETS:
+            raise PlanError(
+                f'no action set {self.action_set!r}; there is {", ".join(ACTION_SETS)}'
+            )
+        if self.gamma and not 0.0 < self.gamma <= 1.0:
+            raise PlanError(f'gamma is {self.gamma}, and must be above 0 and at most 1')
+        check_limits(self.tol, self.max_sweeps or 1)
+
+    def in_force(
+        self, domain: Domain[Any], options: Sequence[Any], *, sampled: bool | None = None
+    ) -> 'PlanRequest':
+        """
+        Check the request for a domain and its options; return it with defaults filled in.
+
+        :param options: learned ones, or others with a name; ignored in the set ``primitive``.
+        :param sampled: whether models are sampled; None: where the states cannot all be listed.
+        :raises PlanError: the plan cannot be made.
+        :raises NoOptionsError: there are no options, and the action set needs some.
+        """
+        if sampled is None:
+            sampled = not is_enumerable(domain)
+        asked = replace(
+            self,
+            gamma=self.gamma or domain.gamma,
+            tol=self.tol or (SAMPLED_TOLERANCE if sampled else TOLERANCE),
+            max_sweeps=self.max_sweeps or MAX_SWEEPS,
+            game_steps=(self.game_steps or GAME_STEPS) if sampled else 0,
+        )
+        if self.action_set != PRIMITIVE:
+            _check_options(domain, self.action_set, options)
+        fewest = self.sampling.game_steps
+        if sampled and batch_games(domain) and asked.game_steps < fewest:
+            raise PlanError(f'game_steps is {asked.game_steps}, and must be at least {fewest}')
+        return asked
+
+
+def check_limits(tol: float, max_sweeps: int) -> None:
+    """
+    Check where sweeps are to end.
+
+    :raises PlanError: tol is negative or no number, or max_sweeps is below 1.
+    """
+    if not tol >= 0.0 or max_sweeps < 1:
+        raise PlanError(f'tol is {tol} and max_sweeps {max_sweeps}: need tol >= 0 and a sweep')
+
+
+def _check_options(domain: Domain[Any], action_set: str, options: Sequence[Any]) -> None:
+    """
+    Check the options of an action set that needs some.
+
+    :raises PlanError: two have one name, or one was learned in another domain.
+    :raises NoOptionsError: there are none.
+    """
+    if not options:
+        way = 'extract them' if action_set in OF_MACHINES else 'teach one'
+        raise NoOptionsError(
+            f'the action set {action_set} needs options and there are none: {way} first'
+        )
+    names = [option.name for option in options]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise PlanError(f'more than one option is called {", ".join(twice)}')
+    for option in options:
+        if isinstance(option, LearnedOption):
+            try:
+                option.check_domain(domain)
+            except OptionError as error:
+                raise PlanError(str(error)) from error
+
+
+def batch_games(domain: Domain[Any]) -> BatchGames:
+    """
+    Return the object that plays many games of a domain at once.
+
+    :raises PlanError: the domain cannot do that, so neither kind of planning is possible.
+    """
+    if isinstance(domain, HasBatchGames):
+        return domain.batch_games()
+    raise PlanError(
+        f'the states of {domain.name} cannot all be listed, so it has no exact models; and it has '
+        'no method batch_games, so it has no sampled ones'
+    )
+
+
+def select_options(
+    options: Sequence[LearnedOption],
+    action_set: str,
+    participant: str = '',
+    names: Sequence[str] = (),
+) -> list[LearnedOption]:
+    """
+    Return the options to plan with, in the order given; none for the set ``primitive``.
+
+    The sets ``automatic`` have the options of participants whose code begins with ``MACHINE``,
+    the sets ``human`` those of all others.
+
+    :param participant: who taught the options; empty: the only participant there is.
+    :param names: of the options to plan with; empty: all.
+    :raises PlanError: there are several participants and none is named, or a name is unknown.
+    :raises NoOptionsError: the participant has none, and others have.
+    """
+    if action_set == PRIMITIVE:
+        return []
+    machine = action_set in OF_MACHINES
+    kind = [option for option in options if option.participant.startswith(MACHINE) == machine]
+    people = sorted({option.participant for option in kind})
+    if not participant and len(people) > 1:
+        raise PlanError(f'options are of several participants: name one of {", ".join(people)}')
+    theirs = [option for option in kind if participant in ('', option.participant)]
+    if people and not theirs:
+        raise NoOptionsError(taught_nothing(participant, people))
+    known = [option.name for option in theirs]
+    unknown = [repr(name) for name in names if name not in known]
+    if known and unknown:
+        raise PlanError(f'no option {", ".join(unknown)}; there is {", ".join(map(repr, known))}')
+    return [option for option in theirs if not names or option.name in names]
