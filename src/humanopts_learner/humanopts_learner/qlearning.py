@@ -61,8 +61,23 @@ def option_table(
     :param options: ignored in the set ``primitive``.
     :raises PlanError: there is no such set, or its options are none or not distinct.
     """
-    PlanRequest(action_set).in_force(domain, options, sampled=False)
     used = () if action_set == PRIMITIVE else tuple(options)
+    PlanRequest(action_set).in_force(domain, options, sampled=False)
+    going = ~domain.over()
+    free = going
+    if action_set in OPTIONS_ONLY:
+        free = going & ~np.any([option.initiation for option in used], axis=0)
+    primitives = [
+        TabularOption(
+            name=PRIMITIVE_PREFIX + action.name,
+            max_steps=1,
+            action=np.full(len(free), index),
+            initiation=free,
+            termination=np.ones_like(free),
+        )
+        for index, action in enumerate(domain.actions)
+    ]
+    every = [*used, *primitives] if free.any() else used
     return OptionTable(
         names=tuple(option.name for option in every),
         action=np.array([option.action for option in every], dtype=np.intp),
