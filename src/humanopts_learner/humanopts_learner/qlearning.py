@@ -25,8 +25,9 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
+from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.request import PlanError, PlanRequest, PRIMITIVE
+from humanopts_learner.planning.request import OPTIONS_ONLY, PlanError, PlanRequest, PRIMITIVE
 import numpy as np
 
 # Called with the share of the episodes that is done, 0..1; raises ``PlanCanceled`` to stop

@@ -52,9 +52,9 @@ def options(domain: PacMan, yard_lesson: list[Demonstration]) -> list[LearnedOpt
 def baselines(options: list[LearnedOption]) -> list[Baseline]:
     """One of each kind, and primitive actions."""
     return [
-        Baseline('planned', PLAN, HUMAN, PlanRequest, options, STEPS),
+        Baseline('planned', PLAN, HUMAN, options, STEPS),
         Baseline('moves', RANDOM, PRIMITIVE),
-        Baseline('any option', RANDOM, HUMAN, PlanRequest, options),
+        Baseline('any option', RANDOM, HUMAN, options),
         Baseline('rule', HEURISTIC),
         Baseline('rule, each step', HEURISTIC, to_end=False),
     ]
@@ -86,7 +86,7 @@ def test_every_baseline_has_its_row_in_order(rows: list[ComparisonRow]) -> None:
 def test_a_plan_is_judged_as_when_it_is_made_alone(
     domain: PacMan, options: list[LearnedOption], rows: list[ComparisonRow]
 ) -> None:
-    request = PlanRequest(HUMAN, PlanRequest, game_steps=STEPS, seed=SEED)
+    request = PlanRequest(HUMAN, game_steps=STEPS, seed=SEED)
     returns = make_sampled_plan(domain, options, request).play(SEED, GAMES)
     assert rows[0].score.mean == returns.total.mean()
     assert rows[0].fallbacks == returns.fallbacks.mean()
@@ -96,7 +96,7 @@ def test_a_curve_has_the_same_score_for_the_same_budget(
     domain: PacMan, options: list[LearnedOption], rows: list[ComparisonRow]
 ) -> None:
     plan, limits = (
-        Baseline('planned', PLAN, HUMAN, PlanRequest, options),
+        Baseline('planned', PLAN, HUMAN, options),
         CurveLimits(STEPS // 2, STEPS),
     )
     curve = planning_curve(domain, plan, limits, SEED, GAMES)
@@ -108,7 +108,7 @@ def test_a_curve_ends_where_the_target_is_reached_and_shows_where_it_is_not(
     domain: PacMan, options: list[LearnedOption]
 ) -> None:
     """Budgets are doubled; there are not so many points to be had."""
-    plan = Baseline('planned', PLAN, HUMAN, PlanRequest, options)
+    plan = Baseline('planned', PLAN, HUMAN, options)
     limits = CurveLimits(STEPS, 2 * STEPS, target=1e9)
     curve = planning_curve(domain, plan, limits, SEED, GAMES)
     assert [row.budget_steps for row in curve.rows] == [STEPS, 2 * STEPS]
