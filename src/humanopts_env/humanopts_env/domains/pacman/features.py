@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Feature, FeatureKind
-from humanopts_env.domains.pacman.paths import FIRST_MOVE, Masks, MOVES, STAY
+from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, Masks, MOVES, STAY
 from humanopts_env.domains.pacman.rules import PacManBatch, Rules, Taken
 from humanopts_env.domains.pacman.state import eaten_names, SCARED_STEPS
 from humanopts_env.domains.tabular import read_only
@@ -276,3 +277,15 @@ def _nearest_things(
     first = np.where(nearest, paths.shortest[:, items][batch.pacman], 0)
     masks: Masks = np.bitwise_or.reduce(first, axis=1).astype(np.uint8)
     return least.astype(np.intp), np.array(items)[at], masks
+
+
+def flight(batch: PacManBatch) -> Flags:
+    """Return (N, 4): the legal moves after which the nearest dangerous ghost is farthest."""
+    paths = batch.rules.paths
+    after = paths.step[batch.pacman, :STAY]  # (N, 4)
+    steps = paths.distance[batch.ghosts[:, :, None], after].astype(np.intp)  # (G, N, 4)
+    steps = np.where(batch.scared[:, :, None] > 0, paths.far, steps)
+    least = steps.min(axis=0, initial=paths.far)
+    least = np.where(HAS_MOVE[paths.legal[batch.pacman]], least, -1)
+    best: Flags = least == least.max(axis=1, keepdims=True)
+    return best

@@ -19,6 +19,7 @@ from humanopts_env.domains.capabilities import Abstraction
 from humanopts_env.domains.pacman.features import (
     DIRECTIONS,
     FeatureReader,
+    flight,
     look_around,
     Surroundings,
 )
@@ -271,13 +272,7 @@ def _after(batch: PacManBatch, ways: Masks) -> Ints:
 
 def _refuge(batch: PacManBatch) -> Ints:
     """Return the cell a step away that is farthest from the nearest dangerous ghost, (N,)."""
-    paths = batch.rules.paths
-    after = paths.step[batch.pacman, :4]  # (N, 4)
-    steps = paths.distance[batch.ghosts[:, :, None], after].astype(np.intp)  # (G, N, 4)
-    steps = np.where(batch.scared[:, :, None] > 0, AFAR, steps).min(axis=0, initial=AFAR)
-    legal = HAS_MOVE[paths.legal[batch.pacman]]
-    best = np.where(legal, steps, -1).argmax(axis=1)
-    refuge: Ints = after[np.arange(len(batch)), best]
+    refuge: Ints = batch.rules.paths.step[batch.pacman, flight(batch).argmax(axis=1)]
     return refuge
 
 

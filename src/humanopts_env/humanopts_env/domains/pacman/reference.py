@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from humanopts_env.arrays import Flags
-from humanopts_env.domains.pacman.features import look_around, Surroundings
+from humanopts_env.domains.pacman.features import flight, look_around, Surroundings
 from humanopts_env.domains.pacman.paths import HAS_MOVE
 from humanopts_env.domains.pacman.rules import (
     ATE_FOOD,
@@ -36,24 +36,12 @@ TO_FRUIT = 'go to the fruit'
 DANGER = 4  # steps within which a dangerous ghost is avoided
 
 
-def _flight(batch: PacManBatch) -> Flags:
-    """Return (N, 4): the legal moves after which the nearest dangerous ghost is farthest."""
-    paths = batch.rules.paths
-    after = paths.step[batch.pacman, :4]  # (N, 4)
-    steps = paths.distance[batch.ghosts[:, :, None], after].astype(np.intp)  # (G, N, 4)
-    steps = np.where(batch.scared[:, :, None] > 0, paths.far, steps)
-    least = steps.min(axis=0, initial=paths.far)
-    least = np.where(HAS_MOVE[paths.legal[batch.pacman]], least, -1)
-    best: Flags = least == least.max(axis=1, keepdims=True)
-    return best
-
-
 def _closest_food(batch: PacManBatch, seen: Surroundings) -> Judgement:
     return _judge(batch, seen.food < seen.far, ATE_FOOD, HAS_MOVE[seen.to_food])
 
 
 def _avoid_ghost(batch: PacManBatch, seen: Surroundings) -> Judgement:
-    return _judge(batch, seen.danger <= DANGER, 0, _flight(batch))
+    return _judge(batch, seen.danger <= DANGER, 0, flight(batch))
 
 
 def _nearest_pill(batch: PacManBatch, seen: Surroundings) -> Judgement:
