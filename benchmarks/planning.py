@@ -20,12 +20,15 @@ import time
 
 from humanopts_env.domains.base import Transitions
 from humanopts_env.domains.reference import TabularReferenceOption
-from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.tabular import read_only
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
-from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree, Tree
-from humanopts_learner.options.option import LearnedOption, MEMBERSHIP, TabularOption, tabulate
+from humanopts_learner.options.option import (
+    LearnedOption,
+    option_from_table,
+    TabularOption,
+    tabulate,
+)
 from humanopts_learner.planning.exact import make_exact_plan
 from humanopts_learner.planning.multi_time_models import MultiTimeModel
 from humanopts_learner.planning.request import HUMAN, PlanRequest, PRIMITIVE
@@ -95,31 +98,14 @@ class TaxiCase:
         return learned, time.perf_counter() - began
 
     def _learn(self, option: TabularReferenceOption) -> LearnedOption:
-        domain, encoding = self.domain, feature_encoding(self.domain, option.features)
-
-        def fit(
-            where: NDArray[np.bool_], labels: NDArray[np.integer], classes: tuple[int, ...]
-        ) -> Tree:
-            rows = domain.feature_table()[where]
-            return fit_tree(encode_rows(encoding, rows), labels[where], classes, seed=0)
-
-        actions = tuple(action.name for action in domain.actions)
-        policy = option.optimal.argmax(axis=1)
-        return LearnedOption(
-            name=option.name,
+        known = option.initiation, ~self.domain.over(), option.judged
+        return option_from_table(
+            self.domain,
+            TabularOption.of_reference(option, self.domain.n_states),
+            option.features,
+            self.domain.feature_table(),
+            known,
             participant='every state',
-            domain=domain.name,
-            domain_parameters=parameters_json(domain),
-            actions=actions,
-            features=option.features,
-            encoding=encoding,
-            policy=fit(option.initiation, policy, tuple(range(len(actions)))),
-            initiation=fit(~domain.over(), option.initiation.astype(np.intp), MEMBERSHIP),
-            termination=fit(option.judged, option.termination.astype(np.intp), MEMBERSHIP),
-            n_demonstrations=0,
-            n_not_here=0,
-            max_steps=domain.n_states,
-            uuids=(),
         )
 
 

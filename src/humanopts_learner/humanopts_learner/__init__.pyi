@@ -1,4 +1,4 @@
-from .automatic.extract import find_options
+from .automatic.extract import find_options, to_learned_options
 from .demonstration_table import (
     demonstrations_from_table,
     demonstrations_to_table,
@@ -31,4 +31,5 @@ __all__ = [
     'policy_accuracy',
     'save_option',
     'solve_smdp',
+    'to_learned_options',
 ]

@@ -5,6 +5,9 @@ from contextlib import suppress
 import json
 import os
 from pathlib import Path
+from typing import TypeVar
+
+T = TypeVar('T')
 
 
 class AppendOnlyLog:
@@ -22,13 +25,28 @@ class AppendOnlyLog:
         :raises OSError: it cannot be read, or its end cannot be mended.
         """
         self.path = path
-        self.damage = ''  # what was mended, in words
+        self.problems: list[str] = []  # what was mended or left out, in words
         content = path.read_bytes() if path.exists() else b''
         end = content.rfind(b'\n') + 1
         whole = content[:end]
         if content[end:]:
             whole += self._mend(end, content[end:])
         self.lines = whole.decode(errors='replace').split('\n')[:-1]
+
+    def read(self, entry_of: Callable[[str], T]) -> list[T]:
+        """
+        Return the entries that the lines hold.
+
+        :param entry_of: returns the entry of a line, or raises a ValueError that says why it
+            cannot be used; then the line is left out and named in ``problems``.
+        """
+        entries = []
+        for number, line in enumerate(self.lines, start=1):
+            try:
+                entries.append(entry_of(line))
+            except ValueError as error:
+                self.problems.append(f'line {number} of {self.path} is left out: {error}')
+        return entries
 
     def append(self, line: str) -> None:
         """
@@ -48,7 +66,7 @@ class AppendOnlyLog:
             append_bytes(aside, torn)
             os.truncate(self.path, size)
             sync(self.path)
-            self.damage = (
+            self.problems.append(
                 f'the last line of {self.path} was cut off; its {len(torn)} bytes are now in '
                 f'{aside.name}, and all lines before it are kept'
             )

@@ -1,6 +1,6 @@
 """Demonstrations: what a person showed, checked against the rules of the game."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from enum import Enum
 from functools import cached_property
@@ -9,6 +9,7 @@ import math
 from typing import Any
 import uuid as uuid_module
 
+from humanopts_env.arrays import Rows
 from humanopts_env.domains.base import (
     action_index,
     Domain,
@@ -19,7 +20,6 @@ from humanopts_env.domains.base import (
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.registry import parameters_json
 import numpy as np
-from numpy.typing import NDArray
 
 
 class DemonstrationError(ValueError):
@@ -34,6 +34,18 @@ class Kind(Enum):
 
 
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
+
+
+_CONVERT: Mapping[Any, Callable[[Any], Any]] = {  # plain values into the types of the fields
+    Kind: Kind,
+    bool: bool,
+    int: int,
+    float: float,
+    str: str,
+    tuple[str, ...]: lambda texts: tuple(map(str, texts)),
+    tuple[float, ...]: lambda numbers: tuple(map(float, numbers)),
+    tuple[tuple[int, ...], ...]: lambda rows: tuple(tuple(map(int, row)) for row in rows),
+}
 
 
 @dataclass(frozen=True)
@@ -64,7 +76,7 @@ class Demonstration:
     withdrawn: bool = False  # taken back by the person; nothing is learned from it
 
     @cached_property
-    def feature_rows(self) -> NDArray[np.int32]:
+    def feature_rows(self) -> Rows:
         """All features of all states, (T + 1, F)."""
         return np.array(self.features, dtype=np.int32).reshape(len(self.states), -1)
 
@@ -107,24 +119,11 @@ class Demonstration:
             raise DemonstrationError(f'the demonstration has no {", ".join(missing)}')
         try:
             return cls(
-                kind=Kind(values['kind']),
-                uuid=str(values['uuid']),
-                domain=str(values['domain']),
-                domain_parameters=str(values['domain_parameters']),
-                participant=str(values['participant']),
-                session=str(values['session']),
-                option_name=str(values['option_name']),
-                number=int(values['number']),
-                chosen_features=tuple(map(str, values['chosen_features'])),
-                feature_names=tuple(map(str, values['feature_names'])),
-                features=tuple(tuple(int(v) for v in row) for row in values['features']),
-                states=tuple(map(str, values['states'])),
-                actions=tuple(map(str, values['actions'])),
-                rewards=tuple(map(float, values['rewards'])),
-                terminated=bool(values['terminated']),
-                can_start_at_end=bool(values['can_start_at_end']),
-                seconds=float(values['seconds']),
-                withdrawn=bool(values.get('withdrawn', False)),
+                **{
+                    field.name: _CONVERT[field.type](values[field.name])
+                    for field in fields(cls)
+                    if field.name in values
+                }
             )
         except (TypeError, ValueError, OverflowError) as error:
             raise DemonstrationError(f'a field of the demonstration is wrong: {error}') from error

@@ -9,7 +9,6 @@ from humanopts_learner.append_only_log import AppendOnlyLog
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
-    DemonstrationError,
     group_by_option,
 )
 from humanopts_learner.options.criteria import judge, Judgement, Thresholds
@@ -47,15 +46,16 @@ class OptionTrainer:
         """
         self._directory, self._domain = directory, domain
         self._thresholds, self._seed = thresholds, seed
-        self.problems: list[str] = []  # what in the folder could not be used, in words
-        self._demos: list[Demonstration] = []
         self._progress: dict[tuple[str, str], OptionProgress] = {}
         try:
             directory.mkdir(parents=True, exist_ok=True)
             self._log = AppendOnlyLog(directory / DATA_SET)
         except OSError as error:
             raise DataSetError(f'cannot use the folder {directory}: {error.strerror}') from error
-        self._load()
+        self.problems = self._log.problems  # what in the folder could not be used, in words
+        self._demos = self._log.read(self._checked)
+        for key in dict.fromkeys((demo.participant, demo.option_name) for demo in self._demos):
+            self._learn(*key)
 
     def take(self, demo: Demonstration) -> bool:
         """
@@ -80,18 +80,10 @@ class OptionTrainer:
         """Return what is known of every option, in order of first demonstration."""
         return list(self._progress.values())
 
-    def _load(self) -> None:
-        if self._log.damage:
-            self.problems.append(self._log.damage)
-        for number, line in enumerate(self._log.lines, start=1):
-            try:
-                demo = Demonstration.from_json(line)
-                check_demonstration(demo, self._domain)
-                self._demos.append(demo)
-            except DemonstrationError as error:
-                self.problems.append(f'line {number} of {self._log.path} is left out: {error}')
-        for key in dict.fromkeys((demo.participant, demo.option_name) for demo in self._demos):
-            self._learn(*key)
+    def _checked(self, line: str) -> Demonstration:
+        demo = Demonstration.from_json(line)
+        check_demonstration(demo, self._domain)
+        return demo
 
     def _learn(self, participant: str, option_name: str) -> None:
         key = participant, option_name

@@ -14,13 +14,13 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_what_was_appended_is_there_when_it_is_opened_again(path: Path) -> None:
-    journal = AppendOnlyLog(path)
-    assert (journal.lines, journal.damage) == ([], '')
+    log = AppendOnlyLog(path)
+    assert (log.lines, log.problems) == ([], [])
     for line in ('{"a": 1}', '{"name": "Zoë"}'):
-        journal.append(line)
+        log.append(line)
     again = AppendOnlyLog(path)
-    assert again.lines == journal.lines == ['{"a": 1}', '{"name": "Zoë"}']
-    assert again.damage == ''
+    assert again.lines == log.lines == ['{"a": 1}', '{"name": "Zoë"}']
+    assert again.problems == []
 
 
 def test_a_file_is_not_made_before_there_is_a_line(path: Path) -> None:
@@ -31,11 +31,11 @@ def test_a_file_is_not_made_before_there_is_a_line(path: Path) -> None:
 @pytest.mark.parametrize('torn', [b'{"a": ', b'{', 'é'.encode()[:1]])
 def test_a_last_line_that_was_cut_off_is_moved_aside(path: Path, torn: bytes) -> None:
     path.write_bytes(b'{"a": 1}\n' + torn)
-    journal = AppendOnlyLog(path)
-    assert journal.lines == ['{"a": 1}']
-    assert f'its {len(torn)} bytes are now in lines.jsonl.torn-1' in journal.damage
+    log = AppendOnlyLog(path)
+    assert log.lines == ['{"a": 1}']
+    assert f'its {len(torn)} bytes are now in lines.jsonl.torn-1' in log.problems[0]
     assert path.with_name('lines.jsonl.torn-1').read_bytes() == torn
-    journal.append('{"b": 2}')
+    log.append('{"b": 2}')
     assert AppendOnlyLog(path).lines == ['{"a": 1}', '{"b": 2}']
 
 
@@ -49,8 +49,8 @@ def test_a_second_torn_line_does_not_replace_the_first(path: Path) -> None:
 
 def test_a_last_line_that_lacks_only_its_end_is_kept(path: Path) -> None:
     path.write_bytes(b'{"a": 1}\n{"b": 2}')
-    journal = AppendOnlyLog(path)
-    assert (journal.lines, journal.damage) == (['{"a": 1}', '{"b": 2}'], '')
+    log = AppendOnlyLog(path)
+    assert (log.lines, log.problems) == (['{"a": 1}', '{"b": 2}'], [])
     assert path.read_bytes() == b'{"a": 1}\n{"b": 2}\n'
 
 
@@ -62,8 +62,8 @@ def test_a_line_that_is_no_text_is_given_as_it_can_be_read(path: Path) -> None:
 def test_a_write_that_fails_half_way_leaves_the_file_as_it_was(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    journal = AppendOnlyLog(path)
-    journal.append('{"a": 1}')
+    log = AppendOnlyLog(path)
+    log.append('{"a": 1}')
     write = os.write
 
     def full_disk(handle: int, content: memoryview) -> int:
@@ -73,11 +73,11 @@ def test_a_write_that_fails_half_way_leaves_the_file_as_it_was(
 
     monkeypatch.setattr(os, 'write', full_disk)
     with pytest.raises(OSError, match='No space left'):
-        journal.append('{"b": 2}')
+        log.append('{"b": 2}')
     monkeypatch.undo()
-    assert journal.lines == ['{"a": 1}']
+    assert log.lines == ['{"a": 1}']
     assert path.read_bytes() == b'{"a": 1}\n'
-    journal.append('{"c": 3}')
+    log.append('{"c": 3}')
     assert AppendOnlyLog(path).lines == ['{"a": 1}', '{"c": 3}']
 
 

@@ -7,11 +7,14 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
-from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
-from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
+from humanopts_learner.options.option import (
+    LearnedOption,
+    option_from_table,
+    TabularOption,
+    tabulate,
+)
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.plan import make_plan
@@ -34,26 +37,9 @@ def tabled(name: str, max_steps: int = 200) -> TabularOption:
 @cache
 def learned(name: str, domain: Taxi = TAXI) -> LearnedOption:
     """Return a reference option as trees that say the same in every state."""
-    option = reference_options(domain)[name]
-    features = tuple(feature.name for feature in domain.features)
-    encoding = feature_encoding(domain, features)
-    X = encode_rows(encoding, domain.feature_table())
-    return LearnedOption(
-        name=name,
-        participant='someone',
-        domain=domain.name,
-        domain_parameters=parameters_json(domain),
-        actions=tuple(action.name for action in domain.actions),
-        features=features,
-        encoding=encoding,
-        policy=fit_tree(X, option.optimal.argmax(axis=1), range(len(domain.actions)), 0),
-        initiation=fit_tree(X, option.initiation.astype(int), (0, 1), 0),
-        termination=fit_tree(X, option.termination.astype(int), (0, 1), 0),
-        n_demonstrations=1,
-        n_not_here=0,
-        max_steps=200,
-        uuids=(),
-    )
+    names = [feature.name for feature in domain.features]
+    table = TabularOption.of_reference(reference_options(domain)[name])
+    return option_from_table(domain, table, names, domain.feature_table())
 
 
 @cache

@@ -20,7 +20,6 @@ from functools import cached_property
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.search_space import SearchSpace
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 
@@ -45,7 +44,7 @@ class Visits:
     state: Ints  # (V,)
 
     @cached_property
-    def counts(self) -> NDArray[np.intp]:
+    def counts(self) -> Ints:
         """(runs, K): visits of each run to each cell."""
         counts = np.zeros((int(self.run.max(initial=-1)) + 1, len(self.space.cell_names)), np.intp)
         np.add.at(counts, (self.run, self.space.cell[self.state]), 1)

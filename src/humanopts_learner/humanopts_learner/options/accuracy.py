@@ -11,10 +11,12 @@ where it is asked:
   enters is no error.
 """
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Any, Generic, TypeVar
 
+from humanopts_env.arrays import Flags, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.reference import (
@@ -26,21 +28,21 @@ from humanopts_env.domains.registry import parameters_json
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
 import numpy as np
-from numpy.typing import NDArray
 
+T = TypeVar('T')
 SAMPLE = 2000  # states, where they cannot be listed
 
 
 @dataclass(frozen=True)
-class Yardstick:
+class _Answers:
     """The right answers, beside the features (., F) of the states in which each part is judged."""
 
-    acting: NDArray[np.int32]  # (N, F)
-    optimal: NDArray[np.bool_]  # (N, A)
-    starting: NDArray[np.int32]  # (M, F)
-    initiation: NDArray[np.bool_]  # (M,)
-    ending: NDArray[np.int32]  # (K, F)
-    termination: NDArray[np.bool_]  # (K,)
+    acting: Rows  # (N, F)
+    optimal: Flags  # (N, A)
+    starting: Rows  # (M, F)
+    initiation: Flags  # (M,)
+    ending: Rows  # (K, F)
+    termination: Flags  # (K,)
 
 
 def policy_accuracy(
@@ -53,11 +55,11 @@ def policy_accuracy(
     :raises OptionError: the option was not learned in this domain.
     """
     option.check_domain(domain)
-    yardstick = _yardstick(domain, reference)
-    if not len(yardstick.acting):
+    right = _answers(domain, reference)
+    if not len(right.acting):
         return float('nan')
-    action = option.greedy_action(yardstick.acting)
-    return float(yardstick.optimal[np.arange(len(action)), action].mean())
+    action = option.greedy_action(right.acting)
+    return float(right.optimal[np.arange(len(action)), action].mean())
 
 
 def classification_accuracy(
@@ -70,28 +72,28 @@ def classification_accuracy(
     :raises OptionError: the option was not learned in this domain.
     """
     option.check_domain(domain)
-    yardstick = _yardstick(domain, reference)
-    initiation = float((option.can_start(yardstick.starting) == yardstick.initiation).mean())
-    if not len(yardstick.ending):
+    right = _answers(domain, reference)
+    initiation = float((option.can_start(right.starting) == right.initiation).mean())
+    if not len(right.ending):
         return initiation, float('nan')
-    return initiation, float((option.ends(yardstick.ending) == yardstick.termination).mean())
+    return initiation, float((option.ends(right.ending) == right.termination).mean())
 
 
-def _yardstick(domain: Domain[Any], reference: ReferenceOption) -> Yardstick:
+def _answers(domain: Domain[Any], reference: ReferenceOption) -> _Answers:
     if is_enumerable(domain) and isinstance(reference, TabularReferenceOption):
         return _of_all_states(domain, reference)
-    game = _DomainKey(domain.name, parameters_json(domain), domain)
-    return _of_a_sample(game, _ReferenceKey(id(reference), reference))
+    game = _Keyed((domain.name, parameters_json(domain)), domain)
+    return _of_a_sample(game, _Keyed(id(reference), reference))
 
 
-def _of_all_states(domain: EnumerableDomain[Any], reference: TabularReferenceOption) -> Yardstick:
+def _of_all_states(domain: EnumerableDomain[Any], reference: TabularReferenceOption) -> _Answers:
     rows, table, going = domain.feature_table(), domain.transitions(), ~domain.over()
     ways = reference.optimal[:, :, None] & (table.probability > 0)  # (S, A, B)
     can_be = reference.initiation.copy()
     can_be[table.successor[ways]] = True
     acts, starts, ends = reference.initiation & going, reference.judged & going, reference.judged
     ends = ends & can_be
-    return Yardstick(
+    return _Answers(
         rows[acts],
         reference.optimal[acts],
         rows[starts],
@@ -102,38 +104,28 @@ def _of_all_states(domain: EnumerableDomain[Any], reference: TabularReferenceOpt
 
 
 @dataclass(frozen=True)
-class _DomainKey:
-    """A domain as a cache key: equal where name and parameters are."""
+class _Keyed(Generic[T]):
+    """A value as an argument of a cached function: equal where its key is."""
 
-    name: str
-    parameters: str
-    domain: Domain[Any] = field(compare=False)
-
-
-@dataclass(frozen=True)
-class _ReferenceKey:
-    """A reference option as a cache key: equal to itself alone."""
-
-    number: int  # id() of the option, which cannot be another's while this holds it
-    option: ReferenceOption = field(compare=False)
+    key: Hashable
+    value: T = field(compare=False)  # kept with its key, so an id() as key stays its own
 
 
 @lru_cache(maxsize=4)
-def _sample(game: _DomainKey, count: int) -> tuple[list[Any], NDArray[np.int32]]:
-    """Return states from all parts of the game, never over, and their features (count, F)."""
-    domain = game.domain
-    states = domain.sample_states(generator(0, 'accuracy', 'states', game.name), count)
-    return states, feature_rows(domain, states)
+def _sample(game: _Keyed[Domain[Any]]) -> tuple[list[Any], Rows]:
+    """Return ``SAMPLE`` states from all parts of the game, never over, and their features."""
+    states = game.value.sample_states(generator(0, 'accuracy', 'states', game.value.name), SAMPLE)
+    return states, feature_rows(game.value, states)
 
 
 @lru_cache(maxsize=32)
-def _of_a_sample(game: _DomainKey, meaning: _ReferenceKey) -> Yardstick:
+def _of_a_sample(game: _Keyed[Domain[Any]], meaning: _Keyed[ReferenceOption]) -> _Answers:
     """Take a step by the first optimal action wherever the option acts: some lead to its end."""
-    domain, reference, count = game.domain, meaning.option, len(game.domain.actions)
-    states, rows = _sample(game, SAMPLE)
+    domain, reference, count = game.value, meaning.value, len(game.value.actions)
+    states, rows = _sample(game)
     said = judge_states(reference, states, count)
     acts = said.initiation
-    rng = generator(0, 'accuracy', 'steps', game.name, reference.name)
+    rng = generator(0, 'accuracy', 'steps', domain.name, reference.name)
     after = [
         domain.step(states[number], int(said.optimal[number].argmax()), rng).state
         for number in np.flatnonzero(acts)
@@ -141,7 +133,7 @@ def _of_a_sample(game: _DomainKey, meaning: _ReferenceKey) -> Yardstick:
     then = judge_states(reference, after, count)
     left = ~then.initiation
     ends = [state for state, is_out in zip(after, left) if is_out]
-    return Yardstick(
+    return _Answers(
         rows[acts],
         said.optimal[acts],
         rows,

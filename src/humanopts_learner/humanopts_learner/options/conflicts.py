@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from humanopts_env.arrays import Rows
 from humanopts_env.domains.base import Domain
 from humanopts_learner.options.learn import Dataset, Examples
 import numpy as np
@@ -32,7 +33,7 @@ class Conflicts:
 class _Conflict:
     """One situation with different labels."""
 
-    rows: NDArray[np.int32]  # (N, F) its examples, alike in the chosen features
+    rows: Rows  # (N, F) its examples, alike in the chosen features
     labels: NDArray[np.int64]  # (N,)
     text: str
     structural: bool  # False: it may be a slip
@@ -92,7 +93,7 @@ def _conflicts(
     return found
 
 
-def _situation(row: NDArray[np.int32], chosen: Sequence[int], domain: Domain[Any]) -> str:
+def _situation(row: Rows, chosen: Sequence[int], domain: Domain[Any]) -> str:
     features = [domain.features[index] for index in chosen]
     return ', '.join(
         f'{feature.name.replace("_", " ")} {feature.values[row[index]]}'

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from humanopts_env.arrays import Floats, Ints
 from humanopts_env.domains.base import Domain, feature_columns, FeatureKind
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +99,7 @@ class Tree:
     left: NDArray[np.int32]  # (N,)
     right: NDArray[np.int32]  # (N,)
     feature: NDArray[np.int32]  # (N,) index of the encoded feature that is tested
-    threshold: NDArray[np.float64]  # (N,) 0 in leaves
+    threshold: Floats  # (N,) 0 in leaves
     counts: NDArray[np.int64]  # (N, K) training examples of each class that came to the node
     classes: tuple[int, ...]  # (K,) labels, ascending
     n_features: int  # encoded features of the rows that it takes, C
@@ -115,7 +116,7 @@ class Tree:
         """Return a hash that equal trees share."""
         return hash((self.feature.tobytes(), self.counts.tobytes(), self.classes))
 
-    def leaves(self, X: NDArray[np.float32]) -> NDArray[np.intp]:
+    def leaves(self, X: NDArray[np.float32]) -> Ints:
         """Return (N,): the node in which each row of X (N, C) ends."""
         if X.ndim != 2 or X.shape[1] != self.n_features:
             raise TreeError(f'the tree takes rows of {self.n_features} features, not {X.shape}')
@@ -129,7 +130,7 @@ class Tree:
             node = children[goes_right.astype(np.intp), node]
         return node
 
-    def _leaves_node_by_node(self, values: NDArray[np.float32]) -> NDArray[np.intp]:
+    def _leaves_node_by_node(self, values: NDArray[np.float32]) -> Ints:
         """Return the leaf of each row of X.T (C, N), taking all rows of a node at once."""
         result = np.zeros(values.shape[1], dtype=np.intp)
         inside = {0: np.arange(len(result))}
@@ -143,18 +144,18 @@ class Tree:
             inside[int(self.right[node])] = rows[right]
         return result
 
-    def probabilities(self, X: NDArray[np.float32]) -> NDArray[np.float64]:
+    def probabilities(self, X: NDArray[np.float32]) -> Floats:
         """Return (N, K): the share of each class in the leaf of each row of X (N, C)."""
         return self._shares[self.leaves(X)]
 
-    def probability_of(self, number: int, X: NDArray[np.float32]) -> NDArray[np.float64]:
+    def probability_of(self, number: int, X: NDArray[np.float32]) -> Floats:
         """Return (N,): ``probabilities`` of one class, given by its place among the classes."""
-        share: NDArray[np.float64] = self._shares[:, number].take(self.leaves(X))
+        share: Floats = self._shares[:, number].take(self.leaves(X))
         return share
 
-    def likeliest(self, X: NDArray[np.float32]) -> NDArray[np.intp]:
+    def likeliest(self, X: NDArray[np.float32]) -> Ints:
         """Return (N,): the place of the likeliest class, the first of equals."""
-        best: NDArray[np.intp] = self._shares.argmax(axis=1).take(self.leaves(X))
+        best: Ints = self._shares.argmax(axis=1).take(self.leaves(X))
         return best
 
     @cached_property
@@ -166,15 +167,15 @@ class Tree:
         return int(level.max())
 
     @cached_property
-    def _self_looping(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _self_looping(self) -> tuple[Ints, Ints]:
         """Features (N,) and children (2, N) where every leaf is its own child."""
         leaf, itself = self.left == LEAF, np.arange(len(self.left))
         children = np.stack([np.where(leaf, itself, side) for side in (self.left, self.right)])
         return np.where(leaf, 0, self.feature).astype(np.intp), children.astype(np.intp)
 
     @cached_property
-    def _shares(self) -> NDArray[np.float64]:
-        shares: NDArray[np.float64] = self.counts / self.counts.sum(axis=1, keepdims=True)
+    def _shares(self) -> Floats:
+        shares: Floats = self.counts / self.counts.sum(axis=1, keepdims=True)
         return shares
 
     def to_dict(self) -> dict[str, Any]:

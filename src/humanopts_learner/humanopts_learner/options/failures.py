@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from humanopts_env.arrays import Flags, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.tabular import distance_to, reachable
@@ -16,7 +17,6 @@ from humanopts_learner.options.rollout import is_deterministic, rollouts, tabula
 import numpy as np
 from numpy.typing import NDArray
 
-Mask = NDArray[np.bool_]
 # A longer way than needed that was shown once or twice may be a slip; two of three outvote one.
 MEANT = 3
 REFUSALS = 3  # "not here" answers after which a leaf outside I is believed
@@ -29,16 +29,16 @@ TOLERATED = 0.1  # share of failing ones with which a lesson may end
 class Failures:
     """What a learned option does from each of the S states of an enumerable domain."""
 
-    candidate: Mask  # (S,) open, reachable, and in the learned I
-    stuck: Mask  # (S,) candidates from which it comes to no end that was shown
-    detour: Mask  # (S,) it does, but in more steps than needed; shown less than MEANT times
-    doubt: Mask  # (S,) open, reachable, and outside I by mere guess (``in_doubt``)
+    candidate: Flags  # (S,) open, reachable, and in the learned I
+    stuck: Flags  # (S,) candidates from which it comes to no end that was shown
+    detour: Flags  # (S,) it does, but in more steps than needed; shown less than MEANT times
+    doubt: Flags  # (S,) open, reachable, and outside I by mere guess (``in_doubt``)
     times_shown: NDArray[np.int64]  # (S,) demonstrations with a state alike in the features
     distance: NDArray[np.int32]  # (S,) fewest steps to an end that was shown; -1: no way known
-    nearer: Mask  # (S, A) the actions of shortest ways
+    nearer: Flags  # (S, A) the actions of shortest ways
 
     @property
-    def failing(self) -> Mask:
+    def failing(self) -> Flags:
         """Return (S,): stuck, on a detour, or in doubt."""
         return self.stuck | self.detour | self.doubt
 
@@ -85,9 +85,7 @@ def find_failures(
     )
 
 
-def in_doubt(
-    option: LearnedOption, rows: NDArray[np.int32], demonstrations: Sequence[Demonstration]
-) -> Mask:
+def in_doubt(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demonstration]) -> Flags:
     """
     Return (N,): which rows (N, F) are outside I by mere guess.
 
@@ -104,7 +102,7 @@ def in_doubt(
     return fresh & ~option.can_start(rows) & (answers[option.initiation.leaves(X)] < REFUSALS)
 
 
-def _encoded(option: LearnedOption, parts: Sequence[NDArray[np.int32]]) -> NDArray[np.float32]:
+def _encoded(option: LearnedOption, parts: Sequence[Rows]) -> NDArray[np.float32]:
     return encode_rows(option.encoding, np.concatenate(parts))
 
 
@@ -113,8 +111,8 @@ class SampledFailures:
     """What a learned option does from a sample of states, where they cannot all be run."""
 
     states: list[Any]  # (N,)
-    member: Mask  # (N,) in the learned I
-    failing: Mask  # (N,) no end before ``max_steps``, in doubt, or a committee disagrees
+    member: Flags  # (N,) in the learned I
+    failing: Flags  # (N,) no end before ``max_steps``, in doubt, or a committee disagrees
 
     @property
     def share(self) -> float:
@@ -148,9 +146,9 @@ def committee_disagrees(
     option: LearnedOption,
     domain: Domain[Any],
     demonstrations: Sequence[Demonstration],
-    rows: NDArray[np.int32],
+    rows: Rows,
     seed: int,
-) -> Mask:
+) -> Flags:
     """
     Return (N,): in which rows (N, F) a tenth of the demonstrations decides what the option does.
 
@@ -189,7 +187,7 @@ def _shown(
     option: LearnedOption,
     domain: EnumerableDomain[Any],
     demonstrations: Sequence[Demonstration],
-) -> tuple[NDArray[np.int64], Mask]:
+) -> tuple[NDArray[np.int64], Flags]:
     """Return how many demonstrations show each state, and which states are ends shown, (S,)."""
     chosen = sorted({encoded.index for encoded in option.encoding})
     table = domain.feature_table()[:, chosen]

@@ -11,6 +11,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from humanopts_env.arrays import Flags, Rows
 from humanopts_env.domains.base import action_index, Domain
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.seeding import generator
@@ -37,11 +38,11 @@ class NotLearnableError(ValueError):
 class Examples:
     """Labelled rows of all features, and which demonstration each comes from."""
 
-    rows: NDArray[np.int32]  # (N, F)
+    rows: Rows  # (N, F)
     labels: NDArray[np.int64]  # (N,)
     source: NDArray[np.int64]  # (N,) index of the demonstration
 
-    def of(self, chosen: NDArray[np.bool_]) -> 'Examples':
+    def of(self, chosen: Flags) -> 'Examples':
         """Return the examples of chosen demonstrations (D,)."""
         kept = chosen[self.source]
         return Examples(self.rows[kept], self.labels[kept], self.source[kept])
@@ -63,7 +64,7 @@ class Dataset:
         """Demonstrations that are not "not here" answers."""
         return [demo for demo in self.demonstrations if demo.kind is Kind.TRAJECTORY]
 
-    def of(self, chosen: NDArray[np.bool_]) -> 'Dataset':
+    def of(self, chosen: Flags) -> 'Dataset':
         """Return the data set with the examples of chosen demonstrations (D,) alone."""
         return replace(
             self,
@@ -125,7 +126,7 @@ def learn_option(
 
 
 def fit_option(
-    data: Dataset, domain: Domain[Any], seed: int, used: NDArray[np.bool_] | None = None
+    data: Dataset, domain: Domain[Any], seed: int, used: Flags | None = None
 ) -> LearnedOption:
     """
     Fit the three trees to the examples of a data set.
@@ -162,20 +163,18 @@ def _fit(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -
 
 
 def _examples(
-    demos: Sequence[Demonstration], labels: Sequence[tuple[NDArray[np.int32], list[int]]]
+    demos: Sequence[Demonstration], labels: Sequence[tuple[Rows, list[int]]]
 ) -> Examples:
     rows = np.concatenate([rows for rows, _ in labels])
     source = np.repeat(np.arange(len(demos)), [len(values) for _, values in labels])
     return Examples(rows, np.array([v for _, vs in labels for v in vs], dtype=np.int64), source)
 
 
-def _policy_labels(
-    demo: Demonstration, domain: Domain[Any]
-) -> tuple[NDArray[np.int32], list[int]]:
+def _policy_labels(demo: Demonstration, domain: Domain[Any]) -> tuple[Rows, list[int]]:
     return demo.feature_rows[: len(demo.actions)], [action_index(domain, a) for a in demo.actions]
 
 
-def _initiation_labels(demo: Demonstration, again: bool) -> tuple[NDArray[np.int32], list[int]]:
+def _initiation_labels(demo: Demonstration, again: bool) -> tuple[Rows, list[int]]:
     """
     Label the states of a demonstration as members of I or not.
 
@@ -190,7 +189,7 @@ def _initiation_labels(demo: Demonstration, again: bool) -> tuple[NDArray[np.int
 
 def _termination_labels(
     demo: Demonstration, picked: Sequence[int], ends: Collection[tuple[int, ...]]
-) -> tuple[NDArray[np.int32], list[int]]:
+) -> tuple[Rows, list[int]]:
     """
     Label the states of a demonstration as ends or not.
 

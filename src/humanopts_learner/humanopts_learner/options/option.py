@@ -119,11 +119,11 @@ class LearnedOption:
         """Return (N,): whether the option ends in each state; not asked before its first step."""
         return self.termination_probability(rows) >= HALF
 
-    def choose_action(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> int:
+    def choose_action(self, row: Rows, mode: Mode, rng: np.random.Generator) -> int:
         """Return what the option does in one state (F,)."""
         return self.choose_actions(row[None], mode, [rng])[0]
 
-    def choose_end(self, row: NDArray[np.int32], mode: Mode, rng: np.random.Generator) -> bool:
+    def choose_end(self, row: Rows, mode: Mode, rng: np.random.Generator) -> bool:
         """Return whether the option ends in one state (F,) that it came to."""
         return self.choose_ends(row[None], mode, [rng])[0]
 

@@ -11,7 +11,7 @@ run, it draws one of a sample: stuck, a guess, or decided by a tenth of the demo
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from humanopts_env.arrays import Floats
+from humanopts_env.arrays import Flags, Floats
 from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is_enumerable
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.tabular import reachable
@@ -26,7 +26,6 @@ from humanopts_learner.options.failures import (
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.rollout import is_deterministic
 import numpy as np
-from numpy.typing import NDArray
 
 SAMPLE = 500  # states among which coverage looks for the most distant
 ALREADY_SHOWN = 0.1  # weight of a failing situation that was shown, against 1
@@ -186,9 +185,7 @@ def _candidates(domain: Domain[Any], rng: np.random.Generator) -> list[Any]:
     return _states(domain, reachable(domain) & ~domain.over(), rng)
 
 
-def _states(
-    domain: EnumerableDomain[Any], chosen: NDArray[np.bool_], rng: np.random.Generator
-) -> list[Any]:
+def _states(domain: EnumerableDomain[Any], chosen: Flags, rng: np.random.Generator) -> list[Any]:
     """Return at most ``SAMPLE`` of the chosen states (S,)."""
     some = rng.permutation(np.flatnonzero(chosen))[:SAMPLE]
     return [domain.state_at(int(index)) for index in some]

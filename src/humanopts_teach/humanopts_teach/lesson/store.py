@@ -188,18 +188,15 @@ class DemonstrationStore:
         self._entries.setdefault(entry.participant, []).append(entry)
 
     def _load(self, path: Path) -> list[Entry]:
+        def entry_of(line: str) -> Entry:
+            entry = entry_from_line(line)
+            if entry.participant != path.stem:
+                raise EntryError(f'it is of participant {entry.participant!r}')
+            return entry
+
         log = self._logs[path.stem] = AppendOnlyLog(path)
-        if log.damage:
-            self.damage.append(log.damage)
-        found: list[Entry] = []
-        for number, line in enumerate(log.lines, start=1):
-            try:
-                entry = entry_from_line(line)
-                if entry.participant != path.stem:
-                    raise EntryError(f'it is of participant {entry.participant!r}')
-                found.append(entry)
-            except EntryError as error:
-                self.damage.append(f'line {number} of {path} is left out: {error}')
+        found = log.read(entry_of)
+        self.damage += log.problems
         return found
 
 
