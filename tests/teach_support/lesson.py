@@ -8,6 +8,7 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_teach.lesson.history import OptionHistory
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -21,7 +22,6 @@ from humanopts_teach.lesson.requests import (
     Phase,
     Verdict,
 )
-from humanopts_teach.lesson.session_log import OptionHistory
 from humanopts_teach.lesson.start_states import LessonRules, StartStates
 from humanopts_teach.lesson.store import DemonstrationStore
 import numpy as np
@@ -59,8 +59,7 @@ class Table:
 
     def __init__(self, store: DemonstrationStore, *, budget: int = 5, seed: int = 0) -> None:
         self.store = store
-        rules = LessonRules('random', budget, seed)
-        self.starts = Starts(TAXI, rules)
+        self.starts = Starts(TAXI, LessonRules('random', budget, seed))
         self.time = 100.0
         self.episode = 0
         self.here: Transition | None = None
@@ -68,7 +67,6 @@ class Table:
             TAXI,
             store,
             self.starts,
-            rules,
             clock=lambda: self.time,
             today=lambda: '20260102',
         )

@@ -43,7 +43,7 @@ def test_the_lesson_waits_until_start_states_know_of_the_demonstration(table: Ta
     learning(table).learned()
     assert table.lesson.phase is Phase.LEARNING
     table.starts.known.add(table.lesson.awaited)
-    table.lesson.starts_learned()
+    table.lesson.option_learned('p1', OPTION, 'what start states know of')
     assert table.lesson.phase is Phase.READY
 
 
@@ -255,7 +255,7 @@ def test_start_states_are_drawn_only_once_they_know_of_a_withdrawal(table: Table
     table.lesson.learner_said([])
     assert table.lesson.phase is Phase.LEARNING
     table.starts.known.clear()
-    table.lesson.starts_learned()
+    table.lesson.option_learned('p1', OPTION, 'what start states know of')
     assert table.lesson.phase is Phase.READY
 
 

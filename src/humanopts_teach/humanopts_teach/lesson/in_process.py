@@ -109,10 +109,8 @@ class _InProcess:
         self._domain, self._seed, self._enough = domain, rules.seed, enough
         self._seconds = 0.0
         self._teacher = SimulatedTeacher(domain, reference_options(domain), teacher)
-        self._starts = StartStates(domain, rules)
-        self._lesson = Lesson(
-            domain, store, self._starts, rules, clock=lambda: self._seconds, today=lambda: ''
-        )
+        starts = StartStates(domain, rules)
+        self._lesson = Lesson(domain, store, starts, clock=lambda: self._seconds, today=lambda: '')
         self._game = Game(domain)
         self._transition: Transition | None = None
         self._options: dict[str, LearnedOption] = {}
@@ -173,7 +171,7 @@ class _InProcess:
         if any(demo.kind is Kind.TRAJECTORY for demo in shown):
             option = self._options[name] = learn_option(shown, self._domain, self._seed)
             features = option.features
-            self._starts.learned(newest.participant, name, option_to_json(option, []))
+            self._lesson.option_learned(newest.participant, name, option_to_json(option, []))
             enough = self._enough(shown, option)
         self._progress[name] = OptionStatus(
             name, newest.participant, features, last_uuid=newest.uuid, criteria_met=enough

@@ -2,11 +2,13 @@
 The teaching session as a state machine (paper, sections 5 and 6).
 
 Every method takes one request or one piece of news, and leaves the lesson in a phase from which it
-can go on. What the person said is in the store before a request is answered OK.
+can go on. What the person said is in the store before a request is answered OK; a request that
+cannot be written changes nothing.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
@@ -15,8 +17,10 @@ from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
     DemonstrationError,
+    each_once,
 )
-from humanopts_teach.lesson.attempt import Attempt, build_demonstration, Label, Trajectory
+from humanopts_teach.lesson.attempt import Attempt
+from humanopts_teach.lesson.history import History, OptionHistory
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
@@ -28,14 +32,26 @@ from humanopts_teach.lesson.requests import (
     OpenSession,
     OptionStatus,
     Phase,
+    RefusalError,
     RequestStatus,
     Verdict,
     WithdrawDemonstration,
 )
-from humanopts_teach.lesson.session_log import OptionHistory, SessionLog
-from humanopts_teach.lesson.start_states import LessonRules, StartStates
-from humanopts_teach.lesson.store import DemonstrationStore
+from humanopts_teach.lesson.start_states import StartStates
+from humanopts_teach.lesson.store import (
+    CODE,
+    CODE_RULE,
+    DemonstrationStore,
+    Entry,
+    FeatureAnswered,
+    OptionDefined,
+    SessionOpened,
+    StoreError,
+)
 
+_NAME_LENGTH = 60
+_RESERVED = 'action:'  # how option_server names primitive actions
+_ALL_NO = 'Every answer was no, but an option depends on something: they are asked again.'
 _UNRECORDED = 'on disk, but not in this recording: the next one has it'
 _OVER, _AT_LIMIT = 'The task is over.', 'The episode is at its step limit.'
 _REFUSED = {
@@ -60,56 +76,6 @@ _HINTS = {
 _GOES_ON = (Phase.DEMONSTRATING, Phase.LEARNING)  # also while the lesson is paused
 
 
-class LearnerProgress:
-    """What the lesson knows of the learner: how far each option is, and what it works on."""
-
-    def __init__(self) -> None:
-        self._options: dict[tuple[str, str], OptionStatus] = {}
-        self.awaited: Demonstration | None = None  # kept or taken back; not counted in or out yet
-
-    def update(self, options: Sequence[OptionStatus]) -> None:
-        """Keep what the learner knows of every option."""
-        self._options = {(status.participant, status.option_name): status for status in options}
-
-    def criteria_met(self, participant: str, option: OptionHistory) -> bool:
-        """Tell whether the learner says so, on the features that are chosen now."""
-        known = self._options.get((participant, option.name))
-        chosen = set(option.questions.chosen)
-        return (
-            known is not None
-            and known.criteria_met
-            and known.last_uuid not in option.withdrawn  # the learner still counts that one
-            and set(known.features) == chosen
-        )
-
-    def has_counted(self, demo: Demonstration) -> bool:
-        """Tell whether the newest demonstration is counted in; out, where it is withdrawn."""
-        known = self._options.get((demo.participant, demo.option_name))
-        newest = known is not None and known.last_uuid == demo.uuid
-        return newest != demo.withdrawn
-
-    def refused(self, uuid: str, detail: str) -> str:
-        """
-        Go on without a demonstration that the learner did not take.
-
-        :return: what to tell the person; empty: it was not the awaited one.
-        """
-        demo = self.awaited
-        if demo is None or demo.uuid != uuid:
-            return ''
-        self.awaited = None
-        return _REFUSED[demo.withdrawn].format(detail=detail)
-
-    def silent(self) -> str:
-        """
-        Go on without the learner, which has not answered in time.
-
-        :return: what to tell the person; empty: nothing was awaited.
-        """
-        demo, self.awaited = self.awaited, None
-        return _SILENT[demo.withdrawn] if demo is not None else ''
-
-
 class Lesson:
     """One participant at a time, one option at a time, one demonstration at a time."""
 
@@ -118,7 +84,6 @@ class Lesson:
         domain: Domain[Any],
         store: DemonstrationStore,
         starts: StartStates,
-        rules: LessonRules,
         *,
         clock: Callable[[], float],
         today: Callable[[], str],
@@ -130,16 +95,17 @@ class Lesson:
         :param today: the date as YYYYMMDD, for session codes.
         """
         self._domain = domain
+        self._store = store
         self._starts = starts
-        self._rules = rules
         self._clock = clock
-        self._log = SessionLog(domain, store, today)
+        self._today = today
+        self._participant = self._session = ''
+        self._history = History(domain)
         self._option: OptionHistory | None = None
-        self._trajectory = Trajectory()
-        self._attempt: Attempt | None = None
+        self._attempt: Attempt | None = None  # from the request for an episode on
         self._again = ''  # start state of a demonstration that came to nothing
-        self._preparing = False  # game was asked for an episode and has not answered
-        self._learner = LearnerProgress()
+        self._learned: dict[tuple[str, str], OptionStatus] = {}  # by participant and option
+        self._awaited: Demonstration | None = None  # the learner has not counted it in, or out
         self._done = False  # criteria met, and the strategy has nothing left to ask
         self._notice = ''
         self._paused = ''  # why nothing new can be begun; empty: it can
@@ -149,43 +115,86 @@ class Lesson:
     @property
     def phase(self) -> Phase:
         """Where the lesson stands."""
-        if not self._log.participant:
+        if not self._participant:
             return Phase.NO_SESSION
         if self._option is None:
             return Phase.NO_OPTION
-        if self._attempt is not None:
+        if self._under_way is not None:
             return Phase.DEMONSTRATING
         if self._option.questions.open is not None:
             return Phase.ASKING
-        if self._learner.awaited is not None:
+        if self._awaited is not None:
             return Phase.LEARNING
         return Phase.FINISHED if self._done or self._spent else Phase.READY
 
-    def demonstrations(self) -> list[Demonstration]:
-        """
-        Return all that anybody has shown in this domain, in the order of the store.
-
-        Of one that was taken back, only the withdrawal is returned.
-        """
-        return self._log.demonstrations()
+    @property
+    def _under_way(self) -> Attempt | None:
+        """The demonstration under way; None: no episode of one has begun."""
+        return self._attempt if self._attempt is not None and self._attempt.episode else None
 
     @property
     def awaited(self) -> str:
         """The uuid of the demonstration that the learner works on; empty: none."""
-        demo = self._learner.awaited
-        return demo.uuid if demo is not None else ''
+        return self._awaited.uuid if self._awaited is not None else ''
 
     @property
     def criteria_met(self) -> bool:
         """Whether the learner says so, on the features that are chosen now."""
-        option = self._option
-        return option is not None and self._learner.criteria_met(self._log.participant, option)
+        if self._option is None:
+            return False
+        known = self._learned.get((self._participant, self._option.name))
+        return (
+            known is not None
+            and known.criteria_met
+            and known.last_uuid not in self._option.withdrawn  # the learner still counts that one
+            and set(known.features) == set(self._option.questions.chosen)
+        )
 
     @property
     def view(self) -> LessonView:
         """Everything that a terminal shows."""
-        view = self._view
-        return replace(view, text=f'{self._notice} {hint(view)}'.strip())
+        view = LessonView(
+            phase=self.phase,
+            participant=self._participant,
+            session=self._session,
+            budget=self._starts.rules.budget,
+            strategy=self._starts.rules.strategy,
+            paused=self._paused,
+        )
+        option, attempt = self._option, self._under_way
+        if option is not None:
+            feature = option.questions.open
+            view = replace(
+                view,
+                option_name=option.name,
+                question_id=self._question_id,
+                question=option.questions.text,
+                question_feature=feature.name if feature is not None else '',
+                questions_total=len(self._domain.features),
+                chosen_features=option.questions.chosen,
+                earlier_features=option.questions.earlier if feature is not None else (),
+                n_demonstrations=option.n_trajectories,
+                n_not_here=len(option.demonstrations) - option.n_trajectories,
+                last_uuid=option.newest.uuid if option.newest is not None else '',
+                start_state=attempt.start_state if attempt is not None else '',
+                episode=attempt.episode if attempt is not None else 0,
+                criteria_met=self.criteria_met,
+            )
+        return replace(view, text=f'{self._notice} {_hint(view)}'.strip())
+
+    def demonstrations(self) -> list[Demonstration]:
+        """
+        Return all that anybody has shown in this domain, each once.
+
+        Of one that was taken back, only the withdrawal is returned.
+        """
+        return each_once(
+            entry
+            for participant in self._store.participants()
+            for entry in self._store.entries(participant)
+            if isinstance(entry, Demonstration)
+            and (entry.domain, entry.domain_parameters) == self._history.key
+        )
 
     # What the person asks for.
 
@@ -196,79 +205,41 @@ class Lesson:
         After OK to ``BeginDemonstration``, the start state is chosen, and the lesson waits for
         ``began`` or ``not_begun``.
         """
-        match request:
-            case OpenSession():
-                return self._hindrance() or self._turned(self._log.open_session(request))
-            case DefineOption():
-                return self._hindrance() or self._turned(self._log.define_option(request))
-            case AnswerQuestion():
-                return self._answer_question(request)
-            case BeginDemonstration():
-                return self._prepare(request)
-            case EndDemonstration():
-                return self._end_demonstration(request)
-            case WithdrawDemonstration():
-                return self._withdraw(request)
+        try:
+            match request:
+                case OpenSession():
+                    return self._open_session(request)
+                case DefineOption():
+                    return self._define_option(request)
+                case AnswerQuestion():
+                    return self._answer_question(request)
+                case BeginDemonstration():
+                    return self._prepare(request)
+                case EndDemonstration():
+                    return self._end_demonstration(request)
+                case WithdrawDemonstration():
+                    return self._withdraw(request)
+        except RefusalError as refusal:
+            return refusal.answer
 
     def began(self, episode: int, state: str) -> Answer:
-        """Note that game has begun the episode of a demonstration that was prepared."""
-        self._preparing = False
+        """Begin the demonstration that was prepared: game has begun its episode."""
+        attempt = self._attempt
+        assert attempt is not None, 'a demonstration was prepared'
         if self._paused:
-            return self._not_now()
+            self._attempt = None
+            return self._refusal_while_paused().answer
         self._notice = ''
-        self._attempt = Attempt(episode, state, self._clock())
-        for transition in list(self._trajectory.transitions):  # came before game's answer
+        attempt.episode, attempt.start_state, attempt.began = episode, state, self._clock()
+        for transition in list(attempt.transitions):  # came before game's answer
             self._watch(transition)
         detail = f'episode {episode} begins'
         return Answer(RequestStatus.OK, detail, episode=episode, state=state)
 
     def not_begun(self, status: RequestStatus, cause: str) -> Answer:
-        """Note that there is no episode, or that its first state did not come."""
-        self._preparing = False
+        """Give up the demonstration: there is no episode, or its first state did not come."""
         self._give_up(cause)
         return Answer(status, cause)
-
-    # What the game and the learner tell.
-
-    def saw(self, transition: Transition) -> bool:
-        """
-        Add one state of the game's stream.
-
-        :return: whether the view has changed.
-        """
-        self._trajectory.add(transition)
-        return self._watch(transition)
-
-    def reached(self, episode: int, step: int) -> bool:
-        """Tell whether the stream has come so far, or waiting for it is of no use."""
-        if self._attempt is None or self._attempt.episode != episode:
-            return True
-        return self._trajectory.episode == episode and self._trajectory.last_step >= step
-
-    def learner_said(self, options: Sequence[OptionStatus]) -> None:
-        """Keep what the learner knows of every option."""
-        self._learner.update(options)
-        self.starts_learned()
-
-    def starts_learned(self) -> None:
-        """Go on where both learner and start states have counted the newest demonstration."""
-        option, awaited = self._option, self._learner.awaited
-        if option is not None and awaited is not None:
-            counted = self._learner.has_counted(awaited) and self._starts.counts(option, awaited)
-            if not counted:
-                return
-            self._learner.awaited = None
-        self._check_done()
-
-    def learner_refused(self, uuid: str, detail: str) -> None:
-        """Note that the learner did not take a demonstration; it stays in the store."""
-        self._notice = self._learner.refused(uuid, detail) or self._notice
-        self._check_done()
-
-    def learner_silent(self) -> None:
-        """Go on without the learner, which has not answered in time."""
-        self._notice = self._learner.silent() or self._notice
-        self._check_done()
 
     def pause(self, reason: str) -> None:
         """
@@ -278,193 +249,290 @@ class Lesson:
         """
         self._paused = reason
 
-    # How it is done.
+    # What the game and the learner publish.
 
-    @property
-    def _view(self) -> LessonView:
-        """The view without its text."""
-        base = LessonView(
-            phase=self.phase,
-            participant=self._log.participant,
-            session=self._log.session,
-            budget=self._rules.budget,
-            strategy=self._rules.strategy,
-            paused=self._paused,
-        )
-        option, attempt = self._option, self._attempt
-        if option is None:
-            return base
-        feature = option.questions.open
-        return replace(
-            base,
-            option_name=option.name,
-            question_id=self._log.question_id,
-            question=option.questions.text,
-            question_feature=feature.name if feature is not None else '',
-            questions_total=len(self._domain.features),
-            chosen_features=option.questions.chosen,
-            earlier_features=option.questions.earlier if feature is not None else (),
-            n_demonstrations=option.n_trajectories,
-            n_not_here=option.n_not_here,
-            last_uuid=option.newest.uuid if option.newest is not None else '',
-            start_state=attempt.start_state if attempt is not None else '',
-            episode=attempt.episode if attempt is not None else 0,
-            criteria_met=self.criteria_met,
-        )
+    def saw(self, transition: Transition) -> bool:
+        """
+        Add one state of the game's stream.
 
-    @property
-    def _spent(self) -> bool:
-        return self._option is not None and (
-            len(self._option.demonstrations) >= self._rules.budget
-        )
+        :return: whether the view has changed.
+        """
+        if self._attempt is None:
+            return False
+        self._attempt.add(transition)
+        return self._watch(transition)
 
-    @property
-    def _occupied(self) -> bool:
-        return self._attempt is not None or self._preparing
+    def reached(self, episode: int, step: int) -> bool:
+        """Return whether the stream has come so far, or waiting for it is of no use."""
+        if self._attempt is None or self._attempt.episode != episode:
+            return True
+        newest_episode, newest_step = self._attempt.here
+        return newest_episode == episode and newest_step >= step
 
-    def _hindrance(self) -> Answer | None:
-        if self._paused:
-            return self._not_now()
-        return _wrong_phase('end the demonstration under way first') if self._occupied else None
+    def learner_said(self, options: Sequence[OptionStatus]) -> None:
+        """Keep what the learner knows of every option."""
+        self._learned = {(status.participant, status.option_name): status for status in options}
+        self._go_on()
 
-    def _not_now(self) -> Answer:
-        return Answer(RequestStatus.PAUSED, f'the lesson is paused: {self._paused}')
+    def option_learned(self, participant: str, option_name: str, text: str) -> None:
+        """
+        Keep an option as the learner publishes it.
 
-    def _not_ready(self) -> Answer:
-        if self._occupied:
-            return _wrong_phase('a demonstration is under way; end it first')
-        if self._spent and self.phase is Phase.FINISHED:
-            return Answer(RequestStatus.BUDGET_SPENT, hint(self._view))
-        return _wrong_phase(hint(self._view))
+        :raises OptionError: it is not an option, or one of another domain.
+        """
+        self._starts.learned(participant, option_name, text)
+        self._go_on()
 
-    def _turned(self, answer: Answer) -> Answer:
-        """Turn to the option that is open in the log now."""
-        if answer.ok:
-            if self._option is not self._log.option:
-                self._learner.awaited, self._again = None, ''
-            self._option = self._log.option
-            self._notice = ''
-            self._check_done()
-        return answer
+    def learner_refused(self, uuid: str, detail: str) -> None:
+        """Go on without a demonstration that the learner did not take; it stays in the store."""
+        if self._awaited is not None and self._awaited.uuid == uuid:
+            self._wait_no_more(_REFUSED[self._awaited.withdrawn].format(detail=detail))
+
+    def learner_silent(self) -> None:
+        """Go on without the learner, which has not answered in time."""
+        if self._awaited is not None:
+            self._wait_no_more(_SILENT[self._awaited.withdrawn])
+
+    def _go_on(self) -> None:
+        """Go on where both learner and start states have counted the newest demonstration."""
+        option, demo = self._option, self._awaited
+        if option is not None and demo is not None:
+            known = self._learned.get((demo.participant, demo.option_name))
+            is_newest = known is not None and known.last_uuid == demo.uuid
+            if is_newest == demo.withdrawn or not self._starts.counts(option, demo):
+                return
+            self._awaited = None
+        self._check_done()
+
+    def _wait_no_more(self, notice: str) -> None:
+        self._awaited, self._notice = None, notice
+        self._check_done()
 
     def _check_done(self) -> None:
         option = self._option
         self._done = (
             option is not None
             and self.criteria_met
-            and self._starts.exhausted(self._log.participant, option)
+            and self._starts.exhausted(self._participant, option)
         )
+
+    # How requests are carried out; each raises RefusalError where it is refused.
+
+    @property
+    def _spent(self) -> bool:
+        option, budget = self._option, self._starts.rules.budget
+        return option is not None and len(option.demonstrations) >= budget
+
+    @property
+    def _question_id(self) -> int:
+        """Of the open question: counted on over all options, so that none is used twice; or 0."""
+        if self._option is None or self._option.questions.open is None:
+            return 0
+        return self._history.n_answers + 1
+
+    @property
+    def _who(self) -> tuple[str, str, str, str]:
+        """What every entry begins with: domain, its parameters, participant and session."""
+        return (*self._history.key, self._participant, self._session)
+
+    def _check_free(self) -> None:
+        if self._paused:
+            raise self._refusal_while_paused()
+        if self._attempt is not None:
+            raise _wrong_phase('end the demonstration under way first')
+
+    def _refusal_while_paused(self) -> RefusalError:
+        return RefusalError(RequestStatus.PAUSED, f'the lesson is paused: {self._paused}')
+
+    def _write(self, entry: Entry, history: History | None = None) -> None:
+        try:
+            self._store.append(entry)
+        except StoreError as error:
+            raise RefusalError(RequestStatus.NOT_SAVED, str(error)) from error
+        (history or self._history).add(entry)
+
+    def _open_session(self, request: OpenSession) -> Answer:
+        """Begin a session, or go on with it where it was left."""
+        self._check_free()
+        participant, session = request.participant, request.session
+        for what, code in (('participant', participant), ('session', session or 'new')):
+            if not CODE.fullmatch(code):
+                detail = f'{what} {code!r} is not a code: {CODE_RULE}'
+                raise RefusalError(RequestStatus.BAD_NAME, detail)
+        history = History(self._domain, self._store.entries(participant))
+        codes = (f'{self._today()}-{number}' for number in count(1))
+        session = session or next(code for code in codes if code not in history.sessions)
+        self._write(SessionOpened(*history.key, participant, session), history)
+        self._history, self._participant, self._session = history, participant, session
+        self._turn_to(history.options.get(history.sessions[session]))
+        return Answer(
+            RequestStatus.OK,
+            f'session {session} of {participant} is open',
+            session=session,
+            known_options=tuple(history.options),
+        )
+
+    def _define_option(self, request: DefineOption) -> Answer:
+        """Name an option to teach, or take it up again."""
+        self._check_free()
+        if not self._participant:
+            raise _wrong_phase('open a session first')
+        name = request.name.strip()
+        if fault := _name_fault(name):
+            raise RefusalError(RequestStatus.BAD_NAME, fault)
+        resumed = name in self._history.options
+        self._write(OptionDefined(*self._who, name, request.ask_again))
+        self._turn_to(self._history.options[name])
+        text = f'{"going on with" if resumed else "begun"}: {name}'
+        return Answer(RequestStatus.OK, text, resumed=resumed)
+
+    def _turn_to(self, option: OptionHistory | None) -> None:
+        if option is not self._option:
+            self._awaited, self._again = None, ''
+        self._option, self._notice = option, ''
+        self._check_done()
 
     def _answer_question(self, request: AnswerQuestion) -> Answer:
         if self._paused:
-            return self._not_now()
-        if self._occupied:
-            return Answer(RequestStatus.NOT_ASKED, 'no question is open')
-        answer = self._log.answer_question(request)
-        if answer.status in (RequestStatus.OK, RequestStatus.NO_FEATURE):
-            self._notice = '' if answer.ok else answer.detail
-            self._check_done()
-        return answer
+            raise self._refusal_while_paused()
+        option = self._option
+        feature = option.questions.open if option is not None else None
+        if self._attempt is not None or option is None or feature is None:
+            raise RefusalError(RequestStatus.NOT_ASKED, 'no question is open')
+        if request.question_id != self._question_id:
+            raise RefusalError(
+                RequestStatus.NOT_ASKED,
+                f'question {request.question_id} is not open; question {self._question_id} is, '
+                f'about {feature.name}',
+            )
+        self._write(FeatureAnswered(*self._who, option.name, feature.name, request.yes))
+        self._notice = '' if option.questions.answers else _ALL_NO
+        self._check_done()
+        if self._notice:
+            return Answer(RequestStatus.NO_FEATURE, _ALL_NO)
+        return Answer(RequestStatus.OK, f'{feature.name}: {"yes" if request.yes else "no"}')
 
     def _prepare(self, request: BeginDemonstration) -> Answer:
         if self._paused:
-            return self._not_now()
-        if self._option is None or self.phase is not Phase.READY or self._preparing:
-            return self._not_ready()
-        try:
-            state = self._start_state(request.start_state, self._option)
-        except DomainError as error:
-            return Answer(RequestStatus.BAD_STATE, str(error))
-        self._preparing, self._trajectory = True, Trajectory()
-        seed = self._starts.episode_seed(self._log.participant, self._option)
+            raise self._refusal_while_paused()
+        option = self._option
+        if self._attempt is not None:
+            raise _wrong_phase('a demonstration is under way; end it first')
+        if option is None or self.phase is not Phase.READY:
+            spent = self._spent and self.phase is Phase.FINISHED
+            status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
+            raise RefusalError(status, _hint(self.view))
+        state = self._start_state(request.start_state, option)
+        self._attempt = Attempt(state)
+        seed = self._starts.episode_seed(self._participant, option)
         return Answer(RequestStatus.OK, 'the start state is chosen', state=state, seed=seed)
 
     def _start_state(self, asked_for: str, option: OptionHistory) -> str:
-        if asked_for:
-            return self._starts.check(asked_for)
-        again = self._again or option.next_start
-        return again or self._starts.draw(self._log.participant, option)
+        if not asked_for:
+            again = self._again or next(reversed(option.start_states), '')
+            return again or self._starts.draw(self._participant, option)
+        try:
+            state = self._domain.decode(asked_for)
+        except DomainError as error:
+            raise RefusalError(RequestStatus.BAD_STATE, str(error)) from error
+        if self._domain.is_over(state):
+            detail = f'the task is over in {asked_for}: nothing can be shown from there'
+            raise RefusalError(RequestStatus.BAD_STATE, detail)
+        return self._domain.encode(state)
 
     def _watch(self, transition: Transition) -> bool:
-        if self._attempt is None:
+        """Look at one state of the stream; return whether the view has changed."""
+        attempt = self._under_way
+        if attempt is None:
             return False
-        cause = self._attempt.spoilt(transition, self._trajectory)
-        if cause:
+        if cause := attempt.spoilt(transition):
             self._give_up(f'The demonstration is given up: {cause}.')
             return True
         over = transition.terminated or transition.truncated
-        if over and transition.episode == self._attempt.episode:
+        if over and transition.episode == attempt.episode:
             self._notice = _OVER if transition.terminated else _AT_LIMIT
             return True
         return False
 
     def _give_up(self, notice: str) -> None:
-        if self._attempt is not None:
-            self._again = self._attempt.start_state
+        if self._under_way is not None:
+            self._again = self._under_way.start_state
         self._attempt = None
         self._notice = notice
 
     def _end_demonstration(self, request: EndDemonstration) -> Answer:
-        attempt, option = self._attempt, self._option
+        attempt, option = self._under_way, self._option
         if attempt is None or option is None:
-            return _wrong_phase('no demonstration is under way; begin one first')
-        if (refusal := attempt.refusal(request, self._trajectory)) is not None:
-            return refusal
+            raise _wrong_phase('no demonstration is under way; begin one first')
+        attempt.check(request)
         if request.verdict is Verdict.DISCARD:
             self._give_up('')
             detail = 'discarded; the same start state can be tried again'
             return Answer(RequestStatus.OK, detail)
-        label = Label(
-            self._log.participant,
-            self._log.session,
-            option.name,
-            option.number,
-            option.questions.chosen,
-        )
-        demonstration = build_demonstration(
-            self._domain,
-            self._trajectory,
-            label,
+        demo = attempt.demonstration(
+            self._who,
+            option,
+            tuple(feature.name for feature in self._domain.features),
             seconds=round(self._clock() - attempt.began, 3),
             can_start_at_end=request.can_start_at_end and request.verdict is Verdict.DONE,
         )
-        return self._keep_demonstration(demonstration)
-
-    def _keep_demonstration(self, demonstration: Demonstration) -> Answer:
         try:
-            check_demonstration(demonstration, self._domain)
+            check_demonstration(demo, self._domain)
         except DemonstrationError as error:
             self._give_up(f'The demonstration was refused and discarded: {error}.')
-            return Answer(RequestStatus.REFUSED, str(error))
-        if (failed := self._log.keep(demonstration)) is not None:
-            return failed
-        self._attempt = None
-        self._again = self._notice = ''
-        self._learner.awaited = demonstration
-        text = f'demonstration {demonstration.number} of {demonstration.option_name} is kept'
+            raise RefusalError(RequestStatus.REFUSED, str(error)) from error
+        self._write(demo)
+        self._attempt, self._again, self._notice = None, '', ''
+        self._awaited = demo
+        text = f'demonstration {demo.number} of {demo.option_name} is kept'
         if self._paused:
             self._notice = f'The demonstration is {_UNRECORDED}.'
             text = f'{text} {_UNRECORDED}'
-        uuid = demonstration.uuid
-        return Answer(RequestStatus.OK, text, uuid=uuid, demonstration=demonstration)
+        return Answer(RequestStatus.OK, text, uuid=demo.uuid, demonstration=demo)
 
     def _withdraw(self, request: WithdrawDemonstration) -> Answer:
-        if (hindrance := self._hindrance()) is not None:
-            return hindrance
-        if self._learner.awaited is not None:
-            return _wrong_phase('the learner still works on a demonstration; wait for it')
-        answer = self._log.withdraw(request)
-        if answer.ok:
-            self._again = self._notice = ''  # the option's history has the start state
-            self._learner.awaited = answer.demonstration
-        return answer
+        """Take back the newest demonstration of the option."""
+        self._check_free()
+        if self._awaited is not None:
+            raise _wrong_phase('the learner still works on a demonstration; wait for it')
+        if self._option is None:
+            raise _wrong_phase('name the option first')
+        name, newest = self._option.name, self._option.newest
+        if newest is None:
+            detail = f'no demonstration of {name} is left to take back'
+            raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
+        if request.uuid not in ('', newest.uuid):
+            detail = f'{request.uuid} is not the newest demonstration of {name}'
+            raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
+        withdrawn = replace(newest, withdrawn=True)
+        self._write(withdrawn)
+        self._again = self._notice = ''  # the option's history has the start state
+        self._awaited = withdrawn
+        steps = len(newest.actions)
+        plural = 's' if steps > 1 else ''
+        what = f'the demonstration of {steps} step{plural}' if steps else 'the "not here"'
+        text = f'{what} is taken back; its start comes again'
+        return Answer(RequestStatus.OK, text, uuid=withdrawn.uuid, demonstration=withdrawn)
 
 
-def _wrong_phase(detail: str) -> Answer:
-    return Answer(RequestStatus.WRONG_PHASE, detail)
+def _wrong_phase(detail: str) -> RefusalError:
+    return RefusalError(RequestStatus.WRONG_PHASE, detail)
 
 
-def hint(view: LessonView) -> str:
+def _name_fault(name: str) -> str:
+    """Return what is wrong with an option's name; empty: nothing."""
+    if not name:
+        return 'the name is empty'
+    if len(name) > _NAME_LENGTH:
+        return f'the name has {len(name)} characters; {_NAME_LENGTH} is the most'
+    if not name.isprintable():
+        return 'the name has characters that cannot be printed'
+    if name.startswith(_RESERVED):
+        return f'names that begin with {_RESERVED} are those of primitive actions'
+    return ''
+
+
+def _hint(view: LessonView) -> str:
     """Return what to do next, in words; where an option is finished, why."""
     still = view.paused and view.phase not in _GOES_ON
     words = 'The lesson is paused.' if still else _HINTS[view.phase]

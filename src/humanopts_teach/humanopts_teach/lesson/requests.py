@@ -236,6 +236,14 @@ class Answer:
         return self.status in (RequestStatus.OK, RequestStatus.NO_FEATURE)
 
 
+class RefusalError(Exception):
+    """The lesson refuses a request; ``answer`` has the status and the reason."""
+
+    def __init__(self, status: RequestStatus, detail: str) -> None:
+        super().__init__(detail)
+        self.answer = Answer(status, detail)
+
+
 @dataclass(frozen=True, slots=True)
 class OptionStatus:
     """How far one option is learned, as in OptionStatus; returns in the domain's units."""

@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import Any
 
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.failures import nothing_fails
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.start_states import choose_start_state
-from humanopts_teach.lesson.session_log import OptionHistory
+from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
 
 FAILURES = 'failures'  # the strategy that looks at what was learned
@@ -20,7 +20,7 @@ FAILURES = 'failures'  # the strategy that looks at what was learned
 class LessonRules:
     """How start states are drawn, and when the lesson on an option ends."""
 
-    strategy: str = 'failures'  # one of the learner's ``STRATEGIES``
+    strategy: str = FAILURES  # one of the learner's ``STRATEGIES``
     budget: int = 150  # the most that is asked for one option, "not here" answers included
     seed: int = 0
     until_no_failures: bool = True  # strategy failures: ask on while the learned option fails
@@ -36,8 +36,8 @@ class StartStates:
     """
 
     def __init__(self, domain: Domain[Any], rules: LessonRules) -> None:
+        self.rules = rules
         self._domain = domain
-        self._rules = rules
         self._options: dict[tuple[str, str], LearnedOption] = {}
         self._texts: dict[tuple[str, str], str] = {}
 
@@ -48,7 +48,7 @@ class StartStates:
         :raises OptionError: it is not an option, or one of another domain.
         """
         key = (participant, option_name)
-        if self._rules.strategy == FAILURES and self._texts.get(key) != text:
+        if self.rules.strategy == FAILURES and self._texts.get(key) != text:
             option, _ = option_from_json(text)
             option.check_domain(self._domain)
             self._options[key], self._texts[key] = option, text
@@ -58,19 +58,8 @@ class StartStates:
         rng = self._generator('start_state', participant, option)
         learned = self._options.get((participant, option.name))
         state = choose_start_state(
-            self._rules.strategy, self._domain, learned, option.demonstrations, rng
+            self.rules.strategy, self._domain, learned, option.demonstrations, rng
         )
-        return self._domain.encode(state)
-
-    def check(self, text: str) -> str:
-        """
-        Return the state that somebody asked for, in the domain's notation.
-
-        :raises DomainError: it is not a state, or the task is over there.
-        """
-        state = self._domain.decode(text)
-        if self._domain.is_over(state):
-            raise DomainError(f'the task is over in {text}: nothing can be shown from there')
         return self._domain.encode(state)
 
     def episode_seed(self, participant: str, option: OptionHistory) -> int:
@@ -78,8 +67,8 @@ class StartStates:
         return int(self._generator('episode', participant, option).integers(2**63))
 
     def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
-        """Tell whether the next draw has counted this one in; out, where it is withdrawn."""
-        if not option.n_trajectories or self._rules.strategy != FAILURES:
+        """Return whether the next draw has counted this one in; out, where it is withdrawn."""
+        if not option.n_trajectories or self.rules.strategy != FAILURES:
             return True
         learned = self._options.get((demonstration.participant, option.name))
         if learned is None:
@@ -87,9 +76,9 @@ class StartStates:
         return (demonstration.uuid in learned.uuids) != demonstration.withdrawn
 
     def exhausted(self, participant: str, option: OptionHistory) -> bool:
-        """Tell whether the strategy has nothing left to ask, once the criteria hold."""
+        """Return whether the strategy has nothing left to ask, once the criteria hold."""
         learned = self._options.get((participant, option.name))
-        asks_failures = self._rules.until_no_failures and self._rules.strategy == FAILURES
+        asks_failures = self.rules.until_no_failures and self.rules.strategy == FAILURES
         if not asks_failures or learned is None or not option.demonstrations:
             return True
         rng = self._generator('exhausted', participant, option)
@@ -98,4 +87,4 @@ class StartStates:
     def _generator(
         self, purpose: str, participant: str, option: OptionHistory
     ) -> np.random.Generator:
-        return generator(self._rules.seed, purpose, participant, option.name, option.number)
+        return generator(self.rules.seed, purpose, participant, option.name, option.number)

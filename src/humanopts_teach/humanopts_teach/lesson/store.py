@@ -5,15 +5,14 @@ A line of JSON is one entry. It is on disk (fsync) before the lesson goes on.
 """
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, fields
 import errno
 import fcntl
 import json
-import os
 from pathlib import Path
 import re
-from types import TracebackType
-from typing import Any
+from typing import Any, TextIO
 
 from humanopts_learner.append_only_log import AppendOnlyLog
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError
@@ -30,8 +29,8 @@ class EntryError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class SessionOpened:
-    """A participant began a session, or went on with it."""
+class _Said:
+    """What every entry has that is no demonstration."""
 
     domain: str
     domain_parameters: str  # JSON object
@@ -40,47 +39,42 @@ class SessionOpened:
 
 
 @dataclass(frozen=True, slots=True)
-class OptionDefined:
+class SessionOpened(_Said):
+    """A participant began a session, or went on with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class OptionDefined(_Said):
     """An option was named, or taken up again."""
 
-    domain: str
-    domain_parameters: str
-    participant: str
-    session: str
     option_name: str
     ask_again: bool  # the answers given before count no longer
 
 
 @dataclass(frozen=True, slots=True)
-class FeatureAnswered:
+class FeatureAnswered(_Said):
     """One feature question was answered."""
 
-    domain: str
-    domain_parameters: str
-    participant: str
-    session: str
     option_name: str
     feature: str
     yes: bool
 
 
 Entry = SessionOpened | OptionDefined | FeatureAnswered | Demonstration
-_DIALOGUE: Mapping[str, type[SessionOpened | OptionDefined | FeatureAnswered]] = {
+_KINDS: Mapping[str, type[Entry]] = {
     'session': SessionOpened,
     'option': OptionDefined,
     'answer': FeatureAnswered,
+    'demonstration': Demonstration,
 }
-_DEMONSTRATION = 'demonstration'
-_NAMES = {kind: name for name, kind in _DIALOGUE.items()}
+_NAMES = {kind: name for name, kind in _KINDS.items()}
 
 
 def entry_to_line(entry: Entry) -> str:
     """Return the entry as one line of JSON, without the line's end."""
-    if isinstance(entry, Demonstration):
-        name, values = _DEMONSTRATION, json.loads(entry.to_json())
-    else:
-        name, values = _NAMES[type(entry)], asdict(entry)
-    return json.dumps({'version': VERSION, 'entry': name, **values}, sort_keys=True)
+    values = json.loads(entry.to_json()) if isinstance(entry, Demonstration) else asdict(entry)
+    named = {'version': VERSION, 'entry': _NAMES[type(entry)], **values}
+    return json.dumps(named, sort_keys=True)
 
 
 def entry_from_line(line: str) -> Entry:
@@ -96,23 +90,18 @@ def entry_from_line(line: str) -> Entry:
     if not isinstance(values, dict) or values.get('version') != VERSION:
         raise EntryError(f'it is not an entry of version {VERSION}')
     name = str(values.get('entry'))
-    try:
-        if name == _DEMONSTRATION:
+    kind = _KINDS.get(name)
+    if kind is None:
+        raise EntryError(f'it has an unknown kind of entry, {name!r}')
+    if kind is Demonstration:
+        try:
             return Demonstration.from_fields(values)
-        if name in _DIALOGUE:
-            return _dialogue_entry(_DIALOGUE[name], values)
-    except DemonstrationError as error:
-        raise EntryError(str(error)) from None
-    raise EntryError(f'it has an unknown kind of entry, {name!r}')
-
-
-def _dialogue_entry(
-    kind: type[SessionOpened | OptionDefined | FeatureAnswered], values: Mapping[str, Any]
-) -> Entry:
-    found: dict[str, Any] = {field.name: values.get(field.name) for field in fields(kind)}
+        except DemonstrationError as error:
+            raise EntryError(str(error)) from None
     for field in fields(kind):
-        if type(found[field.name]) is not field.type:
+        if type(values.get(field.name)) is not field.type:
             raise EntryError(f'its field {field.name} is missing or wrong')
+    found: dict[str, Any] = {field.name: values[field.name] for field in fields(kind)}
     return kind(**found)
 
 
@@ -120,7 +109,7 @@ class StoreError(OSError):
     """The folder cannot be read or written; the text says why, and what to do."""
 
 
-class DemonstrationStore:
+class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
     """What every participant said and showed, in one folder that one process uses at a time."""
 
     def __init__(self, directory: Path) -> None:
@@ -133,32 +122,24 @@ class DemonstrationStore:
         self.damage: list[str] = []  # what was found damaged, in words
         self._entries: dict[str, list[Entry]] = {}
         self._logs: dict[str, AppendOnlyLog] = {}
-        self._lock = -1
+        self._lock: TextIO | None = None
         try:
             directory.mkdir(parents=True, exist_ok=True)
-            self._lock = _lock(directory / _LOCK)
+            self._lock = (directory / _LOCK).open('a', encoding='utf-8')
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             for path in sorted(directory.glob(f'*{_SUFFIX}')):
                 self._entries[path.stem] = self._load(path)
         except OSError as error:
             self.close()
             raise _explained(error, f'open the folder of demonstrations {directory}') from error
 
-    def __enter__(self) -> 'DemonstrationStore':
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
         """Unlock the folder for another process."""
-        if self._lock >= 0:
-            os.close(self._lock)
-            self._lock = -1
+        if self._lock is not None:
+            self._lock.close()
 
     def participants(self) -> list[str]:
         """Return the codes of all participants in the folder, sorted."""
@@ -198,16 +179,6 @@ class DemonstrationStore:
         found = log.read(entry_of)
         self.damage += log.problems
         return found
-
-
-def _lock(path: Path) -> int:
-    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        raise
-    return handle
 
 
 def _explained(error: OSError, what: str) -> StoreError:

@@ -9,12 +9,10 @@ import sys
 import time
 from typing import Any
 
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import DomainError
 from humanopts_env.game import transition_from_message
 from humanopts_env.ros.convert import domain_from_info
-from humanopts_interfaces.msg import (
-    Demonstration as DemonstrationMessage,
-)
+from humanopts_interfaces.msg import Demonstration as DemonstrationMessage
 from humanopts_interfaces.msg import (
     DemonstrationReceipt,
     DomainInfo,
@@ -64,60 +62,17 @@ _KEEPING = (Verdict.DONE, Verdict.NOT_HERE)
 _RESEND_DELAY = 0.5  # s from a learner's first word until it is sure to be listening
 
 
-def read_rules(node: NodeBase) -> LessonRules:
-    """
-    Read how start states are drawn, and when the lesson on an option ends.
-
-    :raises StartError: there is no such strategy.
-    """
-    default = LessonRules()
-    numbers = IntegerRange(from_value=1, to_value=1_000_000, step=1)
-    seeds = IntegerRange(from_value=0, to_value=2**62, step=1)
-    strategy = node.setting(
-        'strategy', default.strategy, 'of start states: random, coverage or failures'
-    )
-    if strategy not in STRATEGIES:
-        raise StartError(f'parameter strategy: {strategy!r} is none of {", ".join(STRATEGIES)}')
-    return LessonRules(
-        strategy,
-        node.setting(
-            'budget',
-            default.budget,
-            'demonstrations that are asked for at most for one option',
-            integer_range=[numbers],
-        ),
-        node.setting('seed', default.seed, 'of every random draw', integer_range=[seeds]),
-        node.setting(
-            'until_no_failures',
-            default.until_no_failures,
-            'with strategy failures: once the criteria hold, go on while the learned option '
-            'fails from a state (from more than a tenth, where states are sampled)',
-        ),
-    )
-
-
-def open_store(node: NodeBase) -> DemonstrationStore:
-    """
-    Open the folder of demonstrations, and log what was mended in it.
-
-    :raises StartError: it cannot be used.
-    """
-    directory = node.setting('directory', 'demonstrations', 'folder of all demonstrations')
-    try:
-        store = DemonstrationStore(Path(directory))
-    except StoreError as error:
-        raise StartError(str(error)) from error
-    for damage in store.damage:
-        node.get_logger().warning(damage)
-    return store
-
-
 class LessonNode(NodeBase):
     """Serves one lesson; what the person says is on disk before it is published."""
 
     def __init__(self) -> None:
+        """
+        Open the folder of demonstrations, and wait for the rules of the game.
+
+        :raises StartError: a parameter or the folder cannot be used.
+        """
         super().__init__('lesson')
-        self._rules = read_rules(self)
+        self._rules = self._read_rules()
         self._learner_deadline = float(
             self.setting(
                 'learner_deadline',
@@ -130,7 +85,13 @@ class LessonNode(NodeBase):
             'participant', '', 'code of the person whose session is opened at the start; or empty'
         )
         self._session = self.setting('session', '', 'its session; empty: a new one')
-        self._store = open_store(self)
+        directory = self.setting('directory', 'demonstrations', 'folder of all demonstrations')
+        try:
+            self._store = DemonstrationStore(Path(directory))
+        except StoreError as error:
+            raise StartError(str(error)) from error
+        for damage in self._store.damage:
+            self.get_logger().warning(damage)
         self._opened: Lesson | None = None  # once the game is known
         self._state_out = self.stamped_publisher(LessonState, 'lesson_state', LATCHED)
         self._demonstrations_out = self.stamped_publisher(DemonstrationMessage, 'demonstrations')
@@ -153,9 +114,36 @@ class LessonNode(NodeBase):
             RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
         )
 
+    def _read_rules(self) -> LessonRules:
+        default = LessonRules()
+        numbers = IntegerRange(from_value=1, to_value=1_000_000, step=1)
+        seeds = IntegerRange(from_value=0, to_value=2**62, step=1)
+        what = f'of start states: {", ".join(STRATEGIES)}'
+        strategy = self.setting('strategy', default.strategy, what)
+        if strategy not in STRATEGIES:
+            raise StartError(
+                f'parameter strategy: {strategy!r} is none of {", ".join(STRATEGIES)}'
+            )
+        return LessonRules(
+            strategy,
+            self.setting(
+                'budget',
+                default.budget,
+                'demonstrations that are asked for at most for one option',
+                integer_range=[numbers],
+            ),
+            self.setting('seed', default.seed, 'of every random draw', integer_range=[seeds]),
+            self.setting(
+                'until_no_failures',
+                default.until_no_failures,
+                'with strategy failures: once the criteria hold, go on while the learned option '
+                'fails from a state (from more than a tenth, where states are sampled)',
+            ),
+        )
+
     @property
     def _lesson(self) -> Lesson:
-        """The lesson; what needs it is served or heard once the game is known."""
+        """The lesson; what needs it is served or subscribed to once the game is known."""
         assert self._opened is not None
         return self._opened
 
@@ -177,32 +165,24 @@ class LessonNode(NodeBase):
         self._store.close()
 
     def _on_domain(self, info: DomainInfo) -> None:
+        """Begin the lesson, and serve and subscribe to what needs it."""
         if self._opened is not None:
             return
         try:
             domain = domain_from_info(info)
         except DomainError as error:
             raise StartError(str(error)) from error
-        self._opened = self._make_lesson(domain)
-        self._serve()
-
-    def _make_lesson(self, domain: Domain[Any]) -> Lesson:
-        self._starts = StartStates(domain, self._rules)
-        lesson = Lesson(
+        self._opened = Lesson(
             domain,
             self._store,
-            self._starts,
-            self._rules,
+            StartStates(domain, self._rules),
             clock=time.monotonic,
             today=lambda: datetime.now(UTC).strftime('%Y%m%d'),
         )
         if self._participant:
-            answer = lesson.carry_out(OpenSession(self._participant, self._session))
+            answer = self._opened.carry_out(OpenSession(self._participant, self._session))
             if not answer.ok:
                 raise StartError(answer.detail)
-        return lesson
-
-    def _serve(self) -> None:
         for kind, (service, name) in LESSON_SERVICES.items():
             self.recorded_service(service, name, self._handler(kind), self._reentrant)
         self.create_subscription(
@@ -219,7 +199,9 @@ class LessonNode(NodeBase):
         async def handle(message: Any, response: Any) -> Any:
             request: LessonRequest = decode(kind, message)
             if isinstance(request, EndDemonstration) and request.verdict in _KEEPING:
-                await self._catch_up(request)
+                # States that the person saw may still be on their way.
+                seen = request.episode, request.step
+                await self.waiting.until(lambda: self._lesson.reached(*seen), _GAME_DEADLINE)
             answer = self._lesson.carry_out(request)
             if isinstance(request, BeginDemonstration) and answer.ok:
                 answer = await self._begin(answer)
@@ -261,16 +243,11 @@ class LessonNode(NodeBase):
         return answer
 
     def _game_is_there(self) -> bool:
-        """Tell whether game can be asked, and what it then publishes will be heard."""
-        heard = self._game_states.get_publisher_count() > 0
-        return heard and bool(self._reset.service_is_ready())
+        """Return whether game can be asked, and what it then publishes will be received."""
+        matched = self._game_states.get_publisher_count() > 0
+        return matched and bool(self._reset.service_is_ready())
 
-    async def _catch_up(self, request: EndDemonstration) -> None:
-        """Wait for the states that the person saw, so that they are in the demonstration."""
-        episode, step = request.episode, request.step
-        await self.waiting.until(lambda: self._lesson.reached(episode, step), _GAME_DEADLINE)
-
-    # What game and the learner tell.
+    # What game, the learner and the recorder publish.
 
     def _on_game_state(self, message: GameState) -> None:
         if self._opened is None:
@@ -298,10 +275,9 @@ class LessonNode(NodeBase):
     def _on_options(self, message: LearnedOptions) -> None:
         for option in message.options:
             try:
-                self._starts.learned(option.participant, option.name, option.model)
+                self._lesson.option_learned(option.participant, option.name, option.model)
             except OptionError as error:
                 self.get_logger().error(f'learned_options: {error}')
-        self._lesson.starts_learned()
         self._show()
 
     def _on_recorder(self, status: RecorderStatus) -> None:
@@ -334,7 +310,7 @@ class LessonNode(NodeBase):
         late = time.monotonic() - self._asked_learner > self._learner_deadline
         if self._lesson.awaited and late:
             self._lesson.learner_silent()
-            self._learner = ''  # it may lack what was sent, once it is heard again
+            self._learner = ''  # it may lack what was sent, once it publishes again
         if self.ready:
             self._look_at_recording()
         self._show()
@@ -346,7 +322,10 @@ class LessonNode(NodeBase):
         cause = self._unrecorded
         self._lesson.pause(cause)
         try:
-            self._send()
+            while self._unsent:
+                self._demonstrations_out.publish(demonstration_to_message(self._unsent[0]))
+                self._unsent.popleft()
+            self._send_view()
         except PublishError as error:
             cause = str(error)
             self._lesson.pause(cause)
@@ -355,12 +334,6 @@ class LessonNode(NodeBase):
         if cause != self._told:
             self._told = cause
             self.set_status(NodeStatus.STATE_PAUSED if cause else NodeStatus.STATE_READY, cause)
-
-    def _send(self) -> None:
-        while self._unsent:
-            self._demonstrations_out.publish(demonstration_to_message(self._unsent[0]))
-            self._unsent.popleft()
-        self._send_view()
 
     def _send_view(self) -> None:
         view = self._lesson.view
