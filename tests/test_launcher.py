@@ -123,7 +123,7 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
         return live.start(RECORDER, path=str(tmp_path / name)).process.pid
 
     def check() -> None:
-        looks.append(bool(conductor.node.duplicates))
+        looks.append(bool(conductor.duplicates))
         if looks.count(True) > 1:
             raise LaunchError('the other is there')
 

@@ -47,9 +47,8 @@ class DemoProgress:
 
     def __call__(self, graph: GraphClient) -> None:
         """Draw the graph's current values."""
-        node = graph.node
-        if self._domain is None and node.domain.message is not None:
-            self._domain = domain_from_info(node.domain.message)
+        if self._domain is None and graph.domain is not None:
+            self._domain = domain_from_info(graph.domain)
         if self._console.is_terminal:
             self._live.update(self._picture(graph))
         else:
@@ -67,23 +66,21 @@ class DemoProgress:
             self._say(f'{done / total:4.0%} {text}', key=text)
 
     def _picture(self, graph: GraphClient) -> Group:
-        node = graph.node
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
-        if self._domain is not None and node.state.message is not None:
-            state = self._domain.decode(node.state.message.state)
+        if self._domain is not None and graph.state is not None:
+            state = self._domain.decode(graph.state.state)
             parts += board_text(self._domain, state)
-        if node.learning.message is not None and node.learning.message.options:
-            parts.append(_criteria_table(node.learning.message))
-        if hasattr(node.feedback, 'fallbacks'):
-            parts.append(Text(_episodes(node.feedback)))
+        if graph.learning is not None and graph.learning.options:
+            parts.append(_criteria_table(graph.learning))
+        if hasattr(graph.feedback, 'fallbacks'):
+            parts.append(Text(_episodes(graph.feedback)))
         return Group(*parts)
 
     def _lines(self, graph: GraphClient) -> None:
-        node = graph.node
-        if self._domain is not None and node.state.message is not None:
-            state = self._domain.decode(node.state.message.state)
+        if self._domain is not None and graph.state is not None:
+            state = self._domain.decode(graph.state.state)
             self._say('the first state:\n' + self._domain.render(state), key='first state')
-        for option in node.learning.message.options if node.learning.message else ():
+        for option in graph.learning.options if graph.learning else ():
             tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY
             key = f'{option.option_name} {tens} {option.criteria_met}'
             self._say(f'{option.option_name}: {_criteria_words(option)}', key)

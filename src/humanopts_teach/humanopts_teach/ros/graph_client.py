@@ -1,10 +1,11 @@
 """The command line's own node: sees that the graph is ready, and asks it for work."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 import json
 from pathlib import Path
 import time
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import (
@@ -31,59 +32,29 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
-M = TypeVar('M')
 _PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
 _ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
 
 
-class Latest(Generic[M]):
-    """The newest message of a latched topic."""
-
-    def __init__(self, node: NodeBase, kind: type[M], topic: str) -> None:
-        self.message: M | None = None
-        node.create_subscription(kind, topic, self._keep, CURRENT)
-
-    def _keep(self, message: M) -> None:
-        self.message = message
-
-
-class GraphClientNode(NodeBase):
-    """Knows every node's status and the current values of the graph."""
-
-    def __init__(self) -> None:
-        super().__init__('conductor')
-        self.statuses: dict[str, NodeStatus] = {}  # by full name, of the first process
-        self.duplicates: set[str] = set()  # node names that two processes use
-        self.create_subscription(NodeStatus, 'node_status', self._keep_status, LATCHED_ALL)
-        self.state = Latest(self, GameState, 'current_state')
-        self.domain = Latest(self, DomainInfo, 'domain_info')
-        self.lesson = Latest(self, LessonState, 'lesson_state')
-        self.learning = Latest(self, LearningStatus, 'learning_status')
-        self.options = Latest(self, LearnedOptions, 'learned_options')
-        self.recorder = Latest(self, RecorderStatus, 'recorder_status')
-        self.plan_client = ActionClient(self, Plan, 'plan')
-        self.policy_client = ActionClient(self, RunPolicy, 'run_policy')
-        self.feedback: Any = None  # of the action under way
-
-    def on_feedback(self, message: Any) -> None:
-        """Keep how far an action is."""
-        self.feedback = message.feedback
-
-    def _keep_status(self, status: NodeStatus) -> None:
-        known = self.statuses.get(status.node, status)
-        if status.publisher_id == known.publisher_id or known.state == NodeStatus.STATE_STOPPING:
-            self.statuses[status.node] = status
-        else:
-            self.duplicates.add(status.node)
-
-
-class GraphClient:
+class GraphClient(NodeBase):
     """
     Drives a launched graph from the command line's thread.
 
-    Every wait looks after the processes and has a deadline; ``watch`` is called about twenty
-    times a second meanwhile: it checks the processes, and shows progress.
+    It knows every node's status and the newest message of the latched topics. Every wait looks
+    after the processes and has a deadline; ``watch`` is called about twenty times a second
+    meanwhile: it checks the processes, and shows progress.
+
+    :ivar statuses: by full name of the node, of its first process.
+    :ivar duplicates: names of nodes that two processes use.
+    :ivar feedback: of the action under way; None: none has come.
     """
+
+    state: GameState | None = None
+    domain: DomainInfo | None = None
+    lesson: LessonState | None = None
+    learning: LearningStatus | None = None
+    options: LearnedOptions | None = None
+    recorder: RecorderStatus | None = None
 
     def __init__(
         self,
@@ -98,19 +69,34 @@ class GraphClient:
             arguments += ['-p', f'{name}:={json.dumps(value)}']
         prepare_discovery()
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = GraphClientNode()
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.node)
+        super().__init__('conductor')
+        self.statuses: dict[str, NodeStatus] = {}
+        self.duplicates: set[str] = set()
+        self.feedback: Any = None
         self._record, self._bag = bool(parameters['expect_recorder']), bag
         self._watch = watch
         self._fine = time.monotonic()  # when no node was paused last
+        self.create_subscription(NodeStatus, 'node_status', self._keep_status, LATCHED_ALL)
+        for kind, topic, name in (
+            (GameState, 'current_state', 'state'),
+            (DomainInfo, 'domain_info', 'domain'),
+            (LessonState, 'lesson_state', 'lesson'),
+            (LearningStatus, 'learning_status', 'learning'),
+            (LearnedOptions, 'learned_options', 'options'),
+            (RecorderStatus, 'recorder_status', 'recorder'),
+        ):
+            self.create_subscription(kind, topic, partial(setattr, self, name), CURRENT)
+        self._plan_client = ActionClient(self, Plan, 'plan')
+        self._policy_client = ActionClient(self, RunPolicy, 'run_policy')
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self)
 
     def close(self) -> None:
         """Leave the graph."""
-        self.node.set_status(NodeStatus.STATE_STOPPING)
-        self.node.drain()
+        self.set_status(NodeStatus.STATE_STOPPING)
+        self.drain()
         self._executor.shutdown()
-        self.node.destroy_node()
+        self.destroy_node()
         try_shutdown()
 
     def wait(
@@ -172,16 +158,15 @@ class GraphClient:
         :param game_steps: to sample models from, where they are not exact; 0: the planner's own.
         :raises LaunchError: it refused, failed or did not answer.
         """
-        options = self.node.options.message
         goal = Plan.Goal(
             action_set=action_set,
             options=list(names),
             game_steps=game_steps,
             evaluation_episodes=episodes,
             seed=seed,
-            options_sequence=options.sequence if options else 0,
+            options_sequence=self.options.sequence if self.options else 0,
         )
-        result: PlanResult = self._act(self.node.plan_client, goal, f'the {action_set} plan')
+        result: PlanResult = self._act(self._plan_client, goal, f'the {action_set} plan')
         if result.status not in (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED):
             raise LaunchError(f'planning with {action_set} failed: {result.detail}')
         return result
@@ -193,20 +178,19 @@ class GraphClient:
         :raises LaunchError: it refused, failed or did not answer.
         """
         goal = RunPolicy.Goal(action_set=action_set, episodes=episodes, seed=seed)
-        result: PolicyResult = self._act(self.node.policy_client, goal, 'the episodes')
+        result: PolicyResult = self._act(self._policy_client, goal, 'the episodes')
         if result.status != PolicyResult.STATUS_DONE:
             raise LaunchError(f'playing by the {action_set} plan failed: {result.detail}')
         return result
 
     def learned(self) -> list[tuple[str, OptionStatus]]:
         """Return the option file's JSON and the status of every learned option."""
-        options, learning = self.node.options.message, self.node.learning.message
-        if options is None or learning is None:
+        if self.options is None or self.learning is None:
             return []
-        status = {(entry.participant, entry.option_name): entry for entry in learning.options}
+        status = {(entry.participant, entry.option_name): entry for entry in self.learning.options}
         return [
             (entry.model, status[entry.participant, entry.name])
-            for entry in options.options
+            for entry in self.options.options
             if (entry.participant, entry.name) in status
         ]
 
@@ -222,10 +206,10 @@ class GraphClient:
         while True:
             self._executor.spin_once(0.05)
             check()
-            self._check_duplicates(self._name(RECORDER))  # a new one takes over from ours
+            self._check_duplicates(self._full_name(RECORDER))  # a new one takes over from ours
             paused = self._paused()
             for name in sorted(told.keys() - paused.keys()):
-                if self.node.statuses[name].state == NodeStatus.STATE_READY:
+                if self.statuses[name].state == NodeStatus.STATE_READY:
                     tell(f'{name} goes on')
             for name, text in paused.items():
                 if told.get(name) != text:
@@ -238,24 +222,27 @@ class GraphClient:
             self._executor.spin_once(0.0)
 
     def unrecorded(self) -> str:
-        """Say why the bag is short, or nothing is recorded, as far as is known; empty: neither."""
-        lesson = self.node.lesson.message
-        return self._stopped() or (lesson.paused if lesson is not None else '')
+        """Return why the bag is short, or nothing is recorded now; empty: neither is known."""
+        return self._stopped() or (self.lesson.paused if self.lesson is not None else '')
 
     def teacher_finished(self) -> bool:
-        """Tell whether the simulated teacher has taught everything."""
-        status = self._status('simulated_teacher')
+        """Return whether the simulated teacher has taught everything."""
+        status = self.statuses.get(self._full_name('simulated_teacher'))
         return status is not None and status.text == FINISHED
 
     def taught_so_far(self) -> tuple[int, int]:
         """Return what changes while somebody teaches: the newest step and learning status."""
-        state, learning = self.node.state.message, self.node.learning.message
+        state, learning = self.state, self.learning
         return state.sequence if state else 0, learning.sequence if learning else 0
 
     def _act(self, client: ActionClient, goal: Any, what: str, seconds: float = 600.0) -> Any:
         """Send a goal, wait, and return the ``result`` field of the action's result."""
         self.wait(client.server_is_ready, 10.0, 'the planner')
-        sent = client.send_goal_async(goal, feedback_callback=self.node.on_feedback)
+
+        def on_feedback(message: Any) -> None:
+            self.feedback = message.feedback
+
+        sent = client.send_goal_async(goal, feedback_callback=on_feedback)
         self.wait(sent.done, 10.0, f'the planner to accept {what}')
         handle = sent.result()
         if not handle.accepted:
@@ -264,15 +251,19 @@ class GraphClient:
         self.wait(reply.done, seconds, what)
         return reply.result().result.result
 
-    def _status(self, name: str) -> NodeStatus | None:
-        return self.node.statuses.get(self._name(name))
+    def _keep_status(self, status: NodeStatus) -> None:
+        known = self.statuses.get(status.node, status)
+        if status.publisher_id == known.publisher_id or known.state == NodeStatus.STATE_STOPPING:
+            self.statuses[status.node] = status
+        else:
+            self.duplicates.add(status.node)
 
-    def _name(self, name: str) -> str:
-        return f'{self.node.get_namespace().rstrip("/")}/{name}'
+    def _full_name(self, name: str) -> str:
+        return f'{self.get_namespace().rstrip("/")}/{name}'
 
     def _stopped(self) -> str:
-        """Say why the launch's recorder has stopped, and what is left; empty: it has not."""
-        status = self._status(RECORDER)
+        """Return why the launch's recorder has stopped, and what is left; empty: it has not."""
+        status = self.statuses.get(self._full_name(RECORDER))
         if status is None or status.state != NodeStatus.STATE_PAUSED:
             return ''
         return f'{status.text}. The bag can be read: humanopts bag info {self._bag}'
@@ -280,12 +271,12 @@ class GraphClient:
     def _missing(self, names: list[str]) -> list[str]:
         ready = {
             name
-            for name, status in self.node.statuses.items()
+            for name, status in self.statuses.items()
             if status.state == NodeStatus.STATE_READY
         }
         missing = [name for name in names if name not in ready]
-        recorder = self.node.recorder.message
-        if self._record and not missing and not (recorder and recorder.complete):
+        complete = self.recorder is not None and self.recorder.complete
+        if self._record and not missing and not complete:
             missing.append('the recorder has not got every topic')
         return missing
 
@@ -293,7 +284,7 @@ class GraphClient:
         """Return the nodes that are paused, and why."""
         return {
             name: status.text
-            for name, status in self.node.statuses.items()
+            for name, status in self.statuses.items()
             if status.state == NodeStatus.STATE_PAUSED
         }
 
@@ -309,7 +300,7 @@ class GraphClient:
             raise LaunchError(f'{name} cannot go on: {text}')
 
     def _check_duplicates(self, besides: str = '') -> None:
-        if found := sorted(self.node.duplicates - {besides}):
+        if found := sorted(self.duplicates - {besides}):
             raise LaunchError(
                 f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop the '
                 'other launch, or choose another --namespace or ROS_DOMAIN_ID'

@@ -1,8 +1,9 @@
 """Takes every message of the graph, as bytes, without an executor."""
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import import_module
+from operator import attrgetter
 import time
 from typing import Any, NamedTuple
 
@@ -41,14 +42,6 @@ class TopicSubscription:
     publishers: int  # on the graph, when the QoS was last compared
 
 
-@dataclass
-class Found:
-    """The result of a look at the graph."""
-
-    added: list[TopicSubscription] = field(default_factory=list)
-    complete: bool = True  # all publishers of topics to record are matched by a subscription
-
-
 class Polled(CallbackGroup):
     """Keeps its subscriptions from every executor: their queues are emptied in one go instead."""
 
@@ -79,62 +72,61 @@ class RawSubscriber:
         self._subscriptions: dict[str, TopicSubscription] = {}
         self._left: list[Taken] = []  # from subscriptions that were replaced
         self.unknown: dict[str, str] = {}  # type by topic, of topics that cannot be recorded
+        self.complete = False  # at the last look every publisher to record was matched
 
-    def discover(self) -> Found:
-        """Subscribe to what is new on the graph, as its publishers offer it."""
-        found = Found()
+    def discover(self) -> list[TopicSubscription]:
+        """Subscribe to what is new on the graph, as its publishers offer it; return that."""
+        added: list[TopicSubscription] = []
+        self.complete = True
         for topic, types in self._node.get_topic_names_and_types():
-            if not self._selection.wants(topic):
+            if topic in self.unknown or not self._selection.wants(topic):
                 continue
             publishers = self._node.count_publishers(topic)
-            if not publishers or topic in self.unknown:
+            if not publishers:
                 continue
             known = self._subscriptions.get(topic)
             if known is None or known.publishers != publishers:
-                known = self._follow(topic, types[0], known, found)
+                offers = self._node.get_publishers_info_by_topic(topic)
+                if offers and known is not None:
+                    self._adapt(known, offers)
+                elif offers and (known := self._subscribe(topic, types[0], offers)) is not None:
+                    added.append(known)
             if known is None or known.subscription.get_publisher_count() < publishers:
-                found.complete = False
-        return found
+                self.complete = False
+        return added
 
     def take(self) -> list[Taken]:
         """Return all that has arrived, in order of arrival."""
         batch, self._left = self._left, []
         for each in self._subscriptions.values():
             batch += _take(each, each.subscription)
-        batch.sort(key=_arrival)
+        batch.sort(key=attrgetter('received'))
         return batch
 
-    def _follow(
-        self, topic: str, kind: str, known: TopicSubscription | None, found: Found
-    ) -> TopicSubscription | None:
-        """Subscribe to a topic, or again where a new publisher offers less than is asked for."""
-        offers = self._node.get_publishers_info_by_topic(topic)
-        if not offers:
-            return known
+    def _adapt(self, known: TopicSubscription, offers: Collection[TopicEndpointInfo]) -> None:
+        """Subscribe again where a new publisher offers less than is asked for."""
         reliable, latched = _common(offers)
-        if known is None:
-            return self._subscribe(topic, kind, offers, found)
         known.publishers = len(offers)
         if (known.reliable and not reliable) or (known.latched and not latched):
             known.reliable, known.latched = known.reliable and reliable, known.latched and latched
             old = known.subscription
             known.subscription = self._subscription(
-                topic, known.kind, known.reliable, known.latched
+                known.topic, known.kind, known.reliable, known.latched
             )
             self._left += _take(known, old)
             self._node.destroy_subscription(old)
-        return known
 
     def _subscribe(
-        self, topic: str, kind: str, offers: Collection[TopicEndpointInfo], found: Found
+        self, topic: str, kind: str, offers: Collection[TopicEndpointInfo]
     ) -> TopicSubscription | None:
+        """Subscribe to a topic; None: its type is not installed here."""
         try:
             loaded = load_type(kind)
         except (ImportError, AttributeError, ValueError):
             self.unknown[topic] = kind
             return None
         reliable, latched = _common(offers)
-        added = TopicSubscription(
+        added = self._subscriptions[topic] = TopicSubscription(
             topic,
             kind,
             loaded,
@@ -145,8 +137,6 @@ class RawSubscriber:
             latched,
             len(offers),
         )
-        self._subscriptions[topic] = added
-        found.added.append(added)
         return added
 
     def _subscription(self, topic: str, kind: Any, reliable: bool, latched: bool) -> Subscription:
@@ -216,15 +206,11 @@ def _plain_duration(duration: Duration) -> dict[str, int]:
 
 
 def _common(offers: Collection[TopicEndpointInfo]) -> tuple[bool, bool]:
-    """Tell whether all publishers are reliable, and whether all are latched."""
+    """Return whether all publishers are reliable, and whether all are latched."""
     profiles = [offer.qos_profile for offer in offers]
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
     latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
     return reliable, latched
-
-
-def _arrival(taken: Taken) -> int:
-    return taken.received
 
 
 def _never_called(message: bytes) -> None:

@@ -172,11 +172,12 @@ class Recorder(NodeBase):
         """Subscribe to what is new on the graph; look less often while nothing changes."""
         self._skipped = (self._skipped + 1) % _SKIPPED_LOOKS if self._complete else 0
         if self._skipped == 0:
-            found = self._subscriber.discover()
-            self._complete = found.complete and self._matched  # the other side has matched, too
-            self._matched = found.complete
-            self._unflushed = self._unflushed or bool(found.added)
-            for subscription in found.added:
+            added = self._subscriber.discover()
+            matched = self._subscriber.complete
+            self._complete = matched and self._matched  # the other side has matched, too
+            self._matched = matched
+            self._unflushed = self._unflushed or bool(added)
+            for subscription in added:
                 self._attempt(partial(self._add_topic, subscription))
         self._publish_status()
 
