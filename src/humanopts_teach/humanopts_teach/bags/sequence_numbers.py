@@ -137,17 +137,18 @@ class Ledger:
 
     def __init__(self) -> None:
         self._streams: dict[tuple[str, str], Stream] = {}
-        self.missing = 0  # over all streams
 
     def add(self, topic: str, stamp: Stamp) -> None:
         """Count one message."""
         key = (topic, stamp.publisher_id)
         if key not in self._streams:
             self._streams[key] = Stream(*key)
-        stream = self._streams[key]
-        before = stream.missing
-        stream.add(stamp.sequence)
-        self.missing += stream.missing - before
+        self._streams[key].add(stamp.sequence)
+
+    @property
+    def missing(self) -> int:
+        """Number of messages that were sent and not received."""
+        return sum(stream.missing for stream in self._streams.values())
 
     def __iter__(self) -> Iterator[Stream]:
         """Yield the streams, sorted by topic and publisher."""

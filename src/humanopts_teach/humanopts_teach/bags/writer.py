@@ -2,11 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import os
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import Any, cast, IO
 
 from humanopts_learner.append_only_log import append_whole
 from humanopts_teach.bags.errors import BagWriteError
@@ -29,28 +28,49 @@ SELF = 'rosbag2'  # name of the record with a copy of metadata.yaml ...
 SELF_TEXT = 'serialized_metadata'  # ... under this key
 
 
-class Sink:
+class _File:
     """
-    A new file of whole MCAP records, unbuffered.
+    One MCAP file that is being written, unbuffered.
 
     A record that does not fit on the disk is removed, so that the file stays readable; after that
-    nothing more is written.
+    nothing more is written. The file gets its name when its head is on the disk, so that no
+    reader finds it empty.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, facts: Mapping[str, str]) -> None:
         """
-        Create the file.
+        Begin the file.
 
-        :raises OSError: it exists, or cannot be created.
+        :param facts: kept in the metadata record ``humanopts``.
+        :raises OSError: it exists or cannot be created, or the disk is full.
         """
-        self._path = path
-        self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-        self._size = 0
+        self.name = path.name
+        self.size = 0  # bytes
+        self.extent = Extent()
+        self.channels: dict[str, int] = {}  # ids by topic
+        self.schemas: dict[str, int] = {}  # ids by type
         self._failure = ''
+        self._finished = False
+        self._path = path.with_name(f'{path.name}.new')
+        self._handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self.writer: Any = Writer(
+            cast(IO[bytes], self),
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        try:
+            self.writer.start(profile='ros2', library=LIBRARY)
+            self.writer.add_metadata(RECORD, dict(facts))
+            os.replace(self._path, path)
+            self._path = path
+        except OSError:
+            self.discard()
+            raise
 
     def write(self, data: bytes) -> None:
         """
-        Append whole records.
+        Append whole records, for the ``mcap`` package.
 
         :raises BagWriteError: the disk is full, or the file cannot be written any more.
         """
@@ -62,48 +82,38 @@ class Sink:
             self._failure = f'cannot write to {self._path}: {error.strerror}; what was written'
             self._failure += ' before is kept. Free space and start another recording'
             raise BagWriteError(self._failure) from error
-        self._size += len(data)
-
-    def rename(self, path: Path) -> None:
-        """
-        Give the file another name.
-
-        :raises OSError: it cannot have it.
-        """
-        os.replace(self._path, path)
-        self._path = path
-
-    def discard(self) -> None:
-        """Close the file and remove it."""
-        self.close()
-        with suppress(OSError):
-            self._path.unlink()
+        self.size += len(data)
 
     def tell(self) -> int:
-        """Return the size of the file."""
-        return self._size
+        """Return the size of the file, for the ``mcap`` package."""
+        return self.size
 
     def flush(self) -> None:
         """Do nothing: the operating system has everything that was written."""
 
-    def close(self) -> None:
-        """Close the file; it can be called again."""
-        if self._handle >= 0:
+    def finish(self, information: str) -> None:
+        """
+        Write the index and statistics, and close the file; only once.
+
+        :param information: the contents of metadata.yaml.
+        :raises BagWriteError: the disk is full or the file cannot be written.
+        """
+        if self._finished:
+            return
+        self._finished = True
+        try:
+            self.writer.flush()
+            self.writer.add_metadata(SELF, {SELF_TEXT: information})
+            self.writer.finish()
+            self.writer = None  # its index takes memory
+        finally:
             os.close(self._handle)
-            self._handle = -1
 
-
-@dataclass
-class _File:
-    """One file that is being written."""
-
-    name: str
-    sink: Sink
-    writer: Any  # of the ``mcap`` package; None: the file is whole
-    extent: Extent = field(default_factory=Extent)
-    channels: dict[str, int] = field(default_factory=dict)  # ids by topic
-    schemas: dict[str, int] = field(default_factory=dict)  # ids by type
-    finished: bool = False
+    def discard(self) -> None:
+        """Remove the file."""
+        os.close(self._handle)
+        with suppress(OSError):
+            self._path.unlink()
 
 
 @dataclass(frozen=True)
@@ -157,7 +167,7 @@ class BagWriter:
     @property
     def bytes_written(self) -> int:
         """Size of the MCAP files."""
-        return sum(file.sink.tell() for file in self._files)
+        return sum(file.size for file in self._files)
 
     @property
     def n_files(self) -> int:
@@ -270,19 +280,14 @@ class BagWriter:
         if not self._closed:
             self._closed = True
             information = self._information()
-            _finish(self._files[-1], information)
+            self._files[-1].finish(information)
             self._describe(information)
 
     def __enter__(self) -> 'BagWriter':
         """Return the writer; leaving the context closes it."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the bag."""
         self.close()
 
@@ -306,42 +311,27 @@ class BagWriter:
         if file.extent.messages == 0:
             return False
         age = log_time - file.extent.first
-        return 0 < limits.bytes <= file.sink.tell() or 0 < limits.seconds * 1e9 <= age
+        return 0 < limits.bytes <= file.size or 0 < limits.seconds * 1e9 <= age
 
     def _split(self) -> None:
         """Begin the next file and finish this one."""
         self._begin_file()
         information = self._information()
         try:
-            _finish(self._files[-2], information)
+            self._files[-2].finish(information)
         except BagWriteError:
-            self._files.pop().sink.discard()
+            self._files.pop().discard()
             raise
         self._describe(information)  # on failure the new file stays: the old takes nothing more
 
     def _begin_file(self) -> None:
-        """Begin a file, which gets its name when its head is on the disk: none is found empty."""
         path = self.path / f'{self.path.resolve().name}_{len(self._files)}.mcap'
         try:
-            sink = Sink(path.with_name(f'{path.name}.new'))
-            try:
-                writer: Any = Writer(
-                    sink,  # type: ignore[arg-type]
-                    chunk_size=CHUNK_BYTES,
-                    compression=CompressionType.ZSTD,
-                    enable_data_crcs=True,
-                )
-                writer.start(profile='ros2', library=LIBRARY)
-                writer.add_metadata(RECORD, self._facts)
-                sink.rename(path)
-            except OSError:
-                sink.discard()
-                raise
+            self._files.append(_File(path, self._facts))
         except BagWriteError:
             raise
         except OSError as error:
             raise BagWriteError(f'cannot write in {self.path}: {error.strerror}') from error
-        self._files.append(_File(path.name, sink, writer))
 
     def _information(self) -> str:
         """Return the contents of metadata.yaml."""
@@ -359,22 +349,3 @@ class BagWriter:
                 new.unlink()
             raise BagWriteError(f'cannot write in {self.path}: {error.strerror}') from error
         self._described = len(self.topics)
-
-
-def _finish(file: _File, information: str) -> None:
-    """
-    Write the index and statistics of a file, and close it; only once.
-
-    :param information: the contents of metadata.yaml.
-    :raises BagWriteError: the disk is full or the file cannot be written.
-    """
-    if file.finished:
-        return
-    file.finished = True
-    try:
-        file.writer.flush()
-        file.writer.add_metadata(SELF, {SELF_TEXT: information})
-        file.writer.finish()
-        file.writer = None  # its index takes memory
-    finally:
-        file.sink.close()
