@@ -9,21 +9,22 @@ from itertools import pairwise
 import os
 from pathlib import Path
 import resource
+import shutil
 import subprocess
 import sys
 from typing import Any
 
-from humanopts_teach.bags import mcap_file, reader
+from humanopts_interfaces.msg import ActionCommand, GameState
+from humanopts_teach.bags import mcap_file
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.errors import BagError, BagWriteError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.bags.writer import BagWriter, Limits
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 import pytest
 from rclpy.serialization import serialize_message
-from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 from teach_support.bags import GAME, QOS, START, state, steps, write_states
 import yaml
@@ -68,20 +69,6 @@ def test_what_was_written_is_read(bag: Path) -> None:
     assert yaml.safe_load(topic.qos) == [QOS]
 
 
-def test_rosbags_reads_the_directory_with_its_metadata(bag: Path) -> None:
-    with Reader(bag) as reader:
-        (connection,) = reader.connections
-        assert (connection.topic, connection.msgtype, connection.msgcount) == (
-            '/game_state',
-            GAME,
-            100,
-        )
-        assert connection.digest == 'RIHS01_ab'
-        assert reader.ros_distro == 'jazzy'
-        assert (reader.start_time, reader.message_count) == (START, 100)
-        assert sum(1 for _ in reader.messages()) == 100
-
-
 def test_the_mcap_package_finds_profile_index_statistics_and_facts(bag: Path) -> None:
     with (bag / 'bag_0.mcap').open('rb') as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -110,24 +97,6 @@ def test_messages_come_in_order_of_time_whatever_the_order_of_writing(tmp_path: 
     ]
 
 
-def test_reading_holds_few_chunks_at_a_time(tmp_path: Path, monkeypatch: Any) -> None:
-    write_states(tmp_path / 'bag', 200, flush_every=2).close()
-    read: list[int] = []
-    original = reader.read_block
-    monkeypatch.setattr(reader, 'read_block', lambda *args: read.append(1) or original(*args))
-    messages = open_bag(tmp_path / 'bag').messages(decoded=False)
-    for _ in range(20):
-        next(messages)
-    assert len(read) <= 12  # of 100
-
-
-def test_attachments_come_back(tmp_path: Path) -> None:
-    with write_states(tmp_path / 'bag', 3) as writer:
-        writer.attach('option.json', b'{"a": 1}')
-    (kept,) = open_bag(tmp_path / 'bag').attached()
-    assert (kept.name, kept.data) == ('option.json', b'{"a": 1}')
-
-
 @pytest.mark.parametrize('indexed', [True, False])
 def test_an_attached_file_may_be_larger_than_any_chunk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, indexed: bool
@@ -146,10 +115,9 @@ def test_an_attached_file_may_be_larger_than_any_chunk(
 def test_metadata_is_valid_from_the_start(tmp_path: Path) -> None:
     writer = write_states(tmp_path / 'bag', 0)
     writer.flush()
-    document = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
-    information = document['rosbag2_bagfile_information']
-    assert (information['version'], information['message_count']) == (9, 0)
-    assert [t['topic_metadata']['name'] for t in information['topics_with_message_count']] == [
+    told = information(tmp_path / 'bag')
+    assert (told['version'], told['message_count']) == (9, 0)
+    assert [t['topic_metadata']['name'] for t in told['topics_with_message_count']] == [
         '/game_state'
     ]
     writer.close()
@@ -183,15 +151,6 @@ def test_a_bag_cut_at_any_byte_opens_with_every_whole_chunk(bag: Path, data: byt
         assert opened.damage
         most = len(found)
     assert most == 100
-
-
-def test_a_damaged_index_is_done_without(bag: Path, data: bytes) -> None:
-    broken = bytearray(data)
-    broken[-60] ^= 0xFF
-    (bag / 'bag_0.mcap').write_bytes(broken)
-    opened = open_bag(bag)
-    assert [r.message.step for r in opened.messages()] == list(range(100))
-    assert 'index' in opened.damage
 
 
 def test_a_recorder_that_was_killed_before_the_first_message_leaves_an_empty_bag(
@@ -374,3 +333,97 @@ def test_what_is_no_bag_is_refused_with_the_reason(
     make(tmp_path / 'bag')
     with pytest.raises(BagError, match=reason):
         open_bag(tmp_path / 'bag')
+
+
+THIRTY = Limits(seconds=0.03)  # messages to a file, one a millisecond
+
+
+def information(path: Path) -> Any:
+    """Return what metadata.yaml says of a bag."""
+    return yaml.safe_load((path / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+
+
+@pytest.mark.parametrize('limits', [THIRTY, Limits(bytes=3000)])
+def test_a_bag_goes_on_in_another_file_and_nothing_is_lost(tmp_path: Path, limits: Limits) -> None:
+    write_states(tmp_path / 'bag', 100, limits=limits).close()
+    opened = open_bag(tmp_path / 'bag')
+    assert len(opened.files) > 2
+    assert [(r.message.step, r.sequence) for r in opened.messages()] == [
+        (step, step + 1) for step in range(100)
+    ]
+    assert check_bag(opened).findings == ()
+    assert summarise(opened).missing == 0
+    if limits.bytes:
+        assert all(file.stat().st_size > limits.bytes for file in opened.files[:-1])
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()  # so that the order is told by the files' names
+    assert steps(tmp_path / 'bag') == list(range(100))
+
+
+def test_each_file_of_a_bag_is_whole_by_itself_and_described(tmp_path: Path) -> None:
+    write_states(tmp_path / 'bag', 100, limits=THIRTY).close()
+    told = information(tmp_path / 'bag')
+    assert (told['message_count'], told['duration']['nanoseconds']) == (100, 99_000_000)
+    assert told['relative_file_paths'] == [f'bag_{number}.mcap' for number in range(4)]
+    found: list[int] = []
+    for number, described in enumerate(told['files']):
+        file = tmp_path / 'bag' / f'bag_{number}.mcap'
+        alone = open_bag(file)
+        assert alone.damage == ''
+        assert alone.metadata['humanopts'] == {'seed': '7'}
+        here = [recorded.message.step for recorded in alone.messages()]
+        assert described['message_count'] == alone.n_messages == len(here)
+        assert described['starting_time']['nanoseconds_since_epoch'] == START + here[0] * 10**6
+        assert described['duration']['nanoseconds'] == (here[-1] - here[0]) * 10**6
+        found += here
+    assert found == list(range(100))
+
+
+def test_a_topic_is_in_the_files_that_have_its_messages(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag', limits=Limits(seconds=1.0)) as writer:
+        for topic in ('/a', '/b', '/silent'):
+            writer.add_topic(topic, GAME, [QOS])
+        for second, topic, step in ((0, '/a', 0), (1, '/b', 0), (2, '/a', 1)):
+            writer.write(topic, state(step), second * 10**9)
+    topics = [
+        list(open_bag(tmp_path / 'bag' / f'bag_{number}.mcap').topics) for number in range(3)
+    ]
+    assert topics == [['/a', '/b', '/silent'], ['/b'], ['/a']]
+    assert set(open_bag(tmp_path / 'bag').topics) == {'/a', '/b', '/silent'}
+    assert check_bag(open_bag(tmp_path / 'bag')).whole
+
+
+def test_a_split_describes_the_files_so_far(tmp_path: Path) -> None:
+    write_states(tmp_path / 'bag', 65, limits=THIRTY)
+    told = information(tmp_path / 'bag')
+    assert [file['message_count'] for file in told['files']] == [30, 30, 0]
+    opened = open_bag(tmp_path / 'bag')  # as after kill -9
+    assert [r.message.step for r in opened.messages()] == list(range(60))
+    assert 'bag_2.mcap' in opened.damage
+
+
+def test_a_topic_that_is_defined_in_two_ways_is_said(tmp_path: Path) -> None:
+    for name, message in (('bag', GameState()), ('other', ActionCommand())):
+        with BagWriter(tmp_path / name) as writer:
+            writer.add_topic('/x', f'humanopts_interfaces/msg/{type(message).__name__}')
+            writer.write('/x', serialize_message(message), 1)
+    shutil.copy(tmp_path / 'other' / 'other_0.mcap', tmp_path / 'bag' / 'bag_1.mcap')
+    assert '/x is defined in several ways' in open_bag(tmp_path / 'bag').damage
+
+
+def test_a_split_that_cannot_be_described_stops_the_writer_and_keeps_what_was_written(
+    tmp_path: Path,
+) -> None:
+    writer = write_states(tmp_path / 'bag', 30, limits=Limits(seconds=1.0))
+    obstacle = tmp_path / 'bag' / 'metadata.yaml.new'
+    obstacle.mkdir()
+    with pytest.raises(BagWriteError, match='cannot write in'):
+        writer.write('/game_state', state(30), START + 2 * 10**9)
+    writer.add_topic('/chatter', 'std_msgs/msg/String')  # nodes still come
+    writer.attach('options/p1/go.json', b'{}')
+    assert open_bag(tmp_path / 'bag').damage
+    obstacle.rmdir()
+    writer.close()
+    opened = open_bag(tmp_path / 'bag')
+    assert opened.damage == ''
+    assert [r.message.step for r in opened.messages()] == list(range(30))
+    assert [kept.name for kept in opened.attached()] == ['options/p1/go.json']

@@ -118,10 +118,10 @@ def check_bag(bag: Bag) -> Check:
     a few chunks, the index and one attached file.
     """
     bag.compare_bytes()
-    tally, numbered = Tally(bag), bag.numbered
+    tally = Tally(bag)
     for recorded in bag.messages(decoded=False):
         tally.add(recorded)
-        if numbered and recorded.topic not in tally.stamped:
+        if bag.numbered and recorded.topic not in tally.stamped:
             tally.ledger.add(recorded.topic, Stamp(RECORDER, recorded.sequence))
     for _ in bag.attached():
         pass  # what is damaged is noted
@@ -219,17 +219,17 @@ def repair(bag: Bag, out: Path) -> int:
 
 def _copy(bag: Bag, writer: BagWriter) -> int:
     """Copy the messages; return how many repetitions were left out."""
-    repeated, time, numbered = 0, -1, bag.numbered
+    repeated, time = 0, -1
     now: set[tuple[str, int, bytes]] = set()  # messages of this log time that were written
     for recorded in bag.messages(decoded=False):
         if recorded.log_time != time or len(now) == MOST_AT_ONCE:
             time = recorded.log_time
             now.clear()
         key = (recorded.topic, recorded.sequence, recorded.data)
-        if numbered and key in now:
+        if bag.numbered and key in now:
             repeated += 1
         else:
             now.add(key)
-            number = recorded.sequence if numbered else None
+            number = recorded.sequence if bag.numbered else None
             writer.write(recorded.topic, recorded.data, time, recorded.publish_time, number)
     return repeated

@@ -23,7 +23,8 @@ def software() -> dict[str, str]:
     for name, package in _PACKAGES.items():
         with suppress(PackageNotFoundError):
             facts[name] = version(package)
-    return {**facts, 'python': platform.python_version(), 'lock_sha256': lock_hash(_places())}
+    lock = lock_hash(Path(__file__).resolve().parents)
+    return {**facts, 'python': platform.python_version(), 'lock_sha256': lock}
 
 
 def lock_hash(places: Sequence[Path]) -> str:
@@ -47,8 +48,3 @@ def attachments(paths: Sequence[Path]) -> Iterator[tuple[str, Path]]:
             if os.path.isfile(file):  # also False without permission
                 name = file.relative_to(path.parent).as_posix()
                 yield name.encode('utf-8', 'replace').decode('utf-8'), file
-
-
-def _places() -> list[Path]:
-    """Return the folders that this module is in, the checkout among them."""
-    return list(Path(__file__).resolve().parents)

@@ -21,7 +21,7 @@ from humanopts_teach.bags.mcap_file import (
 from humanopts_teach.bags.rosbag2 import FILE, find_files, load, Topic
 from humanopts_teach.bags.schemas import Decoder, make_decoder
 from humanopts_teach.bags.writer import LIBRARY, RECORD, SELF, SELF_TEXT
-from mcap.records import Attachment, AttachmentIndex, Message
+from mcap.records import Attachment, Message
 
 INTERFACES = 'humanopts_interfaces/'
 ALWAYS = (0, 2**64)  # first and last log time
@@ -50,14 +50,28 @@ class Recorded(NamedTuple):
 
 
 class Bag:
-    """A bag that was opened; it can be read any number of times."""
+    """
+    A bag that was opened; it can be read any number of times.
+
+    :ivar information: the contents of metadata.yaml; {}: there is none.
+    :ivar on_read: called in every pass.
+    :ivar files: the MCAP files.
+    :ivar metadata: the MCAP metadata records by name; ``humanopts`` has the recorder's facts.
+    :ivar attachments: the attached files by name, of which ``attached`` has the contents.
+    :ivar numbered: our recorder wrote the bag, which numbers the messages of a topic from 1.
+    :ivar topics: the topics by name, sorted.
+    """
 
     def __init__(
         self, path: Path, files: list[FileIndex], information: dict[str, Any], damage: list[str]
     ) -> None:
         self.path = path
-        self.information = information  # of metadata.yaml; {}: there is none
-        self.on_read: ProgressCallback = ignore_progress  # called in every pass
+        self.information = information
+        self.on_read: ProgressCallback = ignore_progress
+        self.files = [file.path for file in files]
+        self.metadata = {name: each for file in files for name, each in file.metadata.items()}
+        self.attachments = {name: at for file in files for name, at in file.attachments.items()}
+        self.numbered = all(file.library == LIBRARY or RECORD in file.metadata for file in files)
         self._files = files
         self._damage = dict.fromkeys([*damage, *(text for file in files for text in file.damage)])
         self._decoders: dict[str, Decoder] = {}
@@ -71,29 +85,9 @@ class Bag:
         return '\n'.join(self._damage)
 
     @property
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """The MCAP metadata records by name; ``humanopts`` has the facts of the recorder."""
-        return {name: record for file in self._files for name, record in file.metadata.items()}
-
-    @property
-    def files(self) -> list[Path]:
-        """The MCAP files."""
-        return [file.path for file in self._files]
-
-    @property
-    def numbered(self) -> bool:
-        """Whether our recorder wrote the bag, which numbers the messages of a topic from 1."""
-        return all(file.library == LIBRARY or RECORD in file.metadata for file in self._files)
-
-    @property
     def n_messages(self) -> int:
         """Number of messages that can be read."""
         return sum(topic.messages for topic in self.topics.values())
-
-    @property
-    def attachments(self) -> dict[str, AttachmentIndex]:
-        """The attached files by name, of which ``attached`` has the contents."""
-        return {name: at for file in self._files for name, at in file.attachments.items()}
 
     def attached(self) -> Iterator[Attachment]:
         """Yield the attached files that are whole; ``damage`` then says which are not."""
