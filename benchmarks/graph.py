@@ -72,8 +72,8 @@ def latencies(rounds: Sequence[Mapping[str, Sequence[float]]]) -> list[Row]:
     """
     Set each kind of latency beside its bare form.
 
-    :param rounds: samples, s, by what they are of: ``step``, ``service K`` and ``action K`` of K
-        steps, and the same after ``bare``.
+    :param rounds: samples, s, by the name of the measurement: ``step``, ``service K`` and
+        ``action K`` of K steps, and the same after ``bare``.
     """
     samples: dict[str, list[float]] = defaultdict(list)
     for found in rounds:
@@ -140,7 +140,7 @@ class _Measured:
             client.close()
 
     def take(self, steps: int, calls: int) -> dict[str, list[float]]:
-        """Take one round of samples, by the name of what they are of."""
+        """Take one round of samples, s, by the name of the measurement."""
         episode = self._begin(LENGTHS[0])
         found = {
             'step': self._game.steps(episode, steps),
@@ -181,7 +181,7 @@ class _Measured:
 
 
 class _Stepper(Client):
-    """Sends commands in lock-step with whoever answers with states."""
+    """Sends a command, waits for the state that answers it, and so on."""
 
     def __init__(self, launcher: Launcher, name: str, prefix: str = '') -> None:
         super().__init__(launcher, name)

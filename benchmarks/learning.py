@@ -1,4 +1,4 @@
-"""What it costs to learn an option again after a demonstration, as the learner does."""
+"""Times to learn an option again after a demonstration, as the learner node does."""
 
 from collections.abc import Sequence
 from functools import partial

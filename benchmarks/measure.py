@@ -1,4 +1,4 @@
-"""What a benchmark measures, in turns with a yardstick of the same run; and on what machine."""
+"""Samples of times beside those of a yardstick, statistics of both, and facts of the machine."""
 
 from collections.abc import Callable, Mapping, Sequence
 import importlib.metadata
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-OnMeasured = Callable[[float, str], object]  # share that is done, what is next
+OnMeasured = Callable[[float, str], object]  # share that is done, name of the next measurement
 Row = dict[str, Any]  # JSON data
 SLOW = 99  # percentile
 PACKAGES = ('numpy', 'scipy', 'scikit-learn', 'rclpy', 'quantecon')
@@ -42,7 +42,7 @@ def compare(
     facts: Mapping[str, int] | None = None,
 ) -> Row:
     """
-    Return what was measured beside its yardstick.
+    Return the statistics of a measurement beside its yardstick.
 
     :param seconds: samples of one thing, at least one, as of the yardstick.
     :param target: how many a second are wanted; None: nothing was asked.
@@ -73,7 +73,7 @@ def _median(samples: Sequence[float]) -> tuple[float, float | None]:
 
 
 def machine_facts() -> dict[str, str | int]:
-    """Return system, processor, cores that may be used, and versions of what does the work."""
+    """Return system, processor, cores that may be used, and versions of the libraries."""
     facts: dict[str, str | int] = {
         'system': platform.system(),
         'architecture': platform.machine(),

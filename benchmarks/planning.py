@@ -82,12 +82,12 @@ class TaxiCase:
 
     @cached_property
     def learned(self) -> tuple[LearnedOption, ...]:
-        """The two options as trees, fitted to what the shortest ways say in every state."""
+        """The two options as trees, fitted to the shortest paths from every state."""
         return self._fitted[0]
 
     @property
     def learned_seconds(self) -> float:
-        """What the trees cost: the shortest ways, and fitting."""
+        """Seconds for the trees: for the shortest paths, and for fitting."""
         return self.optimal_seconds + self._fitted[1]
 
     @cached_property
@@ -115,7 +115,7 @@ class Solved:
 
     values: Values  # (S,)
     table_seconds: float  # evaluating trees into tables
-    model_seconds: float  # building what is swept over
+    model_seconds: float  # building the models
     sweep_seconds: float
     sweeps: int  # or levels of a search
 
@@ -130,9 +130,9 @@ class Solver:
     """A way to solve a grid."""
 
     name: str
-    obtained: str  # what it is given besides the transitions, and where that comes from
+    obtained: str  # what the solver needs besides the transitions, and its origin
     solve: Callable[[TaxiCase], Solved]
-    cost: Callable[[TaxiCase], float] = lambda case: 0.0  # seconds to get what it is given
+    cost: Callable[[TaxiCase], float] = lambda case: 0.0  # seconds to obtain that
 
 
 def _planned(

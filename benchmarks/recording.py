@@ -33,7 +33,7 @@ from benchmarks.measure import OnMeasured, Row
 from benchmarks.processes import bench_spec, Client, launched, NAMESPACE, own_place
 
 _PATIENCE = 60.0  # s for a reader that takes nothing
-_PERIOD = 0.002  # s between looks at what is due
+_PERIOD = 0.002  # s between looks at the clock
 _LOOK_PERIOD = 0.1  # s between looks at the reader
 _AT_ONCE = 500  # messages that are sent between looks, as fast as can be
 _USUAL_RATE = 20_000  # messages a second, where a reader takes them as fast as it can
@@ -48,7 +48,7 @@ OnSent = Callable[[float], object]  # share that is sent
 
 @dataclass(frozen=True)
 class Load:
-    """What is sent to a reader."""
+    """The messages that are sent to a reader."""
 
     messages: int
     rate: int  # messages a second; 0: as fast as the reader takes them
@@ -252,7 +252,7 @@ class _Sender(Client):
 
 
 def _fill(message: Any) -> None:
-    """Fill in what a game of Taxi would send."""
+    """Fill in the values of a game of Taxi."""
     if isinstance(message, ActionCommand):
         message.source = ActionCommand.SOURCE_MACHINE
         message.action, message.option_name = 'north', 'go to passenger and pickup'
@@ -264,7 +264,7 @@ def _fill(message: Any) -> None:
 
 
 def recording(load: Load, runs: Mapping[str, Sequence[Run]]) -> list[Row]:
-    """Return what readers made of a load, beside the yardstick."""
+    """Return the results of all readers for one load, beside the yardstick."""
     yardstick = _seconds(runs[YARDSTICK])
     rows = []
     for name, found in runs.items():

@@ -1,4 +1,4 @@
-"""What was measured, as tables for people, and planning as a figure."""
+"""Tables of the measurements, and the figure of planning."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,1 +1,1 @@
-"""The paper's figures and tables again: cells that are computed once, and what is made of them."""
+"""The paper's figures and tables: their trials, and the report of the results."""

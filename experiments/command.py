@@ -76,7 +76,7 @@ def reproduce(
         ),
     ] = [],  # noqa: B006
 ) -> int:
-    """Compute what is missing, and write everything; return the exit status."""
+    """Compute the missing trials, and write the report; return the exit status."""
     study = Study(participants, seeds, seed, _read_bags(bags))
     wanted = list(EXPERIMENTS) if what == 'all' else [what]
     trials = {name: EXPERIMENTS[name][0](study) for name in wanted}

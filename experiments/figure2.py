@@ -63,7 +63,7 @@ COSTS = {  # of a trial by domain and strategy; others: 1
     ('pacman', 'coverage'): 20.0,
     ('pacman', 'failures'): 12.0,
 }
-CASE = ['domain', 'option', 'people', 'start states by']  # what a curve is of
+CASE = ['domain', 'option', 'people', 'start states by']  # columns that tell curves apart
 MEASURES = {  # of accuracy, with the titles of their plots
     'policy': 'policy',
     'initiation': 'I (may it start?)',
@@ -131,7 +131,7 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Learn again what a person taught in a bag; see ``learn_from_simulated``."""
+    """Learn an option again from the demonstrations in a bag; see ``learn_from_simulated``."""
     lesson = BagLesson(**parameters)
     bag = open_bag(Path(lesson.bag))
     domain = read_domain(bag)
@@ -180,7 +180,7 @@ def accuracy_table(done: Done) -> pd.DataFrame:
 
 
 def curve_table(points: pd.DataFrame) -> pd.DataFrame:
-    """Return mean accuracies and their intervals over people: exactly what is drawn."""
+    """Return mean accuracies and their intervals over people: the numbers that are drawn."""
     long = points.melt([*CASE, 'person', 'demonstrations'], list(MEASURES), 'measure', 'accuracy')
     by = [*CASE, 'measure', 'demonstrations']
     curves = mean_intervals(long, by, 'accuracy', 0.0, 1.0)
@@ -241,7 +241,7 @@ def needed_table(people: pd.DataFrame) -> pd.DataFrame:
 
 
 def present(done: Done) -> Section:
-    """Return what the report shows."""
+    """Return the section of the report."""
     points = accuracy_table(done)
     curves, people = curve_table(points), person_table(points)
     needed = needed_table(people)
@@ -331,7 +331,7 @@ def _compare_minutes(people: pd.DataFrame) -> list[Comparison]:
 
 
 def _as_in_paper(group: str, strategy: str) -> bool:
-    """Return whether people taught, or are like people, and start states were random."""
+    """Return whether real people taught, or varied simulated ones from random start states."""
     return group == PEOPLE or (group, strategy) == (VARIED, 'random')
 
 

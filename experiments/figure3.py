@@ -67,7 +67,7 @@ def extract(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def present(done: Done) -> Section:
-    """Return what the report shows."""
+    """Return the section of the report."""
     found: dict[str, list[Any]] = {}  # extractions by domain
     for parameters, one in done:
         found.setdefault(parameters['domain'], []).append(one)
@@ -193,7 +193,7 @@ def _comparisons(found: Sequence[Mapping[str, Any]]) -> list[Comparison]:
 
 
 def _human_initiation() -> float:
-    """Return the mean share of Taxi's states in which a human option, as meant, can start."""
+    """Return the mean share of Taxi's states in which the paper's human options can start."""
     domain = Taxi()
     meant = reference_options(domain)
     reached = search_space(domain).reached & ~domain.over()

@@ -57,7 +57,7 @@ from experiments.trials import code_version, Trial
 
 NAME, DOMAIN = 'fig4', 'taxi'
 TITLE = 'Figure 4: steps per episode of Q-learning'
-SETS = {  # what is learned with: whose options, and the action set
+SETS = {  # by name: kind of owner of the options, and action set of the learner
     'primitive': (NOBODY, PRIMITIVE),
     'human': (PERSON, HUMAN),
     'automatic': (MACHINE, AUTOMATIC),
@@ -172,7 +172,7 @@ def summary_table(episodes: pd.DataFrame) -> pd.DataFrame:
 
 
 def present(done: Done) -> Section:
-    """Return what the report shows."""
+    """Return the section of the report."""
     episodes = episode_table(done)
     summary = summary_table(episodes)
     curves = mean_intervals(episodes, [*KEYS, 'episode'], 'steps', least=1.0)

@@ -1,5 +1,5 @@
 """
-Whose options there are: those of people in bags or simulated ones, of extractions, of nobody.
+The owners of options: people in bags, simulated people, extractions, or nobody.
 
 There are two groups of simulated participants, since the paper's claims are of two kinds.
 *Careful* people make no error; they differ only in which of several equally good actions they
@@ -100,12 +100,12 @@ class BagLesson:
 
 @dataclass(frozen=True)
 class Study:
-    """What is to be reproduced, and with whom."""
+    """The size of a reproduction, and the people whose lessons it uses."""
 
     participants: int = 6  # simulated, in each group
-    seeds: int = 10  # runs of what depends on chance
+    seeds: int = 10  # runs of each method that depends on chance
     seed: int = 1  # of every random draw
-    bags: tuple[BagLesson, ...] = ()  # of people; where there are any, nobody is simulated
+    bags: tuple[BagLesson, ...] = ()  # lessons of real people; none: people are simulated
 
 
 def read_bag_lessons(path: Path) -> list[BagLesson]:
@@ -169,8 +169,8 @@ class OwnedOptions:
 
 def owners(study: Study, domain: str) -> dict[str, list[dict[str, Any]]]:
     """
-    Return whose options an experiment is repeated with: as many without options and extractions
-    as people.
+    Return the owners of the options of an experiment: as many repetitions without options, and as
+    many extractions, as people.
 
     :return: parameters of ``options_of`` by kind of owner, JSON data. People are those in bags,
         else the varied simulated ones; there are none where those in bags taught something else.
@@ -200,7 +200,7 @@ def _teachers(study: Study, domain: str) -> list[dict[str, Any]]:
 
 
 def owner_seed(parameters: Mapping[str, Any], *key: str) -> int:
-    """Return a seed that differs between trials that differ in whose options they have."""
+    """Return a seed that differs between the owners of options."""
     source = [str(parameters.get(name)) for name in ('number', 'teacher', 'extraction')]
     return int(generator(parameters['seed'], *key, *source).integers(2**31))
 

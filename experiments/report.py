@@ -43,12 +43,12 @@ class Mark(Enum):
 
     @property
     def good(self) -> bool | None:
-        """Whether it is as one would wish; None: neither."""
+        """Whether the mark is a good one; None: neither good nor bad."""
         known = {Mark.AGREES: True, Mark.MET: True, Mark.NOT_COMPARABLE: None}
         return known.get(self, False)
 
 
-SUMMARY = {  # what the top of the page says of the number of each mark
+SUMMARY = {  # text after the number of comparisons with each mark, at the top of the page
     Mark.AGREES: 'statements of the paper agree with what was found here',
     Mark.DIFFERS: 'do not agree',
     Mark.NOT_COMPARABLE: 'cannot be compared',
@@ -62,7 +62,7 @@ class Comparison:
     """One claim, beside the numbers that were found."""
 
     said: str
-    where: str  # section, figure or table of the paper; or whose goal it is
+    where: str  # section, figure or table of the paper; or OURS
     found: str
     mark: Mark
 
@@ -83,7 +83,7 @@ class Picture:
     """One figure; it is drawn for the page and for files."""
 
     name: str  # of the files, without suffix
-    label: str  # what it shows, for people who do not see it
+    label: str  # description for people who do not see the figure
     size: tuple[float, float]  # inches
     draw: Callable[[Drawing], None]  # series have the colours C0, C1, ...
     caption: str = ''
@@ -108,7 +108,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """What the report says of one figure or table of the paper."""
+    """The part of the report about one figure or table of the paper."""
 
     name: str
     title: str
@@ -120,7 +120,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Everything that the page says."""
+    """The content of the page."""
 
     sections: Sequence[Section]
     people: Sequence[Participant]  # empty: those in bags taught

@@ -1,10 +1,10 @@
 """
 Table 2: what planning with each action set takes and achieves (sections 7.3 and 8).
 
-One trial is whose options are planned with: one person's, those of one extraction, or none. They
-are made once, in the usual game, and planned with by every variant that they belong to. Where
-models are exact, there is nothing to search for, and every start state is played; where they are
-sampled, a search that is equally long for all variants comes first, and then fresh seeds.
+One trial has one owner of options: a person, an extraction, or nobody. The options are made once,
+in the usual game, and every variant of that kind of owner plans with them. Exact models have no
+settings to search for, and the plans are played from every start state. Sampled models begin with
+a search for settings, equally long for all variants, and are judged with other seeds.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -56,7 +56,7 @@ NAME = 'table2'
 AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')
 REPEATS = 7  # makings of one exact plan, for its seconds
-COSTS = {  # of a trial, about seconds, by domain and whose options
+COSTS = {  # of a trial, about seconds, by domain and kind of owner
     ('pacman', NOBODY): 45.0,
     ('pacman', PERSON): 180.0,
     ('pacman', MACHINE): 65.0,
@@ -77,10 +77,10 @@ class ComparedGame:
 
 @dataclass(frozen=True)
 class Variant:
-    """What is planned with, and how the policy is executed: a row of the table."""
+    """A row of the table: the options and actions of a plan, and the execution of its policy."""
 
     name: str
-    whose: str  # options
+    whose: str  # kind of owner of the options
     action_set: str
     execution: Execution = Execution.RUN_TO_END
     of_section_7: bool = False  # only options that the paper's participants taught

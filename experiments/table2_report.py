@@ -154,7 +154,7 @@ def cost_table(done: Done) -> pd.DataFrame:
 
 
 def gain_table(done: Done) -> pd.DataFrame:
-    """Return what the same plan gains over running each option to its end, by execution."""
+    """Return the gain of each execution of a plan over running each option to its end."""
     keys = ['game', 'carried out as']
     gains = rows_of(done, 'gains', keys).reindex(
         columns=[*keys, 'member', 'least', 'mean', 'most']
@@ -193,7 +193,7 @@ def setting_table(done: Done) -> pd.DataFrame:
 
 
 def present(done: Done) -> Section:
-    """Return what the report shows."""
+    """Return the section of the report."""
     summary, curves, gains = summary_table(done), curve_table(done), gain_table(done)
     games = [game for game in GAMES if game.name in summary.index]
     return Section(

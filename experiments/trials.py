@@ -62,7 +62,7 @@ class Trial:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What the result depends on, as JSON data."""
+        """The values that the result depends on, as JSON data."""
         known = {
             'experiment': self.experiment,
             'code': code_version(),

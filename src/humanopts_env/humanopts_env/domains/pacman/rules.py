@@ -127,18 +127,7 @@ class Rules:
 
     def start(self) -> PacManState:
         """Return the first state of every game."""
-        maze = self.maze
-        return PacManState(
-            pacman=maze.start,
-            ghosts=tuple(Ghost(home) for home in maze.homes),
-            food=(1 << len(maze.food)) - 1,
-            pills=(1 << len(maze.pills)) - 1,
-            fruit=0,
-            fruit_at=NO_CELL,
-            lives=self.lives,
-            score=0,
-            ate=0,
-        )
+        return PacManBatch(self).states()[0]
 
     def is_over(self, state: PacManState) -> bool:
         """Return whether the food is all eaten, or the last life lost."""
