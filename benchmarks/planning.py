@@ -19,12 +19,10 @@ import statistics
 import time
 
 from humanopts_env.domains.base import Transitions
-from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.tabular import read_only
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.options.option import (
-    LearnedOption,
     option_from_table,
     TabularOption,
     tabulate,
@@ -43,6 +41,7 @@ SIDES = (5, 25, 50, 100)
 QUICK = ((5, 10), 1)
 YARDSTICK = 'primitive value iteration'
 GAMMA, TOLERANCE, MAX_SWEEPS = 0.99, 1e-6, 100_000
+SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds', 'seconds')  # the last: of sums
 Values = NDArray[np.float64]
 OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 
@@ -58,7 +57,7 @@ class PricedTaxi(Taxi):
 
 
 class TaxiCase:
-    """A square grid and everything that its solvers are given, prepared once."""
+    """A square grid with the two options, as tables of shortest paths and as trees of these."""
 
     def __init__(self, side: int) -> None:
         """
@@ -66,47 +65,27 @@ class TaxiCase:
 
         :raises DomainError: the side is not from 4 to 1000.
         """
-        self.domain = PricedTaxi(side, side)
-        self.domain.transitions(), self.domain.over(), self.domain.feature_table()
-        began = time.perf_counter()
-        references = reference_options(self.domain)
-        self.optimal_seconds = time.perf_counter() - began  # for the shortest ways of all six
-        self._references = [references[name] for name in OPTIONS]
-
-    @cached_property
-    def optimal(self) -> tuple[TabularOption, ...]:
-        """The two options as tables of shortest ways."""
-        return tuple(
-            TabularOption.of_reference(option, self.domain.n_states) for option in self._references
-        )
-
-    @cached_property
-    def learned(self) -> tuple[LearnedOption, ...]:
-        """The two options as trees, fitted to the shortest paths from every state."""
-        return self._fitted[0]
-
-    @property
-    def learned_seconds(self) -> float:
-        """Seconds for the trees: for the shortest paths, and for fitting."""
-        return self.optimal_seconds + self._fitted[1]
-
-    @cached_property
-    def _fitted(self) -> tuple[tuple[LearnedOption, ...], float]:
         importlib.import_module('sklearn.tree')  # which the first fit would, on the clock
+        self.domain = domain = PricedTaxi(side, side)
+        rows, going = domain.feature_table(), ~domain.over()
+        domain.transitions()
         began = time.perf_counter()
-        learned = tuple(self._learn(option) for option in self._references)
-        return learned, time.perf_counter() - began
-
-    def _learn(self, option: TabularReferenceOption) -> LearnedOption:
-        known = option.initiation, ~self.domain.over(), option.judged
-        return option_from_table(
-            self.domain,
-            TabularOption.of_reference(option, self.domain.n_states),
-            option.features,
-            self.domain.feature_table(),
-            known,
-            participant='every state',
-        )
+        every = reference_options(domain)
+        self.optimal_seconds = time.perf_counter() - began  # for the shortest paths of all six
+        known = [every[name] for name in OPTIONS]
+        self.optimal = [TabularOption.of_reference(option, domain.n_states) for option in known]
+        self.learned = [
+            option_from_table(
+                domain,
+                table,
+                option.features,
+                rows,
+                (option.initiation, going, option.judged),
+                participant='every state',
+            )
+            for option, table in zip(known, self.optimal)
+        ]
+        self.learned_seconds = time.perf_counter() - began  # for the paths, and for fitting
 
 
 @dataclass(frozen=True)
@@ -317,7 +296,7 @@ def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
         yardstick = _median('seconds', runs[YARDSTICK][1:])
         for solver in chosen:
             timed = runs[solver.name][1:]
-            seconds = _median('seconds', timed)
+            seconds = {name: _median(name, timed) for name in SECONDS}
             rows.append(
                 {
                     'side': side,
@@ -325,15 +304,12 @@ def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
                     'solver': solver.name,
                     'obtained': solver.obtained,
                     'obtained_seconds': solver.cost(case),  # to get that, once, before all runs
-                    'table_seconds': _median('table_seconds', timed),
-                    'model_seconds': _median('model_seconds', timed),
-                    'sweep_seconds': _median('sweep_seconds', timed),
-                    'seconds': seconds,  # the median of the sums
+                    **seconds,
                     'sweeps': timed[0].sweeps,
                     'error': float(np.abs(timed[0].values - truth).max()),  # reward units
                     'yardstick': YARDSTICK,
                     'yardstick_seconds': yardstick,
-                    'ratio': seconds / yardstick,
+                    'ratio': seconds['seconds'] / yardstick,
                 }
             )
         done += side * side
