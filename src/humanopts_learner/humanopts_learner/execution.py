@@ -81,9 +81,6 @@ class RunResult:
     acted: Mapping[str, int] = field(default_factory=dict)  # steps by the option that acted
 
 
-MODULAR = (Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST)
-
-
 def execution_named(name: str) -> Execution:
     """
     Return an execution; run to the end where there is no name.

@@ -12,7 +12,7 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.table_domain import TableDomain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.arbitration import greatest_mass, OptionValues, strongest
+from humanopts_learner.planning.arbitration import OptionValues, winners
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.interruption import as_executed, option_values, policy_values
@@ -245,8 +245,9 @@ def test_modules_of_the_greatest_mass_outvote_a_single_strong_one() -> None:
     """By hand: strengths 5, 4, 3 and 0 by action 0, 1, 1 and 2."""
     continuation_values = np.array([[15.0, 14.0, 13.0, 10.0], [15.0, -np.inf, 13.0, 10.0]])
     action = np.array([[0, 1, 1, 2], [0, 1, 1, 2]])
-    assert strongest(continuation_values).tolist() == [0, 0]
-    assert greatest_mass(continuation_values, action, 3).tolist() == [1, 0]
+    values = continuation_values, continuation_values, action
+    assert winners(Execution.MODULAR_STRONGEST, *values).tolist() == [0, 0]
+    assert winners(Execution.MODULAR_MASS, *values).tolist() == [1, 0]
 
 
 def test_values_survive_being_laid_out_flat() -> None:

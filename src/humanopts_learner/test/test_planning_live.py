@@ -1,5 +1,6 @@
 """Arbitration in one game at a time, from a table that went through a message, as vectorised."""
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -13,7 +14,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.execution import Run
 from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.option import LearnedOption, Mode, options_from_references
-from humanopts_learner.planning.arbiter import Arbiter, make_arbiter
+from humanopts_learner.planning.arbiter import Arbiter
 from humanopts_learner.planning.arbitration import OptionValues
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.exact import ExactPlan
@@ -72,7 +73,7 @@ def arbiter_of(plan: ExactPlan | SampledPlan, execution: Execution) -> Arbiter:
     """Return the arbiter that is made of what a message carries."""
     values = option_values(plan) if isinstance(plan, ExactPlan) else plan.option_values()
     options = options_of(plan.domain)[::-1]
-    return make_arbiter(OptionValues.from_flat(values.flat()), execution, plan.domain, options)
+    return Arbiter(OptionValues.from_flat(values.flat()), execution, plan.domain, options)
 
 
 class LiveGame:
@@ -83,7 +84,7 @@ class LiveGame:
         self._plan, self._domain, self.state = plan, plan.domain, start
         self._library, self._rng = OptionLibrary(plan.domain), generator(0, 'live')
         self._library.replace(options_of(plan.domain))
-        self._arbiter = arbiter_of(plan, execution)
+        self._arbiter, self._execution = arbiter_of(plan, execution), execution
         self.actors: list[str] = []
         self.rewards: list[float] = []
         self.decisions = 0
@@ -108,7 +109,8 @@ class LiveGame:
         self.decisions += 1
         while len(self.actors) < LIMIT:
             ended = self._step(name, run.next_action(), run)
-            if ended or self._arbiter.before_step(self.state, name) is None:
+            to_end = self._execution is Execution.RUN_TO_END
+            if ended or (not to_end and self._arbiter.before_step(self.state, name) is None):
                 return
 
     def _step(self, name: str, action: int, run: Run | None = None) -> bool:
@@ -193,10 +195,9 @@ def test_values_that_fit_neither_options_nor_domain_are_refused() -> None:
     """With what is missing."""
     values = option_values(exact_plan())
     with pytest.raises(PlanError, match='pickup/dropoff'):
-        make_arbiter(values, Execution.INTERRUPTED, TAXI, options_of(TAXI)[:2])
+        Arbiter(values, Execution.INTERRUPTED, TAXI, options_of(TAXI)[:2])
     with pytest.raises(PlanError, match='every state of taxi'):
-        make_arbiter(values, Execution.INTERRUPTED, Taxi(6, 6), options_of(TAXI))
-    unnamed = OptionValues.from_flat(
-        {**sampled_plan().option_values().flat(), 'names': list(TAXI_OPTIONS[::-1])}
-    )
-    assert make_arbiter(unnamed, Execution.RUN_TO_END, TAXI, options_of(TAXI))
+        Arbiter(values, Execution.INTERRUPTED, Taxi(6, 6), options_of(TAXI))
+    values = replace(sampled_plan().option_values(), action_set='human+primitive')
+    with pytest.raises(PlanError, match='the actions of taxi'):
+        Arbiter(values, Execution.INTERRUPTED, BATCH_TAXI, options_of(BATCH_TAXI))

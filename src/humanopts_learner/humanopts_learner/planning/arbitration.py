@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_learner.planning.request import PlanError
+from humanopts_learner.planning.request import Execution, PlanError
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,6 +55,12 @@ class OptionValues:
                 f'interruption_margin is {self.interruption_margin}, and must be 0 or greater'
             )
 
+    def find(self, states: NDArray[np.int64]) -> tuple[Ints, Flags]:
+        """Return the row of each state (N,), 0 where it has none, and (N,) whether it has one."""
+        row = np.minimum(np.searchsorted(self.states, states), len(self.states) - 1)
+        found = self.states[row] == states
+        return np.where(found, row, 0), found
+
     def flat(self) -> dict[str, Any]:
         """Return the fields with all arrays flat, row by row, as a message carries them."""
         return {
@@ -91,44 +97,49 @@ class OptionValues:
         )
 
 
-def stops(
-    continuation_values: Floats, best: Floats, option: Ints, interruption_margin: float
+def interruptions(
+    option_values: Floats, continuation_values: Floats, interruption_margin: float
 ) -> Flags:
     """
-    Return (N,): whether the running option is to be stopped.
+    Return (N, O): whether each option is stopped if it runs, since choosing anew is worth more.
 
+    :param option_values: (N, O); -inf: the option cannot be chosen.
     :param continuation_values: (N, O); an option of value -inf is not stopped.
-    :param best: (N,) value of the option that would be chosen.
-    :param option: (N,) index of the running option; -1: none.
     """
-    value = continuation_values[np.arange(len(option)), option]
-    stop: Flags = (option >= 0) & np.isfinite(value) & (value < best - interruption_margin)
-    return stop
+    best = option_values.max(axis=1, keepdims=True)
+    worse = continuation_values < best - interruption_margin
+    stopped: Flags = np.isfinite(continuation_values) & worse
+    return stopped
 
 
-def strongest(continuation_values: Floats) -> Ints:
+def winners(
+    execution: Execution, option_values: Floats, continuation_values: Floats, action: Ints
+) -> Ints:
     """
-    Return (N,): the option index of the strongest module, the lowest of equals.
+    Return (N,): the index of the option whose action modules take, the lowest of equals.
 
+    :param execution: one of ``MODULAR``.
+    :param option_values: (N, O); modules of value -inf have no strength.
     :param continuation_values: (N, O).
+    :param action: (N, O) the action that each module wants.
     """
-    option: Ints = continuation_values.argmax(axis=1)
-    return option
+    if execution is Execution.MODULAR_STRONGEST:
+        strongest: Ints = continuation_values.argmax(axis=1)
+        return strongest
+    return greatest_mass(option_values, action)
 
 
-def greatest_mass(option_values: Floats, action: Ints, n_actions: int) -> Ints:
+def greatest_mass(option_values: Floats, action: Ints) -> Ints:
     """
     Return (N,): index of the strongest option among those whose action has the greatest mass.
 
-    Equal masses are decided by the strongest module, then by the lowest option index.
-
-    :param option_values: (N, O); modules of value -inf have no strength.
-    :param action: (N, O) the action that each module wants.
+    Equal masses are decided by the strongest module. Parameters and ties as in ``winners``.
     """
     finite = np.isfinite(option_values)
     weakest = np.where(finite, option_values, np.inf).min(axis=1, keepdims=True)
     strength = np.subtract(option_values, weakest, out=np.zeros(option_values.shape), where=finite)
-    wants = action[:, :, None] == np.arange(n_actions)  # (N, O, A)
+    wants = action[:, :, None] == np.arange(action.max() + 1)  # (N, O, A)
     mass = (strength[:, :, None] * wants).sum(axis=1)
     wins = np.take_along_axis(mass, action, axis=1) >= mass.max(axis=1, keepdims=True)
-    return strongest(np.where(wins, option_values, -np.inf))
+    option: Ints = np.where(wins, option_values, -np.inf).argmax(axis=1)
+    return option

@@ -15,18 +15,11 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
 from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.action_sets import build_model
-from humanopts_learner.planning.arbitration import (
-    greatest_mass,
-    OptionValues,
-    ROUNDING,
-    stops,
-    strongest,
-)
+from humanopts_learner.planning.arbitration import interruptions, OptionValues, ROUNDING, winners
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.option_models import option_modeller, visited
 from humanopts_learner.planning.request import Execution, PlanError
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import splu
 
@@ -68,43 +61,21 @@ def as_executed(plan: ExactPlan, execution: Execution) -> ExactPlan:
     if execution is Execution.RUN_TO_END:
         return plan
     table = option_values(plan)
+    values = table.option_values, table.continuation_values
     if execution is Execution.INTERRUPTED:
-        stop = interruptions(table)
-        return replace(
-            plan,
-            options=tuple(_ending(option, stop[:, o]) for o, option in enumerate(plan.options)),
-        )
-    winner = winners(table, execution, action_table(plan), plan.domain.over())
-    modules = tuple(_module(option, winner == o) for o, option in enumerate(plan.options))
-    return replace(plan, options=modules, solution=replace(plan.solution, best=winner))
-
-
-def interruptions(table: OptionValues) -> Flags:
-    """Return (S, O): where each option is stopped if it runs."""
-    best = table.option_values.max(axis=1)
-    found = np.empty(table.continuation_values.shape, dtype=np.bool_)
-    for option in range(len(table.names)):
-        running = np.full(len(best), option)
-        found[:, option] = stops(
-            table.continuation_values, best, running, table.interruption_margin
-        )
-    return found
-
-
-def winners(
-    table: OptionValues, execution: Execution, action: Ints, over: Flags
-) -> NDArray[np.int32]:
-    """
-    Return (S,): the index of the option whose action modules take; -1: the task is over.
-
-    :param action: (S, O) action of each option.
-    :param over: (S,) states where the task is over.
-    """
-    if execution is Execution.MODULAR_STRONGEST:
-        option = strongest(table.continuation_values)
-    else:
-        option = greatest_mass(table.option_values, action, int(action.max()) + 1)
-    return np.where(over, -1, option).astype(np.int32)
+        stop = interruptions(*values, table.interruption_margin)
+        ending = [
+            replace(option, termination=option.termination | stop[:, o])
+            for o, option in enumerate(plan.options)
+        ]
+        return replace(plan, options=tuple(ending))
+    found = winners(execution, *values, action_table(plan))
+    winner = np.where(plan.domain.over(), -1, found).astype(np.int32)
+    modules = [
+        replace(option, max_steps=1, initiation=winner == o)
+        for o, option in enumerate(plan.options)
+    ]
+    return replace(plan, options=tuple(modules), solution=replace(plan.solution, best=winner))
 
 
 def action_table(plan: ExactPlan) -> Ints:
@@ -139,16 +110,6 @@ def policy_values(plan: ExactPlan) -> Floats:
             'the policy does not end from everywhere: evaluate it with a gamma below 1'
         ) from error
     return values
-
-
-def _ending(option: TabularOption, stop: Flags) -> TabularOption:
-    """Return an option that ends also where it is stopped."""
-    return replace(option, termination=option.termination | stop)
-
-
-def _module(option: TabularOption, wins: Flags) -> TabularOption:
-    """Return an option of one step that can start where it wins."""
-    return replace(option, max_steps=1, initiation=wins)
 
 
 def _interruption_margin(plan: ExactPlan) -> float:

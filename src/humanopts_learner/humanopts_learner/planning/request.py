@@ -81,6 +81,9 @@ class Execution(StrEnum):
     """
 
 
+MODULAR = (Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST)
+
+
 @dataclass(frozen=True)
 class Sampling:
     """

@@ -5,7 +5,7 @@ from operator import is_
 from humanopts_interfaces.msg import ExecutionState, OptionValues
 from humanopts_learner.library import OptionLibrary, RunnableOption
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.arbiter import Arbiter, make_arbiter
+from humanopts_learner.planning.arbiter import Arbiter
 from humanopts_learner.planning.request import Execution
 from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_ros.node_base import NodeBase
@@ -49,7 +49,7 @@ class Arbitration:
             self._made_for, self._arbiters = (library, options), {}
         if execution not in self._arbiters:
             values = option_values_from_message(self._message)
-            self._arbiters[execution] = make_arbiter(values, execution, library.domain, options)
+            self._arbiters[execution] = Arbiter(values, execution, library.domain, options)
         return self._arbiters[execution]
 
     def options(self, library: OptionLibrary) -> dict[str, RunnableOption]:

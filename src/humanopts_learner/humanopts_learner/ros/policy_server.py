@@ -14,12 +14,12 @@ from humanopts_interfaces.msg import (
     PolicyResult,
 )
 from humanopts_interfaces.srv import ResetGame, RunOption, SetExecution
-from humanopts_learner.execution import execution_named, MODULAR, RunError
+from humanopts_learner.execution import execution_named, RunError
 from humanopts_learner.planning.evaluate import episode_start
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.interruption import option_values
 from humanopts_learner.planning.plan import AnyPlan
-from humanopts_learner.planning.request import Execution, PRIMITIVE
+from humanopts_learner.planning.request import Execution, MODULAR, PRIMITIVE
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_learner.ros.planner_actions import in_thread, MadePlan, PlannerState, STOPS
 from humanopts_ros.node_base import end_goal, NodeBase

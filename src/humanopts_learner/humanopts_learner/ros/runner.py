@@ -17,7 +17,6 @@ from humanopts_interfaces.msg import (
 from humanopts_interfaces.srv import RunOption
 from humanopts_learner.execution import (
     execution_named,
-    MODULAR,
     Modules,
     refusal,
     Run,
@@ -28,7 +27,7 @@ from humanopts_learner.execution import (
 from humanopts_learner.library import OptionLibrary, UnknownOptionError
 from humanopts_learner.options.option import Mode
 from humanopts_learner.planning.arbiter import Arbiter
-from humanopts_learner.planning.request import Execution, PlanError
+from humanopts_learner.planning.request import Execution, MODULAR, PlanError
 from humanopts_learner.ros.arbitration import Arbitration
 from humanopts_learner.ros.convert import end_to_message
 from humanopts_ros.node_base import NodeBase

@@ -25,7 +25,7 @@ class ActionSet:
     ) -> None:
         """Set up an action set; ``options`` are ignored in the set ``primitive``."""
         self.options = () if action_set == PRIMITIVE else tuple(options)
-        self.n_actions = len(domain.actions)
+        self.action_set, self.n_actions = action_set, len(domain.actions)
         self.names = (
             *(option.name for option in self.options),
             *(PRIMITIVE_PREFIX + action.name for action in domain.actions),

@@ -1,7 +1,7 @@
 """Planning from samples: rounds of play, each by the policy of the models so far."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 import time
 from typing import Any
@@ -27,8 +27,6 @@ from humanopts_learner.planning.request import (
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games, Sampler
 from humanopts_learner.planning.sampled.policies import (
-    ArbitratedPolicy,
-    as_executed,
     ExploringPolicy,
     GreedyPolicy,
     Policy,
@@ -57,10 +55,7 @@ class SampledPlan:
     gamma: float
     actions: ActionSet
     solution: Solution
-    policy: GreedyPolicy
-    continuation_values: Floats  # (S, O) where the option cannot start; or -inf
-    execution: Execution  # how it was executed while sampling
-    interruption_margin: float  # reward units; no option is stopped for a smaller gain
+    policy: GreedyPolicy  # executed as it was while sampling
     abstraction: StateAbstraction
     game_steps: int  # that were sampled
     model_seconds: float  # sampling and counting
@@ -94,12 +89,9 @@ class SampledPlan:
         option = int(self.policy.choose(seen).option[0])
         return Decision(self.names[option], option >= self.first_fallback)
 
-    def as_executed(self, execution: Execution | None = None) -> Policy:
+    def as_executed(self, execution: Execution | None = None) -> GreedyPolicy:
         """Return the policy with a way of execution; None: the one it was sampled with."""
-        execution = self.execution if execution is None else execution
-        return as_executed(
-            self.policy, self.continuation_values, execution, self.interruption_margin
-        )
+        return self.policy if execution is None else replace(self.policy, execution=execution)
 
     def play(
         self,
@@ -121,16 +113,7 @@ class SampledPlan:
 
     def option_values(self) -> OptionValues:
         """Return the values for arbitration in the abstract states visited."""
-        order = np.argsort(codes := self.policy.index.codes)
-        return OptionValues(
-            action_set=self.action_set,
-            names=self.names[: self.first_fallback],
-            states=codes[order],
-            option_values=self.policy.values[order],
-            continuation_values=self.continuation_values[order],
-            interruption_margin=self.interruption_margin,
-            sampled=True,
-        )
+        return self.policy.values
 
 
 def make_sampled_plan(
@@ -182,10 +165,7 @@ def make_sampled_plan(
         gamma=asked.gamma,
         actions=actions,
         solution=estimate.solution,
-        policy=estimate.policy,
-        continuation_values=estimate.continuation_values,
-        execution=asked.execution,
-        interruption_margin=config.interruption_margin,
+        policy=replace(estimate.policy, execution=asked.execution),
         abstraction=abstraction,
         game_steps=game_steps,
         model_seconds=model_seconds,
@@ -198,7 +178,6 @@ class _Estimate:
 
     solution: Solution
     policy: GreedyPolicy
-    continuation_values: Floats  # (S, O)
 
     def __init__(
         self,
@@ -226,9 +205,9 @@ class _Estimate:
 
     def exploring(self, execution: Execution) -> ExploringPolicy:
         """Return the policy for sampling, without an interruption margin."""
-        policy = as_executed(self.policy, self.continuation_values, execution, 0.0)
-        arbitrated = policy if isinstance(policy, ArbitratedPolicy) else None
-        return ExploringPolicy(self.policy, self._config.explore, arbitrated)
+        values = replace(self.policy.values, interruption_margin=0.0)
+        policy = replace(self.policy, values=values, execution=execution)
+        return ExploringPolicy(policy, self._config.explore)
 
     def _shrunk(self, values: Floats) -> Floats:
         """Return the values of the options that can be chosen, shrunk if ``shrinkage`` is set."""
@@ -245,9 +224,23 @@ class _Estimate:
         option_values, others = self._shrunk(values), values[:, self._actions.first_fallback :]
         if n_options := len(self._actions.options):
             option_values[:, n_options:] -= self._config.primitive_penalty
-        self.policy = GreedyPolicy(self._actions, self._counts.index.snapshot(), option_values)
-        self.continuation_values = np.full(option_values.shape, -np.inf)
-        self.continuation_values[:, : others.shape[1]] = others
+        continuation_values = np.full(option_values.shape, -np.inf)
+        continuation_values[:, : others.shape[1]] = others
+        codes = self._counts.index.codes
+        order = np.argsort(codes)
+        self.solution = replace(
+            self.solution, values=self.solution.values[order], best=self.solution.best[order]
+        )
+        table = OptionValues(
+            action_set=self._actions.action_set,
+            names=self._actions.names[: self._actions.first_fallback],
+            states=codes[order],
+            option_values=option_values[order],
+            continuation_values=continuation_values[order],
+            interruption_margin=self._config.interruption_margin,
+            sampled=True,
+        )
+        self.policy = GreedyPolicy(self._actions, table)
 
 
 def _values(model: SparseMultiTimeModel, values: Floats) -> Floats:

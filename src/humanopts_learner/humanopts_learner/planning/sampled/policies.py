@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
-from humanopts_env.arrays import Flags, Ints
-from humanopts_learner.planning.arbitration import greatest_mass, stops, strongest
-from humanopts_learner.planning.request import Execution
+from humanopts_env.arrays import Flags, Floats, Ints
+from humanopts_learner.planning.arbitration import interruptions, OptionValues, winners
+from humanopts_learner.planning.request import Execution, MODULAR
 from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.sampled_models import StateIndex
 from humanopts_learner.planning.sampled.state_abstraction import Observation
 import numpy as np
 from numpy.typing import NDArray
@@ -34,17 +33,9 @@ class Policy(Protocol):
         ...
 
 
-class RunningToEnd:
-    """A policy that never stops a running option."""
-
-    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
-        """Return False for every game."""
-        return np.zeros(len(option), dtype=np.bool_)
-
-
 @dataclass(frozen=True)
-class UniformPolicy(RunningToEnd):
-    """Any option that can start, all with the same probability."""
+class UniformPolicy:
+    """Any option that can start, all with the same probability; each runs to its end."""
 
     actions: ActionSet
 
@@ -56,38 +47,72 @@ class UniformPolicy(RunningToEnd):
         option = np.where(none, self.actions.fallback(seen.rows), option)
         return Choice(option, np.zeros(len(option), dtype=np.bool_))
 
+    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
+        """Return False for every game."""
+        return np.zeros(len(option), dtype=np.bool_)
+
 
 @dataclass(frozen=True)
-class GreedyPolicy(RunningToEnd):
+class GreedyPolicy:
     """
     The option of the greatest value among those that can start and were sampled enough.
 
     Where none of those that can start was, it is the option that is the best in most states.
+
+    :ivar values: of the abstract states visited; continuation values where the option cannot
+        start. Where it can, going on is worth as much as choosing it.
+    :ivar execution: of the policy; nothing is drawn in any.
     """
 
     actions: ActionSet
-    index: StateIndex
-    values: NDArray[np.float64]  # (S, O), -inf where not available
+    values: OptionValues
+    execution: Execution = Execution.RUN_TO_END
 
     @cached_property
     def preference(self) -> NDArray[np.int64]:
         """(O,) number of states in which each option is the best."""
-        known = np.isfinite(self.values).any(axis=1)
-        best = self.values[known].argmax(axis=1)
+        values = self.values.option_values
+        best = values[np.isfinite(values).any(axis=1)].argmax(axis=1)
         return np.bincount(best, minlength=self.actions.first_fallback)
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
         """Return the next option in each game."""
-        return self.choose(seen)
+        return self.decide(seen)
+
+    def decide(self, seen: Observation) -> Choice:
+        """Return the next option in each game; of modules the one that acts for a step."""
+        can = self.actions.startable(seen.rows)
+        option_values, continuation_values = self._values(seen, can)
+        choice = self._choose(seen, can, option_values)
+        if self.execution not in MODULAR:
+            return choice
+        strongest = self.execution is Execution.MODULAR_STRONGEST
+        competing = continuation_values if strongest else option_values
+        known = np.isfinite(competing).any(axis=1)
+        each = [np.full(len(can), o) for o in range(self.actions.first_fallback)]
+        action = np.stack([self.actions.actions(seen, option) for option in each], axis=1)
+        winner = winners(self.execution, option_values, continuation_values, action)
+        return Choice(np.where(known, winner, choice.option), choice.unknown & ~known)
 
     def choose(self, seen: Observation) -> Choice:
-        """Return the next option in each game, without random draws."""
-        return self.choose_among(seen, self.actions.startable(seen.rows))
+        """Return the option of the greatest value in each game, whatever the execution."""
+        can = self.actions.startable(seen.rows)
+        return self._choose(seen, can, self._values(seen, can)[0])
 
-    def choose_among(self, seen: Observation, can: Flags) -> Choice:
-        """Return the next option in each game, among those that can start there (N, O)."""
-        number, visited = self.index.find(seen.states)
-        values = np.where(can & visited[:, None], self.values[number], -np.inf)
+    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
+        """Return (N,): whether the running option is stopped; modules run for one step."""
+        if self.execution in MODULAR:
+            return option >= 0
+        if self.execution is Execution.RUN_TO_END or not (option >= 0).any():
+            return np.zeros(len(option), dtype=np.bool_)
+        values = self._values(seen, self.actions.startable(seen.rows))
+        stopped = interruptions(*values, self.values.interruption_margin)
+        running = (option >= 0) & (option < stopped.shape[1])
+        found: Flags = running & stopped[np.arange(len(option)), np.where(running, option, 0)]
+        return found
+
+    def _choose(self, seen: Observation, can: Flags, values: Floats) -> Choice:
+        """Return the best option by its values (N, O), among those that can start there (N, O)."""
         known = np.isfinite(values).any(axis=1)
         option = np.where(
             known, values.argmax(axis=1), np.where(can, self.preference, -1).argmax(axis=1)
@@ -96,75 +121,14 @@ class GreedyPolicy(RunningToEnd):
         option = np.where(some, option, self.actions.fallback(seen.rows))
         return Choice(option, some & ~known)
 
-
-@dataclass(frozen=True)
-class ArbitratedPolicy:
-    """
-    A greedy policy whose options are interrupted, or run as modules.
-
-    :ivar continuation_values: (S, O) value of continuing each option where it cannot start; where
-        it can start, the value of choosing it. -inf where not available.
-    :ivar execution: not RUN_TO_END.
-    :ivar interruption_margin: options are stopped only for a larger gain, reward units.
-    """
-
-    greedy: GreedyPolicy
-    continuation_values: NDArray[np.float64]
-    execution: Execution
-    interruption_margin: float
-
-    def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        """Return the next option in each game."""
-        choice = self.greedy.choose(seen)
-        if self.execution is Execution.INTERRUPTED:
-            return choice
-        actions = self.greedy.actions
-        values = self._values(seen, actions.startable(seen.rows))
-        known = np.isfinite(values).any(axis=1)
-        if self.execution is Execution.MODULAR_STRONGEST:
-            winner = strongest(values)
-        else:
-            winner = greatest_mass(values, self._actions(seen), actions.n_actions)
-        return Choice(np.where(known, winner, choice.option), choice.unknown & ~known)
-
-    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
-        """Return (N,): whether the running option is stopped; modules run for one step."""
-        if self.execution is not Execution.INTERRUPTED:
-            return option >= 0
-        if not (option >= 0).any():
-            return np.zeros(len(option), dtype=np.bool_)
-        can = self.greedy.actions.startable(seen.rows)
-        values, choice = self._values(seen, can), self.greedy.choose_among(seen, can)
-        option = np.where(option < values.shape[1], option, -1)
-        modelled = choice.option < values.shape[1]
-        best = values[np.arange(len(option)), np.where(modelled, choice.option, 0)]
-        return stops(values, np.where(modelled, best, -np.inf), option, self.interruption_margin)
-
-    def _values(self, seen: Observation, can: Flags) -> NDArray[np.float64]:
-        """Return (N, O): the values that options compete with; -inf: unavailable or unknown."""
-        number, visited = self.greedy.index.find(seen.states)
-        found = np.where(can, self.greedy.values[number], -np.inf)
-        if self.execution is not Execution.MODULAR_MASS:
-            found = np.where(can, found, self.continuation_values[number])
-        return np.where(visited[:, None], found, -np.inf)
-
-    def _actions(self, seen: Observation) -> Ints:
-        """Return (N, O): the primitive action of each option."""
-        actions = self.greedy.actions
-        each = [np.full(len(seen.states), o) for o in range(actions.first_fallback)]
-        return np.stack([actions.actions(seen, option) for option in each], axis=1)
-
-
-def as_executed(
-    greedy: GreedyPolicy,
-    continuation_values: NDArray[np.float64],
-    execution: Execution,
-    interruption_margin: float,
-) -> GreedyPolicy | ArbitratedPolicy:
-    """Return a policy with a way of execution; parameters as in ``ArbitratedPolicy``."""
-    if execution is Execution.RUN_TO_END:
-        return greedy
-    return ArbitratedPolicy(greedy, continuation_values, execution, interruption_margin)
+    def _values(self, seen: Observation, can: Flags) -> tuple[Floats, Floats]:
+        """Return option and continuation values (N, O); -inf: not available, or not known."""
+        number, visited = self.values.find(seen.states)
+        option_values = np.where(
+            can & visited[:, None], self.values.option_values[number], -np.inf
+        )
+        going_on = np.where(visited[:, None], self.values.continuation_values[number], -np.inf)
+        return option_values, np.where(can, option_values, going_on)
 
 
 @dataclass(frozen=True)
@@ -173,18 +137,17 @@ class ExploringPolicy:
 
     greedy: GreedyPolicy
     share: float  # of decisions that explore
-    arbitrated: ArbitratedPolicy | None = None  # how it is executed; None: run to the end
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
         """Return the next option in each game."""
-        best = (self.arbitrated or self.greedy)(seen, rng)
+        best = self.greedy.decide(seen)
         free = UniformPolicy(self.greedy.actions)(seen, rng)
         explore = rng.random(len(best.option)) < self.share
         return Choice(np.where(explore, free.option, best.option), best.unknown)
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
         """Return (N,): whether the running option is stopped."""
-        if self.arbitrated is None:
-            return self.greedy.stops(seen, option, rng)
-        stop = self.arbitrated.stops(seen, option, rng)
+        stop = self.greedy.stops(seen, option, rng)
+        if self.greedy.execution is Execution.RUN_TO_END:
+            return stop
         return stop & (rng.random(len(option)) >= self.share)

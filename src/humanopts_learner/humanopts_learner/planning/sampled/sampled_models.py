@@ -7,7 +7,6 @@ the *advantage* of an option (its value less that of the best one) towards its m
 that differ in such context only, as an empirical Bayes estimate would be (Efron and Morris 1973).
 """
 
-from copy import copy
 from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Ints
@@ -33,30 +32,14 @@ class Samples:
 class StateIndex:
     """Numbers abstract states in the order of their first visit."""
 
-    def __init__(self, codes: Codes | None = None) -> None:
-        """
-        Begin with some abstract states.
-
-        :param codes: (S,) ascending; None: none.
-        """
-        self._sorted = np.empty(0, dtype=np.int64) if codes is None else codes
-        self._number = np.arange(len(self._sorted))
+    def __init__(self) -> None:
+        """Begin without states."""
+        self._sorted = np.empty(0, dtype=np.int64)
+        self._number = np.empty(0, dtype=np.intp)
 
     def __len__(self) -> int:
         """Return the number of states."""
         return len(self._sorted)
-
-    def snapshot(self) -> 'StateIndex':
-        """Return a copy that does not grow with this one."""
-        return copy(self)  # the arrays are never changed in place
-
-    def find(self, codes: Codes) -> tuple[Ints, Flags]:
-        """Return each code's state number (N,), 0 where it has none, and (N,) whether it has."""
-        if not len(self._sorted):
-            return np.zeros(len(codes), dtype=np.intp), np.zeros(len(codes), dtype=np.bool_)
-        at = np.minimum(np.searchsorted(self._sorted, codes), len(self._sorted) - 1)
-        seen = self._sorted[at] == codes
-        return np.where(seen, self._number[at], 0), seen
 
     @property
     def codes(self) -> Codes:
@@ -66,12 +49,13 @@ class StateIndex:
     def add(self, codes: Codes) -> Ints:
         """Return each code's state number (N,), and number the new ones."""
         unique, inverse = np.unique(codes, return_inverse=True)
-        new = unique[~self.find(unique)[1]]
+        new = np.setdiff1d(unique, self._sorted, assume_unique=True)
         numbers = np.concatenate([self._number, len(self) + np.arange(len(new))])
         merged = np.concatenate([self._sorted, new])
         order = np.argsort(merged, kind='stable')
         self._sorted, self._number = merged[order], numbers[order]
-        return self.find(unique)[0][inverse]
+        found: Ints = self._number[np.searchsorted(self._sorted, unique)][inverse]
+        return found
 
 
 class SampleCounts:
