@@ -17,7 +17,7 @@ Intra-option learning ignores the step limits of options, which depend on more t
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -154,126 +154,84 @@ def learn(
             f'cannot learn with {len(rates)} learners in {settings.episodes} episodes of {limit} '
             'steps: each must be 1 or more'
         )
-    in_force = replace(settings, gamma=settings.gamma or domain.gamma, max_steps=limit)
+    gamma, episodes, count = settings.gamma or domain.gamma, settings.episodes, len(rates)
     rng = generator(seed, 'qlearning', settings.method.value)
-    learners = _Learners(domain, options, rates, in_force, rng)
+    simulator = TabularSimulator(domain.transitions(), domain.over())
+    starts = domain.start_states().astype(np.intp)
+    rate = np.array([one.learning_rate for one in rates])
+    explore = np.array([one.explore for one in rates])
+    steps, returns = np.zeros((count, episodes), dtype=np.intp), np.zeros((count, episodes))
+    values = np.zeros((count, domain.n_states, len(options.names)))
+    live = np.arange(count)  # learners that go on
+    episode = np.zeros(count, dtype=np.intp)
+    state = rng.choice(starts, count)
+    option = np.full(count, -1, dtype=np.intp)  # running; -1: to be decided
+    begun = np.zeros(count, dtype=np.intp)  # state in which the option began
+    ran = np.zeros(count, dtype=np.intp)  # its steps so far
+    gained, discount = np.zeros(count), np.ones(count)  # since it began; gamma**ran
     rounds = 0
-    while learners.live.size:
-        learners.decide()
-        learners.step()
+    while live.size:
+        free = live[option[live] < 0]
+        option[free] = _choose(values[free, state[free]], options, state[free], explore[free], rng)
+        begun[free], ran[free], gained[free], discount[free] = state[free], 0, 0.0, 1.0
+
+        here, running = state[live], option[live]
+        action = options.action[running, here]
+        there, reward, over = simulator.step(here, action, simulator.draw(rng, len(live)))
+        at = live, episode[live]
+        steps[at] += 1
+        returns[at] += reward
+        gained[live] += discount[live] * reward
+        discount[live] *= gamma
+        ran[live] += 1
+        out_of_time = steps[at] >= limit
+        ended = over | out_of_time | options.ends[running, there]
+        ended |= ran[live] >= options.limits[running]
+
+        can = options.available[there]
+        best = np.where(can, values[live, there], -np.inf).max(axis=1)
+        ahead = np.where(over | ~can.any(axis=1), 0.0, best)
+        if settings.method is Method.SMDP:
+            learner = live[ended]
+            goal = gained[learner] + discount[learner] * ahead[ended]
+            at_option = learner, begun[learner], option[learner]
+        else:  # all options that would have done the same
+            game, same = np.nonzero(action[:, None] == options.action[:, here].T)
+            learner = live[game]
+            onward = np.where(over[game], 0.0, values[learner, there[game], same])
+            goes = np.where(options.ends[same, there[game]], ahead[game], onward)
+            goal = reward[game] + gamma * goes
+            at_option = learner, here[game], same
+        values[at_option] += rate[learner] * (goal - values[at_option])
+
+        state[live] = there
+        option[live[ended]] = -1
+        over_now = live[over | out_of_time]
+        episode[over_now] += 1
+        state[over_now] = rng.choice(starts, len(over_now))
+        live = live[episode[live] < episodes]
         rounds += 1
         if progress is not None and rounds % REPORT_EVERY == 0:
-            progress(learners.done)
+            progress(float(episode.sum()) / steps.size)
     if progress is not None:
         progress(1.0)
-    return learners.result
+    return Learning(steps, returns, values)
 
 
-class _Learners:
-    """N learners, each in an episode of its own; ``live`` are those that go on."""
+def _choose(
+    values: Floats, options: OptionTable, state: Ints, explore: Floats, rng: np.random.Generator
+) -> Ints:
+    """
+    Return an option (n,) for each of some learners: the best, any of equals, or now and then any.
 
-    def __init__(
-        self,
-        domain: EnumerableDomain[Any],
-        options: OptionTable,
-        rates: Sequence[Rates],
-        settings: Settings,
-        rng: np.random.Generator,
-    ) -> None:
-        self._simulator = TabularSimulator(domain.transitions(), domain.over())
-        self._starts, self._options = domain.start_states().astype(np.intp), options
-        self._settings, self._rng = settings, rng
-        count, episodes = len(rates), settings.episodes
-        self._rate = np.array([rate.learning_rate for rate in rates])
-        self._explore = np.array([rate.explore for rate in rates])
-        self.live = np.arange(count)
-        self.result = Learning(
-            np.zeros((count, episodes), dtype=np.intp),
-            np.zeros((count, episodes)),
-            np.zeros((count, domain.n_states, len(options.names))),
-        )
-        self._episode = np.zeros(count, dtype=np.intp)
-        self._state = rng.choice(self._starts, count)
-        self._option = np.full(count, -1, dtype=np.intp)  # running; -1: to be decided
-        self._begun = np.zeros(count, dtype=np.intp)  # state in which it began
-        self._ran = np.zeros(count, dtype=np.intp)  # its steps so far
-        self._gained = np.zeros(count)  # discounted reward since it began
-        self._discount = np.ones(count)  # gamma**ran
-
-    @property
-    def done(self) -> float:
-        """Share of the episodes that are over."""
-        return float(self._episode.sum()) / self.result.steps.size
-
-    def decide(self) -> None:
-        """Begin an option wherever none runs: the best, any of equals, or now and then any."""
-        free = self.live[self._option[self.live] < 0]
-        state = self._state[free]
-        can = self._options.available[state]
-        values = np.where(can, self.result.values[free, state], -np.inf)
-        best = values == values.max(axis=1, keepdims=True)
-        explore = self._rng.random(len(free)) < self._explore[free]
-        self._option[free] = draw_among(can & (best | explore[:, None]), self._rng)
-        self._begun[free], self._ran[free] = state, 0
-        self._gained[free], self._discount[free] = 0.0, 1.0
-
-    def step(self) -> None:
-        """Take one primitive step in every episode that goes on, and learn."""
-        live, state, option = self.live, self._state[self.live], self._option[self.live]
-        action = self._options.action[option, state]
-        there, reward, over = self._simulator.step(
-            state, action, self._simulator.draw(self._rng, len(state))
-        )
-        out_of_time = self._count(reward)
-        ended = over | out_of_time | self._options.ends[option, there]
-        ended |= self._ran[live] >= self._options.limits[option]
-        ahead = np.where(over, 0.0, self._best(live, there))
-        if self._settings.method is Method.SMDP:
-            self._learn_of_runs(live[ended], ahead[ended])
-        else:
-            self._learn_of_steps(state, action, reward, there, over, ahead)
-        self._state[live] = there
-        self._option[live[ended]] = -1
-        self._begin_again(live[over | out_of_time])
-
-    def _count(self, reward: Floats) -> Flags:
-        """Count a step and its reward; return which episodes (n,) are cut off with it."""
-        live, result = self.live, self.result
-        at = live, self._episode[live]
-        result.steps[at] += 1
-        result.returns[at] += reward
-        self._gained[live] += self._discount[live] * reward
-        self._discount[live] *= self._settings.gamma
-        self._ran[live] += 1
-        cut: Flags = result.steps[at] >= self._settings.max_steps
-        return cut
-
-    def _best(self, live: Ints, state: Ints) -> Floats:
-        """Return (n,): the value of the best available option; 0 where there is none."""
-        can = self._options.available[state]
-        values = np.where(can, self.result.values[live, state], -np.inf).max(axis=1)
-        return np.where(can.any(axis=1), values, 0.0)
-
-    def _learn_of_runs(self, ended: Ints, ahead: Floats) -> None:
-        at = ended, self._begun[ended], self._option[ended]
-        goal = self._gained[ended] + self._discount[ended] * ahead
-        self.result.values[at] += self._rate[ended] * (goal - self.result.values[at])
-
-    def _learn_of_steps(
-        self, state: Ints, action: Ints, reward: Floats, there: Ints, over: Flags, ahead: Floats
-    ) -> None:
-        game, option = np.nonzero(action[:, None] == self._options.action[:, state].T)
-        learner = self.live[game]
-        values, ends = self.result.values, self._options.ends[option, there[game]]
-        onward = np.where(over[game], 0.0, values[learner, there[game], option])
-        goal = reward[game] + self._settings.gamma * np.where(ends, ahead[game], onward)
-        at = learner, state[game], option
-        values[at] += self._rate[learner] * (goal - values[at])
-
-    def _begin_again(self, ended: Ints) -> None:
-        self._episode[ended] += 1
-        self._state[ended] = self._rng.choice(self._starts, len(ended))
-        self.live = self.live[self._episode[self.live] < self.result.steps.shape[1]]
+    :param values: (n, O) in their states.
+    :param explore: (n,) share of decisions that are drawn from all that is available.
+    """
+    can = options.available[state]
+    values = np.where(can, values, -np.inf)
+    best = values == values.max(axis=1, keepdims=True)
+    explores = rng.random(len(state)) < explore
+    return draw_among(can & (best | explores[:, None]), rng)
 
 
 def drawn_rates(seed: int, count: int) -> list[Rates]:

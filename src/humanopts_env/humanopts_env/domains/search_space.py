@@ -15,7 +15,6 @@ from typing import Any
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import (
     BoardSlice,
-    DomainError,
     EnumerableDomain,
     feature_columns,
     Transitions,
@@ -51,40 +50,6 @@ class SearchSpace:
     def starts(self) -> Ints:
         """The states in which tasks begin."""
         return np.flatnonzero(self.open)
-
-    def states_of(self, rows: NDArray[np.int32]) -> Ints:
-        """
-        Return (N,): the state of this space that each of N games is in.
-
-        :param rows: (N, F) features of the games.
-        :raises DomainError: two states have equal features, or a game's features fit no state.
-        """
-        known, states = self._by_features
-        values = rows[:, list(self.columns)]
-        keys = np.minimum(values, self._sizes - 1) @ self._radix
-        at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
-        if (values >= self._sizes).any() or (known[at] != keys).any():
-            raise DomainError('the features of a game fit no state of the search space')
-        found: Ints = states[at]
-        return found
-
-    @cached_property
-    def _sizes(self) -> NDArray[np.int64]:
-        sizes: NDArray[np.int64] = self.rows[:, list(self.columns)].max(axis=0).astype(np.int64)
-        return sizes + 1
-
-    @cached_property
-    def _radix(self) -> NDArray[np.int64]:
-        return np.cumprod([1, *self._sizes[:-1]], dtype=np.int64)
-
-    @cached_property
-    def _by_features(self) -> tuple[NDArray[np.int64], Ints]:
-        """Sorted keys of the states' features, and the states in that order."""
-        keys = self.rows[:, list(self.columns)] @ self._radix
-        known, states = np.unique(keys, return_index=True)
-        if len(known) < len(keys):
-            raise DomainError('features do not tell the states of the search space apart')
-        return known, states
 
 
 def space_of_states(domain: EnumerableDomain[Any]) -> SearchSpace:
