@@ -17,7 +17,7 @@ from humanopts_teach.bags.contents import read_episodes
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.commands.options import LaunchOptions
-from humanopts_teach.commands.session import check_setup, default_folder, setup_from
+from humanopts_teach.commands.session import check_folder, default_folder, setup_from
 from humanopts_teach.launching.processes import Setup
 from mcap.writer import Writer
 import pexpect
@@ -208,7 +208,7 @@ def test_output_folder_without_room_is_refused(
 
 def test_trying_the_output_folder_leaves_the_users_files_alone(tmp_path: Path) -> None:
     (tmp_path / '.probe').write_text('precious')
-    check_setup(Setup('taxi', tmp_path))
+    check_folder(Setup('taxi', tmp_path))
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [
         ('.probe', 'precious')
     ]
@@ -224,7 +224,7 @@ def test_demo_refuses_a_folder_that_holds_something(
 
 def test_thresholds_are_those_of_the_domain_but_for_those_given() -> None:
     def chosen(domain: str, given: LaunchOptions) -> Thresholds:
-        return setup_from(domain, given, Path('runs')).thresholds
+        return setup_from(domain, given).thresholds
 
     assert chosen('taxi', LaunchOptions()) == Thresholds()
     assert chosen('pacman', LaunchOptions()) == Thresholds(return_delta=10.0)

@@ -5,27 +5,29 @@ The work is imported when a command runs, so that help and completion are quick.
 """
 
 from collections.abc import Sequence
+from functools import partial
 import importlib
 from importlib.metadata import version
 from importlib.util import find_spec
 import os
-from pathlib import Path
 import sys
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from humanopts_teach.bags.errors import BagError
+from humanopts_teach.commands.bag import app as bag_app
 from humanopts_teach.commands.ending import CommandError, interruptible
 from humanopts_teach.commands.options import (
+    CommandGroup,
     LaunchOptions,
-    number,
     PLAIN,
+    several_games,
     share,
     whole,
     with_launch_options,
 )
 from humanopts_teach.launching import LaunchError
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand
 
 NAME = 'humanopts'
 COMPLETE = '_HUMANOPTS_COMPLETE'  # set by the shell, for a list of completions
@@ -34,7 +36,7 @@ OUTSIDE = {  # commands of the repository: the module that has the Typer app, an
     'reproduce': ('experiments.command', "the paper's figures and tables, computed again"),
 }
 
-speed = number('from 1/16 to 64', lambda value: 1 / 16 <= value <= 64)
+_WATCHED = 0.15  # s between steps of the machine, while a person looks on
 
 
 class OutsideCommand(TyperCommand):
@@ -49,43 +51,31 @@ class OutsideCommand(TyperCommand):
         return command.make_context(info_name, args, *others, **more)
 
 
-class Commands(TyperGroup):
-    """The commands; unknown ones are refused with the names of those that there are."""
+class Commands(CommandGroup):
+    """All commands, those of the repository too where it is there."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        if self.name == NAME:
-            for name, (module, text) in OUTSIDE.items():
-                if find_spec(module.partition('.')[0]):
-                    self.add_command(OutsideCommand(name, help=text))
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command that the first word names."""
-        if not args[0].startswith('-') and args[0] not in self.commands:
-            ctx.fail(f'there is no command {args[0]!r}; there are {", ".join(self.commands)}')
-        return super().resolve_command(ctx, args)
+        for name, (module, text) in OUTSIDE.items():
+            if find_spec(module.partition('.')[0]):
+                self.add_command(OutsideCommand(name, help=text))
 
 
-SETTINGS: dict[str, Any] = {**PLAIN, 'cls': Commands, 'subcommand_metavar': 'COMMAND ...'}
-app = typer.Typer(**{**SETTINGS, 'add_completion': True}, name=NAME)
-bag_app = typer.Typer(**SETTINGS)
-app.add_typer(bag_app, name='bag', help='look into a recorded bag, no ROS needed')
+app = typer.Typer(
+    **{**PLAIN, 'add_completion': True},
+    name=NAME,
+    cls=Commands,
+    subcommand_metavar='COMMAND ...',
+)
+app.add_typer(bag_app, name='bag')
 
 DomainArgument = Annotated[str, typer.Argument(metavar='DOMAIN')]
-BagArgument = Annotated[Path, typer.Argument(metavar='BAG', help='a rosbag2 folder or .mcap file')]
-Json = Annotated[bool, typer.Option('--json', help='print JSON')]
 
 
 def _version(asked: bool) -> None:
     if asked:
         print(version('humanopts_teach'))
         raise typer.Exit
-
-
-def _games(count: int) -> int:
-    if count == 1:
-        raise typer.BadParameter('one game has no interval; give 0, or 2 or more')
-    return count
 
 
 @app.callback()
@@ -97,7 +87,7 @@ def humanopts(
     """Teach options to a game-playing agent, and plan with them."""
 
 
-@app.command(help='the whole graph with a simulated teacher: bag, options, report')
+@app.command()
 @with_launch_options
 def demo(
     launch: LaunchOptions,
@@ -115,7 +105,7 @@ def demo(
         typer.Option(
             parser=whole(0),
             metavar='N',
-            callback=_games,
+            callback=several_games,
             help='that each way to play is judged by where plans are made from samples; 0: leave '
             'the comparison out',
         ),
@@ -129,26 +119,42 @@ def demo(
         ),
     ] = 0.02,
 ) -> int:
-    """Teach, plan, play, evaluate the bag and report."""
+    """Run the whole graph with a simulated teacher: bag, options, report."""
     from humanopts_teach.commands.demo import run_demo
 
     return run_demo(domain, launch, episodes, games, error_rate)
 
 
-@app.command(help='launch the nodes and stay until Ctrl-C')
+@app.command()
 @with_launch_options
 def up(
     launch: LaunchOptions,
     domain: DomainArgument,
     no_record: Annotated[bool, typer.Option('--no-record', help='do not write a bag')] = False,
 ) -> int:
-    """Launch the nodes and stay."""
-    from humanopts_teach.commands.launch import stay_up
+    """Launch the nodes and stay until Ctrl-C."""
+    from humanopts_teach.commands.session import check_folder, new_name, session, setup_from
+    from humanopts_teach.launching.processes import RECORDER
 
-    return stay_up(domain, launch, record=not no_record)
+    setup = setup_from(domain, launch, bag_name=new_name('bags/up'), record=not no_record)
+    check_folder(setup)
+    running = None
+    try:
+        with session(setup, launch.namespace) as running:
+            print('ready: ' + ', '.join(running.launcher.node_names))
+            print(f'logs and data in {setup.directory}; Ctrl-C stops everything', flush=True)
+            check = partial(running.launcher.check, RECORDER)
+            try:
+                running.graph.stay(check, partial(print, file=sys.stderr, flush=True))
+            except KeyboardInterrupt:
+                running.check_recording()
+                raise
+    except KeyboardInterrupt:
+        print('stopped')
+    return 1 if running is not None and running.unclean else 0
 
 
-@app.command(help="launch, and teach from this terminal's keyboard")
+@app.command()
 @with_launch_options
 def teach(
     launch: LaunchOptions,
@@ -160,118 +166,31 @@ def teach(
         ),
     ] = 'p1',
 ) -> int:
-    """Launch the graph and give the terminal to the person."""
-    from humanopts_teach.commands.launch import teach_here
+    """Launch, and teach from this terminal's keyboard."""
+    from humanopts_teach.commands.session import check_folder, new_name, session, setup_from
+    from humanopts_teach.lesson.store import CODE, CODE_RULE
 
-    return teach_here(domain, launch, participant)
-
-
-@bag_app.callback()
-def bag() -> None:
-    """Look into a recorded bag."""
-
-
-@bag_app.command(help='what a bag holds, and what of it was lost')
-def info(bag: BagArgument, json: Json = False) -> int:
-    """Show what a bag holds."""
-    from humanopts_teach.commands.bag import show_info
-
-    return show_info(bag, as_json=json)
-
-
-@bag_app.command(help='what of a bag is damaged or missing; status 1: something is')
-def check(
-    bag: BagArgument,
-    repair: Annotated[
-        Path | None,
-        typer.Option(metavar='OUT', help='write all that can be saved to this new folder'),
-    ] = None,
-    json: Json = False,
-) -> int:
-    """Check a bag, and repair it where that is asked."""
-    from humanopts_teach.commands.bag import check
-
-    return check(bag, repair, as_json=json)
-
-
-@bag_app.command('eval', help='learn every option again from the bag alone')
-def evaluate(
-    bags: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar='BAG', help='rosbag2 folders or .mcap files; each of several by itself'
-        ),
-    ],
-    html: Annotated[
-        Path | None, typer.Option(metavar='FILE', help='write a report to this file')
-    ] = None,
-    games: Annotated[
-        int,
-        typer.Option(
-            parser=whole(0),
-            metavar='N',
-            callback=_games,
-            show_default=False,
-            help='also compare plans with random play and a hand-written rule in so many games '
-            'each, where plans are made from samples; takes minutes; default: not',
-        ),
-    ] = 0,
-    json: Json = False,
-) -> int:
-    """Evaluate bags, and report on one."""
-    from humanopts_teach.commands.bag_evaluation import evaluate
-
-    return evaluate(bags, html, games, as_json=json)
-
-
-@bag_app.command(help='what differs between two lessons; status 1: it does')
-def diff(
-    a: Annotated[Path, typer.Argument(metavar='A', help='a rosbag2 folder or .mcap file')],
-    b: Annotated[Path, typer.Argument(metavar='B', help='another one')],
-    json: Json = False,
-) -> int:
-    """Compare two bags."""
-    from humanopts_teach.commands.bag_evaluation import show_differences
-
-    return show_differences(a, b, as_json=json)
-
-
-@bag_app.command(help='an episode again, as text, in this terminal')
-def play(
-    bag: BagArgument,
-    episode: Annotated[
-        int,
-        typer.Option(parser=whole(1), metavar='N', help='counted from the first in the bag'),
-    ] = 1,
-    speed: Annotated[
-        float,
-        typer.Option(
-            parser=speed, metavar='X', help='1 is two steps a second, 2 is twice as fast'
-        ),
-    ] = 1.0,
-) -> int:
-    """Play an episode."""
-    from humanopts_teach.commands.bag import play
-
-    return play(bag, episode, speed)
-
-
-@bag_app.command(help='tables or a dataset for other tools')
-def export(
-    bag: BagArgument,
-    to: Annotated[
-        Literal['csv', 'parquet', 'minari', 'files'],
-        typer.Option(
-            help='parquet needs pyarrow; minari needs minari[arrow]; files are those attached to '
-            'the bag, such as option files'
-        ),
-    ],
-    out: Annotated[Path, typer.Option(metavar='DIR', help='folder for the files')],
-) -> int:
-    """Write a bag for other tools."""
-    from humanopts_teach.commands.bag_export import export
-
-    return export(bag, to, out)
+    if not CODE.fullmatch(participant):
+        raise CommandError(f'--participant {participant!r} is not a code: {CODE_RULE}')
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise CommandError('teaching needs a terminal for input and output')
+    setup = setup_from(
+        domain,
+        launch,
+        bag_name=new_name('bags/teach'),
+        participant=participant,
+        keyboard=True,
+        step_period=_WATCHED,
+    )
+    check_folder(setup)
+    print('starting ...', flush=True)
+    with session(setup, launch.namespace) as running:
+        status = running.launcher.run_terminal()
+        print(f'demonstrations and options are in {setup.directory}')
+        print(f'the bag is {setup.bag}')
+        running.graph.catch_up()
+        running.check_recording()
+    return status or (1 if running.unclean else 0)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

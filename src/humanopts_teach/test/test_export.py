@@ -18,10 +18,15 @@ from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main
-from humanopts_teach.export import files
-from humanopts_teach.export.files import ExportError, write_csv, write_parquet
+from humanopts_teach.export import tables as export_tables
 from humanopts_teach.export.minari_dataset import dataset_name, FOLDER, write_dataset
-from humanopts_teach.export.tables import bag_tables, Table
+from humanopts_teach.export.tables import (
+    bag_tables,
+    ExportError,
+    Table,
+    write_csv,
+    write_parquet,
+)
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
@@ -178,7 +183,7 @@ def test_parquet_files_hold_the_tables(
     tmp_path: Path, bag: Bag, monkeypatch: pytest.MonkeyPatch, rows: int
 ) -> None:
     parquet = pytest.importorskip('pyarrow.parquet')
-    monkeypatch.setattr(files, 'BATCH', rows)
+    monkeypatch.setattr(export_tables, 'BATCH', rows)
     found = columns(bag_tables(bag))
     for path in write_parquet(bag_tables(bag), tmp_path):
         assert parquet.read_table(path).to_pydict() == found[path.stem]
@@ -188,7 +193,7 @@ def test_a_parquet_column_may_begin_with_many_unknown_values(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parquet = pytest.importorskip('pyarrow.parquet')
-    monkeypatch.setattr(files, 'BATCH', 2)
+    monkeypatch.setattr(export_tables, 'BATCH', 2)
     options = [None, None, None, 'flee']
     (path,) = write_parquet([Table('steps', ('option',), [(name,) for name in options])], tmp_path)
     assert parquet.read_table(path).to_pydict() == {'option': options}

@@ -1,28 +1,36 @@
-"""``humanopts bag info``, ``check`` and ``play``: what a recorded bag holds."""
+"""
+``humanopts bag``: what a recorded bag holds, what was taught in it, and its data for other tools.
 
-from collections.abc import Iterator
+What a command needs is imported when it runs, so that help and completion are quick.
+"""
+
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from functools import partial
-import json
+import json as json_text
+import os
 from pathlib import Path
 import sys
 import time
-from typing import Protocol
+from typing import Annotated, Any, Literal, Protocol, TYPE_CHECKING
 
-from humanopts_env.domains.base import StateError
-from humanopts_teach.bags.check import check_bag, repair
-from humanopts_teach.bags.contents import actors_in, find_episodes, read_domain
-from humanopts_teach.bags.errors import BagWriteError
-from humanopts_teach.bags.info import summarise
-from humanopts_teach.bags.reader import ignore_progress, open_bag
 from humanopts_teach.commands.ending import CommandError
-from humanopts_teach.terminal.device import Device, why_not
-from humanopts_teach.terminal.replay import Replay
-from rich.console import Console
-from rich.progress import Progress
+from humanopts_teach.commands.options import CommandGroup, number, PLAIN, several_games, whole
+import typer
+
+if TYPE_CHECKING:
+    from humanopts_teach.bags.reader import Bag
+    from humanopts_teach.terminal.device import Device
+    from humanopts_teach.terminal.replay import Replay
 
 _PERIOD = 0.1  # s between two drawings of the same work
 _LONGEST_WAIT = 0.2  # s, until a window of another size is seen
+
+app = typer.Typer(**PLAIN, cls=CommandGroup, subcommand_metavar='COMMAND ...')
+BagArgument = Annotated[Path, typer.Argument(metavar='BAG', help='a rosbag2 folder or .mcap file')]
+Json = Annotated[bool, typer.Option('--json', help='print JSON')]
+speed_factor = number('from 1/16 to 64', lambda value: 1 / 16 <= value <= 64)
 
 
 class ProgressCallback(Protocol):
@@ -36,6 +44,9 @@ class ProgressCallback(Protocol):
 @contextmanager
 def progress_bar() -> Iterator[ProgressCallback]:
     """Show a bar on standard error where it is a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress
+
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task('reading', total=None)
@@ -50,55 +61,168 @@ def progress_bar() -> Iterator[ProgressCallback]:
         yield show
 
 
-def show_info(path: Path, *, as_json: bool) -> int:
-    """Print what a bag holds."""
+@app.callback()
+def bag() -> None:
+    """Look into a recorded bag, no ROS needed."""
+
+
+@app.command()
+def info(bag: BagArgument, json: Json = False) -> int:
+    """Show what a bag holds, and what of it was lost."""
+    from humanopts_teach.bags.info import summarise
+    from humanopts_teach.bags.reader import open_bag
+
     with progress_bar() as show:
-        info = summarise(open_bag(path, show))
-    print(json.dumps(info.to_dict(), indent=2) if as_json else info.to_text())
+        found = summarise(open_bag(bag, show))
+    print(_json(found.to_dict()) if json else found.to_text())
     return 0
 
 
-def check(path: Path, out: Path | None, *, as_json: bool) -> int:
-    """
-    Print what is damaged or missing in a bag, and save the rest.
+@app.command()
+def check(
+    bag: BagArgument,
+    repair: Annotated[
+        Path | None,
+        typer.Option(metavar='OUT', help='write all that can be saved to this new folder'),
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Show what of a bag is damaged or missing; status 1: something is."""
+    from humanopts_teach.bags.check import check_bag
+    from humanopts_teach.bags.check import repair as write_repaired
+    from humanopts_teach.bags.errors import BagWriteError
+    from humanopts_teach.bags.reader import open_bag
 
-    :param out: new folder for all that can be saved; None: it is not asked for.
-    :return: exit status, 1 for a damaged bag.
-    :raises BagError: there is no bag.
-    """
-    if out is not None and out.exists():
-        raise CommandError(f'{out} exists already; name a folder that does not')
+    if repair is not None and repair.exists():
+        raise CommandError(f'{repair} exists already; name a folder that does not')
     with progress_bar() as show:
-        bag = open_bag(path, partial(show, text='checking'))
-        found = check_bag(bag)
-    if out is not None:
+        opened = open_bag(bag, partial(show, text='checking'))
+        found = check_bag(opened)
+    if repair is not None:
         try:
             with progress_bar() as show:
-                bag.on_read = partial(show, text='writing')
-                count = repair(bag, out)
+                opened.on_read = partial(show, text='writing')
+                count = write_repaired(opened, repair)
         except BagWriteError as error:
             raise CommandError(str(error)) from error
-        print(f'{out}: {count} messages, all that could be saved', file=sys.stderr)
-    print(json.dumps(found.to_dict(), indent=2) if as_json else found.to_text())
+        print(f'{repair}: {count} messages, all that could be saved', file=sys.stderr)
+    print(_json(found.to_dict()) if json else found.to_text())
     return 0 if found.whole else 1
 
 
-def play(path: Path, episode: int, speed: float) -> int:
-    """
-    Play an episode in this terminal; as plain text where this is none.
+@app.command('eval')
+def evaluate(
+    bags: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar='BAG', help='rosbag2 folders or .mcap files; each of several by itself'
+        ),
+    ],
+    html: Annotated[
+        Path | None, typer.Option(metavar='FILE', help='write a report to this file')
+    ] = None,
+    games: Annotated[
+        int,
+        typer.Option(
+            parser=whole(0),
+            metavar='N',
+            callback=several_games,
+            show_default=False,
+            help='also compare plans with random play and a hand-written rule in so many games '
+            'each, where plans are made from samples; takes minutes; default: not',
+        ),
+    ] = 0,
+    json: Json = False,
+) -> int:
+    """Learn every option again from the bag alone, and plan with it."""
+    from humanopts_env.domains.base import StateError
+    from humanopts_teach.bags.contents import read_domain
+    from humanopts_teach.bags.reader import open_bag
+    from humanopts_teach.evaluation.bag_evaluation import check_games, evaluate_bag, with_games
+    from humanopts_teach.evaluation.summary import SummaryError
+    from humanopts_teach.evaluation.text import evaluation_text
+    from humanopts_teach.report.write import write_evaluation_report
 
-    :param episode: counted from 1.
-    :param speed: 1 is two steps a second.
-    :raises BagError: there is no bag, or it has no domain.
-    """
+    if html:
+        _check_report(html, len(bags))
     with progress_bar() as show:
-        bag = open_bag(path, show)
-        domain, episodes = read_domain(bag), find_episodes(bag)
-        bag.on_read = ignore_progress  # what follows is read quickly, while the screen is drawn
+        opened = [open_bag(path, show) for path in bags]
+        for each in opened if games else ():
+            check_games(read_domain(each))
+        found = []
+        for each in opened:
+            evaluation = evaluate_bag(each, show)
+            found.append(with_games(evaluation, games, show) if games else evaluation)
+    if json and len(bags) > 1:
+        print(_json([{'bag': str(b.path), **e.to_dict()} for b, e in zip(opened, found)]))
+    elif json:
+        print(_json(found[0].to_dict()))
+    else:
+        heads = [f'bag {each.path}\n' if len(bags) > 1 else '' for each in opened]
+        print('\n\n'.join(head + evaluation_text(each) for head, each in zip(heads, found)))
+    for each, evaluation in zip(opened, found):
+        _warn('eval', each if len(bags) > 1 else None, evaluation.warnings)
+    if html:
+        with progress_bar() as show:
+            opened[0].on_read = partial(show, text='reading for the report')
+            try:
+                write_evaluation_report(html, found[0], opened[0])
+            except (StateError, SummaryError) as error:
+                raise CommandError(f'no report: {error}') from error
+        print(f'report: {html}', file=sys.stderr)
+    return 0
+
+
+@app.command()
+def diff(
+    a: Annotated[Path, typer.Argument(metavar='A', help='a rosbag2 folder or .mcap file')],
+    b: Annotated[Path, typer.Argument(metavar='B', help='another one')],
+    json: Json = False,
+) -> int:
+    """Show what differs between two lessons; status 1: it does."""
+    from humanopts_teach.bags.reader import open_bag
+    from humanopts_teach.evaluation.difference import compare, difference_text, read_lesson
+
+    with progress_bar() as show:
+        opened = [open_bag(path, show) for path in (a, b)]
+        lessons = [read_lesson(each, show) for each in opened]
+    found = compare(*lessons)
+    for each, lesson in zip(opened, lessons):
+        _warn('diff', each, lesson.evaluation.warnings)
+    listed = {'same': not found, 'differences': [asdict(difference) for difference in found]}
+    print(_json(listed) if json else difference_text(found))
+    return 1 if found else 0
+
+
+@app.command()
+def play(
+    bag: BagArgument,
+    episode: Annotated[
+        int,
+        typer.Option(parser=whole(1), metavar='N', help='counted from the first in the bag'),
+    ] = 1,
+    speed: Annotated[
+        float,
+        typer.Option(
+            parser=speed_factor, metavar='X', help='1 is two steps a second, 2 is twice as fast'
+        ),
+    ] = 1.0,
+) -> int:
+    """Play an episode again in this terminal; as plain text where this is none."""
+    from humanopts_env.domains.base import StateError
+    from humanopts_teach.bags.contents import actors_in, find_episodes, read_domain
+    from humanopts_teach.bags.reader import ignore_progress, open_bag
+    from humanopts_teach.terminal.device import Device, why_not
+    from humanopts_teach.terminal.replay import Replay
+
+    with progress_bar() as show:
+        opened = open_bag(bag, show)
+        domain, episodes = read_domain(opened), find_episodes(opened)
+        opened.on_read = ignore_progress  # the rest is read quickly, while the screen is drawn
     if not 1 <= episode <= len(episodes):
         there = f'1 to {len(episodes)}' if episodes else 'none'
-        raise CommandError(f'there is no episode {episode} in {bag.path}: {there}')
-    replay = Replay(domain, episodes, partial(actors_in, bag), episode - 1, speed)
+        raise CommandError(f'there is no episode {episode} in {opened.path}: {there}')
+    replay = Replay(domain, episodes, partial(actors_in, opened), episode - 1, speed)
     try:
         if why_not():
             for text in replay.plain():
@@ -107,11 +231,63 @@ def play(path: Path, episode: int, speed: float) -> int:
             with Device() as device:
                 _play(replay, device)
     except StateError as error:
-        raise CommandError(f'{bag.path}: {error}') from error
+        raise CommandError(f'{opened.path}: {error}') from error
     return 0
 
 
-def _play(replay: Replay, device: Device) -> None:
+@app.command()
+def export(
+    bag: BagArgument,
+    to: Annotated[
+        Literal['csv', 'parquet', 'minari', 'files'],
+        typer.Option(
+            help='parquet needs pyarrow; minari needs minari[arrow]; files are those attached to '
+            'the bag, such as option files'
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar='DIR', help='folder for the files')],
+) -> int:
+    """Write tables or a dataset for other tools."""
+    from humanopts_env.domains.base import StateError
+    from humanopts_teach.bags.reader import open_bag
+    from humanopts_teach.export.files import export_bag, ExportError
+
+    try:
+        with progress_bar() as show:
+            opened = open_bag(bag, show)
+            print(export_bag(opened, to, out))
+    except (ExportError, StateError) as error:
+        raise CommandError(str(error)) from error
+    except OSError as error:
+        raise CommandError(f'cannot write in {out}: {error.strerror or error}') from error
+    _warn('export', None, opened.damage.splitlines())
+    return 0
+
+
+def _json(values: Any) -> str:
+    return json_text.dumps(values, indent=2)
+
+
+def _warn(command: str, bag: 'Bag | None', warnings: Sequence[str]) -> None:
+    """Print what was assumed or left out; of one of several bags, with its path."""
+    whose = f'{bag.path}: ' if bag is not None else ''
+    for warning in warnings:
+        print(f'humanopts bag {command}: {whose}{warning}', file=sys.stderr)
+
+
+def _check_report(path: Path, bags: int) -> None:
+    """Refuse a report before the work for it."""
+    if bags > 1:
+        raise CommandError('--html reports on one bag: give one')
+    if path.is_dir():
+        raise CommandError(f'cannot write {path}: it is a folder')
+    if not path.parent.is_dir():
+        raise CommandError(f'cannot write {path}: there is no such folder')
+    if not os.access(path.parent, os.W_OK):
+        raise CommandError(f'cannot write {path}: the folder is not writable')
+
+
+def _play(replay: 'Replay', device: 'Device') -> None:
     """Draw until the person quits or the terminal is gone."""
     shown = time.monotonic()
     while not replay.over and not device.closed:

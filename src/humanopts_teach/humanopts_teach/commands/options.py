@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from humanopts_ros.recording import MOST_BYTES
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 PLAIN: dict[str, Any] = {  # settings of every Typer app: plain help that fits 80 columns
     'rich_markup_mode': None,
@@ -61,6 +61,13 @@ def size(text: str) -> int:
     if not 0 < value <= MOST_BYTES:
         raise typer.BadParameter(f'{text!r} is not a size such as 500M')
     return value
+
+
+def several_games(count: int) -> int:
+    """Check a number of games: 0, or as many as have an interval."""
+    if count == 1:
+        raise typer.BadParameter('one game has no interval; give 0, or 2 or more')
+    return count
 
 
 any_number = number('a number', lambda value: True)
@@ -189,6 +196,16 @@ def with_launch_options(command: Callable[..., int]) -> Callable[..., int]:
     run.__name__, run.__doc__ = command.__name__, command.__doc__
     run.__signature__ = signature.replace(parameters=[*own, *shared])  # type: ignore[attr-defined]
     return run
+
+
+class CommandGroup(TyperGroup):
+    """Commands; unknown ones are refused with the names of those that there are."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the first word names."""
+        if not args[0].startswith('-') and args[0] not in self.commands:
+            ctx.fail(f'there is no command {args[0]!r}; there are {", ".join(self.commands)}')
+        return super().resolve_command(ctx, args)
 
 
 class SeveralValues(TyperCommand):

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 import json
 import os
 from pathlib import Path
@@ -13,9 +13,10 @@ import tempfile
 import time
 from typing import Any
 
-from humanopts_env.domains.base import DomainError, Parameter
+from humanopts_env.domains.base import Parameter
+from humanopts_env.domains.capabilities import THRESHOLDS
 from humanopts_env.domains.registry import make_domain
-from humanopts_learner.options.criteria import Thresholds, usual_thresholds
+from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_ros.recording import Selection
 from humanopts_teach.commands.ending import CommandError, ENDING, interruptible
 from humanopts_teach.commands.options import LaunchOptions
@@ -29,36 +30,39 @@ _LAST_DOMAIN_ID = 232
 
 
 def setup_from(
-    domain: str,
-    launch: LaunchOptions,
-    default_out: Path,
-    *,
-    evaluated: bool = False,
-    step_period: float = 0.0,
-    **own: Any,
+    domain: str, launch: LaunchOptions, *, evaluated: bool = False, **own: Any
 ) -> Setup:
     """
     Return the setup that the options of a launch ask for.
 
-    :param default_out: the folder where the user names none.
     :param evaluated: the command needs a bag that can be evaluated.
-    :param step_period: seconds between steps of the machine where the user gives none.
-    :param own: fields that the command sets itself.
-    :raises CommandError: a domain parameter is not NAME=VALUE, the namespace or ROS_DOMAIN_ID is
-        none, or the bag would not hold what an evaluation needs.
+    :param own: fields that the command sets itself; ``directory`` and ``step_period`` where the
+        user gives none.
+    :raises CommandError: a domain parameter is not NAME=VALUE, the domain or its thresholds are
+        not valid, the namespace or ROS_DOMAIN_ID is none, or the bag would not hold what an
+        evaluation needs.
     """
     _check_place(launch.namespace)
+    parameters = domain_parameters(launch)
+    given = {name: getattr(launch, name) for name in THRESHOLDS}
+    try:
+        usual = usual_thresholds(make_domain(domain, parameters))
+        thresholds = replace(usual, **{n: v for n, v in given.items() if v is not None})
+    except ValueError as error:
+        raise CommandError(str(error)) from error
+    if own.get('record', True):
+        own['recording'] = _recording(launch, evaluated)
+    if launch.step_period is not None:
+        own['step_period'] = launch.step_period
+    folder = launch.out or own.pop('directory', default_folder(domain))
     return Setup(
         domain=domain,
-        directory=Path(os.path.abspath(launch.out or default_out)),
-        domain_parameters=domain_parameters(launch),
+        **{**own, 'directory': Path(os.path.abspath(folder))},
+        domain_parameters=parameters,
         seed=launch.seed,
         strategy=launch.strategy,
         budget=launch.budget,
-        thresholds=_thresholds(domain, launch),
-        step_period=step_period if launch.step_period is None else launch.step_period,
-        recording=_recording(launch, evaluated) if own.get('record', True) else Recording(),
-        **own,
+        thresholds=thresholds,
     )
 
 
@@ -70,20 +74,6 @@ def _recording(launch: LaunchOptions, evaluated: bool) -> Recording:
             raise CommandError(lacking)
         print(f'humanopts: {lacking}', file=sys.stderr)
     return Recording(include, exclude, launch.split_bytes or 0, launch.split_seconds or 0.0)
-
-
-def _thresholds(domain: str, launch: LaunchOptions) -> Thresholds:
-    """Return the domain's usual thresholds, with those that the user gives in their place."""
-    given = {
-        threshold.name: value
-        for threshold in fields(Thresholds)
-        if (value := getattr(launch, threshold.name)) is not None
-    }
-    try:
-        played = make_domain(domain, domain_parameters(launch))
-        return replace(usual_thresholds(played), **given)
-    except ValueError as error:
-        raise CommandError(str(error)) from error
 
 
 def domain_parameters(launch: LaunchOptions) -> dict[str, Parameter]:
@@ -128,6 +118,7 @@ def _parameter(text: str) -> tuple[str, Parameter]:
 class Session:
     """The processes of a launch and the node that conducts them."""
 
+    setup: Setup
     launcher: Launcher
     graph: GraphClient
     unclean: list[str] = field(default_factory=list)  # nodes that failed at their end, in words
@@ -143,31 +134,28 @@ class Session:
             raise LaunchError(unrecorded)
 
 
-def check_setup(setup: Setup, *, new: bool = False) -> None:
+def check_folder(setup: Setup, *, new: bool = False) -> None:
     """
-    Refuse a launch that cannot work, before anything is started.
+    Refuse an output folder that cannot be used, before anything is started.
 
-    :param new: the output folder must be empty or not there.
-    :raises CommandError: no such domain, or the output folder cannot be used.
+    :param new: it must be empty or not there.
+    :raises CommandError: it cannot be used; the text says why.
     """
-    try:
-        make_domain(setup.domain, setup.domain_parameters)
-        _check_folder(setup, new)
-    except DomainError as error:
-        raise CommandError(str(error)) from error
-    except UnicodeEncodeError:
-        raise CommandError(f'{setup.directory} is not in UTF-8; choose another --out') from None
-    except OSError as error:
-        raise CommandError(f'cannot write in {setup.directory}: {error.strerror}') from error
-
-
-def _check_folder(setup: Setup, new: bool) -> None:
     folder = setup.directory
-    str(folder).encode()  # parameters and the bag name it
-    if new and folder.is_dir() and any(folder.iterdir()):
-        raise CommandError(f'{folder} is not empty; choose another --out')
-    if setup.record and setup.bag.exists():
-        raise CommandError(f'{setup.bag} exists already; choose another folder')
+    try:
+        str(folder).encode()  # parameters and the bag name it
+        if new and folder.is_dir() and any(folder.iterdir()):
+            raise CommandError(f'{folder} is not empty; choose another --out')
+        if setup.record and setup.bag.exists():
+            raise CommandError(f'{setup.bag} exists already; choose another folder')
+        _try_writing(folder)
+    except UnicodeEncodeError:
+        raise CommandError(f'{folder} is not in UTF-8; choose another --out') from None
+    except OSError as error:
+        raise CommandError(f'cannot write in {folder}: {error.strerror}') from error
+
+
+def _try_writing(folder: Path) -> None:
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -199,7 +187,7 @@ def session(
 
     with only_launch(namespace), interruptible():
         graph = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
-        running = Session(launcher, graph)
+        running = Session(setup, launcher, graph)
         try:
             for late in (False, True):
                 launcher.start(late=late)

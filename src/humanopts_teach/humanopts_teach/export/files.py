@@ -1,86 +1,33 @@
-"""
-What is in a bag as files: tables as CSV or Parquet, and the files that are attached to it.
+"""What ``humanopts bag export`` writes: tables, a dataset, or the files attached to a bag."""
 
-Tables are written while the bag is read, so that a long one takes no memory.
-"""
-
-from collections.abc import Sequence
-from contextlib import ExitStack
-import csv
-from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from humanopts_teach.bags.reader import Bag
-from humanopts_teach.export.tables import Table
-
-BATCH = 50_000  # rows of a Parquet table that are held in memory
-
-
-class ExportError(ValueError):
-    """A bag cannot be exported as asked; the text says why."""
+from humanopts_teach.export.minari_dataset import FOLDER, write_dataset
+from humanopts_teach.export.tables import bag_tables, ExportError, write_csv, write_parquet
 
 
-def write_csv(tables: Sequence[Table], out: Path) -> list[Path]:
+def export_bag(bag: Bag, form: str, out: Path) -> str:
     """
-    Write a UTF-8 file for each table, with a head; unknown values are empty.
+    Write the files; return the lines that name them.
 
+    :param form: csv, parquet, minari or files.
+    :raises BagError: the bag does not say which domain was played, or it is not installed.
+    :raises ExportError: it cannot be exported as asked.
     :raises OSError: the folder cannot be written to.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for table in tables:
-        paths.append(out / f'{table.name}.csv')
-        with paths[-1].open('w', encoding='utf-8', newline='') as file:
-            writer = csv.writer(file)
-            writer.writerow(table.head)
-            writer.writerows(table.rows)
-    return paths
-
-
-def write_parquet(tables: Sequence[Table], out: Path) -> list[Path]:
-    """
-    Write a file for each table.
-
-    :raises ExportError: pyarrow is not installed.
-    :raises OSError: the folder cannot be written to.
-    """
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError as error:
-        raise ExportError(
-            'Parquet needs pyarrow, which is not installed: pip install pyarrow'
-        ) from error
-    out.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for table in tables:
-        paths.append(out / f'{table.name}.parquet')
-        _write_batches(table, paths[-1], pyarrow, parquet)
-    return paths
-
-
-def _write_batches(table: Table, path: Path, pyarrow: Any, parquet: Any) -> None:
-    """
-    Write a table in parts.
-
-    All parts have the column types of the first; a column that is empty there is text.
-    """
-    rows, schema = iter(table.rows), None
-    with ExitStack() as stack:
-        while (part := list(islice(rows, BATCH))) or schema is None:
-            columns = dict(zip(table.head, zip(*part))) or dict.fromkeys(table.head, ())
-            batch = pyarrow.table({name: list(c) for name, c in columns.items()}, schema)
-            if schema is None:
-                types = {f.name: f.type for f in batch.schema}
-                empty = dict.fromkeys(
-                    (name for name, kind in types.items() if kind == pyarrow.null()),
-                    pyarrow.string(),
-                )
-                batch = batch.cast(pyarrow.schema({**types, **empty}))
-                schema = batch.schema
-                writer = stack.enter_context(parquet.ParquetWriter(path, schema))
-            writer.write_table(batch)
+    if form == 'minari':
+        found = write_dataset(bag, out)
+        return (
+            f'{found.episodes} episodes; with {FOLDER}={out} in the environment:\n'
+            f'minari.load_dataset({found.dataset_id!r})'
+        )
+    if form == 'files':
+        paths = write_attached(bag, out)
+    else:
+        write = {'csv': write_csv, 'parquet': write_parquet}[form]
+        paths = write(bag_tables(bag), out)
+    return '\n'.join(map(str, paths))
 
 
 def write_attached(bag: Bag, out: Path) -> list[Path]:

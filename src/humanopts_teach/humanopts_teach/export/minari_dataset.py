@@ -1,6 +1,7 @@
 """Episodes of a bag as a Minari dataset, which steps through our Gymnasium environments."""
 
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
@@ -21,7 +22,7 @@ from humanopts_teach.bags.contents import (
     read_episodes,
 )
 from humanopts_teach.bags.reader import Bag
-from humanopts_teach.export.files import ExportError
+from humanopts_teach.export.tables import ExportError
 import numpy as np
 
 FOLDER = 'MINARI_DATASETS_PATH'  # where Minari looks for datasets
@@ -58,7 +59,8 @@ def write_dataset(bag: Bag, out: Path) -> Exported:
         raise ExportError(
             'a Minari dataset needs minari, which is not installed: pip install "minari[arrow]"'
         ) from error
-    domain, whole = read_domain(bag), _WholeEpisodes(read_episodes(bag))
+    domain, counts = read_domain(bag), Counter[bool]()
+    whole = _whole_episodes(bag, counts)
     first = next(whole, None)
     if first is None:
         raise ExportError(f'{bag.path} holds no episode that was recorded without a gap')
@@ -83,7 +85,9 @@ def write_dataset(bag: Bag, out: Path) -> Exported:
             )
         except ValueError as error:
             raise ExportError(f'the dataset cannot be written: {error}') from error
-    return Exported(name, whole.passed, whole.left_out)
+    if counts[False]:
+        bag.note(f'{counts[False]} episodes are left out: of one state, or with steps missing')
+    return Exported(name, counts[True], counts[False])
 
 
 def dataset_name(domain: Domain[Any], bag: Path) -> str:
@@ -92,21 +96,14 @@ def dataset_name(domain: Domain[Any], bag: Path) -> str:
     return '/'.join([AUTHOR, *parts]) + '-v0'
 
 
-class _WholeEpisodes(Iterator[Episode]):
-    """The episodes that were recorded from their first state without a gap."""
-
-    def __init__(self, episodes: Iterable[Episode]) -> None:
-        self._episodes = iter(episodes)
-        self.passed = self.left_out = 0
-
-    def __next__(self) -> Episode:
-        for episode in self._episodes:
-            steps = [each.step for each in episode.transitions]
-            if len(steps) > 1 and steps == list(range(len(steps))):
-                self.passed += 1
-                return episode
-            self.left_out += 1
-        raise StopIteration
+def _whole_episodes(bag: Bag, counts: Counter[bool]) -> Iterator[Episode]:
+    """Yield the episodes that were recorded without a gap; count those, and the others."""
+    for episode in read_episodes(bag):
+        steps = [each.step for each in episode.transitions]
+        whole = len(steps) > 1 and steps == list(range(len(steps)))
+        counts[whole] += 1
+        if whole:
+            yield episode
 
 
 def _reset_options(begun: Beginnings, episode: Episode) -> dict[str, Any]:

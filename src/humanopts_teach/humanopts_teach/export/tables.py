@@ -1,9 +1,17 @@
-"""What a bag holds as tables: steps of episodes, demonstrations, options and plans."""
+"""
+What a bag holds as tables: steps of episodes, demonstrations, options and plans, as files.
+
+Tables are written while the bag is read, so that a long one takes no memory.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+import csv
 from dataclasses import asdict, dataclass, fields
+from itertools import islice
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 from humanopts_learner.demonstrations import Demonstration, each_once
@@ -22,6 +30,7 @@ from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.summary import OptionRow
 
+BATCH = 50_000  # rows of a Parquet table that are held in memory
 FEATURE_PREFIX = 'feature:'  # before the name of a feature, in the head of a column
 _STEPS = ('episode', 'game', 'game_episode', 'step', 'state')
 _MOVES = ('action', 'reward', 'terminated', 'truncated', 'source', 'option')
@@ -34,6 +43,10 @@ _PLAN = (  # of PlanResult
     *('mean_discounted_return', 'fallbacks'),
     *('outcome_names', 'outcome_means', 'outcome_low', 'outcome_high'),
 )
+
+
+class ExportError(ValueError):
+    """A bag cannot be exported as asked; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -121,3 +134,65 @@ def _known(value: Any) -> Any:
 
 def _table(name: str, head: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Table:
     return Table(name, tuple(head), (tuple(_plain(row[key]) for key in head) for row in rows))
+
+
+def write_csv(tables: Sequence[Table], out: Path) -> list[Path]:
+    """
+    Write a UTF-8 file for each table, with a head; unknown values are empty.
+
+    :raises OSError: the folder cannot be written to.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for table in tables:
+        paths.append(out / f'{table.name}.csv')
+        with paths[-1].open('w', encoding='utf-8', newline='') as file:
+            writer = csv.writer(file)
+            writer.writerow(table.head)
+            writer.writerows(table.rows)
+    return paths
+
+
+def write_parquet(tables: Sequence[Table], out: Path) -> list[Path]:
+    """
+    Write a file for each table.
+
+    :raises ExportError: pyarrow is not installed.
+    :raises OSError: the folder cannot be written to.
+    """
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise ExportError(
+            'Parquet needs pyarrow, which is not installed: pip install pyarrow'
+        ) from error
+    out.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for table in tables:
+        paths.append(out / f'{table.name}.parquet')
+        _write_batches(table, paths[-1], pyarrow, parquet)
+    return paths
+
+
+def _write_batches(table: Table, path: Path, pyarrow: Any, parquet: Any) -> None:
+    """
+    Write a table in parts.
+
+    All parts have the column types of the first; a column that is empty there is text.
+    """
+    rows, schema = iter(table.rows), None
+    with ExitStack() as stack:
+        while (part := list(islice(rows, BATCH))) or schema is None:
+            columns = dict(zip(table.head, zip(*part))) or dict.fromkeys(table.head, ())
+            batch = pyarrow.table({name: list(c) for name, c in columns.items()}, schema)
+            if schema is None:
+                types = {f.name: f.type for f in batch.schema}
+                empty = dict.fromkeys(
+                    (name for name, kind in types.items() if kind == pyarrow.null()),
+                    pyarrow.string(),
+                )
+                batch = batch.cast(pyarrow.schema({**types, **empty}))
+                schema = batch.schema
+                writer = stack.enter_context(parquet.ParquetWriter(path, schema))
+            writer.write_table(batch)
