@@ -250,7 +250,8 @@ def export(
     """Write tables or a dataset for other tools."""
     from humanopts_env.domains.base import StateError
     from humanopts_teach.bags.reader import open_bag
-    from humanopts_teach.export.files import export_bag, ExportError
+    from humanopts_teach.export.files import export_bag
+    from humanopts_teach.export.tables import ExportError
 
     try:
         with progress_bar() as show:
