@@ -12,7 +12,7 @@ from humanopts_env.game import Source, Transition, transition_from_message
 from humanopts_learner.demonstrations import Demonstration, demonstration_from_message
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
-from humanopts_teach.bags.sequence_numbers import read_place, tells_place
+from humanopts_teach.bags.sequence_numbers import read_stamp, tells_place
 
 DEMONSTRATION = 'humanopts_interfaces/msg/Demonstration'
 DOMAIN_INFO = 'humanopts_interfaces/msg/DomainInfo'
@@ -104,7 +104,7 @@ class EpisodeGrouping:
 
     def add(self, recorded: Recorded) -> EpisodeMessages | None:
         """Add a message of ``topics``; return the episode that it shows to be over."""
-        place = read_place(recorded.data)
+        place = read_stamp(recorded.data, place=True)
         if place is None:
             self._bag.note(f'a message on {recorded.topic} does not decode')
             return None

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, TypeVar
 
 from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.mcap_file import (
-    Block,
     DAMAGE,
     data_fits,
     FileIndex,
@@ -126,7 +125,14 @@ class Bag:
         :param decoded: fill in ``Recorded.message``.
         :param between: first and last log time, ns.
         """
-        wanted = [self._wanted(file, topics) for file in self._files]
+        wanted = [
+            {
+                channel.id: self.topics[channel.topic]
+                for channel in file.channels.values()
+                if channel.topic in self.topics and (topics is None or channel.topic in topics)
+            }
+            for file in self._files
+        ]
         blocks = sorted(
             ((block.start, number, block.offset), block)
             for number, file in enumerate(self._files)
@@ -141,9 +147,15 @@ class Bag:
             streams = [stack.enter_context(McapStream(file)) for file in self.files]
             for here, ((_, number, offset), block) in enumerate(blocks):
                 tell(number, offset)
+                try:
+                    records = read_block(streams[number], block)
+                except DAMAGE as error:
+                    what = f'the chunk at byte {offset} is damaged and left out: {error}'
+                    self.note(f'{self.files[number].name}: {what}')
+                    records = []
                 waiting += [
                     (record.log_time, number, offset, place, record)
-                    for place, record in enumerate(self._read(streams[number], number, block))
+                    for place, record in enumerate(records)
                     if isinstance(record, Message)
                     and record.channel_id in wanted[number]
                     and between[0] <= record.log_time <= between[1]
@@ -252,25 +264,6 @@ class Bag:
             if (copy.get('custom_data') or {}) != facts:
                 self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
-    def _wanted(self, file: FileIndex, topics: Collection[str] | None) -> dict[int, Topic]:
-        """Return the topics that are read from a file, by channel id."""
-        return {
-            channel.id: self.topics[channel.topic]
-            for channel in file.channels.values()
-            if channel.topic in self.topics and (topics is None or channel.topic in topics)
-        }
-
-    def _read(self, stream: McapStream, number: int, block: Block) -> Sequence[object]:
-        """Return the records of a block; none where it is damaged, which is noted."""
-        try:
-            return read_block(stream, block)
-        except DAMAGE as error:
-            self.note(
-                f'{self.files[number].name}: the chunk at byte {block.offset} is damaged and left '
-                f'out: {error}'
-            )
-            return ()
-
 
 def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> Bag:
     """
@@ -285,17 +278,17 @@ def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> B
         humanopts topics and was not begun by our recorder.
     """
     path = Path(path)
-    found = find_files(path)
-    tell = _by_file(found.files, on_read)
+    paths, information, damage = find_files(path)
+    tell = _by_file(paths, on_read)
     files, errors = [], []
-    for number, file in enumerate(found.files):
+    for number, file in enumerate(paths):
         try:
             files.append(read_index(file, partial(tell, number)))
         except BagError as error:
             errors.append(error)
     if not files:
         raise errors[0]
-    bag = Bag(path, files, found.information, [*found.damage, *map(str, errors)])
+    bag = Bag(path, files, information, [*damage, *map(str, errors)])
     bag.on_read = on_read
     if not bag.topics and RECORD not in bag.metadata:  # ours may have been killed at once
         reason = f' ({bag.damage})' if bag.damage else ''

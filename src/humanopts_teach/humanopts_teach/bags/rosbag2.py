@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from textwrap import indent
-from typing import Any, NamedTuple
+from typing import Any
 
 from humanopts_teach.bags.errors import BagError
 import yaml
@@ -163,22 +163,16 @@ MOST_FILES = 100_000  # larger numbers in a file's name are not taken for its pl
 _MOST_NAMED = 3  # bags below a folder that are named in an error message
 
 
-class Directory(NamedTuple):
-    """The files of a bag, and the contents of metadata.yaml."""
-
-    files: list[Path]  # in order
-    information: dict[str, Any]  # {}: metadata.yaml is missing or damaged
-    damage: list[str]
-
-
-def find_files(path: Path) -> Directory:
+def find_files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     """
     Find the files of a bag.
 
+    :return: the files in order; the contents of metadata.yaml, {} where it is missing or damaged;
+        what is wrong with either, in words.
     :raises BagError: the path does not exist, or there is no MCAP file.
     """
     if path.is_file():
-        return Directory([path], {}, [])
+        return [path], {}, []
     if not path.is_dir():
         raise BagError(f'there is no bag at {path}')
     found = sorted(path.glob('*.mcap'), key=_place)
@@ -195,7 +189,7 @@ def find_files(path: Path) -> Directory:
     files = [*dict.fromkeys(file for file in listed if file in found), *unlisted] or found
     if not files:
         raise BagError(f'{path} is not a bag: there is no MCAP file in it{_below(path)}')
-    return Directory(files, information, damage)
+    return files, information, damage
 
 
 def _below(path: Path) -> str:

@@ -16,7 +16,6 @@ _FIELDS = [
 _PLACE = [('uint32', 'episode'), ('uint32', 'step')]
 _ORIGIN = 4  # CDR aligns from after the encapsulation header
 _FRAME_ID = _ORIGIN + 8  # after header.stamp
-_DAMAGE = (struct.error, IndexError, UnicodeDecodeError)  # what damaged bytes raise
 
 
 class Stamp(NamedTuple):
@@ -24,14 +23,8 @@ class Stamp(NamedTuple):
 
     publisher_id: str
     sequence: int  # 1, 2, 3, ...
-
-
-class Place(NamedTuple):
-    """The step of an episode that a message is of."""
-
-    publisher_id: str
-    episode: int
-    step: int
+    episode: int = 0  # 0: none, or not read
+    step: int = 0  # of the episode
 
 
 def is_stamped(schema: str) -> bool:
@@ -44,34 +37,22 @@ def tells_place(schema: str) -> bool:
     return field_lines(schema)[:5] == [*_FIELDS, *_PLACE]
 
 
-def read_stamp(data: bytes) -> Stamp | None:
-    """Return the stamp of a CDR message whose type ``is_stamped``; None: it is damaged."""
+def read_stamp(data: bytes, *, place: bool = False) -> Stamp | None:
+    """
+    Return the stamp of a CDR message whose type ``is_stamped``; None: it is damaged.
+
+    :param place: read episode and step too, of a message whose type ``tells_place``.
+    """
     try:
-        return _read(data)[0]
-    except _DAMAGE:
+        order = '<' if data[1] & 1 else '>'
+        (length,) = struct.unpack_from(order + 'I', data, _FRAME_ID)
+        start = _align(_FRAME_ID + 4 + length, 4)
+        (length,) = struct.unpack_from(order + 'I', data, start)
+        end = start + 4 + length
+        numbers = struct.unpack_from(order + ('QII' if place else 'Q'), data, _align(end, 8))
+        return Stamp(data[start + 4 : end - 1].decode(), *numbers)
+    except (struct.error, IndexError, UnicodeDecodeError):
         return None
-
-
-def read_place(data: bytes) -> Place | None:
-    """Return the place of a CDR message whose type ``tells_place``; None: it is damaged."""
-    try:
-        stamp, end = _read(data)
-        episode, step = struct.unpack_from('<II' if data[1] & 1 else '>II', data, end)
-        return Place(stamp.publisher_id, episode, step)
-    except _DAMAGE:
-        return None
-
-
-def _read(data: bytes) -> tuple[Stamp, int]:
-    """Return the stamp of a message, and where it ends."""
-    order = '<' if data[1] & 1 else '>'
-    (length,) = struct.unpack_from(order + 'I', data, _FRAME_ID)
-    start = _align(_FRAME_ID + 4 + length, 4)
-    (length,) = struct.unpack_from(order + 'I', data, start)
-    end = start + 4 + length
-    place = _align(end, 8)
-    (sequence,) = struct.unpack_from(order + 'Q', data, place)
-    return Stamp(data[start + 4 : end - 1].decode(), sequence), place + 8
 
 
 def _align(offset: int, size: int) -> int:
