@@ -113,7 +113,7 @@ class Table:
         """Let the game's first state of an episode arrive."""
         features = tuple(TAXI.feature_values(TAXI.decode(state)).tolist())
         self.here = Transition(self.episode, 0, state, features)
-        return self.lesson.saw(self.here)
+        return self.lesson.add_transition(self.here)
 
     def drive(self, *actions: str, source: Source = Source.PERSON) -> 'Table':
         """Take these actions, and let the lesson see each state."""
@@ -131,7 +131,7 @@ class Table:
                 reward=out.reward,
                 terminated=out.terminated,
             )
-            self.lesson.saw(self.here)
+            self.lesson.add_transition(self.here)
         return self
 
     def end(self, verdict: Verdict | None = Verdict.DONE, again: bool = False) -> Answer:
@@ -141,7 +141,7 @@ class Table:
 
     def learned(self, *, met: bool = False, features: tuple[str, ...] = CHOSEN) -> None:
         """Let the learner tell that the newest demonstration is counted in."""
-        self.lesson.learner_said(
+        self.lesson.update_progress(
             [status(features=features, last_uuid=self.lesson.awaited or 'old', criteria_met=met)]
         )
 

@@ -180,7 +180,7 @@ def test_a_machines_step_ends_the_demonstration(table: Table) -> None:
 def test_a_lost_state_ends_the_demonstration(table: Table) -> None:
     table.ready().began(START).drive('west')
     assert table.here is not None
-    table.lesson.saw(replace(table.here, step=3))
+    table.lesson.add_transition(replace(table.here, step=3))
     assert table.lesson.phase is Phase.READY
     assert 'step 3 of episode 1 came after step 1' in table.lesson.view.text
 
@@ -201,7 +201,7 @@ def test_steps_that_break_the_rules_are_refused_and_discarded(table: Table) -> N
     table.here = replace(
         table.here, features=tuple(TAXI.feature_values(TAXI.decode(table.here.state)).tolist())
     )
-    table.lesson.saw(table.here)
+    table.lesson.add_transition(table.here)
     answer = table.end()
     assert answer.status is RequestStatus.REFUSED
     assert 'north does not lead' in answer.detail
@@ -213,7 +213,7 @@ def test_a_reward_that_is_not_a_number_is_refused(table: Table) -> None:
     table.ready().began(START).drive('west')
     assert table.here is not None
     table.here = replace(table.here, step=2, reward=float('nan'))
-    table.lesson.saw(table.here)
+    table.lesson.add_transition(table.here)
     assert 'not finite' in table.end().detail
 
 

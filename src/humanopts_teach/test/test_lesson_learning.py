@@ -30,9 +30,9 @@ from teach_support.lesson import (
 
 def test_the_lesson_waits_until_the_newest_demonstration_is_counted_in(table: Table) -> None:
     learning(table)
-    table.lesson.learner_said([status(last_uuid='older', criteria_met=True)])
+    table.lesson.update_progress([status(last_uuid='older', criteria_met=True)])
     assert table.lesson.phase is Phase.LEARNING
-    table.lesson.learner_said([status('p2', last_uuid=table.lesson.awaited, criteria_met=True)])
+    table.lesson.update_progress([status('p2', last_uuid=table.lesson.awaited, criteria_met=True)])
     assert table.lesson.phase is Phase.LEARNING
     table.learned()
     assert table.lesson.phase is Phase.READY
@@ -43,7 +43,7 @@ def test_the_lesson_waits_until_start_states_know_of_the_demonstration(table: Ta
     learning(table).learned()
     assert table.lesson.phase is Phase.LEARNING
     table.starts.known.add(table.lesson.awaited)
-    table.lesson.option_learned('p1', OPTION, 'what start states know of')
+    table.lesson.update_option('p1', OPTION, 'what start states know of')
     assert table.lesson.phase is Phase.READY
 
 
@@ -178,7 +178,7 @@ def test_the_newest_demonstration_can_be_taken_back_and_shown_anew(table: Table)
     assert (view.phase, view.n_demonstrations, view.last_uuid) == (Phase.LEARNING, 1, first)
     table.learned()
     assert table.lesson.phase is Phase.LEARNING  # the learner has not counted it out yet
-    table.lesson.learner_said([status(last_uuid=first)])
+    table.lesson.update_progress([status(last_uuid=first)])
     assert table.ask(BeginDemonstration()).state == OTHER
 
 
@@ -187,7 +187,7 @@ def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
 ) -> None:
     spent(table)
     assert table.ask(WithdrawDemonstration()).ok
-    table.lesson.learner_said([])
+    table.lesson.update_progress([])
     assert table.lesson.phase is Phase.READY
     again = table.began().drive('west').end().demonstration
     assert again is not None
@@ -197,7 +197,7 @@ def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
 def test_a_lesson_that_was_finished_goes_on_without_what_made_it_so(table: Table) -> None:
     met(table)
     assert table.ask(WithdrawDemonstration()).ok
-    table.lesson.learner_said([])  # the option has no demonstration left
+    table.lesson.update_progress([])  # the option has no demonstration left
     assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
 
 
@@ -252,10 +252,10 @@ def test_start_states_are_drawn_only_once_they_know_of_a_withdrawal(table: Table
     uuid = table.lesson.view.last_uuid
     table.starts.known = {uuid}
     table.ask(WithdrawDemonstration())
-    table.lesson.learner_said([])
+    table.lesson.update_progress([])
     assert table.lesson.phase is Phase.LEARNING
     table.starts.known.clear()
-    table.lesson.option_learned('p1', OPTION, 'what start states know of')
+    table.lesson.update_option('p1', OPTION, 'what start states know of')
     assert table.lesson.phase is Phase.READY
 
 
@@ -294,7 +294,7 @@ def test_what_was_taken_back_is_shown_anew_one_by_one(table: Table) -> None:
         table.learned()
     for _ in range(2):
         assert table.ask(WithdrawDemonstration()).ok
-        table.lesson.learner_said([])
+        table.lesson.update_progress([])
     for start in (START, OTHER):
         assert table.began().lesson.view.start_state == start
         assert table.drive('west').end().ok

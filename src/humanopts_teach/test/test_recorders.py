@@ -16,7 +16,7 @@ def recorders() -> Recorders:
 
 
 def test_a_recorder_that_stopped_is_quoted_with_what_to_do(recorders: Recorders) -> None:
-    recorders.heard('a', **STOPPED)
+    recorders.update('a', **STOPPED)
     fault = recorders.look(True)
     assert fault.startswith('recording stopped: no space. Everything taught so far is on disk')
     assert recorders.look(False) == fault  # it has ended since
@@ -25,16 +25,16 @@ def test_a_recorder_that_stopped_is_quoted_with_what_to_do(recorders: Recorders)
 @pytest.mark.parametrize(('expected', 'fault'), [(True, SILENT), (False, '')])
 def test_a_lesson_needs_a_recorder_only_where_one_is_expected(expected: bool, fault: str) -> None:
     recorders = Recorders(expected=expected)
-    recorders.heard('a', **WORKS)
+    recorders.update('a', **WORKS)
     assert recorders.look(True) == ''
     assert recorders.look(False) == fault
 
 
 def test_a_recorder_that_says_nothing_any_more_is_taken_to_be_gone(recorders: Recorders) -> None:
-    recorders.heard('a', **WORKS)
+    recorders.update('a', **WORKS)
     assert {recorders.look(True) for _ in range(PATIENCE)} == {''}
     assert recorders.look(True) == SILENT
-    recorders.heard('a', **WORKS)
+    recorders.update('a', **WORKS)
     assert recorders.look(True) == ''
 
 
@@ -46,24 +46,24 @@ def test_a_recorder_that_has_not_spoken_yet_is_no_fault(recorders: Recorders) ->
 def test_a_new_recorder_ends_the_fault_once_it_has_every_topic(
     recorders: Recorders, beside: bool
 ) -> None:
-    recorders.heard('a', **STOPPED)
+    recorders.update('a', **STOPPED)
     fault = recorders.look(True)
     assert recorders.look(beside) == fault
-    recorders.heard('b', **STARTING)
+    recorders.update('b', **STARTING)
     assert recorders.look(True) == fault
-    recorders.heard('b', **WORKS)
+    recorders.update('b', **WORKS)
     assert recorders.look(True) == ''
 
 
 def test_a_node_that_the_recorder_has_yet_to_match_is_no_fault(recorders: Recorders) -> None:
     for words in (WORKS, STARTING):
-        recorders.heard('a', **words)
+        recorders.update('a', **words)
         assert recorders.look(True) == ''
 
 
 def test_a_recorder_that_works_is_enough_until_it_leaves(recorders: Recorders) -> None:
-    recorders.heard('a', **WORKS)
+    recorders.update('a', **WORKS)
     for _ in range(PATIENCE):
-        recorders.heard('b', **STOPPED)
+        recorders.update('b', **STOPPED)
         assert recorders.look(True) == ''
     assert recorders.look(True).startswith('recording stopped: no space')

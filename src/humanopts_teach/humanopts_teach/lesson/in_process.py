@@ -161,7 +161,7 @@ class _InProcess:
 
     def _see(self, transition: Transition) -> None:
         self._transition = transition
-        self._lesson.saw(transition)
+        self._lesson.add_transition(transition)
 
     def _learn(self, newest: Demonstration) -> None:
         """Learn the option again as the learner does, and report to the lesson."""
@@ -171,9 +171,9 @@ class _InProcess:
         if any(demo.kind is Kind.TRAJECTORY for demo in shown):
             option = self._options[name] = learn_option(shown, self._domain, self._seed)
             features = option.features
-            self._lesson.option_learned(newest.participant, name, option_to_json(option, []))
+            self._lesson.update_option(newest.participant, name, option_to_json(option, []))
             enough = self._enough(shown, option)
         self._progress[name] = OptionStatus(
             name, newest.participant, features, last_uuid=newest.uuid, criteria_met=enough
         )
-        self._lesson.learner_said(list(self._progress.values()))
+        self._lesson.update_progress(list(self._progress.values()))

@@ -2,8 +2,8 @@
 The teaching session as a state machine (paper, sections 5 and 6).
 
 Every method takes one request or one piece of news, and leaves the lesson in a phase from which it
-can go on. What the person said is in the store before a request is answered OK; a request that
-cannot be written changes nothing.
+can go on. What a person answers and shows is in the store before a request is answered OK; a
+request that cannot be written changes nothing.
 """
 
 from collections.abc import Callable, Sequence
@@ -139,7 +139,7 @@ class Lesson:
 
     @property
     def criteria_met(self) -> bool:
-        """Whether the learner says so, on the features that are chosen now."""
+        """Whether the learner reports that they hold, on the features that are chosen now."""
         if self._option is None:
             return False
         known = self._learned.get((self._participant, self._option.name))
@@ -184,7 +184,7 @@ class Lesson:
 
     def demonstrations(self) -> list[Demonstration]:
         """
-        Return all that anybody has shown in this domain, each once.
+        Return the demonstrations of all participants in this domain, each once.
 
         Of one that was taken back, only the withdrawal is returned.
         """
@@ -251,7 +251,7 @@ class Lesson:
 
     # What the game and the learner publish.
 
-    def saw(self, transition: Transition) -> bool:
+    def add_transition(self, transition: Transition) -> bool:
         """
         Add one state of the game's stream.
 
@@ -269,12 +269,12 @@ class Lesson:
         newest_episode, newest_step = self._attempt.here
         return newest_episode == episode and newest_step >= step
 
-    def learner_said(self, options: Sequence[OptionStatus]) -> None:
+    def update_progress(self, options: Sequence[OptionStatus]) -> None:
         """Keep what the learner knows of every option."""
         self._learned = {(status.participant, status.option_name): status for status in options}
         self._go_on()
 
-    def option_learned(self, participant: str, option_name: str, text: str) -> None:
+    def update_option(self, participant: str, option_name: str, text: str) -> None:
         """
         Keep an option as the learner publishes it.
 

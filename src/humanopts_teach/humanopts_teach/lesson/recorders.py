@@ -1,8 +1,8 @@
-"""Whether a lesson is recorded: by what recorders say, and whether they are on the graph."""
+"""Whether a lesson is recorded: by the status of the recorders and their presence on the graph."""
 
 from dataclasses import dataclass
 
-PATIENCE = 50  # looks at a recorder that says nothing, after which it is taken to be gone
+PATIENCE = 50  # looks without a new status, after which a recorder is taken to be gone
 _ADVICE = 'Everything taught so far is on disk: quit, and the same command takes it up again.'
 SILENT = (
     'nothing is heard of the recorder any more, and the bag may lack the last seconds. ' + _ADVICE
@@ -14,12 +14,12 @@ class _Recorder:
     complete: bool
     stopped: bool
     text: str
-    looks: int = 0  # since it said so
+    looks: int = 0  # since this status
 
 
 class Recorders:
     """
-    What every recorder said last; a new recorder may start beside one that has stopped.
+    The last status of every recorder; a new recorder may start beside one that has stopped.
 
     Silence is counted in looks, not in seconds, so that a lesson that was busy itself does not
     take its own delay for that of the recorder.
@@ -33,16 +33,16 @@ class Recorders:
         """
         self._expected = expected
         self._known: dict[str, _Recorder] = {}  # by publisher_id
-        self._heard = False  # of any, ever
+        self._any = False  # a status has come
         self._fault = ''
 
-    def heard(self, recorder: str, *, complete: bool, stopped: bool, text: str) -> None:
+    def update(self, recorder: str, *, complete: bool, stopped: bool, text: str) -> None:
         """
-        Keep what a recorder says, as it does every second.
+        Keep the status that a recorder publishes, as it does every second.
 
         :param recorder: its publisher_id; the rest is as in RecorderStatus.
         """
-        self._heard = True
+        self._any = True
         self._known[recorder] = _Recorder(complete, stopped, text)
 
     def look(self, there: bool) -> str:
@@ -65,6 +65,6 @@ class Recorders:
             self._fault = ''
         elif known and all(recorder.stopped for recorder in known):
             self._fault = f'{next(iter(known)).text}. {_ADVICE}'
-        elif not known and self._expected and (self._heard or not there):
+        elif not known and self._expected and (self._any or not there):
             self._fault = self._fault or SILENT
         return self._fault

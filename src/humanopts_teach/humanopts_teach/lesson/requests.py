@@ -258,7 +258,7 @@ class OptionStatus:
     criteria_met: bool = False
     mean_return_demonstrations: float = math.nan
     mean_return_policy: float = math.nan
-    more_needed: int = -1  # demonstrations; -1: it cannot be told yet
+    more_needed: int = -1  # demonstrations; -1: not known yet
     conflicts: tuple[str, ...] = ()
     suggested_feature: str = ''
 
@@ -314,7 +314,7 @@ class World:
         return bool(self.me) and self.holder == self.me
 
     def progress_of(self, participant: str, option_name: str) -> OptionStatus | None:
-        """Return what the learner says of one option; None: nothing yet."""
+        """Return how far the learner is with one option; None: it has not reported."""
         wanted = (participant, option_name)
         return next((p for p in self.progress if (p.participant, p.option_name) == wanted), None)
 

@@ -1,5 +1,5 @@
 """
-What is kept of a lesson: for each participant one file of what they said and showed.
+The entries of a lesson on disk: for each participant one file of answers and demonstrations.
 
 A line of JSON is one entry. It is on disk (fsync) before the lesson goes on.
 """
@@ -29,8 +29,8 @@ class EntryError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class _Said:
-    """What every entry has that is no demonstration."""
+class _SessionEntry:
+    """The fields of every entry that is no demonstration."""
 
     domain: str
     domain_parameters: str  # JSON object
@@ -39,12 +39,12 @@ class _Said:
 
 
 @dataclass(frozen=True, slots=True)
-class SessionOpened(_Said):
+class SessionOpened(_SessionEntry):
     """A participant began a session, or went on with it."""
 
 
 @dataclass(frozen=True, slots=True)
-class OptionDefined(_Said):
+class OptionDefined(_SessionEntry):
     """An option was named, or taken up again."""
 
     option_name: str
@@ -52,7 +52,7 @@ class OptionDefined(_Said):
 
 
 @dataclass(frozen=True, slots=True)
-class FeatureAnswered(_Said):
+class FeatureAnswered(_SessionEntry):
     """One feature question was answered."""
 
     option_name: str
@@ -110,7 +110,7 @@ class StoreError(OSError):
 
 
 class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
-    """What every participant said and showed, in one folder that one process uses at a time."""
+    """The entries of every participant, in one folder that one process uses at a time."""
 
     def __init__(self, directory: Path) -> None:
         """
@@ -146,7 +146,7 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
         return sorted(self._entries)
 
     def entries(self, participant: str) -> tuple[Entry, ...]:
-        """Return all that one participant said and showed, in that order."""
+        """Return the entries of one participant, in the order in which they were written."""
         return tuple(self._entries.get(participant, ()))
 
     def append(self, entry: Entry) -> None:

@@ -7,19 +7,8 @@ from pathlib import Path
 import time
 from typing import Any
 
+from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan, RunPolicy
-from humanopts_interfaces.msg import (
-    DomainInfo,
-    GameState,
-    LearnedOptions,
-    LearningStatus,
-    LessonState,
-    NodeStatus,
-    OptionStatus,
-    PlanResult,
-    PolicyResult,
-    RecorderStatus,
-)
 from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, LATCHED_ALL
@@ -49,12 +38,12 @@ class GraphClient(NodeBase):
     :ivar feedback: of the action under way; None: none has come.
     """
 
-    state: GameState | None = None
-    domain: DomainInfo | None = None
-    lesson: LessonState | None = None
-    learning: LearningStatus | None = None
-    options: LearnedOptions | None = None
-    recorder: RecorderStatus | None = None
+    state: msg.GameState | None = None
+    domain: msg.DomainInfo | None = None
+    lesson: msg.LessonState | None = None
+    learning: msg.LearningStatus | None = None
+    options: msg.LearnedOptions | None = None
+    recorder: msg.RecorderStatus | None = None
 
     def __init__(
         self,
@@ -70,20 +59,20 @@ class GraphClient(NodeBase):
         prepare_discovery()
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         super().__init__('conductor')
-        self.statuses: dict[str, NodeStatus] = {}
+        self.statuses: dict[str, msg.NodeStatus] = {}
         self.duplicates: set[str] = set()
         self.feedback: Any = None
         self._record, self._bag = bool(parameters['expect_recorder']), bag
         self._watch = watch
         self._fine = time.monotonic()  # when no node was paused last
-        self.create_subscription(NodeStatus, 'node_status', self._keep_status, LATCHED_ALL)
+        self.create_subscription(msg.NodeStatus, 'node_status', self._keep_status, LATCHED_ALL)
         for kind, topic, name in (
-            (GameState, 'current_state', 'state'),
-            (DomainInfo, 'domain_info', 'domain'),
-            (LessonState, 'lesson_state', 'lesson'),
-            (LearningStatus, 'learning_status', 'learning'),
-            (LearnedOptions, 'learned_options', 'options'),
-            (RecorderStatus, 'recorder_status', 'recorder'),
+            (msg.GameState, 'current_state', 'state'),
+            (msg.DomainInfo, 'domain_info', 'domain'),
+            (msg.LessonState, 'lesson_state', 'lesson'),
+            (msg.LearningStatus, 'learning_status', 'learning'),
+            (msg.LearnedOptions, 'learned_options', 'options'),
+            (msg.RecorderStatus, 'recorder_status', 'recorder'),
         ):
             self.create_subscription(kind, topic, partial(setattr, self, name), CURRENT)
         self._plan_client = ActionClient(self, Plan, 'plan')
@@ -93,7 +82,7 @@ class GraphClient(NodeBase):
 
     def close(self) -> None:
         """Leave the graph."""
-        self.set_status(NodeStatus.STATE_STOPPING)
+        self.set_status(msg.NodeStatus.STATE_STOPPING)
         self.drain()
         self._executor.shutdown()
         self.destroy_node()
@@ -148,7 +137,7 @@ class GraphClient(NodeBase):
         seed: int,
         names: Sequence[str] = (),
         game_steps: int = 0,
-    ) -> PlanResult:
+    ) -> msg.PlanResult:
         """
         Have the planner plan with the newest options, and judge the plan.
 
@@ -166,24 +155,24 @@ class GraphClient(NodeBase):
             seed=seed,
             options_sequence=self.options.sequence if self.options else 0,
         )
-        result: PlanResult = self._act(self._plan_client, goal, f'the {action_set} plan')
-        if result.status not in (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED):
+        result: msg.PlanResult = self._act(self._plan_client, goal, f'the {action_set} plan')
+        if result.status not in (result.STATUS_CONVERGED, result.STATUS_NOT_CONVERGED):
             raise LaunchError(f'planning with {action_set} failed: {result.detail}')
         return result
 
-    def play(self, action_set: str, episodes: int, seed: int) -> PolicyResult:
+    def play(self, action_set: str, episodes: int, seed: int) -> msg.PolicyResult:
         """
         Have the planner play episodes through the option server.
 
         :raises LaunchError: it refused, failed or did not answer.
         """
         goal = RunPolicy.Goal(action_set=action_set, episodes=episodes, seed=seed)
-        result: PolicyResult = self._act(self._policy_client, goal, 'the episodes')
-        if result.status != PolicyResult.STATUS_DONE:
+        result: msg.PolicyResult = self._act(self._policy_client, goal, 'the episodes')
+        if result.status != msg.PolicyResult.STATUS_DONE:
             raise LaunchError(f'playing by the {action_set} plan failed: {result.detail}')
         return result
 
-    def learned(self) -> list[tuple[str, OptionStatus]]:
+    def learned(self) -> list[tuple[str, msg.OptionStatus]]:
         """Return the option file's JSON and the status of every learned option."""
         if self.options is None or self.learning is None:
             return []
@@ -202,19 +191,19 @@ class GraphClient(NodeBase):
         :param tell: called with a line when a node pauses, and when it goes on.
         :raises LaunchError: another launch has come to the same place; or from ``check``.
         """
-        told: dict[str, str] = {}
+        reported: dict[str, str] = {}
         while True:
             self._executor.spin_once(0.05)
             check()
             self._check_duplicates(self._full_name(RECORDER))  # a new one takes over from ours
             paused = self._paused()
-            for name in sorted(told.keys() - paused.keys()):
-                if self.statuses[name].state == NodeStatus.STATE_READY:
+            for name in sorted(reported.keys() - paused.keys()):
+                if self.statuses[name].state == msg.NodeStatus.STATE_READY:
                     tell(f'{name} goes on')
             for name, text in paused.items():
-                if told.get(name) != text:
+                if reported.get(name) != text:
                     tell(f'{name} is paused: {text}')
-            told = paused
+            reported = paused
 
     def catch_up(self) -> None:
         """Process the messages that came while nobody served the graph."""
@@ -251,9 +240,9 @@ class GraphClient(NodeBase):
         self.wait(reply.done, seconds, what)
         return reply.result().result.result
 
-    def _keep_status(self, status: NodeStatus) -> None:
+    def _keep_status(self, status: msg.NodeStatus) -> None:
         known = self.statuses.get(status.node, status)
-        if status.publisher_id == known.publisher_id or known.state == NodeStatus.STATE_STOPPING:
+        if status.publisher_id == known.publisher_id or known.state == known.STATE_STOPPING:
             self.statuses[status.node] = status
         else:
             self.duplicates.add(status.node)
@@ -264,7 +253,7 @@ class GraphClient(NodeBase):
     def _stopped(self) -> str:
         """Return why the launch's recorder has stopped, and what is left; empty: it has not."""
         status = self.statuses.get(self._full_name(RECORDER))
-        if status is None or status.state != NodeStatus.STATE_PAUSED:
+        if status is None or status.state != msg.NodeStatus.STATE_PAUSED:
             return ''
         return f'{status.text}. The bag can be read: humanopts bag info {self._bag}'
 
@@ -272,7 +261,7 @@ class GraphClient(NodeBase):
         ready = {
             name
             for name, status in self.statuses.items()
-            if status.state == NodeStatus.STATE_READY
+            if status.state == msg.NodeStatus.STATE_READY
         }
         missing = [name for name in names if name not in ready]
         complete = self.recorder is not None and self.recorder.complete
@@ -285,7 +274,7 @@ class GraphClient(NodeBase):
         return {
             name: status.text
             for name, status in self.statuses.items()
-            if status.state == NodeStatus.STATE_PAUSED
+            if status.state == msg.NodeStatus.STATE_PAUSED
         }
 
     def _check_statuses(self) -> None:

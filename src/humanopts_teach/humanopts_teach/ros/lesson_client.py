@@ -1,7 +1,7 @@
 """
 Teaching from a program: one client of the lesson and of the game that is taught in.
 
-The terminal and the simulated teacher are written on it. A program of somebody else is a coroutine
+The terminal and the simulated teacher are written on it. A program of your own is a coroutine
 that gets a client; ``run_with_lesson`` makes the node and runs the coroutine to its end.
 """
 
@@ -55,7 +55,7 @@ class RefusedError(LessonClientError):
 
 
 class NoAnswerError(LessonClientError):
-    """Nobody answered in time, or nothing came of it; the text says what was waited for."""
+    """No answer came in time, or it had no effect; the text says what was waited for."""
 
 
 class LessonClient:

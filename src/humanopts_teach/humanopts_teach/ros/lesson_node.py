@@ -12,17 +12,7 @@ from typing import Any
 from humanopts_env.domains.base import DomainError
 from humanopts_env.game import transition_from_message
 from humanopts_env.ros.convert import domain_from_info
-from humanopts_interfaces.msg import Demonstration as DemonstrationMessage
-from humanopts_interfaces.msg import (
-    DemonstrationReceipt,
-    DomainInfo,
-    GameState,
-    LearnedOptions,
-    LearningStatus,
-    LessonState,
-    NodeStatus,
-    RecorderStatus,
-)
+from humanopts_interfaces import msg
 from humanopts_interfaces.srv import ResetGame
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.option import OptionError
@@ -59,11 +49,11 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 _TICK = 0.1  # s between looks at deadlines
 _GAME_DEADLINE = 5.0  # s for game to answer, and for a state that was announced to arrive
 _KEEPING = (Verdict.DONE, Verdict.NOT_HERE)
-_RESEND_DELAY = 0.5  # s from a learner's first word until it is sure to be listening
+_RESEND_DELAY = 0.5  # s from a learner's first status until its subscription is matched
 
 
 class LessonNode(NodeBase):
-    """Serves one lesson; what the person says is on disk before it is published."""
+    """Serves one lesson; an answer or a demonstration is on disk before it is published."""
 
     def __init__(self) -> None:
         """
@@ -93,25 +83,25 @@ class LessonNode(NodeBase):
         for damage in self._store.damage:
             self.get_logger().warning(damage)
         self._opened: Lesson | None = None  # once the game is known
-        self._state_out = self.stamped_publisher(LessonState, 'lesson_state', LATCHED)
-        self._demonstrations_out = self.stamped_publisher(DemonstrationMessage, 'demonstrations')
+        self._state_out = self.stamped_publisher(msg.LessonState, 'lesson_state', LATCHED)
+        self._demonstrations_out = self.stamped_publisher(msg.Demonstration, 'demonstrations')
         self._unsent: deque[Demonstration] = deque()
         self._shown: LessonView | None = None  # what was published last
         self._recorders = Recorders(expected=self._expect_recorder)
         self._unrecorded = ''  # why nothing is recorded now; empty: all is well
-        self._told = ''  # why the lesson is paused, as the node's status says
+        self._reported = ''  # why the lesson is paused, as in the node's status
         self._learner = ''  # publisher_id of the learner that is known
         self._asked_learner = 0.0  # time of the newest demonstration, s
         self._reentrant = ReentrantCallbackGroup()
         self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
         self.create_timer(_TICK, self._tick)
-        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
+        self.create_subscription(msg.DomainInfo, 'domain_info', self._on_domain, CURRENT)
         self._game_states = self.create_subscription(
-            GameState, 'game_state', self._on_game_state, STREAM
+            msg.GameState, 'game_state', self._on_game_state, STREAM
         )
         self._recorder_status = self.create_subscription(
-            RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
+            msg.RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
         )
 
     def _read_rules(self) -> LessonRules:
@@ -164,7 +154,7 @@ class LessonNode(NodeBase):
         """Let another lesson use the folder."""
         self._store.close()
 
-    def _on_domain(self, info: DomainInfo) -> None:
+    def _on_domain(self, info: msg.DomainInfo) -> None:
         """Begin the lesson, and serve and subscribe to what needs it."""
         if self._opened is not None:
             return
@@ -186,10 +176,10 @@ class LessonNode(NodeBase):
         for kind, (service, name) in LESSON_SERVICES.items():
             self.recorded_service(service, name, self._handler(kind), self._reentrant)
         self.create_subscription(
-            DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM
+            msg.DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM
         )
-        self.create_subscription(LearningStatus, 'learning_status', self._on_status, CURRENT)
-        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
+        self.create_subscription(msg.LearningStatus, 'learning_status', self._on_status, CURRENT)
+        self.create_subscription(msg.LearnedOptions, 'learned_options', self._on_options, CURRENT)
 
     # What the person asks for.
 
@@ -249,22 +239,22 @@ class LessonNode(NodeBase):
 
     # What game, the learner and the recorder publish.
 
-    def _on_game_state(self, message: GameState) -> None:
+    def _on_game_state(self, message: msg.GameState) -> None:
         if self._opened is None:
             return
-        if self._lesson.saw(transition_from_message(message)):
+        if self._lesson.add_transition(transition_from_message(message)):
             self._show()
         self.waiting.look()
 
-    def _on_receipt(self, receipt: DemonstrationReceipt) -> None:
-        if receipt.status == DemonstrationReceipt.STATUS_REFUSED:
+    def _on_receipt(self, receipt: msg.DemonstrationReceipt) -> None:
+        if receipt.status == msg.DemonstrationReceipt.STATUS_REFUSED:
             if receipt.uuid == self._lesson.awaited:
                 self._learner = ''  # a full disk of its own, perhaps: sent again with the next
             self._lesson.learner_refused(receipt.uuid, receipt.detail)
             self._show()
 
-    def _on_status(self, status: LearningStatus) -> None:
-        self._lesson.learner_said(
+    def _on_status(self, status: msg.LearningStatus) -> None:
+        self._lesson.update_progress(
             [option_status_from_message(option) for option in status.options]
         )
         self._show()
@@ -272,16 +262,16 @@ class LessonNode(NodeBase):
             self._learner = status.publisher_id
             self._resend.reset()
 
-    def _on_options(self, message: LearnedOptions) -> None:
+    def _on_options(self, message: msg.LearnedOptions) -> None:
         for option in message.options:
             try:
-                self._lesson.option_learned(option.participant, option.name, option.model)
+                self._lesson.update_option(option.participant, option.name, option.model)
             except OptionError as error:
                 self.get_logger().error(f'learned_options: {error}')
         self._show()
 
-    def _on_recorder(self, status: RecorderStatus) -> None:
-        self._recorders.heard(
+    def _on_recorder(self, status: msg.RecorderStatus) -> None:
+        self._recorders.update(
             status.publisher_id,
             complete=status.complete,
             stopped=status.stopped,
@@ -331,14 +321,15 @@ class LessonNode(NodeBase):
             self._lesson.pause(cause)
             with suppress(PublishError):  # where it is not this that cannot be sent
                 self._send_view()
-        if cause != self._told:
-            self._told = cause
-            self.set_status(NodeStatus.STATE_PAUSED if cause else NodeStatus.STATE_READY, cause)
+        if cause != self._reported:
+            self._reported = cause
+            status = msg.NodeStatus
+            self.set_status(status.STATE_PAUSED if cause else status.STATE_READY, cause)
 
     def _send_view(self) -> None:
         view = self._lesson.view
         if view != self._shown:
-            self._state_out.publish(encode(view, LessonState()))
+            self._state_out.publish(encode(view, msg.LessonState()))
             self._shown = view
 
 

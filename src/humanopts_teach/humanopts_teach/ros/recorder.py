@@ -67,7 +67,7 @@ class Pace:
             self._late = now
 
     def behind(self, now: float) -> bool:
-        """Tell whether messages wait too long."""
+        """Return whether messages wait too long."""
         return now - self._late < _RECOVERY
 
     def report(self) -> float:
@@ -80,8 +80,8 @@ class Recorder(NodeBase):
     """
     Records the topics of its namespace, service events and actions included, or some of them.
 
-    Where the bag cannot be written any more it says so on ``recorder_status`` and goes on taking
-    messages, so that no publisher is held back.
+    Where the bag cannot be written any more it reports so on ``recorder_status`` and goes on
+    taking messages, so that no publisher is held back.
     """
 
     def __init__(self) -> None:
@@ -127,7 +127,7 @@ class Recorder(NodeBase):
                 finish()
             except BagWriteError as error:
                 self._stop(error)
-        self.failed = self._stopped != before  # nobody who could hear of it is left
+        self.failed = self._stopped != before  # the status reaches no reader any more
 
     def _begin(self) -> BagWriter:
         """
@@ -300,7 +300,7 @@ class Recorder(NodeBase):
 
 def _facts(text: str) -> dict[str, str]:
     """
-    Read the facts that the recorder is told.
+    Read the facts that the recorder is given.
 
     :raises StartError: they are not a JSON object.
     """

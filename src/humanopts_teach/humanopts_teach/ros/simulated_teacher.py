@@ -59,36 +59,28 @@ class SimulatedTeacherNode(NodeBase):
 
     def _read_settings(self) -> TeacherSettings:
         default = TeacherSettings(('',))
-        share = FloatingPointRange(from_value=0.0, to_value=1.0)
-        steps = IntegerRange(from_value=1, to_value=1_000_000, step=1)
-        seeds = IntegerRange(from_value=0, to_value=2**62, step=1)
-
-        def read(name: str, text: str, **limits: Any) -> Any:
-            return self.setting(name, getattr(default, name), text, **limits)
-
-        options = read('options', 'names of the reference options to teach, in order')
-        return TeacherSettings(
-            options=tuple(name for name in options or () if name),
-            participant=read('participant', 'code under which it teaches'),
-            session=read('session', 'code of the session'),
-            error_rate=read(
-                'error_rate',
-                'probability of a wrong action before each step, below 1',
-                floating_point_range=[share],
-            ),
-            extra_feature_rate=read(
-                'extra_feature_rate',
-                'probability of a needless yes for each feature, below 1',
-                floating_point_range=[share],
-            ),
-            own_habits=read('own_habits', 'prefer actions in an order drawn for the participant'),
-            step_limit=read(
-                'step_limit',
-                'steps after which a demonstration is discarded',
-                integer_range=[steps],
-            ),
-            seed=read('seed', 'of every random draw', integer_range=[seeds]),
-        )
+        share = {'floating_point_range': [FloatingPointRange(from_value=0.0, to_value=1.0)]}
+        steps = {'integer_range': [IntegerRange(from_value=1, to_value=1_000_000, step=1)]}
+        seeds = {'integer_range': [IntegerRange(from_value=0, to_value=2**62, step=1)]}
+        given: dict[str, Any] = {
+            name: self.setting(name, getattr(default, name), text, **limits)
+            for name, text, limits in (
+                ('options', 'names of the reference options to teach, in order', {}),
+                ('participant', 'code under which it teaches', {}),
+                ('session', 'code of the session', {}),
+                ('error_rate', 'probability of a wrong action before each step, below 1', share),
+                (
+                    'extra_feature_rate',
+                    'probability of a needless yes for each feature, below 1',
+                    share,
+                ),
+                ('own_habits', 'prefer actions in an order drawn for the participant', {}),
+                ('step_limit', 'steps after which a demonstration is discarded', steps),
+                ('seed', 'of every random draw', seeds),
+            )
+        }
+        given['options'] = tuple(name for name in given['options'] or () if name)
+        return TeacherSettings(**given)
 
     def _meet(self) -> None:
         """Get ready to teach, once the rules of the game are known."""
