@@ -125,11 +125,21 @@ def test_nothing_comes_between_the_request_for_an_episode_and_its_start(
 
 
 @pytest.mark.parametrize(
-    ('participant', 'session'), [('', 's1'), ('a b', ''), ('../x', ''), ('p1', 's/1')]
+    ('participant', 'session'),
+    [
+        ('', 's1'),
+        ('a b', ''),
+        ('../x', ''),
+        ('..', ''),
+        ('x' * 61, ''),
+        ('Zo\u00eb', ''),
+        ('p1', 's/1'),
+    ],
 )
 def test_a_session_needs_codes(table: Table, participant: str, session: str) -> None:
     assert table.ask(OpenSession(participant, session)).status is RequestStatus.BAD_NAME
     assert table.lesson.phase is Phase.NO_SESSION
+    assert [path.name for path in table.store.directory.iterdir()] == ['.lock']
 
 
 def test_a_new_session_is_named_after_the_day_and_counted(table: Table) -> None:

@@ -1,6 +1,5 @@
 """The lesson's memory survives crashes and full disks."""
 
-import errno
 import os
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from humanopts_teach.lesson.store import (
     StoreError,
 )
 import pytest
+from teach_support.lesson import fill_disk
 
 KEY = ('taxi', '{}')
 SESSION = SessionOpened(*KEY, 'p1', 's1')
@@ -103,15 +103,6 @@ def test_a_line_cut_off_anywhere_is_moved_aside_and_nothing_else_is_lost(tmp_pat
             assert store.damage == []
 
 
-def test_a_line_that_lacks_only_its_end_is_kept(tmp_path: Path) -> None:
-    path = filled(tmp_path)
-    content = path.read_bytes()
-    path.write_bytes(content[:-1])
-    with DemonstrationStore(tmp_path) as store:
-        assert list(store.entries('p1')) == ENTRIES
-    assert path.read_bytes() == content
-
-
 def test_a_damaged_line_in_the_middle_is_named_and_left_in_the_file(tmp_path: Path) -> None:
     path = filled(tmp_path)
     lines = path.read_bytes().splitlines(keepends=True)
@@ -130,25 +121,14 @@ def test_lines_of_another_participant_are_left_out(tmp_path: Path) -> None:
         assert len(store.damage) == len(ENTRIES)
 
 
-@pytest.mark.parametrize('fails', ['write', 'fsync'])
 def test_a_full_disk_leaves_nothing_half_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = filled(tmp_path)
     content = path.read_bytes()
-    real_write = os.write
-
-    def full_write(handle: int, data: bytes) -> int:
-        if len(data) < 20:
-            raise OSError(errno.ENOSPC, 'No space left on device')
-        return real_write(handle, data[: len(data) // 2])
-
-    def full_fsync(handle: int) -> None:
-        raise OSError(errno.ENOSPC, 'No space left on device')
-
     with DemonstrationStore(tmp_path) as store:
         with monkeypatch.context() as patch:
-            patch.setattr(os, fails, full_write if fails == 'write' else full_fsync)
+            fill_disk(patch)
             with pytest.raises(StoreError, match='the disk is full'):
                 store.append(SESSION)
         assert path.read_bytes() == content
@@ -191,12 +171,3 @@ def test_two_lessons_cannot_use_one_folder(tmp_path: Path) -> None:
     with DemonstrationStore(tmp_path), pytest.raises(StoreError, match='another lesson'):
         DemonstrationStore(tmp_path)
     DemonstrationStore(tmp_path).close()
-
-
-@pytest.mark.parametrize('code', ['', '..', 'a/b', 'x' * 61, 'Zo\u00eb'])
-def test_a_participant_that_is_no_code_never_becomes_a_file_name(
-    tmp_path: Path, code: str
-) -> None:
-    with DemonstrationStore(tmp_path) as store, pytest.raises(ValueError, match='not a code'):
-        store.append(SessionOpened(*KEY, code, 's1'))
-    assert [path.name for path in tmp_path.iterdir()] == ['.lock']

@@ -20,7 +20,7 @@ from humanopts_learner.demonstrations import Demonstration, DemonstrationError
 VERSION = 1  # of the line format
 _SUFFIX = '.jsonl'
 _LOCK = '.lock'
-CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')
+CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')  # of participants, who name files, and sessions
 CODE_RULE = 'letters, digits, - and _, at most 60 of them'
 
 
@@ -151,14 +151,11 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
 
     def append(self, entry: Entry) -> None:
         """
-        Keep an entry; it is on disk when this returns.
+        Keep an entry, whose participant names the file; it is on disk when this returns.
 
         :raises StoreError: it could not be written (disk full, folder gone); nothing of it is
             kept, and the same call can be tried again.
-        :raises ValueError: the participant is not a code.
         """
-        if not CODE.fullmatch(entry.participant):
-            raise ValueError(f'participant {entry.participant!r} is not a code: {CODE_RULE}')
         path = self.directory / f'{entry.participant}{_SUFFIX}'
         try:
             if entry.participant not in self._logs:

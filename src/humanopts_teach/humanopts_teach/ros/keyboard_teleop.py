@@ -2,15 +2,24 @@
 
 from collections.abc import Callable
 from functools import partial
+from operator import attrgetter
 import sys
 import time
+from typing import Any
 
 from humanopts_interfaces.msg import ControlState, ExecutionState, LearningStatus, OptionGoal
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, DISPLAY
-from humanopts_teach.lesson.requests import Answer, CancelRun, Request, RequestStatus, Run
+from humanopts_teach.lesson.requests import (
+    Answer,
+    CancelRun,
+    OptionStatus,
+    Request,
+    RequestStatus,
+    Run,
+)
 from humanopts_teach.ros.convert import (
     LESSON_SERVICES,
     option_status_from_message,
@@ -56,13 +65,13 @@ class KeyboardTeleopNode(NodeBase):
         self._drawn = self._asked = 0.0
         self._news = True  # something came in since the last frame
         self._seen: object = None  # what the last frame showed
-        for kind, topic, callback in (
-            (LearningStatus, 'learning_status', self._on_learning),
-            (ControlState, 'control', self._on_control),
-            (ExecutionState, 'execution', self._on_execution),
+        for kind, topic, shown, read, qos in (
+            (LearningStatus, 'learning_status', 'progress', _progress, CURRENT),
+            (ControlState, 'control', 'holder', attrgetter('holder_id'), CURRENT),
+            (ExecutionState, 'execution', 'execution', attrgetter('execution'), CURRENT),
+            (OptionGoal, 'option_goals', 'running', attrgetter('option_name'), DISPLAY),
         ):
-            self.create_subscription(kind, topic, callback, CURRENT)
-        self.create_subscription(OptionGoal, 'option_goals', self._on_option_goal, DISPLAY)
+            self.create_subscription(kind, topic, partial(self._show, shown, read), qos)
 
     def waits_for(self) -> str | None:
         """Wait for the rules of the game."""
@@ -148,21 +157,14 @@ class KeyboardTeleopNode(NodeBase):
     def _on_news(self) -> None:
         self._news = True
 
-    def _on_learning(self, message: LearningStatus) -> None:
-        self._world.progress = [option_status_from_message(status) for status in message.options]
+    def _show(self, shown: str, read: Callable[[Any], object], message: Any) -> None:
+        """Show what a message holds, in one field of the world."""
+        setattr(self._world, shown, read(message))
         self._news = True
 
-    def _on_control(self, message: ControlState) -> None:
-        self._world.holder = message.holder_id
-        self._news = True
 
-    def _on_execution(self, message: ExecutionState) -> None:
-        self._world.execution = message.execution
-        self._news = True
-
-    def _on_option_goal(self, message: OptionGoal) -> None:
-        self._world.running = message.option_name
-        self._news = True
+def _progress(message: LearningStatus) -> list[OptionStatus]:
+    return [option_status_from_message(status) for status in message.options]
 
 
 def main(args: list[str] | None = None) -> int:
