@@ -167,7 +167,7 @@ def arbitrated(
     for _ in range(MAZE.max_steps):
         if MAZE.is_over(state):
             break
-        seen = plan.abstraction.observe(plan.abstraction.games.batch_of([state]))
+        seen = plan.actions.observe_state(state)
         if column >= 0 and policy.stops(seen, np.array([column]), rng)[0]:
             stopped, column = stopped + 1, -1
         if column < 0:

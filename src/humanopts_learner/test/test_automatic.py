@@ -37,7 +37,6 @@ from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import Runs
 from humanopts_learner.planning.sampled.plan import make_sampled_plan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 import numpy as np
 import pytest
 
@@ -174,7 +173,7 @@ def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
     games = batch_games(domain)
     actions = ActionSet(domain, 'human', to_learned_options(domain, found_here))
     rng = generator(0, 'test')
-    runs = Runs(StateAbstraction(games, 'human'), actions, games.batch_reset(50, rng), rng)
+    runs = Runs(actions, games.batch_reset(50, rng), rng)
     runs.decide(UniformPolicy(actions))
     began = runs.option < actions.first_fallback
     target = np.array([o.target.cell for o in found_here.options])[runs.option * began]

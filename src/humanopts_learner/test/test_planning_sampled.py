@@ -22,7 +22,7 @@ from humanopts_learner.planning.request import (
     Progress,
     Sampling,
 )
-from humanopts_learner.planning.sampled.action_set import ActionSet
+from humanopts_learner.planning.sampled.action_set import ActionSet, StateAbstraction
 from humanopts_learner.planning.sampled.games import play_games, Recording, Runs, Sampler
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
@@ -32,7 +32,6 @@ from humanopts_learner.planning.sampled.sampled_models import (
     shrunk,
     StateIndex,
 )
-from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +88,7 @@ def test_a_model_is_the_mean_of_its_samples_less_the_penalty() -> None:
     counts.add(samples((7, 0, 1.0, 0.9, 9), (9, 1, 5.0, 0.0, 9)))
     counts.add(samples((7, 0, 3.0, 0.81, 9), (9, 1, 5.0, 0.0, 9)))
     model = counts.model(min_samples=2, penalty=1.0)
-    (seven, nine), _ = counts.index.find(np.array([7, 9]))
+    seven, nine = counts.index.add(np.array([7, 9]))
     assert model.available[[seven, nine]].tolist() == [[True, False], [False, True]]
     assert model.reward[seven, 0] == pytest.approx(2.0 - 1.0 / np.sqrt(2))
     assert model.rows.toarray()[seven, nine] == pytest.approx((0.9 + 0.81) / 2)
@@ -116,7 +115,7 @@ def test_successors_that_nothing_is_known_of_count_as_the_known_ones() -> None:
     counts.add(samples((1, 0, 0.0, 0.9, 2), (1, 0, 0.0, 0.9, 2), (1, 0, 0.0, 0.6, 3)))
     counts.add(samples(*[(2, 0, 1.0, 0.0, 2)] * 2))
     model = counts.model(min_samples=2, penalty=0.0)
-    (one, two, three), _ = counts.index.find(np.array([1, 2, 3]))
+    one, two, three = counts.index.add(np.array([1, 2, 3]))
     assert model.rows.toarray()[one, two] == pytest.approx(0.8)
     assert model.rows.toarray()[one, three] == 0.0
 
@@ -128,7 +127,7 @@ def test_what_cannot_be_chosen_makes_no_state_known() -> None:
     assert not counts.model(min_samples=2, penalty=0.0).available.any()
     counts.add(samples(*[(3, 0, 1.0, 0.0, 3)] * 2))
     model = counts.model(min_samples=2, penalty=0.0)
-    (one, two, three), _ = counts.index.find(np.array([1, 2, 3]))
+    one, two, three = counts.index.add(np.array([1, 2, 3]))
     expected = [[False, False], [False, True], [True, False]]
     assert model.available[[one, two, three]].tolist() == expected
     assert model.rows.toarray()[3 + two, three] == pytest.approx(0.9)
@@ -176,8 +175,7 @@ def test_sampling_keeps_to_its_budget() -> None:
     """Rounded down to whole steps of all games."""
     games = TabularGames(BatchRooms())
     actions = ActionSet(games.domain, 'primitive', [])
-    counts, abstraction = SampleCounts(actions.names), StateAbstraction(games, 'primitive')
-    sampler = Sampler(abstraction, actions, counts, 50, GAMMA, generator(1, 'test'))
+    sampler = Sampler(actions, SampleCounts(actions.names), 50, GAMMA, generator(1, 'test'))
     reported: list[int] = []
     assert sampler.play(UniformPolicy(actions), 5_049, reported.append) == 5_000
     assert reported[-1] == 5_000
@@ -245,7 +243,7 @@ def test_a_plan_plays_better_than_chance() -> None:
     """In fewer steps than options drawn at random."""
     plan = rooms_plan('human')
     uniform = UniformPolicy(plan.actions)
-    chance = play_games(plan.abstraction, plan.actions, uniform, GAMMA, 3, 200)
+    chance = play_games(plan.actions, uniform, GAMMA, 3, 200)
     assert plan.play(3, 200).steps.mean() < 0.5 * chance.steps.mean()
 
 
@@ -288,16 +286,15 @@ def test_what_makes_no_sense_is_refused_by_name() -> None:
 def test_games_that_begin_again_are_seen_as_they_are() -> None:
     """The others stay where they were."""
     games = TabularGames(BatchRooms())
-    abstraction = StateAbstraction(games, 'primitive')
     actions = ActionSet(games.domain, 'primitive', [])
     batch = games.batch_reset(50, generator(1, 'begin'))
-    runs = Runs(abstraction, actions, batch, generator(1, 'play'))
+    runs = Runs(actions, batch, generator(1, 'play'))
     for _ in range(5):
         runs.decide(UniformPolicy(actions))
         runs.step()
     before = runs.batch.copy()
     runs.restart(np.array([3, 40]))
-    seen = abstraction.observe(runs.batch)
+    seen = actions.abstraction.observe(runs.batch)
     assert np.array_equal(runs.seen.states, seen.states)
     assert np.array_equal(runs.seen.rows, seen.rows)
     changed = np.flatnonzero(before[0] != runs.batch[0])

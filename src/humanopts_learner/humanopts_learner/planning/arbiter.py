@@ -12,10 +12,9 @@ from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.arbitration import interruptions, OptionValues, winners
-from humanopts_learner.planning.request import batch_games, Execution, PlanError
+from humanopts_learner.planning.request import Execution, PlanError
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.policies import GreedyPolicy
-from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 import numpy as np
 
 
@@ -48,7 +47,6 @@ class Arbiter:
             if actions.names[: actions.first_fallback] != values.names:
                 raise PlanError(f'the values are not for the actions of {domain.name}')
             self._policy = GreedyPolicy(actions, values, execution)
-            self._abstraction = StateAbstraction(batch_games(domain), values.action_set)
         elif not is_enumerable(domain) or domain.n_states != len(values.states):
             raise PlanError(f'the values are not for every state of {domain.name}')
 
@@ -84,7 +82,7 @@ class Arbiter:
 
     def _by_abstract_state(self, state: Any, option: int) -> tuple[bool, str]:
         """Return whether an option (-1: none) is stopped, and the option that is chosen."""
-        seen = self._abstraction.observe(self._abstraction.games.batch_of([state]))
+        seen = self._policy.actions.observe_state(state)
         stopped = self._policy.stops(seen, np.array([option]), np.random.default_rng(0))
         acting = self._policy.decide(seen).option[0]
         return bool(stopped[0]), self._policy.actions.names[int(acting)]

@@ -23,7 +23,6 @@ from humanopts_env.domains.registry import parameters_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.evaluate import Interval, Returns
 from humanopts_learner.planning.request import (
-    batch_games,
     Execution,
     HUMAN,
     PlanError,
@@ -34,7 +33,6 @@ from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 import numpy as np
 
 PLAN, RANDOM, HEURISTIC = 'plan', 'chance', 'rule'  # kinds of baseline, as in summary.json
@@ -137,10 +135,9 @@ def _play(
         results = plan.play(seed, games)
         found = {'game_steps': plan.game_steps, 'seconds': plan.seconds}
     elif baseline.kind == RANDOM:
-        abstraction = StateAbstraction(batch_games(domain), baseline.action_set)
         actions = ActionSet(domain, baseline.action_set, baseline.options)
         policy = UniformPolicy(actions)
-        results = play_games(abstraction, actions, policy, domain.gamma, seed, games)
+        results = play_games(actions, policy, domain.gamma, seed, games)
     elif (play := baselines_of(domain).heuristic) is not None:
         results = play(games, seed, to_end=baseline.to_end)
     else:

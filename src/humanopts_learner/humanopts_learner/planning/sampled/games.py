@@ -20,7 +20,6 @@ from humanopts_learner.planning.request import ignore_progress, PlanError, Progr
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.policies import Choice, Policy
 from humanopts_learner.planning.sampled.sampled_models import SampleCounts, Samples
-from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,13 +38,13 @@ class Runs:
 
     def __init__(
         self,
-        abstraction: StateAbstraction,
         actions: ActionSet,
         batch: Any,
         rng: np.random.Generator,
     ) -> None:
-        self._abstraction, self._actions, self._rng = abstraction, actions, rng
-        self.batch, self.seen = batch, abstraction.observe(batch)
+        self.actions, self._games, self._rng = actions, actions.games, rng
+        self._observe = actions.abstraction.observe
+        self.batch, self.seen = batch, self._observe(batch)
         self.option = np.full(len(self.seen.states), -1, dtype=np.intp)
         self.ran = np.zeros(len(self.option), dtype=np.intp)
 
@@ -63,10 +62,10 @@ class Runs:
 
     def step(self) -> tuple[NDArray[Any], Flags, Flags]:
         """Take one step; return rewards, which options ended and which games are over, (N,)."""
-        games, actions = self._abstraction.games, self._actions
+        games, actions = self._games, self.actions
         action = actions.actions(self.seen, self.option)
         reward = games.batch_step(self.batch, action, self._rng)
-        self.seen = self._abstraction.observe(self.batch)
+        self.seen = self._observe(self.batch)
         self.ran += 1
         over = games.batch_over(self.batch)
         ended = over | (self.ran >= actions.limits[self.option])
@@ -75,22 +74,20 @@ class Runs:
 
     def restart(self, chosen: Ints) -> None:
         """Begin chosen games (M,) again."""
-        games = self._abstraction.games
-        fresh = games.batch_reset(len(chosen), self._rng)
-        games.batch_put(self.batch, chosen, fresh)
-        seen = self._abstraction.observe(fresh)
+        fresh = self._games.batch_reset(len(chosen), self._rng)
+        self._games.batch_put(self.batch, chosen, fresh)
+        seen = self._observe(fresh)
         self.seen.rows[chosen], self.seen.states[chosen] = seen.rows, seen.states
         self.option[chosen] = -1
 
     def keep(self, chosen: Ints) -> None:
         """Keep chosen games (M,) only."""
-        self.batch = self._abstraction.games.batch_take(self.batch, chosen)
-        self.seen = self._abstraction.observe(self.batch)
+        self.batch = self._games.batch_take(self.batch, chosen)
+        self.seen = self._observe(self.batch)
         self.option, self.ran = self.option[chosen], self.ran[chosen]
 
 
 def play_games(
-    abstraction: StateAbstraction,
     actions: ActionSet,
     policy: Policy,
     gamma: float,
@@ -106,7 +103,7 @@ def play_games(
     :param progress: called with the stage evaluation; what it raises passes through.
     :raises PlanError: the domain never cuts an episode off, or ``episodes`` is below 1.
     """
-    games = abstraction.games
+    games = actions.games
     limit = games.domain.max_steps
     if limit < 1 or episodes < 1:
         raise PlanError(f'cannot play {episodes} episodes of at most {limit} steps')
@@ -115,26 +112,25 @@ def play_games(
     outcomes = {name: values.copy() for name, values in games.batch_outcome(batch).items()}
     over = games.batch_over(batch)
     returns = Returns.of_none(over.copy(), outcomes)
-    runs, at = Runs(abstraction, actions, batch, rng), np.arange(episodes)
+    runs, at = Runs(actions, batch, rng), np.arange(episodes)
     for step in range(limit):
         progress('evaluation', step / limit, 0, math.nan)
         if not over.all():
-            _play_step(returns, runs, actions, policy, gamma, at, over)
+            _play_step(returns, runs, policy, gamma, at, over)
             over = games.batch_over(runs.batch)
         if over.mean() >= FINISHED_SHARE:
-            _keep_outcomes(returns, abstraction, runs, at, over)
+            _keep_outcomes(returns, runs, at, over)
             at, over = at[~over], over[~over]
             runs.keep(np.flatnonzero(~games.batch_over(runs.batch)))
         if not len(at):
             break
-    _keep_outcomes(returns, abstraction, runs, at, np.ones(len(at), dtype=np.bool_))
+    _keep_outcomes(returns, runs, at, np.ones(len(at), dtype=np.bool_))
     return returns
 
 
 def _play_step(
     returns: Returns,
     runs: Runs,
-    actions: ActionSet,
     policy: Policy,
     gamma: float,
     at: Ints,
@@ -151,7 +147,7 @@ def _play_step(
     going = ~over[free]
     deciding = at[free[going]]
     returns.decisions[deciding] += 1
-    returns.fallbacks[deciding] += (choice.option >= actions.first_fallback)[going]
+    returns.fallbacks[deciding] += (choice.option >= runs.actions.first_fallback)[going]
     returns.unknown[deciding] += choice.unknown[going]
     reward, ended, now_over = runs.step()
     runs.option[ended] = -1
@@ -161,11 +157,9 @@ def _play_step(
     returns.successes[at] = now_over
 
 
-def _keep_outcomes(
-    returns: Returns, abstraction: StateAbstraction, runs: Runs, at: Ints, chosen: Flags
-) -> None:
+def _keep_outcomes(returns: Returns, runs: Runs, at: Ints, chosen: Flags) -> None:
     """Keep the outcomes of chosen games (M,) when they are dropped."""
-    for name, values in abstraction.games.batch_outcome(runs.batch).items():
+    for name, values in runs.actions.games.batch_outcome(runs.batch).items():
         returns.outcomes[name][at[chosen]] = values[chosen]
 
 
@@ -208,7 +202,6 @@ class Sampler:
 
     def __init__(
         self,
-        abstraction: StateAbstraction,
         actions: ActionSet,
         counts: SampleCounts,
         n_games: int,
@@ -216,10 +209,10 @@ class Sampler:
         rng: np.random.Generator,
     ) -> None:
         """Begin games at the start of the task."""
-        games = abstraction.games
+        games = actions.games
         self._actions, self._counts, self._gamma = actions, counts, gamma
         self._limit = games.domain.max_steps or np.iinfo(np.intp).max
-        self._runs = Runs(abstraction, actions, games.batch_reset(n_games, rng), rng)
+        self._runs = Runs(actions, games.batch_reset(n_games, rng), rng)
         self._age = np.zeros(n_games, dtype=np.intp)
 
     def play(self, policy: Policy, steps: int, on_steps: Callable[[int], object]) -> int:

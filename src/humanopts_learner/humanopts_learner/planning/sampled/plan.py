@@ -15,7 +15,6 @@ from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.exact import Decision, SweepProgress
 from humanopts_learner.planning.multi_time_models import expected_values, SparseMultiTimeModel
 from humanopts_learner.planning.request import (
-    batch_games,
     Clock,
     Execution,
     ignore_progress,
@@ -33,7 +32,6 @@ from humanopts_learner.planning.sampled.policies import (
     UniformPolicy,
 )
 from humanopts_learner.planning.sampled.sampled_models import SampleCounts, shrunk
-from humanopts_learner.planning.sampled.state_abstraction import StateAbstraction
 from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 import numpy as np
 
@@ -56,7 +54,6 @@ class SampledPlan:
     actions: ActionSet
     solution: Solution
     policy: GreedyPolicy  # executed as it was while sampling
-    abstraction: StateAbstraction
     game_steps: int  # that were sampled
     model_seconds: float  # sampling and counting
     sweep_seconds: float
@@ -85,8 +82,7 @@ class SampledPlan:
         """
         if self.domain.is_over(state):
             raise PlanError('there is nothing to do: the task is over')
-        seen = self.abstraction.observe(self.abstraction.games.batch_of([state]))
-        option = int(self.policy.choose(seen).option[0])
+        option = int(self.policy.choose(self.actions.observe_state(state)).option[0])
         return Decision(self.names[option], option >= self.first_fallback)
 
     def as_executed(self, execution: Execution | None = None) -> GreedyPolicy:
@@ -107,9 +103,7 @@ class SampledPlan:
         :param progress: called with the stage evaluation.
         """
         policy = self.as_executed(execution)
-        return play_games(
-            self.abstraction, self.actions, policy, self.gamma, seed, episodes, progress
-        )
+        return play_games(self.actions, policy, self.gamma, seed, episodes, progress)
 
     def option_values(self) -> OptionValues:
         """Return the values for arbitration in the abstract states visited."""
@@ -131,18 +125,16 @@ def make_sampled_plan(
     """
     asked = request.in_force(domain, options, sampled=True)
     config, limits = asked.sampling, (asked.tol, asked.max_sweeps)
-    abstraction = StateAbstraction(batch_games(domain), asked.action_set)
     actions = ActionSet(domain, asked.action_set, options)
     counts = SampleCounts(actions.modelled, actions.first_fallback)
     sampler = Sampler(
-        abstraction,
         actions,
         counts,
         min(config.n_games, asked.game_steps // config.game_steps),
         asked.gamma,
         generator(asked.seed, 'sampled_plan', asked.action_set),
     )
-    estimate = _Estimate(abstraction, actions, counts, config)
+    estimate = _Estimate(actions, counts, config)
     part = asked.game_steps // config.rounds
     policy: Policy = UniformPolicy(actions)
     game_steps, model_seconds, sweep_seconds = 0, 0.0, 0.0
@@ -166,7 +158,6 @@ def make_sampled_plan(
         actions=actions,
         solution=estimate.solution,
         policy=replace(estimate.policy, execution=asked.execution),
-        abstraction=abstraction,
         game_steps=game_steps,
         model_seconds=model_seconds,
         sweep_seconds=sweep_seconds,
@@ -181,14 +172,13 @@ class _Estimate:
 
     def __init__(
         self,
-        abstraction: StateAbstraction,
         actions: ActionSet,
         counts: SampleCounts,
         config: Sampling,
     ) -> None:
-        self._abstraction, self._actions, self._counts = abstraction, actions, counts
+        self._actions, self._counts = actions, counts
         self._config = config
-        self._shrinks = config.shrinkage > 0.0 and abstraction.context != ()
+        self._shrinks = config.shrinkage > 0.0 and actions.abstraction.context != ()
 
     def update(
         self, model: SparseMultiTimeModel, tol: float, max_sweeps: int, on_sweep: SweepProgress
@@ -214,7 +204,7 @@ class _Estimate:
         option_values = values[:, : self._actions.first_fallback]
         if not self._shrinks:
             return option_values
-        states = self._abstraction.without_context(self._counts.index.codes)
+        states = self._actions.abstraction.without_context(self._counts.index.codes)
         group = np.unique(states, return_inverse=True)[1]
         samples = self._counts.samples[:, : self._actions.first_fallback]
         return shrunk(option_values, samples, group, self._config.shrinkage)

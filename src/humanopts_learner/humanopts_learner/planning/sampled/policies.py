@@ -7,8 +7,7 @@ from typing import Protocol
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.planning.arbitration import interruptions, OptionValues, winners
 from humanopts_learner.planning.request import Execution, MODULAR
-from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.state_abstraction import Observation
+from humanopts_learner.planning.sampled.action_set import ActionSet, Observation
 import numpy as np
 from numpy.typing import NDArray
 
