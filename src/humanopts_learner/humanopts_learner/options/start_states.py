@@ -8,7 +8,7 @@ none is stuck, it asks about states that are outside I by mere guess. Where stat
 run, it draws one of a sample: stuck, a guess, or decided by a tenth of the demonstrations.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats
@@ -27,6 +27,7 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.rollout import is_deterministic
 import numpy as np
 
+STRATEGIES = ('random', 'coverage', 'failures')
 SAMPLE = 500  # states among which coverage looks for the most distant
 ALREADY_SHOWN = 0.1  # weight of a failing situation that was shown, against 1
 
@@ -56,19 +57,16 @@ def choose_start_state(
         )
     if not any(demo.kind is Kind.TRAJECTORY for demo in demonstrations):
         option = None  # learned from others that are not here, such as an old option file
-    return STRATEGIES[strategy](domain, option, demonstrations, rng)
+    if strategy == 'failures' and option is not None:
+        state = _failing_state(domain, option, demonstrations, rng)
+        if state is not None:
+            return state
+    if strategy == 'random' or not demonstrations:
+        return domain.sample_states(rng, 1)[0]
+    return _uncovered_state(domain, option, demonstrations, rng)
 
 
-def _random(
-    domain: Domain[Any],
-    option: LearnedOption | None,
-    demonstrations: Sequence[Demonstration],
-    rng: np.random.Generator,
-) -> Any:
-    return domain.sample_states(rng, 1)[0]
-
-
-def _coverage(
+def _uncovered_state(
     domain: Domain[Any],
     option: LearnedOption | None,
     demonstrations: Sequence[Demonstration],
@@ -79,9 +77,10 @@ def _coverage(
 
     Once there is an option, only states where it can start, or that are outside I by mere guess.
     """
-    if not demonstrations:
-        return _random(domain, option, demonstrations, rng)
-    states = _candidates(domain, rng)
+    if is_enumerable(domain):
+        states = _states(domain, reachable(domain) & ~domain.over(), rng)
+    else:
+        states = domain.sample_states(rng, SAMPLE)
     if option is not None:
         rows = feature_rows(domain, states)
         kept = option.can_start(rows) | in_doubt(option, rows, demonstrations)
@@ -89,33 +88,27 @@ def _coverage(
     return _farthest(domain, states, demonstrations, rng)
 
 
-def _failures(
+def _failing_state(
     domain: Domain[Any],
-    option: LearnedOption | None,
+    option: LearnedOption,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
 ) -> Any:
-    if option is None:
-        return _coverage(domain, option, demonstrations, rng)
-    if is_deterministic(domain):
-        found = find_failures(option, domain, demonstrations)
-        if found.doubt.any() and not found.stuck.any():
-            states = _states(domain, found.doubt, rng)
-            return _farthest(domain, states, demonstrations, rng)
-        if found.candidate.any():
-            return domain.state_at(_instructive_state(domain, found, rng))
-        return _coverage(domain, option, demonstrations, rng)
-    some = sample_failures(option, domain, demonstrations, rng)
-    if some.failing.any():
-        return some.states[int(rng.choice(np.flatnonzero(some.failing)))]
-    return _coverage(domain, option, demonstrations, rng)
+    """
+    Return a state from which the option fails; None: there is none.
 
-
-STRATEGIES: dict[str, Callable[..., Any]] = {
-    'random': _random,
-    'coverage': _coverage,
-    'failures': _failures,
-}
+    In a deterministic domain it is an instructive state, whether the option fails there or not.
+    """
+    if not is_deterministic(domain):
+        some = sample_failures(option, domain, demonstrations, rng)
+        failing = np.flatnonzero(some.failing)
+        return some.states[int(rng.choice(failing))] if failing.size else None
+    found = find_failures(option, domain, demonstrations)
+    if found.doubt.any() and not found.stuck.any():
+        return _farthest(domain, _states(domain, found.doubt, rng), demonstrations, rng)
+    if found.candidate.any():
+        return domain.state_at(_instructive_state(domain, found, rng))
+    return None
 
 
 def _instructive_state(
@@ -177,12 +170,6 @@ def _farthest(
     for ours, theirs in zip(here.T, there.T):
         distance += np.abs(np.subtract.outer(ours, theirs))
     return states[_best(distance.min(axis=1), rng)]
-
-
-def _candidates(domain: Domain[Any], rng: np.random.Generator) -> list[Any]:
-    if not is_enumerable(domain):
-        return domain.sample_states(rng, SAMPLE)
-    return _states(domain, reachable(domain) & ~domain.over(), rng)
 
 
 def _states(domain: EnumerableDomain[Any], chosen: Flags, rng: np.random.Generator) -> list[Any]:
