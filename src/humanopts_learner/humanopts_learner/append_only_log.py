@@ -20,12 +20,12 @@ class AppendOnlyLog:
 
     def __init__(self, path: Path) -> None:
         """
-        Open the file, which need not exist, and mend its end.
+        Open the file, which need not exist, and repair its end.
 
-        :raises OSError: it cannot be read, or its end cannot be mended.
+        :raises OSError: it cannot be read, or its end cannot be repaired.
         """
         self.path = path
-        self.problems: list[str] = []  # what was mended or left out, in words
+        self.problems: list[str] = []  # what was repaired or left out, in words
         content = path.read_bytes() if path.exists() else b''
         end = content.rfind(b'\n') + 1
         whole = content[:end]

@@ -1,4 +1,4 @@
-"""Demonstrations: what a person showed, checked against the rules of the game."""
+"""Demonstrations of options, checked against the rules of the game."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -27,7 +27,7 @@ class DemonstrationError(ValueError):
 
 
 class Kind(Enum):
-    """What a demonstration says."""
+    """The kind of a demonstration."""
 
     TRAJECTORY = 'trajectory'
     NOT_HERE = 'not_here'  # the option makes no sense in its one state
@@ -241,7 +241,7 @@ def check_demonstration(demonstration: Demonstration, domain: Domain[Any]) -> No
 
 def each_once(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:
     """
-    Drop what is repeated, in a stream or a log, by uuid.
+    Drop the repeated demonstrations of a stream or a log, by uuid.
 
     :return: in order of first appearance; withdrawn are those that were withdrawn at any time.
     """

@@ -60,7 +60,7 @@ TEXT = {
 
 
 class RunError(RuntimeError):
-    """A run was driven out of order; the text says how."""
+    """The methods of a run were called out of order, or a request is wrong; the text says how."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +83,9 @@ class RunResult:
 
 def execution_named(name: str) -> Execution:
     """
-    Return an execution; run to the end where there is no name.
+    Return the execution of a name; an empty name means to run to the end.
 
-    :raises RunError: there is none of this name; the text lists what there is.
+    :raises RunError: no execution has this name; the text lists them.
     """
     try:
         return Execution(name or Execution.RUN_TO_END)
@@ -208,7 +208,7 @@ class Run:
 
         :param terminated: the task is over in ``state``.
         :param truncated: the episode was cut off there.
-        :return: how the run ended; None while it goes on.
+        :return: how the run ended; None while it continues.
         """
         self._check_going()
         self._path.append(self._state)
@@ -229,9 +229,9 @@ class Run:
 
     def stopped(self, arbiter: Arbiter) -> RunResult | None:
         """
-        Ask a plan whether to stop before the next action, not before the first; modules go on.
+        Ask a plan whether to stop the option before its next action, but not before the first.
 
-        :return: how the run ended; None while it goes on.
+        :return: how the run ended; None while it continues.
         """
         self._check_going()
         acting = arbiter.before_step(self._state, self.name)
@@ -267,7 +267,7 @@ class Run:
             raise RunError('the run has not begun, or has ended')
 
     def _cut_off(self) -> str:
-        """Say how long the run was, and where it walked in a circle if it did for certain."""
+        """Return the length of the run in words, and its circle if it certainly walked in one."""
         text = f'{self.max_steps} steps'
         certain = self._mode is Mode.GREEDY and is_deterministic(self._domain)
         seen: dict[Any, int] = {}

@@ -13,7 +13,7 @@ PRIMITIVE_PREFIX = 'action:'
 
 
 class UnknownOptionError(ValueError):
-    """No option has this name, or none of this participant; the text lists what there is."""
+    """No option, or none of this participant, has this name; the text lists the options."""
 
 
 class AmbiguousOptionError(UnknownOptionError):
@@ -22,7 +22,7 @@ class AmbiguousOptionError(UnknownOptionError):
 
 def taught_nothing(participant: str, others: Iterable[str]) -> str:
     """
-    Say that a participant taught no option, and who did.
+    Return the words for a participant without options, with the participants that have some.
 
     :param others: the participants of all options that there are.
     """
@@ -124,8 +124,8 @@ class OptionLibrary:
         Return the option of a name.
 
         :param name: of a learned option, or ``action:NAME`` of a primitive action.
-        :param participant: whose; empty: the only one who taught it.
-        :raises UnknownOptionError: there is none.
+        :param participant: who taught it; empty: the only one who did.
+        :raises UnknownOptionError: no option has this name.
         :raises AmbiguousOptionError: several participants taught it and none is given.
         """
         if name in self._primitives:

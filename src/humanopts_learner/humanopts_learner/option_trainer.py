@@ -25,7 +25,7 @@ class DataSetError(RuntimeError):
 
 @dataclass(frozen=True)
 class OptionProgress:
-    """The state of one option of one participant: its demonstrations and what is learned."""
+    """The demonstrations of one option of one participant, and what is learned from them."""
 
     demonstrations: list[Demonstration]
     option: LearnedOption | None  # None while there is no trajectory
@@ -52,7 +52,7 @@ class OptionTrainer:
             self._log = AppendOnlyLog(directory / DATA_SET)
         except OSError as error:
             raise DataSetError(f'cannot use the folder {directory}: {error.strerror}') from error
-        self.problems = self._log.problems  # what in the folder could not be used, in words
+        self.problems = self._log.problems  # parts of the folder that could not be used, in words
         self._demos = self._log.read(self._checked)
         for key in dict.fromkeys((demo.participant, demo.option_name) for demo in self._demos):
             self._learn(*key)
@@ -77,7 +77,7 @@ class OptionTrainer:
         return True
 
     def progress(self) -> list[OptionProgress]:
-        """Return what is known of every option, in order of first demonstration."""
+        """Return the progress of every option, in order of first demonstration."""
         return list(self._progress.values())
 
     def _checked(self, line: str) -> Demonstration:

@@ -89,7 +89,7 @@ def option_table(
 
 
 class Method(Enum):
-    """What the learners update on."""
+    """When the learners update."""
 
     SMDP = 'smdp'  # the end of each run of an option
     INTRA_OPTION = 'intra-option'  # each step
@@ -162,7 +162,7 @@ def learn(
     explore = np.array([one.explore for one in rates])
     steps, returns = np.zeros((count, episodes), dtype=np.intp), np.zeros((count, episodes))
     values = np.zeros((count, domain.n_states, len(options.names)))
-    live = np.arange(count)  # learners that go on
+    live = np.arange(count)  # learners with episodes left
     episode = np.zeros(count, dtype=np.intp)
     state = rng.choice(starts, count)
     option = np.full(count, -1, dtype=np.intp)  # running; -1: to be decided

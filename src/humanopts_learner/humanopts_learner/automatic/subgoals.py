@@ -29,7 +29,7 @@ class Subgoals:
     """The tasks of L learners: each learns to reach a target from its starts."""
 
     starts: Ints  # (M,) start states of the first learner, of the second, ...
-    counts: Ints  # (L,) number of each learner's starts, 1 or more, drawn anew for each episode
+    counts: Ints  # (L,) number of each learner's starts, 1 or more, drawn for each episode
     target: Flags  # (L, S) reward 1; ends the episode
     forbidden: Flags  # (L, S) reward 0; ends the episode too
 

@@ -1,5 +1,5 @@
 """
-Situations that the chosen features cannot tell apart, and the feature that could.
+Situations that the chosen features cannot separate, and the feature that could.
 
 Examples that are alike in the chosen features but carry different labels put a bound on what any
 policy, initiation set or termination condition over these features can learn.
@@ -23,10 +23,10 @@ SLIP = 1  # so many different actions in a situation may be a slip of the hand
 
 @dataclass(frozen=True)
 class Conflicts:
-    """What could not be told apart."""
+    """The situations with different labels, and a feature that would separate them."""
 
     texts: tuple[str, ...]  # in words, the most frequent first
-    suggested_feature: str | None  # not chosen; tells most of the situations apart
+    suggested_feature: str | None  # not chosen; separates most of the situations
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class _Conflict:
     text: str
     structural: bool  # False: it may be a slip
 
-    def told_apart_by(self, index: int) -> bool:
-        """Tell whether no two examples alike in one more feature have different labels."""
+    def separated_by(self, index: int) -> bool:
+        """Return whether examples that are alike in one more feature have equal labels."""
         pairs = set(zip(self.rows[:, index].tolist(), self.labels.tolist()))
         return len(pairs) == len({value for value, _ in pairs})
 
@@ -48,7 +48,7 @@ def find_conflicts(data: Dataset, domain: Domain[Any]) -> Conflicts:
     """
     Find the situations of one option that carry different labels.
 
-    A feature is suggested when it tells apart more than half of the situations, slips aside.
+    A feature is suggested when it separates more than half of the situations, without slips.
     """
     chosen = sorted({encoded.index for encoded in data.encoding})
     actions = [action.name for action in domain.actions]
@@ -65,10 +65,10 @@ def find_conflicts(data: Dataset, domain: Domain[Any]) -> Conflicts:
     found.sort(key=lambda conflict: -len(conflict.labels))
     structural = [conflict for conflict in found if conflict.structural]
     others = [index for index in range(len(domain.features)) if index not in chosen]
-    told = {i: sum(conflict.told_apart_by(i) for conflict in structural) for i in others}
-    best = max(told, key=lambda index: told[index], default=None)
+    separated = {i: sum(conflict.separated_by(i) for conflict in structural) for i in others}
+    best = max(separated, key=lambda index: separated[index], default=None)
     suggested = None
-    if best is not None and 2 * told[best] > len(structural):
+    if best is not None and 2 * separated[best] > len(structural):
         suggested = domain.features[best].name
     return Conflicts(tuple(conflict.text for conflict in found[:MOST_TEXTS]), suggested)
 

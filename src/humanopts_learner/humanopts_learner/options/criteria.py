@@ -75,7 +75,7 @@ class Criterion:
 
 def usual_thresholds(domain: Domain[Any]) -> Thresholds:
     """
-    Return the thresholds of a domain where nobody gives others.
+    Return the default thresholds of a domain.
 
     :raises ValueError: the domain's own are out of range.
     """
@@ -85,14 +85,14 @@ def usual_thresholds(domain: Domain[Any]) -> Thresholds:
 
 @dataclass(frozen=True)
 class Judgement:
-    """How well an option is learned from its demonstrations, by the criteria and in words."""
+    """How well an option is learned from its demonstrations."""
 
     criteria: tuple[Criterion, ...]  # return, initiation, termination
     mean_return_demonstrations: float  # undiscounted
     mean_return_policy: float  # in-sample: from the same start states
-    more_needed: int  # estimate of further demonstrations; 0: none; -1: cannot be told yet
+    more_needed: int  # estimate of further demonstrations; 0: none; -1: unknown
     conflicts: tuple[str, ...]  # situations alike in the features but answered differently
-    suggested_feature: str | None  # would tell most of them apart
+    suggested_feature: str | None  # would separate most of them
 
     @property
     def criteria_met(self) -> bool:
@@ -108,7 +108,7 @@ def judge(
     option: LearnedOption | None = None,
 ) -> Judgement:
     """
-    Judge what was learned of one option.
+    Judge an option by its demonstrations.
 
     :param demonstrations: of one participant and option, checked.
     :param option: what ``learn_option`` made of the same arguments; None: learned here.
@@ -139,7 +139,7 @@ def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
     What is wrong in held-out demonstrations is what they hold that no other one showed, and its
     share falls about as 1 / n: a value that is twice its threshold needs about n more.
 
-    :return: 0: none; -1: it cannot be told, because a criterion is not measurable or its
+    :return: 0: none; -1: unknown, because a criterion is not measurable or its
         threshold is 0 or less.
     """
     missed = [criterion for criterion in criteria if not criterion.met]
@@ -173,7 +173,7 @@ def _criteria(
 
 
 def starts_anywhere(data: Dataset) -> bool:
-    """Tell whether the person said, whenever asked, that it could start again where it ended."""
+    """Return whether every answer was that the option could start again where it ended."""
     asked = [demo.can_start_at_end for demo in data.trajectories if not demo.terminated]
     return bool(asked) and all(asked) and bool((data.initiation.labels == MEMBER).all())
 
@@ -242,7 +242,7 @@ def balanced_error(
     """
     Return the mean of the error among members and among others; None: one class only.
 
-    :param predict: of each fold, what was learned without it says of rows (N, F).
+    :param predict: for each fold, the prediction for rows (N, F) learned without it.
     :param members_only: there are no others to be shown; the error is that among members.
     """
     predicted = np.empty(len(examples.labels), dtype=np.bool_)

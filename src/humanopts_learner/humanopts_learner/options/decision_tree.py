@@ -100,7 +100,7 @@ class Tree:
     right: NDArray[np.int32]  # (N,)
     feature: NDArray[np.int32]  # (N,) index of the encoded feature that is tested
     threshold: Floats  # (N,) 0 in leaves
-    counts: NDArray[np.int64]  # (N, K) training examples of each class that came to the node
+    counts: NDArray[np.int64]  # (N, K) training examples of each class in the node
     classes: tuple[int, ...]  # (K,) labels, ascending
     n_features: int  # encoded features of the rows that it takes, C
 
@@ -109,7 +109,7 @@ class Tree:
         _check(self)
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether the other is the same tree."""
+        """Return whether the other is the same tree."""
         return isinstance(other, Tree) and self.to_dict() == other.to_dict()
 
     def __hash__(self) -> int:

@@ -27,12 +27,12 @@ TOLERATED = 0.1  # share of failing ones with which a lesson may end
 
 @dataclass(frozen=True)
 class Failures:
-    """What a learned option does from each of the S states of an enumerable domain."""
+    """The outcome of running an option from each of the S states of an enumerable domain."""
 
     candidate: Flags  # (S,) open, reachable, and in the learned I
-    stuck: Flags  # (S,) candidates from which it comes to no end that was shown
-    detour: Flags  # (S,) it does, but in more steps than needed; shown less than MEANT times
-    doubt: Flags  # (S,) open, reachable, and outside I by mere guess (``in_doubt``)
+    stuck: Flags  # (S,) candidates from which it reaches no end that was shown
+    detour: Flags  # (S,) candidates with a longer way than needed, shown less than MEANT times
+    doubt: Flags  # (S,) open, reachable, and outside I without evidence (``in_doubt``)
     times_shown: NDArray[np.int64]  # (S,) demonstrations with a state alike in the features
     distance: NDArray[np.int32]  # (S,) fewest steps to an end that was shown; -1: no way known
     nearer: Flags  # (S, A) the actions of shortest ways
@@ -52,7 +52,7 @@ def find_failures(
     Run the option from every state of a deterministic domain.
 
     An end counts as shown when a demonstration ended in a state alike in the features: a taxi
-    that lets its passenger out at the wrong place has come to an end, but to none that was shown.
+    that lets its passenger out at the wrong place has reached an end, but none that was shown.
     If most demonstrations ended with the task over and this one did not, or the other way round,
     it may be a slip, and counts from the second time on.
 
@@ -87,7 +87,7 @@ def find_failures(
 
 def in_doubt(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demonstration]) -> Flags:
     """
-    Return (N,): which rows (N, F) are outside I by mere guess.
+    Return (N,): which rows (N, F) are outside I without evidence.
 
     They were not shown, and fewer than ``REFUSALS`` different "not here" answers fell into their
     leaf of the tree: it is negative for little more than ends of the option.
@@ -108,7 +108,7 @@ def _encoded(option: LearnedOption, parts: Sequence[Rows]) -> NDArray[np.float32
 
 @dataclass(frozen=True)
 class SampledFailures:
-    """What a learned option does from a sample of states, where they cannot all be run."""
+    """The outcome of running an option from a sample of states, where they cannot all be run."""
 
     states: list[Any]  # (N,)
     member: Flags  # (N,) in the learned I
@@ -174,7 +174,7 @@ def nothing_fails(
     rng: np.random.Generator,
 ) -> bool:
     """
-    Tell whether the option fails from no state, or from few where they cannot all be run.
+    Return whether the option fails from no state, or from few where they cannot all be run.
 
     :param rng: draws the states then.
     """

@@ -1,4 +1,4 @@
-"""Options as files: versioned, readable JSON with the demonstrations that they came from."""
+"""Option files: versioned, readable JSON with the demonstrations that they were learned from."""
 
 from collections.abc import Mapping, Sequence
 import hashlib
@@ -81,7 +81,7 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
 
 
 def option_path(directory: Path, participant: str, name: str) -> Path:
-    """Return where the file of an option is kept."""
+    """Return the path of the file of an option."""
     return directory / _slug(participant) / f'{_slug(name)}.json'
 
 

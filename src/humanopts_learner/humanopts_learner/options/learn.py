@@ -50,7 +50,7 @@ class Examples:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Everything that is known of one option of one participant."""
+    """The demonstrations and examples of one option of one participant."""
 
     demonstrations: tuple[Demonstration, ...]  # (D,) by number, each once
     features: tuple[str, ...]  # chosen with the newest demonstration
@@ -132,7 +132,7 @@ def fit_option(
     Fit the three trees to the examples of a data set.
 
     :param used: (D,) the demonstrations whose examples are used, a trajectory among them; None:
-        all. The option is said to be learned from all of them.
+        all. ``LearnedOption.uuids`` lists all of them.
     """
     examples = data if used is None else data.of(used)
     first, trajectories = data.demonstrations[0], len(data.trajectories)
@@ -178,8 +178,8 @@ def _initiation_labels(demo: Demonstration, again: bool) -> tuple[Rows, list[int
     """
     Label the states of a demonstration as members of I or not.
 
-    :param again: the person says that the option can start again where it ended. Nobody is asked
-        so where the task is over; then such an end is no example.
+    :param again: the person says that the option can start again where it ended. The question
+        is not asked where the task is over; then such an end is no example.
     """
     if again and demo.terminated:
         return demo.feature_rows[:-1], [1] * len(demo.actions)

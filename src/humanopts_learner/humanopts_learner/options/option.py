@@ -50,7 +50,7 @@ class LearnedOption:
     participant: str
     domain: str  # registered name
     domain_parameters: str  # JSON object, keys sorted
-    actions: tuple[str, ...]  # what the classes of the policy index
+    actions: tuple[str, ...]  # that the classes of the policy index
     features: tuple[str, ...]  # chosen, in the domain's order
     encoding: tuple[EncodedFeature, ...]  # of these features, for the trees
     policy: Tree
@@ -120,17 +120,17 @@ class LearnedOption:
         return self.termination_probability(rows) >= HALF
 
     def choose_action(self, row: Rows, mode: Mode, rng: np.random.Generator) -> int:
-        """Return what the option does in one state (F,)."""
+        """Return the action in one state (F,)."""
         return self.choose_actions(row[None], mode, [rng])[0]
 
     def choose_end(self, row: Rows, mode: Mode, rng: np.random.Generator) -> bool:
-        """Return whether the option ends in one state (F,) that it came to."""
+        """Return whether the option ends in one state (F,), after a step."""
         return self.choose_ends(row[None], mode, [rng])[0]
 
     def choose_actions(
         self, rows: Rows, mode: Mode, rngs: Sequence[np.random.Generator]
     ) -> list[int]:
-        """Return what the option does in each of N states, each with chance of its own."""
+        """Return the actions in N states, each with a generator of its own."""
         if mode is Mode.GREEDY:
             return list(map(int, self.greedy_action(rows)))
         shares = zip(self.action_probabilities(rows), rngs, strict=True)
@@ -139,7 +139,7 @@ class LearnedOption:
     def choose_ends(
         self, rows: Rows, mode: Mode, rngs: Sequence[np.random.Generator]
     ) -> list[bool]:
-        """Return whether the option ends in each of N states that it came to."""
+        """Return whether the option ends in each of N states, after a step."""
         if mode is Mode.GREEDY:
             return list(map(bool, self.ends(rows)))
         limits = [1.0 - rng.random() for rng in rngs]
@@ -194,11 +194,10 @@ def options_from_references(
     """
     Return reference options in the form of learned ones: options without a teacher.
 
-    Where several actions are optimal, the first is taken. What people teach is never learned from
-    these.
+    Where several actions are optimal, the first is taken. Learning from people never uses these.
 
     :param references: of this domain, as ``registry.reference_options`` has them by name.
-    :raises DomainError: one has no tables, or its features do not tell what it does.
+    :raises DomainError: one has no arrays, or its features do not determine their values.
     """
     found = []
     for reference in references:
@@ -220,13 +219,13 @@ def option_from_table(
     participant: str = REFERENCE,
 ) -> LearnedOption:
     """
-    Return the option whose trees say in every state what arrays say.
+    Return an option whose trees have in every state the values of the arrays.
 
     :param features: those that the trees look at.
     :param rows: (S, F) all features of the S states of the arrays.
     :param known: (S,) the states in which the action, the initiation set and the termination
         condition are known; None: all.
-    :raises DomainError: the features do not tell what it does.
+    :raises DomainError: the features do not determine the values.
     """
     encoding = feature_encoding(domain, features)
     X = encode_rows(encoding, rows)

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 
 def is_deterministic(domain: Domain[Any]) -> TypeGuard[EnumerableDomain[Any]]:
-    """Tell whether all states can be listed, and every action has one outcome."""
+    """Return whether all states can be listed, and every action has one outcome."""
     return is_enumerable(domain) and domain.transitions().deterministic
 
 
 @dataclass(frozen=True)
 class Rollouts:
-    """What running an option from each of N start states led to."""
+    """The outcomes of running an option from each of N start states."""
 
     total_reward: Floats  # (N,) undiscounted
     steps: NDArray[np.int64]  # (N,)
@@ -49,8 +49,8 @@ def rollouts(
     Run an option from every start state, all in step.
 
     A run ends where the termination condition holds, which is looked at only after a step; where
-    the task is over; or after ``max_steps``. Each has chance of its own, so what it comes to does
-    not depend on the others.
+    the task is over; or after ``max_steps``. Each has a random generator of its own, so its
+    outcome does not depend on the others.
 
     :param options: the option of each run (N,), or one for all.
     :param starts: (N,) states, not over.
@@ -121,7 +121,7 @@ def _step_by_step(
 
 
 class _StateGames:
-    """What rollouts need of ``BatchGames``, in any domain; a batch is a list of states."""
+    """The methods of ``BatchGames`` that rollouts need, in any domain; a batch lists states."""
 
     def __init__(self, domain: Domain[Any]) -> None:
         self._domain = domain

@@ -4,8 +4,8 @@ The choice of the next start state to demonstrate from, by the rules and the lea
 ``random`` is the paper's way (section 5). ``failures`` shows states from which the learned option
 does not do what was shown: of these, the one whose shortest ways to an end go through the most
 situations that fail and were not shown yet, so that one demonstration teaches the most. Once
-none is stuck, it asks about states that are outside I by mere guess. Where states cannot all be
-run, it draws one of a sample: stuck, a guess, or decided by a tenth of the demonstrations.
+none is stuck, it asks about states that are outside I without evidence. Where states cannot all be
+run, it draws one of a sample: stuck, without evidence, or decided by a tenth of what was shown.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ import numpy as np
 
 STRATEGIES = ('random', 'coverage', 'failures')
 SAMPLE = 500  # states among which coverage looks for the most distant
-ALREADY_SHOWN = 0.1  # weight of a failing situation that was shown, against 1
+ALREADY_SHOWN = 0.1  # weight of a failing situation that was shown; of others 1
 
 
 class UnknownStrategyError(ValueError):
@@ -75,7 +75,7 @@ def _uncovered_state(
     """
     Return the state that is farthest, in the chosen features, from every state shown.
 
-    Once there is an option, only states where it can start, or that are outside I by mere guess.
+    Once there is an option, only states in its initiation set, or outside I without evidence.
     """
     if is_enumerable(domain):
         states = _states(domain, reachable(domain) & ~domain.over(), rng)
@@ -121,7 +121,7 @@ def _instructive_state(
     ways go through what was shown least often, so that no lesson rests on one demonstration.
     """
     lost = found.stuck & (found.distance < 0) & (found.times_shown == 0)
-    if lost.any():  # no end like theirs was shown yet
+    if lost.any():  # no way to an end that was shown
         return int(rng.choice(np.flatnonzero(lost)))
     failing = found.stuck if found.stuck.any() else found.detour
     if failing.any():
