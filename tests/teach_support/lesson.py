@@ -40,6 +40,9 @@ class Starts(StartStates):
     known: set[str] | None = None  # uuids counted in; None: all
     more = False  # the strategy has something left to ask
 
+    def learned(self, participant: str, option_name: str, text: str) -> bool:
+        return True
+
     def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
         if self.known is None or not option.n_trajectories:
             return True

@@ -280,8 +280,8 @@ class Lesson:
 
         :raises OptionError: it is not an option, or one of another domain.
         """
-        self._starts.learned(participant, option_name, text)
-        self._go_on()
+        if self._starts.learned(participant, option_name, text):
+            self._go_on()
 
     def learner_refused(self, uuid: str, detail: str) -> None:
         """Go on without a demonstration that the learner did not take; it stays in the store."""

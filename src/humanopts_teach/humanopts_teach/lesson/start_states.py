@@ -41,17 +41,20 @@ class StartStates:
         self._options: dict[tuple[str, str], LearnedOption] = {}
         self._texts: dict[tuple[str, str], str] = {}
 
-    def learned(self, participant: str, option_name: str, text: str) -> None:
+    def learned(self, participant: str, option_name: str, text: str) -> bool:
         """
-        Keep an option as the learner publishes it.
+        Keep an option as the learner publishes it, where the strategy looks at it.
 
+        :return: whether it is another than before.
         :raises OptionError: it is not an option, or one of another domain.
         """
         key = (participant, option_name)
-        if self.rules.strategy == FAILURES and self._texts.get(key) != text:
-            option, _ = option_from_json(text)
-            option.check_domain(self._domain)
-            self._options[key], self._texts[key] = option, text
+        if self.rules.strategy != FAILURES or self._texts.get(key) == text:
+            return False
+        option, _ = option_from_json(text)
+        option.check_domain(self._domain)
+        self._options[key], self._texts[key] = option, text
+        return True
 
     def draw(self, participant: str, option: OptionHistory) -> str:
         """Return the start state of the next demonstration, in the domain's notation."""
