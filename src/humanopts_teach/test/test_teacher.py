@@ -1,9 +1,7 @@
 """The simulated teacher: what it shows, how it errs, and that a seed decides all of it."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
-from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.game import Transition
 from humanopts_teach.lesson.requests import (
@@ -38,10 +36,8 @@ ABOARD = 'taxi 4,4 passenger aboard destination G'
 NAMES = [action.name for action in TAXI.actions]
 
 
-def teacher(
-    settings: TeacherSettings = TEACHER, references: Mapping[str, ReferenceOption] = REFERENCES
-) -> SimulatedTeacher:
-    return SimulatedTeacher(TAXI, references, settings)
+def teacher(settings: TeacherSettings = TEACHER) -> SimulatedTeacher:
+    return SimulatedTeacher(TAXI, settings)
 
 
 def at(

@@ -12,7 +12,6 @@ import tempfile
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.registry import reference_options
 from humanopts_env.game import Accepted, Command, Game, Source, Transition
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.criteria import judge, usual_thresholds
@@ -108,7 +107,7 @@ class _InProcess:
     ) -> None:
         self._domain, self._seed, self._enough = domain, rules.seed, enough
         self._seconds = 0.0
-        self._teacher = SimulatedTeacher(domain, reference_options(domain), teacher)
+        self._teacher = SimulatedTeacher(domain, teacher)
         starts = StartStates(domain, rules)
         self._lesson = Lesson(domain, store, starts, clock=lambda: self._seconds, today=lambda: '')
         self._game = Game(domain)

@@ -25,6 +25,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.domains.registry import reference_options
 from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
 from humanopts_teach.lesson.requests import (
@@ -81,20 +82,15 @@ Act = LessonRequest | Drive | Wait | Finish
 class SimulatedTeacher:
     """Decides what to do next, given where the lesson and the game stand."""
 
-    def __init__(
-        self,
-        domain: Domain[Any],
-        references: Mapping[str, ReferenceOption],
-        settings: TeacherSettings,
-    ) -> None:
+    def __init__(self, domain: Domain[Any], settings: TeacherSettings) -> None:
         """
         Get ready to teach.
 
         :raises TeacherError: no option to teach, one without a reference, or a bad setting.
         """
-        _check(settings, references, domain.name)
         self._domain = domain
-        self._references = references
+        self._references = reference_options(domain)
+        _check(settings, self._references, domain.name)
         self._settings = settings
         self._finished: set[str] = set()
         self._tried = ('', 0)  # option and number of the demonstration that is tried

@@ -1,6 +1,6 @@
 """The command line's own node: sees that the graph is ready, and asks it for work."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 import json
 from pathlib import Path
@@ -22,6 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 _PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
+_WORK_SECONDS = 600.0  # for a plan, or for episodes
 _ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
 
 
@@ -130,27 +131,16 @@ class GraphClient(NodeBase):
                 raise
             raise LaunchError(f'{error}; not ready: {", ".join(missing)}') from error
 
-    def plan(
-        self,
-        action_set: str,
-        episodes: int,
-        seed: int,
-        names: Sequence[str] = (),
-        game_steps: int = 0,
-    ) -> msg.PlanResult:
+    def plan(self, action_set: str, episodes: int, seed: int) -> msg.PlanResult:
         """
         Have the planner plan with the newest options, and judge the plan.
 
         :param episodes: to judge it by; 0: it is not judged.
         :param seed: of what is drawn, for the plan and to judge it.
-        :param names: of the options to plan with; empty: all.
-        :param game_steps: to sample models from, where they are not exact; 0: the planner's own.
         :raises LaunchError: it refused, failed or did not answer.
         """
         goal = Plan.Goal(
             action_set=action_set,
-            options=list(names),
-            game_steps=game_steps,
             evaluation_episodes=episodes,
             seed=seed,
             options_sequence=self.options.sequence if self.options else 0,
@@ -224,7 +214,7 @@ class GraphClient(NodeBase):
         state, learning = self.state, self.learning
         return state.sequence if state else 0, learning.sequence if learning else 0
 
-    def _act(self, client: ActionClient, goal: Any, what: str, seconds: float = 600.0) -> Any:
+    def _act(self, client: ActionClient, goal: Any, what: str) -> Any:
         """Send a goal, wait, and return the ``result`` field of the action's result."""
         self.wait(client.server_is_ready, 10.0, 'the planner')
 
@@ -237,7 +227,7 @@ class GraphClient(NodeBase):
         if not handle.accepted:
             raise LaunchError(f'the planner refused {what}')
         reply = handle.get_result_async()
-        self.wait(reply.done, seconds, what)
+        self.wait(reply.done, _WORK_SECONDS, what)
         return reply.result().result.result
 
     def _keep_status(self, status: msg.NodeStatus) -> None:

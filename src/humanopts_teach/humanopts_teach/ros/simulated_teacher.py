@@ -4,7 +4,6 @@ import sys
 import time
 from typing import Any
 
-from humanopts_env.domains.registry import reference_options
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
@@ -87,7 +86,7 @@ class SimulatedTeacherNode(NodeBase):
         domain = self._client.domain
         if self._teacher is None and domain is not None:
             try:
-                self._teacher = SimulatedTeacher(domain, reference_options(domain), self._settings)
+                self._teacher = SimulatedTeacher(domain, self._settings)
             except TeacherError as error:
                 raise StartError(str(error)) from error
 
