@@ -312,14 +312,6 @@ def test_bag_eval_gives_the_same_block(demo: DemoRun, capsys: pytest.CaptureFixt
     assert found['warnings'] == []
 
 
-def test_games_of_exact_plans_are_refused(
-    demo: DemoRun, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(['bag', 'eval', '--games', '10', str(demo.bag)]) == 2
-    out, err = capsys.readouterr()
-    assert (out, 'plans in taxi are exact' in err, err.count('\n')) == ('', True, 1)
-
-
 def test_bag_info_names_what_is_there(
     demo: DemoRun, bag: Bag, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,8 +5,8 @@ The whole graph, where ROS 2 is installed: ``ros2 launch humanopts_teach humanop
 ``ros2 run humanopts_teach keyboard_teleop``.
 """
 
-from humanopts_teach.launching.processes import ProcessSpec
-from humanopts_teach.launching.ros_launch import ARGUMENTS, launched
+from humanopts_teach.launching.processes import processes, ProcessSpec
+from humanopts_teach.launching.ros_launch import ARGUMENTS, setup_from_launch
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
@@ -28,7 +28,7 @@ def generate_launch_description() -> LaunchDescription:
 
 def _nodes(context: LaunchContext) -> list[Node]:
     values = {a.name: LaunchConfiguration(a.name).perform(context) for a in ARGUMENTS}
-    return [_node(spec) for spec in launched(values)]
+    return [_node(spec) for spec in processes(setup_from_launch(values))]
 
 
 def _node(spec: ProcessSpec) -> Node:

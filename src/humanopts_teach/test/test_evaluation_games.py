@@ -17,8 +17,6 @@ from humanopts_learner.planning.request import HUMAN, PRIMITIVE
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate,
-    EvaluationError,
-    with_games,
 )
 from humanopts_teach.evaluation.comparison import (
     Curve,
@@ -128,13 +126,6 @@ def test_json_and_text_hold_every_number(games: GamesEvaluation) -> None:
     for setting in games.settings:
         assert setting.name in text
         assert all(row.name in text for row in setting.rows)
-
-
-def test_exact_plans_are_not_estimated_again(
-    taxi: Domain[Any], taxi_lesson: list[Demonstration]
-) -> None:
-    with pytest.raises(EvaluationError, match='exact'):
-        with_games(evaluate(taxi_lesson, taxi, Settings()))
 
 
 def curve(name: str, *rows: tuple[float, float]) -> Curve:

@@ -77,7 +77,8 @@ class Links(HTMLParser):
 def test_the_page_needs_nothing_outside_itself(page: str) -> None:
     links = Links(page)
     assert all(target.startswith(('#', 'data:')) for target in links.targets)
-    assert re.findall(r'https?://|@import|<script|<link', page) == []
+    assert re.findall(r'https?://|@import|<(script|link|iframe|object|embed|base|img)', page) == []
+    assert re.findall(r'url\((?!["\']?#)', page) == []
     assert len(links.ids) == len(set(links.ids))
     assert {target[1:] for target in links.targets if target.startswith('#')} <= set(links.ids)
     used = set(re.findall(r'url\(#([^)]+)\)', page))

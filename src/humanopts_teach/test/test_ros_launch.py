@@ -12,7 +12,6 @@ from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
 from humanopts_teach.launching.ros_launch import (
     ARGUMENTS,
     LaunchArgumentError,
-    launched,
     setup_from_launch,
 )
 import pytest
@@ -21,9 +20,14 @@ FILE = Path(__file__).parents[1] / 'launch/humanopts.launch.py'
 DEFAULTS = {argument.name: argument.default for argument in ARGUMENTS}
 
 
+def launched(**values: str) -> list[ProcessSpec]:
+    """Return the processes of a launch."""
+    return processes(setup_from_launch({**DEFAULTS, **values}))
+
+
 def names(**values: str) -> list[str]:
-    """Return the names of the processes of a launch."""
-    return [spec.name for spec in launched({**DEFAULTS, **values})]
+    """Return their names."""
+    return [spec.name for spec in launched(**values)]
 
 
 def test_defaults_launch_every_node_but_the_teachers() -> None:
@@ -33,9 +37,8 @@ def test_defaults_launch_every_node_but_the_teachers() -> None:
     assert names(taught='go up; go down') == [*nodes, 'simulated_teacher']
 
 
-def test_processes_are_those_of_the_table() -> None:
+def test_what_is_not_given_is_as_in_other_launches() -> None:
     setup = setup_from_launch({**DEFAULTS, 'seed': '7', 'taught': 'go up'})
-    assert launched({**DEFAULTS, 'seed': '7', 'taught': 'go up'}) == processes(setup)
     assert setup == Setup(
         domain='taxi',
         directory=Path('runs/launch').absolute(),
@@ -61,7 +64,7 @@ def test_every_argument_reaches_a_parameter() -> None:
         'taught': 'go up; go down',
     }
     assert {*values, 'teach', 'record'} == set(DEFAULTS)
-    specs = {spec.name: spec.parameters for spec in launched({**DEFAULTS, **values})}
+    specs = {spec.name: spec.parameters for spec in launched(**values)}
     assert specs['game']['domain'] == 'rooms'
     assert specs['game']['domain_parameters'] == '{"goal": "G2"}'
     assert specs['game']['step_period'] == 2.0
@@ -98,11 +101,11 @@ def test_every_argument_reaches_a_parameter() -> None:
 )
 def test_bad_value_is_refused_by_name(name: str, value: str) -> None:
     with pytest.raises(LaunchArgumentError, match=f'^{name}:='):
-        launched({**DEFAULTS, name: value})
+        launched(**{name: value})
 
 
 def test_executables_are_installed_under_the_names_of_the_nodes() -> None:
-    specs: list[ProcessSpec] = launched({**DEFAULTS, 'taught': 'go up'})
+    specs: list[ProcessSpec] = launched(taught='go up')
     scripts = {point.name: point.value for point in entry_points(group='console_scripts')}
     for spec in [*specs, *processes(Setup('taxi', Path('/x'), keyboard=True))]:
         assert scripts[spec.name] == f'{spec.module}:main'
@@ -114,7 +117,8 @@ def test_launch_file_declares_every_argument_and_uses_what_there_is() -> None:
     ours = dict(_imports(tree))
     assert ours == {
         'ARGUMENTS': ros_launch,
-        'launched': ros_launch,
+        'setup_from_launch': ros_launch,
+        'processes': table,
         'ProcessSpec': table,
     }
     assert all(hasattr(module, name) for name, module in ours.items())

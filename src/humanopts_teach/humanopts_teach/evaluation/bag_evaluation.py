@@ -359,9 +359,9 @@ def with_games(
     evaluation: BagEvaluation, games: int = GAMES, progress: ProgressCallback | None = None
 ) -> BagEvaluation:
     """
-    Have each participant's options play many games, beside what they are compared with.
+    Compare each participant's options with their baselines in many games.
 
-    :param games: that everything is judged by, two or more.
+    :param games: that each way to play is judged by, two or more.
     :param progress: called as the work goes on.
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """

@@ -106,7 +106,7 @@ def compare(
 
 
 def baselines_of(domain: Domain[Any]) -> Baselines:
-    """Return what plans are compared with in a domain; nothing where it does not say."""
+    """Return the baselines of a domain; none where it does not name any."""
     return domain.baselines() if isinstance(domain, HasBaselines) else Baselines()
 
 

@@ -1,9 +1,9 @@
 """
-What plans are worth in games, beside chance and a rule written by hand.
+Plans compared in many games with random play and with a rule written by hand.
 
-For domains whose plans are estimates from samples. Plans with several sets of options and with
-primitive actions play many games, in each of a domain's settings; and their score is followed as
-planning is given more time.
+This is for domains whose plans are made from samples. Plans with several sets of options and with
+primitive actions play many games in each variant of a domain. The score of a plan is also measured
+as planning is given more time.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ from humanopts_teach.evaluation.comparison import (
     RANDOM,
 )
 
-GAMES = 1000  # that everything is judged by
+GAMES = 1000  # that each way to play is judged by
 TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
 PATIENCE = 4.0  # s of planning after which options that do not reach the target are given up
 GENEROUS = 4  # times the game steps, in a second plan with primitive actions
@@ -49,7 +49,7 @@ Options = Sequence[LearnedOption]
 
 @dataclass(frozen=True)
 class Setting:
-    """A variant of the game, and what each way to play came to there."""
+    """A variant of the game, and the results of each way to play it."""
 
     name: str  # such as ghosts=chase; empty: there is but one
     rows: tuple[ComparisonRow, ...]
@@ -57,9 +57,9 @@ class Setting:
 
 @dataclass(frozen=True)
 class GamesEvaluation:
-    """Everything that was found out by playing."""
+    """The comparison in games and the curves of score against planning time."""
 
-    games: int  # behind every number
+    games: int  # that each way to play was judged by
     settings: tuple[Setting, ...]
     curve_setting: str  # where the curves were measured
     curves: tuple[Curve, ...]  # with all options, and with primitive actions
@@ -78,7 +78,7 @@ class GamesEvaluation:
 
 def option_sets(options: Options, fewer: Sequence[str]) -> dict[str, Options]:
     """
-    Return what is planned with, by name: all options and, of more, a few of them apart.
+    Return the sets of options to plan with, by name: all and, where there are more, a few apart.
 
     :param fewer: names of the few.
     """
@@ -107,7 +107,7 @@ def evaluate_games(
     options needed.
 
     :param options: of one participant, learned in ``domain`` or in a variant of it.
-    :param games: that everything is judged by, two or more.
+    :param games: that each way to play is judged by, two or more.
     :param game_steps: that the plans which are compared are made from.
     :param limits: of the budgets of the curves; the scores of interest are added.
     :param progress: called as the work goes on; what it raises passes through.

@@ -1,4 +1,4 @@
-"""What the launch file for ``ros2 launch`` offers: arguments, and the processes they ask for."""
+"""What the launch file for ``ros2 launch`` offers: arguments, and the setup they ask for."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.criteria import usual_thresholds
-from humanopts_teach.launching.processes import processes, ProcessSpec, Recording, Setup
+from humanopts_teach.launching.processes import Recording, Setup
 
 
 class LaunchArgumentError(ValueError):
@@ -23,88 +23,84 @@ class LaunchArgument:
     name: str
     default: str
     description: str
+    kind: type = str  # int, float (seconds), bool, dict (JSON), tuple (separated by ";") or str
 
 
 ARGUMENTS = (
     LaunchArgument('domain', 'taxi', 'what is played: the name of a registered domain'),
-    LaunchArgument('domain_parameters', '{}', 'its parameters as a JSON object, as {"rows": 7}'),
+    LaunchArgument(
+        'domain_parameters', '{}', 'its parameters as a JSON object, as {"rows": 7}', dict
+    ),
     LaunchArgument('out', 'runs/launch', 'folder of demonstrations, options and bags'),
-    LaunchArgument('seed', '1', 'of every random draw: a whole number from 0'),
+    LaunchArgument('seed', '1', 'of every random draw: a whole number from 0', int),
     LaunchArgument('strategy', 'failures', 'of start states: random, coverage or failures'),
-    LaunchArgument('budget', '150', 'most start states shown for an option'),
-    LaunchArgument('teach', 'true', 'whether lesson and learner run: true or false'),
-    LaunchArgument('record', 'true', 'whether everything goes into a new bag: true or false'),
-    LaunchArgument('record_include', '', 'topics to record, as "lesson/*;action"; empty: all'),
-    LaunchArgument('record_exclude', '', 'topics not to record, in the same form'),
-    LaunchArgument('split_bytes', '0', 'size at which the bag goes on in another file; 0: never'),
-    LaunchArgument('split_seconds', '0.0', 'and time after which it does; 0: never'),
-    LaunchArgument('step_period', '0.0', "seconds between a machine's steps, to watch it"),
+    LaunchArgument('budget', '150', 'most start states shown for an option', int),
+    LaunchArgument('teach', 'true', 'whether lesson and learner run: true or false', bool),
+    LaunchArgument(
+        'record', 'true', 'whether everything goes into a new bag: true or false', bool
+    ),
+    LaunchArgument(
+        'record_include', '', 'topics to record, as "lesson/*;action"; empty: all', tuple
+    ),
+    LaunchArgument('record_exclude', '', 'topics not to record, in the same form', tuple),
+    LaunchArgument(
+        'split_bytes', '0', 'size at which the bag goes on in another file; 0: never', int
+    ),
+    LaunchArgument('split_seconds', '0.0', 'and time after which it does; 0: never', float),
+    LaunchArgument('step_period', '0.0', "seconds between a machine's steps, to watch it", float),
     LaunchArgument(
         'taught',
         '',
         'options that a simulated teacher teaches, separated by ";"; empty: no teacher',
+        tuple,
     ),
 )
+_WANTED = {
+    int: 'a whole number',
+    float: 'a number of seconds',
+    bool: 'true or false',
+    dict: 'a JSON object',
+}
 
 
-def launched(values: Mapping[str, str]) -> list[ProcessSpec]:
+def setup_from_launch(texts: Mapping[str, str]) -> Setup:
     """
-    Return the processes of a launch.
-
-    :param values: of the arguments, by name.
-    :raises LaunchArgumentError: one of them cannot be used.
-    """
-    return processes(setup_from_launch(values))
-
-
-def setup_from_launch(values: Mapping[str, str]) -> Setup:
-    """
-    Return what the launch arguments ask for; errors as ``launched``.
+    Return what the launch arguments ask for.
 
     The keyboard is not among it: ``ros2 launch`` gives no process the terminal.
+
+    :param texts: the values of the arguments, by name.
+    :raises LaunchArgumentError: one of them cannot be used.
     """
-    parameters = _parsed(values, 'domain_parameters', dict, 'a JSON object')
+    values = {argument.name: _read(argument, texts[argument.name]) for argument in ARGUMENTS}
+    recording = ('record_include', 'record_exclude', 'split_bytes', 'split_seconds')
     try:
-        thresholds = usual_thresholds(make_domain(values['domain'], parameters))
+        domain = make_domain(values['domain'], values['domain_parameters'])
+        thresholds = usual_thresholds(domain)
     except ValueError as error:
         raise LaunchArgumentError(str(error)) from error
     return Setup(
-        domain=values['domain'],
-        directory=Path(values['out']).absolute(),
-        domain_parameters=parameters,
-        seed=_parsed(values, 'seed', int, 'a whole number'),
+        directory=Path(values.pop('out')).absolute(),
         thresholds=thresholds,
-        strategy=values['strategy'],
-        budget=_parsed(values, 'budget', int, 'a whole number'),
-        teach=_parsed(values, 'teach', bool, 'true or false'),
-        record=_parsed(values, 'record', bool, 'true or false'),
-        recording=Recording(
-            _listed(values, 'record_include'),
-            _listed(values, 'record_exclude'),
-            _parsed(values, 'split_bytes', int, 'a whole number'),
-            _seconds(values, 'split_seconds'),
-        ),
-        step_period=_seconds(values, 'step_period'),
-        taught=_listed(values, 'taught'),
+        recording=Recording(*(values.pop(name) for name in recording)),
         bag_name=time.strftime('bags/launch-%Y%m%d-%H%M%S'),
+        **values,
     )
 
 
-def _listed(values: Mapping[str, str], name: str) -> tuple[str, ...]:
-    return tuple(part.strip() for part in values[name].split(';') if part.strip())
-
-
-def _seconds(values: Mapping[str, str], name: str) -> float:
-    return float(_parsed(values, name, (int, float), 'a number of seconds'))
-
-
-def _parsed(values: Mapping[str, str], name: str, kind: Any, wanted: str) -> Any:
-    """Read a value as JSON of one kind."""
-    text = values[name].strip()
+def _read(argument: LaunchArgument, text: str) -> Any:
+    """Return the value of an argument, of its kind."""
+    kind = argument.kind
+    if kind is str:
+        return text
+    if kind is tuple:
+        return tuple(part.strip() for part in text.split(';') if part.strip())
     try:
         value = json.loads(text.lower() if kind is bool else text)
     except json.JSONDecodeError:
         value = None
-    if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
-        raise LaunchArgumentError(f'{name}:={text} is not {wanted}')
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind:
+        raise LaunchArgumentError(f'{argument.name}:={text.strip()} is not {_WANTED[kind]}')
     return value

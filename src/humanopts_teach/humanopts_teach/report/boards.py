@@ -85,7 +85,7 @@ def board_figures(plans: Mapping[str, ExactPlan], name: str) -> list[tuple[str, 
     """
     Return SVG and caption for each board slice and plan, slice by slice; on one scale of values.
 
-    :param plans: of one domain, by what each is called.
+    :param plans: of one domain, by name.
     :param name: prefix of the identifiers.
     """
     if not plans:

@@ -168,7 +168,7 @@ def planning_figures(rows: Mapping[str, PlanningRow], name: str) -> list[str]:
     """
     Return the planning time and, where it was measured, the return, by action set.
 
-    :param rows: by what each is called.
+    :param rows: by the names of the plans.
     """
     returns = {
         called: (row.mean_return, row.mean_discounted_return)
@@ -242,7 +242,7 @@ def sweep_report(plans: Mapping[str, ExactPlan], name: str) -> SweepReport | Non
     """
     Make the plans again, sweep by sweep; None where that would take long, or there are none.
 
-    :param plans: with exact models, by what each is called.
+    :param plans: with exact models, by name.
     :param name: prefix of the identifiers.
     """
     values = [plan.domain.n_states * plan.solution.sweeps for plan in plans.values()]

@@ -50,7 +50,7 @@ def findings(
 
 
 def planning_rows(evaluation: BagEvaluation, live: Live | None) -> dict[str, PlanningRow]:
-    """Return what planning came to, live where it is known, by what each plan is called."""
+    """Return the results of planning by the names of the plans: live ones where they are known."""
     if live is not None:
         return {row.action_set: row for row in live.planning}
     return {name: plan.row for name, plan in evaluation.named_plans.items()}

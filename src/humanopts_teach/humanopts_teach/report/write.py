@@ -55,7 +55,7 @@ def write_evaluation_report(
     """
     Write a report that needs no other file and no network.
 
-    :param bag: whose recording and last episode are shown, too; None: they are not known.
+    :param bag: its recording and last episode are shown; None: they are not known.
     :param live: what was seen while teaching; None: it is not known.
     :return: what the report shows.
     :raises SummaryError: the file cannot be written.
@@ -113,7 +113,7 @@ def render_report(data: ReportData) -> str:
 
 
 def _teaching_cost(evaluation: BagEvaluation) -> dict[str, str]:
-    """Return what it took to get the options of each plan, by what the plan is called."""
+    """Return demonstrations and time that the options of each plan took, by its name."""
     cost = {}
     for name, plan in evaluation.named_plans.items():
         taught = [option.last for option in evaluation.of(plan.participant)]
