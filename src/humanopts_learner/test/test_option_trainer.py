@@ -30,8 +30,40 @@ def few(fetching: list[Demonstration]) -> list[Demonstration]:
     return fetching[:6]
 
 
-def test_a_demonstration_is_learned_from_once(reopen: Open, few: list[Demonstration]) -> None:
-    trainer = reopen()
+@pytest.fixture
+def trainer(reopen: Open) -> OptionTrainer:
+    """Return a trainer without demonstrations."""
+    return reopen()
+
+
+@pytest.fixture
+def trained(trainer: OptionTrainer, few: list[Demonstration]) -> OptionTrainer:
+    """Return a trainer that has taken the few demonstrations."""
+    for demo in few:
+        trainer.take(demo)
+    return trainer
+
+
+def not_here(shown: Demonstration) -> Demonstration:
+    """Return a "not here" answer in the first state of a demonstration."""
+    return replace(
+        shown,
+        kind=Kind.NOT_HERE,
+        states=shown.states[:1],
+        features=shown.features[:1],
+        actions=(),
+        rewards=(),
+        terminated=False,
+    )
+
+
+def withdrawn(demo: Demonstration) -> Demonstration:
+    return replace(demo, withdrawn=True)
+
+
+def test_a_demonstration_is_learned_from_once(
+    few: list[Demonstration], trainer: OptionTrainer
+) -> None:
     assert [trainer.take(demo) for demo in few] == [True] * 6
     assert trainer.take(few[3]) is False
     (progress,) = trainer.progress()
@@ -42,30 +74,21 @@ def test_a_demonstration_is_learned_from_once(reopen: Open, few: list[Demonstrat
 
 
 def test_everything_is_known_again_when_it_is_opened_again(
-    reopen: Open, few: list[Demonstration]
+    reopen: Open, few: list[Demonstration], trained: OptionTrainer
 ) -> None:
-    trainer = reopen()
-    for demo in few:
-        trainer.take(demo)
     again = reopen()
-    assert again.progress() == trainer.progress()
+    assert again.progress() == trained.progress()
     assert again.problems == []
     assert again.take(few[0]) is False
 
 
-def test_the_option_file_holds_the_demonstrations(
-    reopen: Open, few: list[Demonstration], tmp_path: Path
-) -> None:
-    trainer = reopen()
-    for demo in few:
-        trainer.take(demo)
+def test_the_option_file_holds_the_demonstrations(tmp_path: Path, trained: OptionTrainer) -> None:
     options, problems = load_options(tmp_path / 'options')
-    assert options == [trainer.progress()[0].option]
+    assert options == [trained.progress()[0].option]
     assert problems == []
 
 
-def test_options_and_people_are_kept_apart(reopen: Open, person: Any) -> None:
-    trainer = reopen()
+def test_options_and_people_are_kept_apart(person: Any, trainer: OptionTrainer) -> None:
     one, two = person(seed=1).show_random(3), person(seed=2).show_random(3)
     other = person(DELIVER, seed=1).show_random(3)
     for demos in zip(one, two, other):
@@ -79,28 +102,17 @@ def test_options_and_people_are_kept_apart(reopen: Open, person: Any) -> None:
 
 
 def test_not_here_alone_is_counted_but_is_no_option(
-    reopen: Open, few: list[Demonstration]
+    few: list[Demonstration], trainer: OptionTrainer
 ) -> None:
-    trainer = reopen()
-    shown = few[0]
-    nothing = replace(
-        shown,
-        kind=Kind.NOT_HERE,
-        states=shown.states[:1],
-        features=shown.features[:1],
-        actions=(),
-        rewards=(),
-        terminated=False,
-    )
+    nothing = not_here(few[0])
     assert trainer.take(nothing)
     (progress,) = trainer.progress()
     assert (progress.demonstrations, progress.option, progress.file) == ([nothing], None, '')
 
 
 def test_what_cannot_be_used_is_not_kept(
-    reopen: Open, few: list[Demonstration], tmp_path: Path
+    few: list[Demonstration], tmp_path: Path, trainer: OptionTrainer
 ) -> None:
-    trainer = reopen()
     trainer.take(few[0])
     before = (tmp_path / 'options' / DATA_SET).read_bytes()
     with pytest.raises(DemonstrationError, match='names no option'):
@@ -110,15 +122,12 @@ def test_what_cannot_be_used_is_not_kept(
 
 
 def test_a_line_that_cannot_be_used_is_named_and_the_others_are_kept(
-    reopen: Open, few: list[Demonstration], tmp_path: Path
+    reopen: Open, tmp_path: Path, trained: OptionTrainer
 ) -> None:
-    trainer = reopen()
-    for demo in few:
-        trainer.take(demo)
     file = tmp_path / 'options' / DATA_SET
     file.write_text('not JSON\n' + file.read_text() + '{"kind": "traj')
     again = reopen()
-    assert again.progress() == trainer.progress()
+    assert again.progress() == trained.progress()
     torn, unusable = again.problems
     assert 'was cut off' in torn
     assert unusable.startswith(f'line 1 of {file} is left out: not a demonstration')
@@ -132,9 +141,8 @@ def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
 
 
 def test_a_data_set_that_cannot_be_written_keeps_the_demonstration_out(
-    reopen: Open, few: list[Demonstration], tmp_path: Path
+    few: list[Demonstration], tmp_path: Path, trainer: OptionTrainer
 ) -> None:
-    trainer = reopen()
     (tmp_path / 'options' / DATA_SET).mkdir()
     with pytest.raises(DataSetError, match=r'cannot write .*jsonl: Is a directory'):
         trainer.take(few[0])
@@ -144,9 +152,8 @@ def test_a_data_set_that_cannot_be_written_keeps_the_demonstration_out(
 
 
 def test_an_option_file_that_cannot_be_written_is_a_problem_but_no_loss(
-    reopen: Open, few: list[Demonstration], tmp_path: Path
+    reopen: Open, few: list[Demonstration], tmp_path: Path, trainer: OptionTrainer
 ) -> None:
-    trainer = reopen()
     trainer.take(few[0])
     (file,) = (tmp_path / 'options').glob('*/*.json')
     folder = file.parent
@@ -159,29 +166,21 @@ def test_an_option_file_that_cannot_be_written_is_a_problem_but_no_loss(
     assert reopen().progress()[0].demonstrations == few[:2]
 
 
-def withdrawn(demo: Demonstration) -> Demonstration:
-    return replace(demo, withdrawn=True)
-
-
 def test_what_is_withdrawn_is_unlearned_and_stays_so(
-    reopen: Open, few: list[Demonstration]
+    reopen: Open, few: list[Demonstration], trained: OptionTrainer
 ) -> None:
-    trainer = reopen()
-    for demo in few:
-        trainer.take(demo)
-    assert trainer.take(withdrawn(few[-1])) is True
+    assert trained.take(withdrawn(few[-1])) is True
     for again in (few[-1], withdrawn(few[-1])):
-        assert trainer.take(again) is False
-    (progress,) = trainer.progress()
+        assert trained.take(again) is False
+    (progress,) = trained.progress()
     assert progress.demonstrations == few[:-1]
     assert progress.option == learn_option(few[:-1], TAXI, SEED)
-    assert reopen().progress() == trainer.progress()
+    assert reopen().progress() == trained.progress()
 
 
 def test_an_option_of_which_nothing_is_left_is_gone_with_its_file(
-    reopen: Open, few: list[Demonstration], tmp_path: Path
+    reopen: Open, few: list[Demonstration], tmp_path: Path, trainer: OptionTrainer
 ) -> None:
-    trainer = reopen()
     trainer.take(few[0])
     trainer.take(withdrawn(few[0]))
     assert trainer.progress() == reopen().progress() == []
@@ -191,17 +190,9 @@ def test_an_option_of_which_nothing_is_left_is_gone_with_its_file(
 
 
 def test_an_option_with_not_here_alone_left_is_known_and_has_no_file(
-    reopen: Open, few: list[Demonstration], person: Any, tmp_path: Path
+    few: list[Demonstration], person: Any, tmp_path: Path, trainer: OptionTrainer
 ) -> None:
-    refusal = replace(
-        few[1],
-        kind=Kind.NOT_HERE,
-        states=few[1].states[:1],
-        features=few[1].features[:1],
-        actions=(),
-        rewards=(),
-    )
-    trainer = reopen()
+    refusal = not_here(few[1])
     for demo in (refusal, few[0], withdrawn(few[0])):
         trainer.take(demo)
     (progress,) = trainer.progress()
@@ -209,8 +200,9 @@ def test_an_option_with_not_here_alone_left_is_known_and_has_no_file(
     assert load_options(tmp_path / 'options') == ([], [])
 
 
-def test_a_withdrawal_that_comes_first_holds(reopen: Open, few: list[Demonstration]) -> None:
-    trainer = reopen()
+def test_a_withdrawal_that_comes_first_holds(
+    few: list[Demonstration], trainer: OptionTrainer
+) -> None:
     assert trainer.take(withdrawn(few[0])) is True
     assert trainer.take(few[0]) is False
     assert trainer.progress() == []

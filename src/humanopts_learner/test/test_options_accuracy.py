@@ -66,6 +66,31 @@ def test_a_sample_measures_what_all_states_do(
     assert classification_accuracy(careless, plain_taxi, reference)[0] == 0.0
 
 
+def test_accuracy_is_the_share_of_optimal_states(fetching: list[Demonstration]) -> None:
+    reference = reference_options(TAXI)[FETCH]
+    option = learn_option(fetching, TAXI, 0)
+    states = reference.initiation.nonzero()[0]
+    good = sum(
+        int(option.greedy_action(TAXI.feature_values(TAXI.state_at(i))[None])[0])
+        in reference.optimal_actions(TAXI.state_at(i))
+        for i in states.tolist()
+    )
+    assert policy_accuracy(option, TAXI, reference) == pytest.approx(good / len(states))
+    assert 0.5 < good / len(states) < 1
+
+
+def test_classification_accuracy_of_a_perfect_and_of_a_careless_option(
+    fetching: list[Demonstration],
+) -> None:
+    reference = reference_options(TAXI)[FETCH]
+    option = learn_option(fetching, TAXI, 0)
+    assert classification_accuracy(option, TAXI, reference) == (1.0, 1.0)
+    careless = learn_option([replace(d, can_start_at_end=True) for d in fetching], TAXI, 0)
+    judged = reference.judged & ~TAXI.over()
+    share = reference.initiation[judged].mean()
+    assert classification_accuracy(careless, TAXI, reference)[0] == pytest.approx(share)
+
+
 def test_where_an_option_ends_is_judged_only_where_it_can_be() -> None:
     """
     Counted on the board, for the north-west room's way to its north doorway.

@@ -15,7 +15,6 @@ from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
 from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
 from humanopts_learner.options.option import (
     Mode,
@@ -230,29 +229,6 @@ def test_trees_that_do_not_fit_make_no_option(fetching: Shown) -> None:
     ]:
         with pytest.raises(OptionError, match=message):
             replace(option, **change)
-
-
-def test_accuracy_is_the_share_of_optimal_states(fetching: Shown) -> None:
-    reference = reference_options(TAXI)[FETCH]
-    option = learn_option(fetching, TAXI, 0)
-    states = reference.initiation.nonzero()[0]
-    good = sum(
-        int(option.greedy_action(row(TAXI.state_at(i)))[0])
-        in reference.optimal_actions(TAXI.state_at(i))
-        for i in states.tolist()
-    )
-    assert policy_accuracy(option, TAXI, reference) == pytest.approx(good / len(states))
-    assert 0.5 < good / len(states) < 1
-
-
-def test_classification_accuracy_of_a_perfect_and_of_a_careless_option(fetching: Shown) -> None:
-    reference = reference_options(TAXI)[FETCH]
-    option = learn_option(fetching, TAXI, 0)
-    assert classification_accuracy(option, TAXI, reference) == (1.0, 1.0)
-    careless = learn_option([replace(d, can_start_at_end=True) for d in fetching], TAXI, 0)
-    judged = reference.judged & ~TAXI.over()
-    share = reference.initiation[judged].mean()
-    assert classification_accuracy(careless, TAXI, reference)[0] == pytest.approx(share)
 
 
 class OneByOne(PacMan):
