@@ -1,6 +1,6 @@
 """Carrying out a policy over options: the interruption theorem, modules, and step limits."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,11 +12,12 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.table_domain import TableDomain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.arbitration import OptionValues, winners
+from humanopts_learner.planning.arbitration import winners
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.interruption import as_executed, option_values, policy_values
 from humanopts_learner.planning.request import Execution, PlanError, PlanRequest
+from humanopts_learner.ros.convert import option_values_from_message, option_values_to_message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -250,21 +251,29 @@ def test_modules_of_the_greatest_mass_outvote_a_single_strong_one() -> None:
     assert winners(Execution.MODULAR_MASS, *values).tolist() == [1, 0]
 
 
-def test_values_survive_being_laid_out_flat() -> None:
+def test_values_survive_the_way_through_a_message() -> None:
     table = option_values(rooms_plan('human', 'G1'))
-    flat = table.flat()
-    again = OptionValues.from_flat(flat)
-    assert all(np.asarray(part).ndim <= 1 for part in flat.values())
+    again = option_values_from_message(option_values_to_message(table, 'one', 'eve'))
     for name, part in vars(table).items():
         assert np.array_equal(getattr(again, name), part), name
-    with pytest.raises(PlanError, match='continuation_values has'):
-        OptionValues.from_flat({**flat, 'continuation_values': flat['continuation_values'][1:]})
-    with pytest.raises(PlanError, match='ascend'):
-        OptionValues.from_flat({**flat, 'states': flat['states'][::-1]})
-    with pytest.raises(PlanError, match='no number'):
-        OptionValues.from_flat({**flat, 'option_values': flat['option_values'] * np.nan})
-    with pytest.raises(PlanError, match='interruption_margin'):
-        OptionValues.from_flat({**flat, 'interruption_margin': -1.0})
+
+
+@pytest.mark.parametrize(
+    ('field', 'change', 'text'),
+    [
+        ('continuation_values', lambda values: values[1:], 'continuation_values has'),
+        ('states', lambda values: values[::-1], 'ascend'),
+        ('option_values', lambda values: [np.nan] * len(values), 'no number'),
+        ('interruption_margin', lambda value: -1.0, 'interruption_margin'),
+    ],
+)
+def test_a_message_that_contradicts_itself_is_refused(
+    field: str, change: Callable[[Any], Any], text: str
+) -> None:
+    message = option_values_to_message(option_values(rooms_plan('human', 'G1')), 'one', 'eve')
+    setattr(message, field, change(getattr(message, field)))
+    with pytest.raises(PlanError, match=text):
+        option_values_from_message(message)
 
 
 def test_a_policy_that_never_ends_has_no_undiscounted_value() -> None:

@@ -15,13 +15,13 @@ from humanopts_learner.execution import Run
 from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.option import LearnedOption, Mode, options_from_references
 from humanopts_learner.planning.arbiter import Arbiter
-from humanopts_learner.planning.arbitration import OptionValues
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.interruption import as_executed, option_values
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import Execution, PlanError, PlanRequest, Sampling
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
+from humanopts_learner.ros.convert import option_values_from_message, option_values_to_message
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -73,7 +73,8 @@ def arbiter_of(plan: ExactPlan | SampledPlan, execution: Execution) -> Arbiter:
     """Return the arbiter that is made of what a message carries."""
     values = option_values(plan) if isinstance(plan, ExactPlan) else plan.option_values()
     options = options_of(plan.domain)[::-1]
-    return Arbiter(OptionValues.from_flat(values.flat()), execution, plan.domain, options)
+    sent = option_values_from_message(option_values_to_message(values, '', ''))
+    return Arbiter(sent, execution, plan.domain, options)
 
 
 class LiveGame:

@@ -7,9 +7,8 @@ from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, options_from_references, tabulate
-from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.evaluate import episode_starts, play
-from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.exact import build_model, ExactPlan
 from humanopts_learner.planning.multi_time_models import SparseMultiTimeModel
 from humanopts_learner.planning.option_models import StochasticModeller
 from humanopts_learner.planning.plan import make_plan

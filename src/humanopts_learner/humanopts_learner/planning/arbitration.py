@@ -6,9 +6,7 @@ decide anew before each step, from one table of option values, so the same table
 always give the same run.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.planning.request import Execution, PlanError
@@ -60,41 +58,6 @@ class OptionValues:
         row = np.minimum(np.searchsorted(self.states, states), len(self.states) - 1)
         found = self.states[row] == states
         return np.where(found, row, 0), found
-
-    def flat(self) -> dict[str, Any]:
-        """Return the fields with all arrays flat, row by row, as a message carries them."""
-        return {
-            **vars(self),
-            'names': list(self.names),
-            'option_values': self.option_values.ravel(),
-            'continuation_values': self.continuation_values.ravel(),
-        }
-
-    @classmethod
-    def from_flat(cls, parts: Mapping[str, Any]) -> 'OptionValues':
-        """
-        Return the values that ``flat`` was called on.
-
-        :raises PlanError: the parts contradict each other.
-        """
-        states = np.asarray(parts['states'], dtype=np.int64)
-        shape = len(states), len(parts['names'])
-
-        def table(name: str) -> Floats:
-            values = np.asarray(parts[name], dtype=np.float64)
-            if values.size != shape[0] * shape[1]:
-                raise PlanError(f'{name} has {values.size} values, and not {shape}')
-            return values.reshape(shape)
-
-        return cls(
-            action_set=parts['action_set'],
-            names=tuple(parts['names']),
-            states=states,
-            option_values=table('option_values'),
-            continuation_values=table('continuation_values'),
-            interruption_margin=float(parts['interruption_margin']),
-            sampled=bool(parts['sampled']),
-        )
 
 
 def interruptions(

@@ -14,9 +14,9 @@ from dataclasses import replace
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
 from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.arbitration import interruptions, OptionValues, ROUNDING, winners
-from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.exact import build_model, ExactPlan
+from humanopts_learner.planning.multi_time_models import look_ahead
 from humanopts_learner.planning.option_models import option_modeller, visited
 from humanopts_learner.planning.request import Execution, PlanError
 import numpy as np
@@ -33,18 +33,17 @@ def option_values(plan: ExactPlan) -> OptionValues:
     """
     domain, values = plan.domain, plan.solution.values
     model = build_model(domain, plan.action_set, plan.options, plan.gamma)
-    ahead = (model.rows @ values).reshape(model.reward.T.shape)
-    option_values = np.where(model.available.T, model.reward.T + ahead, -np.inf)
+    option_values = look_ahead(model, values)
     continuation_values = option_values.copy()
     for o, option in enumerate(plan.options):
-        continuation_values[o] = _continuation_values(plan, option)
-    continuation_values[:, domain.over()] = -np.inf
+        continuation_values[:, o] = _continuation_values(plan, option)
+    continuation_values[domain.over()] = -np.inf
     return OptionValues(
         action_set=plan.action_set,
         names=model.names,
         states=np.arange(len(values)),
-        option_values=option_values.T,
-        continuation_values=continuation_values.T,
+        option_values=option_values,
+        continuation_values=continuation_values,
         interruption_margin=_interruption_margin(plan),
         sampled=False,
     )

@@ -7,10 +7,11 @@ primitive steps counts its successor with gamma**k (Sutton, Precup and Singh 199
 row of them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
+from humanopts_env.arrays import Flags, Floats
 from humanopts_env.domains.base import Transitions
 from humanopts_learner.planning.request import PlanError
 import numpy as np
@@ -18,26 +19,18 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 Rows = Any  # csr_array of float64; SciPy has no types
+Expectation = Callable[[Floats], Iterator[Floats]]
+"""
+From the values (S,) of the states to (S,) for each option: the expected discounted value of its
+successors. An array may be changed by its receiver, and is valid until the next.
+"""
 ROUNDING = 1e-9  # how far above 1 the entries of one row may sum up
 
 
-class Expectation(Protocol):
-    """Computes the expected discounted value of the successors of an option."""
-
-    def prepare(self, values: NDArray[np.float64], /) -> object:
-        """Take the values (S,) of the states."""
-
-    def of_option(self, option: int, out: NDArray[np.float64], /) -> object:
-        """Write (S,): the expected discounted value of the successors of one option."""
-
-
-def expected_values(model: 'Model', values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (O, S): the expected discounted value of the successors of every option."""
-    expected, result = model.expectation(), np.empty(model.reward.T.shape)
-    expected.prepare(values)
-    for option, out in enumerate(result):
-        expected.of_option(option, out)
-    return result
+def look_ahead(model: 'Model', values: Floats) -> Floats:
+    """Return (S, O): the value of each option by the values (S,) of its ends, or -inf."""
+    ahead = (model.rows @ values).reshape(model.reward.T.shape).T
+    return np.where(model.available, model.reward + ahead, -np.inf)
 
 
 @dataclass(frozen=True)
@@ -53,10 +46,10 @@ class MultiTimeModel:
     """
 
     names: tuple[str, ...]  # of the options, (O,)
-    reward: NDArray[np.float64]  # (S, O)
-    available: NDArray[np.bool_]  # (S, O)
+    reward: Floats  # (S, O)
+    available: Flags  # (S, O)
     successor: NDArray[np.int32]  # (S, O)
-    discount: NDArray[np.float64]  # (S, O), gamma**k; 0 where the task was over
+    discount: Floats  # (S, O), gamma**k; 0 where the task was over
 
     def __post_init__(self) -> None:
         """Check the arrays."""
@@ -83,37 +76,30 @@ class MultiTimeModel:
         return rows
 
     def expectation(self) -> Expectation:
-        """Return the expectation over the successors; computing it allocates nothing."""
-        return _Successors(self)
+        """
+        Return the expectation over the successors, by indexing; computing it allocates nothing.
 
+        Where all options are discounted alike, as primitive actions are, the values are discounted
+        before they are indexed, and the successor of the end of the task is one more state of
+        value 0.
+        """
+        successor = np.ascontiguousarray(self.successor.T, dtype=np.intp)
+        discount = np.where(self.available.T, self.discount.T, 0.0)
+        common, nothing = float(discount.max()), discount == 0.0
+        alike = bool((nothing | (discount == common)).all())
+        if alike:
+            successor[nothing] = self.n_states
+        padded, out = np.zeros(self.n_states + 1), np.empty(self.n_states)
 
-class _Successors:
-    """
-    Expectation over single successors, by indexing.
+        def expected(values: Floats) -> Iterator[Floats]:
+            np.multiply(values, common if alike else 1.0, out=padded[:-1])
+            for option in range(len(successor)):
+                np.take(padded, successor[option], out=out, mode='clip')
+                if not alike:
+                    np.multiply(out, discount[option], out=out)
+                yield out
 
-    Where all options are discounted alike, as primitive actions are, the values are discounted
-    before they are indexed, and the successor of the end of the task is one more state of value 0.
-    """
-
-    def __init__(self, model: MultiTimeModel) -> None:
-        self._successor = np.ascontiguousarray(model.successor.T, dtype=np.intp)
-        self._discount = np.where(model.available.T, model.discount.T, 0.0)
-        self._common_discount = float(self._discount.max())
-        nothing = self._discount == 0.0
-        self._same_discount = bool((nothing | (self._discount == self._common_discount)).all())
-        self._values = np.zeros(model.n_states + 1)
-        if self._same_discount:
-            self._successor[nothing] = model.n_states
-
-    def prepare(self, values: NDArray[np.float64]) -> None:
-        np.multiply(
-            values, self._common_discount if self._same_discount else 1.0, out=self._values[:-1]
-        )
-
-    def of_option(self, option: int, out: NDArray[np.float64]) -> None:
-        np.take(self._values, self._successor[option], out=out, mode='clip')
-        if not self._same_discount:
-            np.multiply(out, self._discount[option], out=out)
+        return expected
 
 
 @dataclass(frozen=True)
@@ -126,8 +112,8 @@ class SparseMultiTimeModel:
     """
 
     names: tuple[str, ...]  # of the options, (O,)
-    reward: NDArray[np.float64]  # (S, O), expected sum of gamma**i * r[i], i = 0..k-1
-    available: NDArray[np.bool_]  # (S, O)
+    reward: Floats  # (S, O), expected sum of gamma**i * r[i], i = 0..k-1
+    available: Flags  # (S, O)
     rows: Rows  # (O*S, S), row o*S + s: expected gamma**k of each successor; none: task over
 
     def __post_init__(self) -> None:
@@ -167,21 +153,7 @@ class SparseMultiTimeModel:
 
     def expectation(self) -> Expectation:
         """Return the expectation over the successors; computing it allocates one array (O*S,)."""
-        return _Products(self)
-
-
-class _Products:
-    """Expectation over sparse rows, by one sparse product."""
-
-    def __init__(self, model: SparseMultiTimeModel) -> None:
-        self._rows, self._shape = model.rows, model.reward.T.shape
-        self._expected = np.zeros(self._shape)
-
-    def prepare(self, values: NDArray[np.float64]) -> None:
-        self._expected = (self._rows @ values).reshape(self._shape)
-
-    def of_option(self, option: int, out: NDArray[np.float64]) -> None:
-        np.copyto(out, self._expected[option])
+        return lambda values: iter((self.rows @ values).reshape(self.reward.T.shape))
 
 
 Model = MultiTimeModel | SparseMultiTimeModel
@@ -202,7 +174,7 @@ def concatenate(models: Sequence[Model]) -> Model:
 
 
 def primitive_model(
-    transitions: Transitions, over: NDArray[np.bool_], gamma: float, names: Sequence[str]
+    transitions: Transitions, over: Flags, gamma: float, names: Sequence[str]
 ) -> Model:
     """
     Return the exact model whose options are the primitive actions.
@@ -224,7 +196,7 @@ def primitive_model(
 
 
 def _primitive_rows(
-    transitions: Transitions, over: NDArray[np.bool_], gamma: float, names: Sequence[str]
+    transitions: Transitions, over: Flags, gamma: float, names: Sequence[str]
 ) -> SparseMultiTimeModel:
     count, actions, outcomes = transitions.successor.shape
     share = np.where(transitions.terminated | over[:, None, None], 0.0, transitions.probability)
@@ -244,9 +216,7 @@ def _primitive_rows(
     )
 
 
-def _check_shapes(
-    names: Sequence[str], reward: NDArray[np.float64], available: NDArray[np.bool_]
-) -> None:
+def _check_shapes(names: Sequence[str], reward: Floats, available: Flags) -> None:
     if available.shape != reward.shape:
         raise PlanError(f'available is {available.shape}, and reward is {reward.shape}')
     if reward.ndim != 2 or 0 in reward.shape or reward.shape[1] != len(names):

@@ -1,6 +1,6 @@
 """SMDP value iteration: synchronous, over options (Sutton, Precup and Singh 1999, section 3.1)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from humanopts_env.arrays import Floats
@@ -28,37 +28,34 @@ class _Backup:
     """One sweep over a model, in place: no loop over states, and one option in cache at a time."""
 
     def __init__(self, model: Model) -> None:
-        self.dead = ~model.available.any(axis=1)
+        self._dead = ~model.available.any(axis=1)
         self._expected = model.expectation()
         self._reward = np.where(model.available.T, model.reward.T, -np.inf)
-        self._reward[0, self.dead] = 0.0  # nothing follows there, so their value stays 0
-        self._choice = np.empty(model.n_states)
+        self._reward[0, self._dead] = 0.0  # nothing follows there, so their value stays 0
 
     def sweep(self, old: Floats, new: Floats) -> float:
         """Write the next values to ``new`` and the changes to ``old``; return the largest."""
-        self._expected.prepare(old)
-        self._value(0, new)
-        for option in range(1, len(self._reward)):
-            np.maximum(new, self._value(option, self._choice), out=new)
+        new.fill(-np.inf)
+        for choice in self._option_values(old):
+            np.maximum(new, choice, out=new)
         np.subtract(new, old, out=old)
         return max(float(old.max()), -float(old.min()))
 
     def best(self, values: Floats) -> NDArray[np.int32]:
         """Return the greedy option of every state, the lowest of equals; -1: none."""
-        self._expected.prepare(values)
-        greatest = self._value(0, np.empty_like(values))
+        greatest = np.full(len(values), -np.inf)
         best = np.zeros(len(values), dtype=np.int32)
-        for option in range(1, len(self._reward)):
-            best[self._value(option, self._choice) > greatest] = option
-            np.maximum(greatest, self._choice, out=greatest)
-        best[self.dead] = -1
+        for option, choice in enumerate(self._option_values(values)):
+            best[choice > greatest] = option
+            np.maximum(greatest, choice, out=greatest)
+        best[self._dead] = -1
         return best
 
-    def _value(self, option: int, out: Floats) -> Floats:
-        """Write the value of one option in every state to ``out``, and return it."""
-        self._expected.of_option(option, out)
-        out += self._reward[option]
-        return out
+    def _option_values(self, values: Floats) -> Iterator[Floats]:
+        """Yield the value of each option in every state (S,), valid until the next."""
+        for expected, reward in zip(self._expected(values), self._reward):
+            expected += reward
+            yield expected
 
 
 def solve_smdp(

@@ -2,10 +2,11 @@
 
 from array import array
 from collections.abc import Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 import math
 from typing import Any
 
+from humanopts_env.arrays import Floats
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan
 from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
@@ -15,8 +16,9 @@ from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.arbitration import OptionValues
 from humanopts_learner.planning.plan import AnyPlan, Performance
-from humanopts_learner.planning.request import PlanRequest
+from humanopts_learner.planning.request import PlanError, PlanRequest
 import numpy as np
+from numpy.typing import NDArray
 
 
 def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
@@ -196,20 +198,47 @@ def option_values_to_message(
     values: OptionValues, plan_id: str, participant: str
 ) -> msg.OptionValues:
     """Encode the values for arbitration; arrays are sent as bytes, since they may be large."""
-    parts = values.flat()
-    for name, code in (('states', 'q'), ('option_values', 'd'), ('continuation_values', 'd')):
-        parts[name] = array(code, np.ascontiguousarray(parts[name]).tobytes())
-    return msg.OptionValues(plan_id=plan_id, participant=participant, **parts)
+
+    def packed(code: str, table: NDArray[Any]) -> 'array[Any]':
+        return array(code, np.ascontiguousarray(table).tobytes())
+
+    return msg.OptionValues(
+        plan_id=plan_id,
+        participant=participant,
+        action_set=values.action_set,
+        names=list(values.names),
+        states=packed('q', values.states),
+        option_values=packed('d', values.option_values),
+        continuation_values=packed('d', values.continuation_values),
+        interruption_margin=values.interruption_margin,
+        sampled=values.sampled,
+    )
 
 
 def option_values_from_message(message: msg.OptionValues) -> OptionValues:
     """
     Decode the values for arbitration.
 
-    :raises ModelError: the parts contradict each other.
+    :raises PlanError: the parts contradict each other.
     """
-    names = [part.name for part in fields(OptionValues)]
-    return OptionValues.from_flat({name: getattr(message, name) for name in names})
+    states = np.asarray(message.states, dtype=np.int64)
+    shape = len(states), len(message.names)
+
+    def table(name: str) -> Floats:
+        values = np.asarray(getattr(message, name), dtype=np.float64)
+        if values.size != shape[0] * shape[1]:
+            raise PlanError(f'{name} has {values.size} values, and not {shape}')
+        return values.reshape(shape)
+
+    return OptionValues(
+        action_set=message.action_set,
+        names=tuple(message.names),
+        states=states,
+        option_values=table('option_values'),
+        continuation_values=table('continuation_values'),
+        interruption_margin=float(message.interruption_margin),
+        sampled=bool(message.sampled),
+    )
 
 
 def end_to_message(end: RunResult, run_id: str, execution: str = '') -> msg.OptionResult:

@@ -7,9 +7,8 @@ from itertools import pairwise, zip_longest
 import math
 from typing import Any, Literal
 
-from humanopts_learner.planning.action_sets import build_model
 from humanopts_learner.planning.evaluate import Interval
-from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.exact import build_model, ExactPlan
 from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
 from humanopts_teach.evaluation.bag_evaluation import CurvePoint
 from humanopts_teach.evaluation.comparison import ComparisonRow, Curve

@@ -13,7 +13,7 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.arbitration import OptionValues
 from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.exact import Decision, SweepProgress
-from humanopts_learner.planning.multi_time_models import expected_values, SparseMultiTimeModel
+from humanopts_learner.planning.multi_time_models import look_ahead, SparseMultiTimeModel
 from humanopts_learner.planning.request import (
     Clock,
     Execution,
@@ -186,11 +186,11 @@ class _Estimate:
         """Solve the model of all samples so far, and make the policy of its values."""
         choosable = model.first(self._actions.first_fallback)
         self.solution = solve_smdp(choosable, tol, max_sweeps, on_sweep)
-        values = _values(model, self.solution.values)
+        values = look_ahead(model, self.solution.values)
         for _ in range(IMPROVEMENTS if self._shrinks else 0):
             policy = np.where(choosable.available, self._shrunk(values), -np.inf).argmax(axis=1)
             evaluated = solve_smdp(choosable.of_policy(policy), tol, max_sweeps)
-            values = _values(model, evaluated.values)
+            values = look_ahead(model, evaluated.values)
         self._set_policy(values)
 
     def exploring(self, execution: Execution) -> ExploringPolicy:
@@ -231,9 +231,3 @@ class _Estimate:
             sampled=True,
         )
         self.policy = GreedyPolicy(self._actions, table)
-
-
-def _values(model: SparseMultiTimeModel, values: Floats) -> Floats:
-    """Return the value of each state and option, (S, O); -inf where not available."""
-    ahead = expected_values(model, values).T
-    return np.where(model.available, model.reward + ahead, -np.inf)
