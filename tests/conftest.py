@@ -17,14 +17,14 @@ os.environ['TERM'] = 'xterm-256color'  # what the pseudo-terminals of the tests 
 @pytest.fixture
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     """A graph of one test."""
-    with open_graph(tmp_path_factory.mktemp('graph'), Graph) as graph:
+    with open_graph(tmp_path_factory.mktemp('graph')) as graph:
         yield graph
 
 
 @pytest.fixture(scope='module')
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     """A graph that the tests of a module share."""
-    with open_graph(tmp_path_factory.mktemp('graph'), Graph) as graph:
+    with open_graph(tmp_path_factory.mktemp('graph')) as graph:
         yield graph
 
 

@@ -4,10 +4,9 @@ from collections.abc import Callable
 from typing import Any
 
 from action_msgs.msg import GoalStatus
-from graph_support.live import Goal, Graph, PLANNER
+from graph_support.live import GAME, Goal, Graph, PLANNER
 from graph_support.planning import Planning, start_planning
 from graph_support.scripted import taught, TAXI
-from humanopts_env.ros.game_node import GameNode
 from humanopts_interfaces.action import ExtractOptions
 from humanopts_interfaces.msg import (
     ExtractionGoal,
@@ -30,8 +29,8 @@ from humanopts_ros.qos import CURRENT
 import pytest
 
 SEED = 3
-SMALL = {'tasks': 60, 'task_episodes': 40, 'option_episodes': 100, 'max_options': 4}
-HOW = Extraction(options=4, tasks=60, train_episodes=40, option_episodes=100)
+SMALL = {'tasks': 12, 'task_episodes': 30, 'option_episodes': 40, 'max_options': 2}
+HOW = Extraction(options=2, tasks=12, train_episodes=30, option_episodes=40)
 ENDLESS = {'tasks': 400, 'task_episodes': 100_000}  # takes an hour
 SECONDS = 60.0
 
@@ -176,12 +175,11 @@ def test_a_request_that_makes_no_sense_is_refused_in_words(
 
 
 def test_who_asks_is_answered_when_the_planner_ends(live: Graph) -> None:
-    live.host(GameNode)
+    live.start(GAME)
     planner = live.start(PLANNER)
     live.ready('/planner')
     goal = live.act(ExtractOptions, 'extract_options', seed=SEED, **ENDLESS)
     live.until(lambda: goal.feedback, 'progress')
-    planner.process.terminate()
-    _, result = goal.result(5.0)
+    live.stop(planner)
+    _, result = goal.result()
     assert (result.status, result.detail) == (result.STATUS_FAILED, 'the planner stops')
-    assert planner.ended() == 0

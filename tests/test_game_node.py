@@ -5,17 +5,14 @@ from functools import partial
 from itertools import pairwise
 import json
 from pathlib import Path
-import re
 import signal
 from typing import Any
 
 from graph_support.live import GAME, Graph, NodeProcess
 from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.scripted import TAXI
-from humanopts_env.ros.game_node import GameNode
 from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState, NodeStatus
 from humanopts_interfaces.srv import ResetGame, SetControl
-from humanopts_ros.node_base import StartError
 from humanopts_ros.qos import LATCHED
 import pytest
 import rclpy
@@ -30,7 +27,7 @@ Answer = GameState | ActionRefusal
 
 @pytest.fixture(scope='module')
 def playing(shared: Graph) -> Player:
-    shared.host(GameNode)
+    shared.start(GAME)
     return Player(shared)
 
 
@@ -241,12 +238,11 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 def test_a_game_that_cannot_start_says_why(
     shared: Graph, parameters: dict[str, Any], says: str
 ) -> None:
-    with pytest.raises(StartError, match=re.escape(says)):
-        shared.host(GameNode, '/wrong', **parameters)
+    assert says in shared.refused(GAME, '/wrong', **parameters)
 
 
 def test_a_person_watching_a_paced_game_sees_every_step(live: Graph) -> None:
-    live.host(GameNode, step_period=0.2)
+    live.start(GAME, step_period=0.2)
     player = Player(live)
     player.fresh(START)
     for _ in range(3):
@@ -260,7 +256,7 @@ def test_a_person_watching_a_paced_game_sees_every_step(live: Graph) -> None:
 def test_of_two_machines_the_first_takes_a_paced_step_and_the_other_is_refused(
     live: Graph,
 ) -> None:
-    live.host(GameNode, step_period=0.5)
+    live.start(GAME, step_period=0.5)
     player = Player(live)
     player.fresh(START)
     first = player.command('south', publisher_id='/one#1')
@@ -273,17 +269,22 @@ def test_of_two_machines_the_first_takes_a_paced_step_and_the_other_is_refused(
     assert player.state.action_publisher_id == '/one#1'
 
 
-# A participant that is silent for its lease (20 s) is dropped, and then blocks nobody.
-PATIENT = """<profiles xmlns="http://www.eprosima.com">
+# A participant that is silent for its lease (20 s) is dropped, and then blocks nobody. A writer
+# that keeps everything is blocked by so many messages that a reader has not taken; else by 5,000.
+UNREAD = 400
+PROFILE = f"""<profiles xmlns="http://www.eprosima.com">
   <participant profile_name="patient" is_default_profile="true"><rtps><builtin><discovery_config>
     <leaseDuration><sec>600</sec></leaseDuration>
     <leaseAnnouncement><sec>1</sec></leaseAnnouncement>
   </discovery_config></builtin></rtps></participant>
+  <publisher profile_name="small" is_default_profile="true"><topic><resourceLimitsQos>
+    <max_samples>{UNREAD}</max_samples>
+    <max_samples_per_instance>{UNREAD}</max_samples_per_instance>
+  </resourceLimitsQos></topic></publisher>
 </profiles>
 """
 READER = """
-import os, signal, sys
-os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = sys.argv[2]
+import signal, sys
 from humanopts_ros.qos import STREAM
 from humanopts_interfaces import msg
 import rclpy
@@ -295,10 +296,21 @@ rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 node = rclpy.create_node('slow_reader')
 numbers = open(sys.argv[1], 'w', buffering=1)
 keep = lambda state: print(state.sequence, file=numbers)
-node.create_subscription(getattr(msg, sys.argv[3]), sys.argv[4], keep, STREAM)
+node.create_subscription(getattr(msg, sys.argv[2]), sys.argv[3], keep, STREAM)
 while not ended:
     rclpy.spin_once(node, timeout_sec=0.1)
 """
+
+
+@pytest.fixture
+def impatient(live: Graph, monkeypatch: pytest.MonkeyPatch) -> Graph:
+    """A game that readers block soon, as a process."""
+    profile = live.folder / 'profile.xml'
+    profile.write_text(PROFILE)
+    monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
+    live.spawn(GAME)
+    live.ready('/game')
+    return live
 
 
 def slow_reader(
@@ -309,10 +321,8 @@ def slow_reader(
 
     :param say: has game publish on the topic; called until the reader hears it.
     """
-    numbers, profile = graph.folder / 'numbers', graph.folder / 'patient.xml'
-    profile.write_text(PATIENT)
-    command = ['-c', READER, str(numbers), str(profile), kind.__name__, topic]
-    reader = graph.run(command, 'reader')
+    numbers = graph.folder / 'numbers'
+    reader = graph.run(['-c', READER, str(numbers), kind.__name__, topic], 'reader')
 
     def there() -> bool:
         readers = graph.node.get_subscriptions_info_by_topic(topic)
@@ -349,57 +359,57 @@ def flood_until_paused(graph: Graph, player: Player) -> str:
     return str(graph.statuses['/game'][-1].text)
 
 
-def test_a_stopped_reader_pauses_the_game_and_no_state_is_lost_or_doubled(live: Graph) -> None:
-    live.start(GAME)
-    live.ready('/game')
-    player = Player(live)
-    reader, numbers = slow_reader(live, GameState, 'game_state', lambda: player.reset(START))
+def test_a_stopped_reader_pauses_the_game_and_no_state_is_lost(
+    impatient: Graph,
+) -> None:
+    player = Player(impatient)
+    reader, numbers = slow_reader(impatient, GameState, 'game_state', lambda: player.reset(START))
     player.reset(START)
     first = player.state.sequence
     for _ in range(100):  # game and reader know each other well before it stops
         player.do('pickup')
-    live.until(lambda: has_read(numbers, player.state), 'the reader')
+    impatient.until(lambda: has_read(numbers, player.state), 'the reader')
     reader.pause()
-    cause = flood_until_paused(live, player)
+    cause = flood_until_paused(impatient, player)
     assert 'cannot publish on /game_state' in cause
     assert 'slow_reader' in cause
     assert refused(player.do('south', PERSON)) == (ActionRefusal.REASON_PAUSED, cause)
     reader.go_on()
-    live.until(lambda: live.state('/game') == NodeStatus.STATE_READY, 'game to go on')
+    impatient.until(lambda: impatient.state('/game') == NodeStatus.STATE_READY, 'game to go on')
     player.fresh(START)
     assert taken(player.do('south'))[0] == 1
     last = player.state.sequence
-    live.until(lambda: has_read(numbers, player.state), 'the reader to have it all')
+    impatient.until(lambda: has_read(numbers, player.state), 'the reader to have it all')
     assert reader.kill(signal.SIGTERM) == 0
     for got in (player.states, numbers.read_text().split()):
         seen = [int(getattr(state, 'sequence', state)) for state in got]
         assert seen[seen.index(first) :] == list(range(first, last + 1))
 
 
-def test_a_stopped_reader_of_refusals_pauses_the_game_which_then_goes_on(live: Graph) -> None:
-    live.start(GAME)
-    live.ready('/game')
-    player = Player(live)
+def test_a_stopped_reader_of_refusals_pauses_the_game_which_then_goes_on(impatient: Graph) -> None:
+    player = Player(impatient)
     player.fresh(START)
     jump = partial(player.do, 'jump')
-    reader, numbers = slow_reader(live, ActionRefusal, 'action_refused', jump)
+    reader, numbers = slow_reader(impatient, ActionRefusal, 'action_refused', jump)
     for _ in range(100):
         jump()
-    live.until(lambda: has_read(numbers, player.refusals[-1]), 'the reader')
+    impatient.until(lambda: has_read(numbers, player.refusals[-1]), 'the reader')
     reader.pause()
 
     def paused() -> bool:
-        return bool(live.state('/game') == NodeStatus.STATE_PAUSED)
+        return bool(impatient.state('/game') == NodeStatus.STATE_PAUSED)
 
     while not paused():
         known = len(player.refusals)
         for _ in range(200):
             player.send(player.command('jump'))
-        live.until(lambda n=known: len(player.refusals) == n + 200 or paused(), 'the refusals')
+        impatient.until(
+            lambda n=known: len(player.refusals) == n + 200 or paused(), 'the refusals'
+        )
         assert known < 10_000, 'game never paused'
-    assert 'cannot publish on /action_refused' in live.statuses['/game'][-1].text
+    assert 'cannot publish on /action_refused' in impatient.statuses['/game'][-1].text
     reader.go_on()
-    live.until(lambda: live.state('/game') == NodeStatus.STATE_READY, 'game to go on')
+    impatient.until(lambda: impatient.state('/game') == NodeStatus.STATE_READY, 'game to go on')
     assert taken(player.do('south'))[0] == 1
     first, last = player.refusals[0].sequence, player.refusals[-1].sequence
     assert [refusal.sequence for refusal in player.refusals] == list(range(first, last + 1))

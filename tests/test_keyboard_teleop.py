@@ -23,8 +23,9 @@ from graph_support.live import (
     KEYBOARD,
     LEARNER,
     LESSON,
-    open_graph,
+    module_of,
     OPTION_SERVER,
+    PLANNER,
 )
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.taxi import landmark_cells, TaxiState
@@ -48,28 +49,29 @@ def environment(domain_id: int) -> dict[str, str]:
     return {**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'TERM': 'xterm-256color'}
 
 
-def run_on(slave: int, domain_id: int, *arguments: str) -> 'subprocess.Popen[bytes]':
+def run_on(slave: int, graph: Graph, *arguments: str) -> 'subprocess.Popen[bytes]':
     """Start Python on a terminal, as its controlling one."""
     return subprocess.Popen(
         ['setsid', '--ctty', sys.executable, *arguments],
         stdin=slave,
         stdout=slave,
         stderr=subprocess.PIPE,
-        env=environment(domain_id),
+        env=environment(graph.domain_id),
     )
 
 
 class Terminal:
     """A terminal emulator with a process in it, and a person who reads and types."""
 
-    def __init__(self, domain_id: int, *arguments: str) -> None:
+    def __init__(self, graph: Graph, *arguments: str) -> None:
+        self._graph = graph
         self.master, self.slave = self._open = list(pty.openpty())
         fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack('HHHH', HEIGHT, WIDTH, 0, 0))
         self.before = termios.tcgetattr(self.slave)
         self.screen = pyte.Screen(WIDTH, HEIGHT)
         self.stream = pyte.ByteStream(self.screen)
         self.raw = b''
-        self.process = run_on(self.slave, domain_id, *arguments)
+        self.process = run_on(self.slave, graph, *arguments)
 
     def text(self) -> str:
         """Return what is on the screen, line by line."""
@@ -87,11 +89,12 @@ class Terminal:
             self.stream.feed(data)
 
     def until(self, condition: Callable[[], Any], what: str, seconds: float = 30.0) -> None:
-        """Read until a condition holds."""
+        """Read, and let the other nodes work, until a condition holds."""
         deadline = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < deadline, f'waited in vain for {what}:\n{self.text()}'
-            self.read()
+            self._graph.spin(0.005)
+            self.read(0.0)
 
     def see(self, text: str, seconds: float = 30.0) -> None:
         """Read until a text is on the screen, however it is wrapped."""
@@ -126,15 +129,15 @@ class Terminal:
             os.close(self._open.pop())
 
 
-class TerminalGraph(Graph):
-    """The other nodes as processes, terminals on them, and a reader of the game's stream."""
+class Terminals:
+    """The other nodes, terminals on their graph, and a reader of the game's stream."""
 
-    def __init__(self, folder: Path, domain_id: int) -> None:
-        super().__init__(folder, domain_id)
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
         self.terminals: list[Terminal] = []
         self.messages: list[Any] = []
         self.subscriptions = [
-            self.node.create_subscription(kind, topic, self.messages.append, STREAM)
+            graph.node.create_subscription(kind, topic, self.messages.append, STREAM)
             for kind, topic in (
                 (GameState, 'game_state'),
                 (ActionRefusal, 'action_refused'),
@@ -145,16 +148,17 @@ class TerminalGraph(Graph):
 
     def start_all(self, step_period: float = 0.0) -> None:
         """Start every node but the terminal."""
-        self.start(GAME, step_period=step_period)
-        self.start(LEARNER, directory=self.folder / 'options')
-        self.start(LESSON, directory=self.folder / 'demonstrations', strategy='failures')
-        self.start(OPTION_SERVER)
+        graph = self.graph
+        graph.start(GAME, step_period=step_period)
+        graph.start(LEARNER, directory=graph.folder / 'options')
+        graph.start(LESSON, directory=graph.folder / 'demonstrations', strategy='failures')
+        graph.start(OPTION_SERVER)
         streams = self.subscriptions[:-1]
-        self.until(lambda: all(s.get_publisher_count() for s in streams), 'game, option server')
+        graph.until(lambda: all(s.get_publisher_count() for s in streams), 'game, option server')
 
     def terminal(self) -> Terminal:
         """Start a terminal on the graph."""
-        terminal = Terminal(self.domain_id, '-m', KEYBOARD)
+        terminal = Terminal(self.graph, '-m', module_of(KEYBOARD))
         self.terminals.append(terminal)
         return terminal
 
@@ -171,24 +175,19 @@ class TerminalGraph(Graph):
         found: list[Any] = []
 
         def look() -> bool:
-            self.spin()
             found.extend(m for m in self.messages if isinstance(m, kind) and condition(m))
             return bool(found)
 
         terminal.until(look, f'a {kind.__name__}')
         return found[0]
 
-    def close(self) -> list[str]:
-        """End everything; say which processes did not end as they should."""
-        for terminal in self.terminals:
-            terminal.close()
-        return super().close()
-
 
 @pytest.fixture
-def graph(tmp_path: Path) -> Iterator[TerminalGraph]:
-    with open_graph(tmp_path, TerminalGraph) as opened:
-        yield opened
+def terminals(live: Graph) -> Iterator[Terminals]:
+    opened = Terminals(live)
+    yield opened
+    for terminal in opened.terminals:
+        terminal.close()
 
 
 class Person:
@@ -252,9 +251,9 @@ class Person:
         return [*keys, ENTER]
 
 
-def test_an_option_is_taught_by_key_presses_left_resumed_and_run(graph: TerminalGraph) -> None:
-    graph.start_all()
-    terminal = graph.sit_down()
+def test_an_option_is_taught_by_key_presses_left_resumed_and_run(terminals: Terminals) -> None:
+    terminals.start_all()
+    terminal = terminals.sit_down()
     person = Person(terminal)
     person.name_and_answer()
     assert not person.show(3)
@@ -263,7 +262,7 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(graph: Terminal
     assert terminal.ended() == 0
     assert terminal.restored()
 
-    again = graph.sit_down()
+    again = terminals.sit_down()
     person.terminal = again
     again.press('2')
     again.see(f'> 1 {PICKUP}')
@@ -279,7 +278,7 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(graph: Terminal
     again.see('step 0')
     again.press(ENTER)
     again.see(f'{PICKUP}: ')
-    result = graph.witness(OptionResult, lambda m: True, again)
+    result = terminals.witness(OptionResult, lambda m: True, again)
     assert result.status == OptionResult.STATUS_REACHED
     assert TAXI.decode(result.final_state).passenger == 4  # aboard
     again.press('q')
@@ -287,9 +286,9 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(graph: Terminal
     assert again.restored()
 
 
-def test_a_key_takes_the_wheel_from_the_machine(graph: TerminalGraph) -> None:
-    graph.start_all(step_period=0.3)
-    terminal = graph.sit_down()
+def test_a_key_takes_the_wheel_from_the_machine(terminals: Terminals) -> None:
+    terminals.start_all(step_period=0.3)
+    terminal = terminals.sit_down()
     person = Person(terminal)
     person.name_and_answer()
     person.show(2)
@@ -316,10 +315,10 @@ def test_a_key_takes_the_wheel_from_the_machine(graph: TerminalGraph) -> None:
             break
     terminal.press('d')
     terminal.see('You took over')
-    result = graph.witness(
+    result = terminals.witness(
         OptionResult, lambda m: m.status == OptionResult.STATUS_INTERRUPTED, terminal
     )
-    refused = graph.witness(ActionRefusal, lambda m: m.episode == result.episode, terminal)
+    refused = terminals.witness(ActionRefusal, lambda m: m.episode == result.episode, terminal)
     assert refused.reason == ActionRefusal.REASON_HELD_BY_PERSON
     terminal.see('you drive')
     terminal.press('left')
@@ -328,40 +327,40 @@ def test_a_key_takes_the_wheel_from_the_machine(graph: TerminalGraph) -> None:
         at = (message.episode, message.previous_action, message.action_source)
         return at == (result.episode, action, GameState.SOURCE_PERSON)
 
-    graph.witness(GameState, lambda m: persons(m, 'west'), terminal)  # all before it has come
-    states = [m for m in graph.messages if isinstance(m, GameState)]
+    terminals.witness(GameState, lambda m: persons(m, 'west'), terminal)  # all before it has come
+    states = [m for m in terminals.messages if isinstance(m, GameState)]
     assert sum(persons(state, 'dropoff') for state in states) == 1
 
 
-def test_a_key_changes_how_the_machine_plays_within_the_episode(graph: TerminalGraph) -> None:
-    graph.start_all(step_period=0.3)
-    graph.start('humanopts_learner.ros.planner_node')
-    terminal = graph.sit_down()
+def test_a_key_changes_how_the_machine_plays_within_the_episode(terminals: Terminals) -> None:
+    terminals.start_all(step_period=0.3)
+    terminals.graph.start(PLANNER)
+    terminal = terminals.sit_down()
     terminal.press('3')
     terminal.see('Plan with what?')
     terminal.press('2')
     terminal.see('Arbitration: each option to its end.')
     terminal.press(ENTER)
-    graph.witness(GameState, lambda m: m.step > 0, terminal)
+    terminals.witness(GameState, lambda m: m.step > 0, terminal)
     for execution in ('interrupted', 'modular_mass'):
         terminal.press('x')
-        said = graph.witness(
+        said = terminals.witness(
             ExecutionState, lambda m, wanted=execution: m.execution == wanted, terminal
         )
     terminal.see('Arbitration: all options act at once: the greatest mass.')
-    last = max(m.sequence for m in graph.messages if isinstance(m, GameState))
-    graph.witness(GameState, lambda m: m.sequence > last + 2, terminal)
+    last = max(m.sequence for m in terminals.messages if isinstance(m, GameState))
+    terminals.witness(GameState, lambda m: m.sequence > last + 2, terminal)
     terminal.press(ESCAPE)
     terminal.see('Stopped')
-    run = graph.witness(OptionResult, lambda m: m.execution == 'modular_mass', terminal)
+    run = terminals.witness(OptionResult, lambda m: m.execution == 'modular_mass', terminal)
     assert (said.previous, run.option_name) == ('interrupted', '')
     assert run.first_step > 0
 
 
-def test_a_lesson_that_dies_is_named_and_the_terminal_still_quits(graph: TerminalGraph) -> None:
-    graph.start_all()
-    terminal = graph.sit_down()
-    graph.kill(LESSON, signal.SIGTERM)
+def test_a_lesson_that_dies_is_named_and_the_terminal_still_quits(terminals: Terminals) -> None:
+    terminals.start_all()
+    terminal = terminals.sit_down()
+    terminals.graph.stop(terminals.graph.node_called('/lesson'))
     terminal.see('lesson: not there. Everything taught is saved; Ctrl-C quits.')
     terminal.press(CTRL_C)
     assert terminal.ended() == 0
@@ -379,10 +378,10 @@ def recorder_below(folder: Path) -> int:
 
 @pytest.mark.slow
 def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
-    tmp_path: Path, domain_id: int
+    live: Graph, tmp_path: Path
 ) -> None:
     words = ['-m', 'humanopts_teach.cli', 'teach', 'taxi', '--out', str(tmp_path)]
-    terminal = Terminal(domain_id, *words)
+    terminal = Terminal(live, *words)
     try:
         terminal.see('Who teaches? > p1')
         terminal.press(ENTER)
@@ -404,8 +403,8 @@ def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
         terminal.close()
 
 
-def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(graph: TerminalGraph) -> None:
-    terminal = graph.terminal()
+def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(terminals: Terminals) -> None:
+    terminal = terminals.terminal()
     terminal.see('Waiting for the game')
     terminal.see('game, lesson: not there.')
     terminal.press(CTRL_C)
@@ -414,24 +413,24 @@ def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(graph: TerminalGra
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_signals_end_it_cleanly(graph: TerminalGraph, number: signal.Signals) -> None:
-    terminal = graph.terminal()
+def test_signals_end_it_cleanly(terminals: Terminals, number: signal.Signals) -> None:
+    terminal = terminals.terminal()
     terminal.see('Waiting for the game')
     terminal.process.send_signal(number)
     assert terminal.ended() == 0
     assert terminal.restored()
 
 
-def test_a_connection_that_is_cut_ends_it(graph: TerminalGraph) -> None:
-    terminal = graph.terminal()
+def test_a_connection_that_is_cut_ends_it(terminals: Terminals) -> None:
+    terminal = terminals.terminal()
     terminal.see('Waiting for the game')
     terminal.hang_up()
     assert terminal.process.wait(15) == 0
 
 
-def test_an_exception_restores_the_terminal(domain_id: int) -> None:
+def test_an_exception_restores_the_terminal(live: Graph) -> None:
     terminal = Terminal(
-        domain_id,
+        live,
         '-c',
         'from humanopts_teach.terminal.device import Device\n'
         'with Device() as device:\n'
@@ -446,7 +445,7 @@ def test_an_exception_restores_the_terminal(domain_id: int) -> None:
 
 def test_without_a_terminal_it_says_so_in_one_line(domain_id: int) -> None:
     done = subprocess.run(
-        [sys.executable, '-m', KEYBOARD],
+        [sys.executable, '-m', module_of(KEYBOARD)],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,

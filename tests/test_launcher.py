@@ -8,7 +8,7 @@ import signal
 import time
 
 from graph_support.command import Command
-from graph_support.live import GAME, Graph, RECORDER
+from graph_support.live import GAME, Graph, module_of, RECORDER
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.launching import LaunchError
@@ -21,7 +21,7 @@ Launch = Callable[..., Launcher]
 
 
 def spec(name: str, module: str, **parameters: Value) -> ProcessSpec:
-    return ProcessSpec(name, module, parameters)
+    return ProcessSpec(name, module_of(module), parameters)
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def record(name: str) -> int:
-        return live.start(RECORDER, path=str(tmp_path / name)).process.pid
+        return live.spawn(RECORDER, path=tmp_path / name).process.pid
 
     def check() -> None:
         looks.append(bool(conductor.duplicates))
@@ -251,11 +251,11 @@ def test_two_namespaces_work_side_by_side(up: Up, live: Graph) -> None:
 
 
 def test_a_game_that_somebody_else_started_there_is_noticed(up: Up, live: Graph) -> None:
-    live.start(GAME, '/shared')
+    game = live.start(GAME, '/shared')
     live.ready('/shared/game')
     command = up('/shared')
     assert command.ended(30.0) == 1
     (line,) = command.errors.splitlines()
     assert '/shared/game runs already in this ROS_DOMAIN_ID and namespace' in line
     assert command.running() == {}
-    assert live.started[0].process.poll() is None
+    assert live.node_called('/shared/game') is game

@@ -6,11 +6,11 @@ import math
 from pathlib import Path
 import signal
 from typing import Any
+from uuid import uuid4
 
-from graph_support.live import Graph, LEARNER, NodeProcess
+from graph_support.live import GAME, Graph, LEARNER
 from graph_support.scripted import DELIVER, expert, FETCH, TAXI, walk
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.ros.game_node import GameNode
 from humanopts_interfaces.msg import Demonstration as DemonstrationMessage
 from humanopts_interfaces.msg import DemonstrationReceipt, LearnedOptions, LearningStatus
 from humanopts_learner.demonstrations import Demonstration
@@ -36,13 +36,14 @@ class Learning:
         self.receipts = graph.listen(DemonstrationReceipt, 'demonstration_receipts')
         self.statuses = graph.listen(LearningStatus, 'learning_status', LATCHED)
         self.options = graph.listen(LearnedOptions, 'learned_options', LATCHED)
-        graph.host(GameNode)
-        self.process = self.start()
+        graph.start(GAME)
+        self.node = self.start()
 
-    def start(self) -> NodeProcess:
+    def start(self, process: bool = False) -> Any:
         """Start the learner, and wait until it has said what it knows."""
         known, before = len(self.statuses), self._readers()
-        process = self.graph.start(LEARNER, directory=str(self.folder), seed=SEED)
+        begin = self.graph.spawn if process else self.graph.start
+        learner = begin(LEARNER, directory=self.folder, seed=SEED)
         self.graph.until(
             lambda: len(self.statuses) == len(self.options) > known,
             'what the learner knows',
@@ -55,7 +56,7 @@ class Learning:
             ),
             'it to listen',
         )
-        return process
+        return learner
 
     def _readers(self) -> set[bytes]:
         """Return who is listed to listen; a learner that was killed is for a while."""
@@ -198,34 +199,39 @@ def test_not_here_alone_is_no_option_yet_but_is_counted(learning: Learning) -> N
     assert 'rest' not in {option.name for option in learning.options[-1].options}
 
 
-def test_a_learner_that_was_killed_knows_everything_again(learning: Learning) -> None:
-    before, options = str(learning.known()), learning.options[-1].options
+def test_a_learner_that_was_killed_knows_everything_again(
+    learning: Learning, capfd: pytest.CaptureFixture[str]
+) -> None:
     files = {o.name: o for o in load_options(learning.folder)[0] if o.participant == 'p1'}
     assert files[FETCH] == learn_option(expert(FETCH, 5), TAXI, SEED)
-    learning.process.kill(signal.SIGKILL)
-    process = learning.start()
+    learning.graph.stop(learning.node)
+    killed = learning.start(process=True)
+    learning.give_all([replace(NOT_HERE, option_name='another', uuid=str(uuid4()))])
+    before, options = str(learning.known()), learning.options[-1].options
+    killed.kill(signal.SIGKILL)
+    capfd.readouterr()
+    learning.node = learning.start()
     assert str(learning.known()) == before
     assert learning.options[-1].options == options
-    assert process.said() == ''
+    assert 'learner' not in capfd.readouterr().err
     assert learning.give(demonstration_to_message(expert(FETCH, 1)[0])).status == (
         DemonstrationReceipt.STATUS_DUPLICATE
     )
-    learning.process = process
 
 
 def test_what_is_damaged_in_the_data_set_is_named_and_the_rest_is_kept(
-    learning: Learning,
+    learning: Learning, capfd: pytest.CaptureFixture[str]
 ) -> None:
     before = str(learning.known())
-    learning.process.kill(signal.SIGKILL)
+    learning.graph.stop(learning.node)
     data = learning.folder / DATA_SET
     first, rest = data.read_bytes().split(b'\n', 1)
     foreign = first.replace(b'"rows\\": 5', b'"rows\\": 9')
     assert foreign != first
     whole = b'{}\n' + foreign + b'\n' + first + b'\n' + rest
     data.write_bytes(whole + b'{"kind": "traj')
-    learning.process = learning.start()
-    said = learning.process.said()
+    learning.node = learning.start()
+    said = capfd.readouterr().err
     for words in ('was cut off', 'line 1 of', 'line 2 of'):
         assert words in said
     assert 'line 3 of' not in said
@@ -234,9 +240,7 @@ def test_what_is_damaged_in_the_data_set_is_named_and_the_rest_is_kept(
     assert (learning.folder / f'{DATA_SET}.torn-1').read_bytes() == b'{"kind": "traj'
 
 
-def test_a_folder_that_cannot_be_used_is_named_in_one_line(
-    learning: Learning, tmp_path: Path
-) -> None:
+def test_a_folder_that_cannot_be_used_is_named(learning: Learning, tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
-    line = learning.graph.refused(LEARNER, directory=tmp_path / 'file')
-    assert f'cannot use the folder {tmp_path / "file"}' in line
+    text = learning.graph.refused(LEARNER, directory=tmp_path / 'file')
+    assert f'cannot use the folder {tmp_path / "file"}' in text

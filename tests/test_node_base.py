@@ -10,10 +10,9 @@ from typing import Any
 from graph_support.live import (
     GAME,
     Graph,
-    KEYBOARD,
     LEARNER,
     LESSON,
-    NodeProcess,
+    module_of,
     OPTION_SERVER,
     PLANNER,
     RECORDER,
@@ -32,100 +31,95 @@ from std_srvs.srv import Trigger
 
 ALL = (GAME, LEARNER, LESSON, OPTION_SERVER, PLANNER, RECORDER, TEACHER)
 WRONG: list[tuple[str, dict[str, Any], str]] = [
-    *((module, {'seed': -1}, 'parameter seed') for module in (GAME, LEARNER, LESSON)),
-    *((module, {'seed': -1}, 'parameter seed') for module in (OPTION_SERVER, TEACHER)),
-    *((module, {'expect_recorder': 3}, 'parameter expect_recorder') for module in ALL),
-    (LEARNER, {'return_delta': -1.0}, 'parameter return_delta'),
-    (LEARNER, {'initiation_error': 1.5}, 'parameter initiation_error'),
-    (OPTION_SERVER, {'no_progress_seconds': 0.0}, 'parameter no_progress_seconds'),
-    (RECORDER, {'path': ''}, 'parameter path'),
-    (KEYBOARD, {}, 'terminal'),
+    *((node, {'seed': -1}, 'seed') for node in (LEARNER, LESSON, OPTION_SERVER, TEACHER)),
+    *((node, {'expect_recorder': 3}, 'expect_recorder') for node in ALL),
+    (LEARNER, {'return_delta': -1.0}, 'return_delta'),
+    (LEARNER, {'initiation_error': 1.5}, 'initiation_error'),
+    (OPTION_SERVER, {'no_progress_seconds': 0.0}, 'no_progress_seconds'),
+    (RECORDER, {'path': ''}, 'path'),
 ]
-MALFORMED = [(GAME, ['-p', 'seed']), (PLANNER, ['--params-file', '/nowhere']), (LEARNER, ['-x'])]
-
-
-@pytest.fixture(scope='module')
-def refused(shared: Graph) -> list[NodeProcess]:
-    """Start all of WRONG and MALFORMED, a few at a time."""
-    started = []
-    for module, parameters, _ in WRONG:
-        started.append(shared.start(module, '/wrong', **parameters))
-        started[max(0, len(started) - 4)].ended()
-    for module, arguments in MALFORMED:
-        started.append(shared.run(['-m', module, '--ros-args', *arguments], module))
-    for process in started:
-        process.expected = {2}
-    return started
+NAMES = ('learner', 'lesson', 'option_server', 'planner', 'simulated_teacher', 'recorder')
+MALFORMED = [['-p', 'seed'], ['--params-file', '/nowhere'], ['-x']]
 
 
 @pytest.mark.parametrize(
-    ('number', 'says'),
-    [(n, says) for n, (_, _, says) in enumerate(WRONG)],
-    ids=[f'{module.rpartition(".")[2]}-{says}' for module, _, says in WRONG],
+    ('node', 'parameters', 'name'), WRONG, ids=[f'{n.partition(":")[2]}-{p}' for n, _, p in WRONG]
 )
-def test_a_parameter_that_cannot_be_is_refused_in_one_line(
-    refused: list[NodeProcess], number: int, says: str
+def test_a_parameter_that_cannot_be_is_named(
+    shared: Graph, node: str, parameters: dict[str, Any], name: str
 ) -> None:
-    process = refused[number]
-    assert process.ended() == 2
-    (line,) = process.said().splitlines()
-    assert line.startswith('humanopts: ')
-    assert says in line
+    assert shared.refused(node, '/wrong', **parameters).startswith(f'parameter {name}: ')
 
 
-@pytest.mark.parametrize('number', range(len(MALFORMED)))
-def test_arguments_that_ros_cannot_read_are_refused_in_words(
-    refused: list[NodeProcess], number: int
-) -> None:
-    process = refused[len(WRONG) + number]
-    assert process.ended() == 2
-    line = process.said().splitlines()[-1]  # rcl may have said something before
-    assert line.startswith('humanopts: ROS cannot start: ')
-    assert MALFORMED[number][1][-1] in line
+def test_a_node_that_cannot_start_says_so_in_one_line_and_ends_with_2(shared: Graph) -> None:
+    wrong = shared.spawn(GAME, '/wrong', seed=-1)
+    words = ['-m', module_of(GAME), '--ros-args']
+    malformed = [shared.run([*words, *arguments], 'game') for arguments in MALFORMED]
+    for process in (wrong, *malformed):
+        process.expected = {2}
+        assert process.ended() == 2
+    (line,) = wrong.said().splitlines()
+    assert line.startswith('humanopts: parameter seed')
+    for process, arguments in zip(malformed, MALFORMED):
+        line = process.said().splitlines()[-1]  # rcl may have said something before
+        assert line.startswith('humanopts: ROS cannot start: ')
+        assert arguments[-1] in line
 
 
 def test_a_node_tells_its_life_and_ends_cleanly(shared: Graph) -> None:
-    lives = []
-    for how in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        process = shared.start(GAME, '/living')
-        shared.ready('/living/game')
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    names = [f'/{how.name.lower()}' for how in signals]
+    processes = [shared.spawn(GAME, name) for name in names]
+    shared.ready(*(f'{name}/game' for name in names))
+    for how, process in zip(signals, processes):
         assert (process.kill(how), process.said()) == (0, '')
-        shared.until(
-            lambda: shared.state('/living/game') == NodeStatus.STATE_STOPPING, 'its last word'
-        )
-        lives.append(shared.statuses.pop('/living/game'))
-    for life in lives:
+    for name in names:
+        node = f'{name}/game'
+        shared.until(lambda n=node: shared.state(n) == NodeStatus.STATE_STOPPING, 'its last word')
+        life = shared.statuses[node]
         assert [s.state for s in life] == [
             NodeStatus.STATE_STARTING,
             NodeStatus.STATE_READY,
             NodeStatus.STATE_STOPPING,
         ]
         assert [s.sequence for s in life] == [1, 2, 3]
-    ids = [{s.publisher_id for s in life} for life in lives]
-    assert [len(found) for found in ids] == [1, 1, 1]
-    assert len(set.union(*ids)) == 3
-    assert all(name.startswith('/living/game#') for name in set.union(*ids))
+        (publisher_id,) = {s.publisher_id for s in life}
+        assert publisher_id.startswith(f'{node}#')
+
+
+def test_every_other_node_ends_cleanly_too(live: Graph) -> None:
+    live.start(GAME)
+    folder = live.folder
+    started = [
+        live.spawn(LEARNER, directory=folder / 'options'),
+        live.spawn(LESSON, directory=folder / 'demonstrations'),
+        live.spawn(OPTION_SERVER),
+        live.spawn(PLANNER),
+        live.spawn(TEACHER, options=['go to passenger']),
+        live.spawn(RECORDER, path=folder / 'bag'),
+    ]
+    live.ready(*(f'/{name}' for name in NAMES))
+    assert [process.kill(signal.SIGTERM) for process in started] == [0] * len(started)
 
 
 def test_a_node_that_waits_for_the_game_says_that_it_is_starting(shared: Graph) -> None:
-    process = shared.start(PLANNER, '/lonely')
+    shared.start(PLANNER, '/lonely')
     shared.until(lambda: '/lonely/planner' in shared.statuses, 'its status')
     assert shared.state('/lonely/planner') == NodeStatus.STATE_STARTING
-    assert process.kill(signal.SIGTERM) == 0
 
 
 def test_nothing_happens_before_the_recorder_is_there_and_then_all_of_it_is_in_the_bag(
     live: Graph, tmp_path: Path
 ) -> None:
     states = live.listen(GameState, 'current_state', LATCHED)
-    live.start(GAME, expect_recorder=True)
+    game = live.start(GAME, expect_recorder=True)
     live.until(lambda: live.state('/game') == NodeStatus.STATE_STARTING, 'the game to start')
     assert states == []
-    recorder = live.start(RECORDER, path=str(tmp_path / 'bag'))
+    recorder = live.start(RECORDER, path=tmp_path / 'bag')
     live.ready('/game', '/recorder')
     live.until(lambda: states, 'the first state')
-    game = live.started[0]
-    assert (game.kill(signal.SIGTERM), recorder.kill(signal.SIGTERM)) == (0, 0)
+    live.stop(game)
+    live.stop(recorder)
     recorded = [r.message for r in open_bag(tmp_path / 'bag').messages()]
     of_game = [m for m in recorded if getattr(m, 'publisher_id', '').startswith('/game#')]
     sequences: dict[str, list[int]] = {}

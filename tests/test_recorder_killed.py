@@ -44,7 +44,7 @@ def kill(live: Graph, folder: Path, after: float, split: float | None = None) ->
     folder.mkdir()
     bag, record = folder / 'bag', folder / 'sent'
     most = {} if split is None else {'max_bytes': FILE_BYTES}
-    recorder = live.start(RECORDER, path=str(bag), **most)
+    recorder = live.spawn(RECORDER, path=bag, **most)
     sender = live.run([sending.__file__, str(record)], 'sender')
     live.until(lambda: any(read_sent(record)), 'the first message')
     time.sleep(max(0.0, after - (time.time_ns() - next(read_sent(record)).time) / 1e9))

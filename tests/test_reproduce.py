@@ -76,18 +76,12 @@ def test_options_from_a_bag_are_those_that_were_taught(demo: DemoRun) -> None:
     assert 0 < taught.minutes < 5
 
 
-@pytest.mark.parametrize('ignored', [False, True], ids=['foreground', 'background of a script'])
+@pytest.mark.parametrize('interrupt', [signal.SIG_DFL, signal.SIG_IGN], ids=['shell', 'script'])
 def test_ctrl_c_says_how_to_go_on_and_leaves_no_process(
-    tmp_path: Path, domain_id: int, ignored: bool
+    tmp_path: Path, domain_id: int, interrupt: signal.Handlers
 ) -> None:
     arguments = ['reproduce', 'fig2', '--out', tmp_path / 'out', '--participants', 1, '--jobs', 2]
-    before = signal.getsignal(signal.SIGINT)
-    if ignored:  # as a shell starts "command &" in a script
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        command = Command(arguments, tmp_path, domain_id)
-    finally:
-        signal.signal(signal.SIGINT, before)
+    command = Command(arguments, tmp_path, domain_id, interrupt)
     try:
         command.until(lambda: len(command.running()) >= 2, 'two processes compute')
         command.send(signal.SIGINT)

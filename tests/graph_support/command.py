@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 import fcntl
+from functools import partial
 import json
 import os
 from pathlib import Path
@@ -24,7 +25,19 @@ from graph_support.live import free_domain_id
 class Command:
     """``humanopts ARGUMENTS``, in a session of its own, without a terminal."""
 
-    def __init__(self, arguments: Sequence[Any], folder: Path, domain_id: int) -> None:
+    def __init__(
+        self,
+        arguments: Sequence[Any],
+        folder: Path,
+        domain_id: int,
+        interrupt: signal.Handlers = signal.SIG_DFL,
+    ) -> None:
+        """
+        Start it.
+
+        :param interrupt: what SIGINT does at its start: the default, as in a terminal, or
+            nothing, as a shell starts ``command &`` in a script.
+        """
         self._out, self._err = folder / 'stdout', folder / 'stderr'
         self._began = time.monotonic()
         with self._out.open('wb') as out, self._err.open('wb') as err:
@@ -35,6 +48,7 @@ class Command:
                 stderr=err,
                 env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
                 start_new_session=True,
+                preexec_fn=partial(signal.signal, signal.SIGINT, interrupt),
             )
 
     @property

@@ -1,4 +1,9 @@
-"""The graph of a test: node processes, and a node in the test's own process that talks to them."""
+"""
+The graph of a test: nodes in the test's own process, and one among them that talks to the others.
+
+One executor serves them all, and only while the test waits. What only a process can show, such as
+signals, an exit status or a terminal, is a process that the test starts.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -7,37 +12,45 @@ import fcntl
 import itertools
 import os
 from pathlib import Path
+from pkgutil import resolve_name
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from typing import Any, TypeVar
+from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.node_base import NodeBase
+from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.qos import LATCHED_ALL, STREAM
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.context import Context
+from rclpy.event_handler import EventHandler
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 import yaml
 
-GAME = 'humanopts_env.ros.game_node'
-LEARNER = 'humanopts_learner.ros.learner_node'
-OPTION_SERVER = 'humanopts_learner.ros.option_server'
-PLANNER = 'humanopts_learner.ros.planner_node'
-LESSON = 'humanopts_teach.ros.lesson_node'
-TEACHER = 'humanopts_teach.ros.simulated_teacher'
-RECORDER = 'humanopts_teach.ros.recorder'
-KEYBOARD = 'humanopts_teach.ros.keyboard_teleop'
+# Nodes, each as module:class.
+GAME = 'humanopts_env.ros.game_node:GameNode'
+LEARNER = 'humanopts_learner.ros.learner_node:LearnerNode'
+OPTION_SERVER = 'humanopts_learner.ros.option_server:OptionServerNode'
+PLANNER = 'humanopts_learner.ros.planner_node:PlannerNode'
+LESSON = 'humanopts_teach.ros.lesson_node:LessonNode'
+TEACHER = 'humanopts_teach.ros.simulated_teacher:SimulatedTeacherNode'
+RECORDER = 'humanopts_teach.ros.recorder:Recorder'
+KEYBOARD = 'humanopts_teach.ros.keyboard_teleop:KeyboardTeleopNode'
 
-N = TypeVar('N', bound=NodeBase)
+HURRY = 50.0  # s of the nodes' clock in a second, where a test waits for a deadline
 _IDS = range(10, 100)
 _TURN = itertools.count(os.getpid())
+
+
+def module_of(node: str) -> str:
+    """Return the module that runs a node as a process."""
+    return node.partition(':')[0]
 
 
 @contextmanager
@@ -92,6 +105,29 @@ class NodeProcess:
         self.stopped = False
 
 
+class Clock:
+    """The monotonic clock of the nodes of the test's own process; a test makes it run faster."""
+
+    def __init__(self) -> None:
+        self._rate, self._since, self._before = 1.0, time.monotonic(), 0.0
+
+    def __call__(self) -> float:
+        """Return the time, s."""
+        return self._before + (time.monotonic() - self._since) * self._rate
+
+    def set_rate(self, rate: float) -> None:
+        """Go on from now on at another rate, s of this clock in a second."""
+        self._before, self._since, self._rate = self(), time.monotonic(), rate
+
+
+class Server(SingleThreadedExecutor):
+    """Serves many nodes; it never looks at their QoS events, which take half of every wait."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return whether the executor serves a part of a node."""
+        return not isinstance(entity, EventHandler) and bool(super().can_execute(entity))
+
+
 class Goal:
     """A goal of an action, sent."""
 
@@ -119,13 +155,18 @@ class Goal:
 
 
 class Graph:
-    """Processes of one test or module, and a node that sees and asks."""
+    """
+    Nodes and processes of one test or module, and a node that sees and asks.
+
+    :ivar started: the processes, in order.
+    :ivar statuses: those of every node that was watched, by its full name, in order.
+    """
 
     def __init__(self, folder: Path, domain_id: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.domain_id = folder, domain_id
         self.started: list[NodeProcess] = []
-        self.statuses: dict[str, list[NodeStatus]] = {}  # by full node name, in order
+        self.statuses: dict[str, list[NodeStatus]] = {}
         self.context = Context()
         rclpy.init(
             context=self.context,
@@ -133,49 +174,82 @@ class Graph:
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self.node = Node('person', context=self.context)
-        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor = Server(context=self.context)
         self._executor.add_node(self.node)
         self._hosted: list[NodeBase] = []
         self._clients: dict[str, Any] = {}
+        self._clock = Clock()
         self._watched: set[str] = set()
 
-    def start(self, module: str, namespace: str = '/', /, **parameters: Any) -> NodeProcess:
-        """Start a node in its own process."""
-        self.watch(namespace)
-        return self.run(
-            ['-m', module, '--ros-args', '-r', f'__ns:={namespace}'], module, parameters
-        )
-
-    def host(self, node: type[N], namespace: str = '/', /, **parameters: Any) -> N:
+    def start(self, node: str, namespace: str = '/', /, **parameters: Any) -> Any:
         """
-        Start a node in the test's own process; it works while the test waits.
+        Start a node in the test's own process, and return it; it works while the test waits.
 
-        Whole episodes are slower so: one executor then looks at all ends of all nodes each time.
+        :raises StartError: it cannot start with these parameters.
         """
         self.watch(namespace)
         given = [Parameter(name, value=_plain(value)) for name, value in parameters.items()]
-        hosted = node(context=self.context, namespace=namespace, parameter_overrides=given)
+        given.append(Parameter('start_type_description_service', value=False))
+        hosted: NodeBase = resolve_name(node)(
+            context=self.context,
+            monotonic=self._clock,
+            namespace=namespace,
+            parameter_overrides=given,
+            start_parameter_services=False,
+        )
         self._executor.add_node(hosted)
         self._hosted.append(hosted)
         return hosted
 
-    def newest(self, module: str) -> NodeProcess:
-        """Return the process of a node that was started last."""
-        return [process for process in self.started if process.name == module][-1]
+    def stop(self, node: NodeBase) -> None:
+        """End a node of the test's own process, as SIGTERM ends its process."""
+        self._hosted.remove(node)
+        node.close()
+        node.set_status(NodeStatus.STATE_STOPPING)
+        node.drain()
+        self._executor.remove_node(node)
+        node.destroy_node()
 
-    def kill(self, module: str, how: signal.Signals = signal.SIGKILL) -> tuple[int, str]:
-        """End a node by a signal; return its exit status and what it said."""
-        process = self.newest(module)
-        return process.kill(how), process.said()
+    @contextmanager
+    def hurried(self) -> Iterator[None]:
+        """Let every deadline of the nodes of the test's own process be soon over."""
+        self._clock.set_rate(HURRY)
+        yield
+        self._clock.set_rate(1.0)
 
-    def refused(self, module: str, namespace: str = '/', /, **parameters: Any) -> str:
-        """Start a node that cannot start; return the line that says why."""
-        process = self.start(module, namespace, **parameters)
-        process.expected = {2}
-        assert process.ended() == 2, process.said()
-        (line,) = process.said().splitlines()
-        assert line.startswith('humanopts: ')
-        return line
+    def node_called(self, name: str) -> NodeBase:
+        """Return a node of the test's own process by its full name."""
+        (node,) = (n for n in self._hosted if n.get_fully_qualified_name() == name)
+        return node
+
+    @contextmanager
+    def silent(self, name: str) -> Iterator[None]:
+        """Let a node of the test's own process, by its full name, do nothing meanwhile."""
+        node = self.node_called(name)
+        self._executor.remove_node(node)
+        yield
+        self._executor.add_node(node)
+
+    def spawn(self, node: str, namespace: str = '/', /, **parameters: Any) -> NodeProcess:
+        """Start a node in a process of its own."""
+        self.watch(namespace)
+        arguments = ['-m', module_of(node), '--ros-args', '-r', f'__ns:={namespace}']
+        return self.run(arguments, module_of(node), parameters)
+
+    def refused(self, node: str, namespace: str = '/', /, **parameters: Any) -> str:
+        """Start a node that cannot start with these parameters, or in this game; return why."""
+        known = len(self._hosted)
+        try:
+            self.start(node, namespace, **parameters)
+            self.until(lambda: False, 'the refusal')
+        except StartError as error:
+            return str(error)
+        finally:
+            for begun in self._hosted[known:]:
+                self._hosted.remove(begun)
+                self._executor.remove_node(begun)
+                begun.destroy_node()
+        raise AssertionError('the node has started')
 
     def run(
         self,
@@ -205,7 +279,7 @@ class Graph:
         return self.started[-1]
 
     def until(self, condition: Callable[[], Any], what: str, seconds: float = 20.0) -> None:
-        """Serve the test's node until a condition holds."""
+        """Serve all nodes until a condition holds."""
         deadline = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > deadline:
@@ -214,9 +288,9 @@ class Graph:
                 raise AssertionError(f'waited in vain for {what}\n{said}')
             self.spin()
 
-    def spin(self) -> None:
-        """Serve the test's node a moment."""
-        self._executor.spin_once(0.02)
+    def spin(self, seconds: float = 0.02) -> None:
+        """Serve all nodes a moment."""
+        self._executor.spin_once(seconds)
 
     def ready(self, *names: str) -> None:
         """Wait until nodes, by full name, are ready."""
@@ -274,11 +348,10 @@ class Graph:
                 status = started.ended()
             if status not in started.expected or 'Traceback' in started.said():
                 problems.append(f'{started.name} ended with {status}: {started.said()}')
-        for node in self._hosted:
-            node.close()
+        for node in reversed(self._hosted):
+            self.stop(node)
         self._executor.shutdown()
-        for node in (*self._hosted, self.node):
-            node.destroy_node()
+        self.node.destroy_node()
         self.context.try_shutdown()
         return problems
 
@@ -299,14 +372,11 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-G = TypeVar('G', bound=Graph)
-
-
 @contextmanager
-def open_graph(folder: Path, kind: type[G]) -> Iterator[G]:
+def open_graph(folder: Path) -> Iterator[Graph]:
     """Open a graph of its own; end everything in it, and check that it ended as it should."""
     with free_domain_id() as domain_id:
-        graph = kind(folder, domain_id)
+        graph = Graph(folder, domain_id)
         try:
             yield graph
         finally:

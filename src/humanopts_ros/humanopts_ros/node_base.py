@@ -1,6 +1,7 @@
 """The base class of all nodes: parameters, recorded endpoints, readiness, a clean end."""
 
 from collections.abc import Callable
+from contextlib import suppress
 import time
 from typing import Any
 import uuid
@@ -14,7 +15,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import InvalidHandle, ParameterException
 from rclpy.executors import Executor
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
@@ -43,14 +44,18 @@ class NodeBase(Node):
     recorder has matched every publisher, so that the first message is in the bag.
     """
 
-    def __init__(self, name: str, **options: Any) -> None:
+    def __init__(
+        self, name: str, *, monotonic: Callable[[], float] = time.monotonic, **options: Any
+    ) -> None:
         """
         Declare the parameters that all nodes have, and publish that the node starts.
 
+        :param monotonic: the clock of the node's deadlines, s.
         :param options: as of rclpy's Node, such as context and namespace.
         :raises StartError: a parameter is wrong.
         """
         super().__init__(name, **options)
+        self.monotonic = monotonic
         self.publisher_id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
         self._stamped: list[StampedPublisher[Any]] = []
         self._hidden: list[str] = []  # topics of services and actions
@@ -67,7 +72,7 @@ class NodeBase(Node):
         self.failed = False  # the process ends with status 1 although it was stopped normally
         self.set_status(NodeStatus.STATE_STARTING)
         self._deadline_group = ReentrantCallbackGroup()
-        self.waiting = Waiting(self)  # of this node's coroutines
+        self.waiting = Waiting(self, monotonic)  # of this node's coroutines
         self._start_timer = self.create_timer(_CHECK_PERIOD, self._check_start)
 
     def get_logger(self) -> RcutilsLogger:
@@ -174,10 +179,10 @@ class NodeBase(Node):
         """
         if not await self.waiting.until(client.service_is_ready, min(seconds, _PRESENCE_PERIOD)):
             return None
-        future, deadline = client.call_async(request), time.monotonic() + seconds
+        future, deadline = client.call_async(request), self.monotonic() + seconds
 
         def check() -> None:
-            if time.monotonic() >= deadline or not client.service_is_ready():
+            if self.monotonic() >= deadline or not client.service_is_ready():
                 future.cancel()
 
         timer = self.create_timer(
@@ -186,9 +191,10 @@ class NodeBase(Node):
         try:
             return await future
         finally:
-            timer.cancel()
-            self.destroy_timer(timer)
-            client.remove_pending_request(future)
+            with suppress(InvalidHandle):  # where the node was destroyed meanwhile
+                timer.cancel()
+                self.destroy_timer(timer)
+                client.remove_pending_request(future)
 
     async def provided(self) -> bool:
         """Wait in a coroutine until ``waits_for`` returns None; False: it did not in time."""

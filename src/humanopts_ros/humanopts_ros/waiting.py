@@ -1,7 +1,6 @@
 """Waiting inside coroutine callbacks, always with a deadline."""
 
 from collections.abc import Callable
-import time
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -18,8 +17,13 @@ class Waiting:
     there are any; ``look`` checks them at once.
     """
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    def __init__(self, node: Node, monotonic: Callable[[], float]) -> None:
+        """
+        Begin with no condition.
+
+        :param monotonic: the clock of the deadlines, s.
+        """
+        self._node, self._monotonic = node, monotonic
         self._open: list[tuple[Future, Callable[[], bool], float]] = []
         self._timer = node.create_timer(
             _PERIOD, self.look, callback_group=ReentrantCallbackGroup(), autostart=False
@@ -27,7 +31,7 @@ class Waiting:
 
     def look(self) -> None:
         """Wake the coroutines whose condition holds or whose time is over."""
-        now = time.monotonic()
+        now = self._monotonic()
         still = []
         for entry in self._open:
             future, condition, deadline = entry
@@ -43,7 +47,7 @@ class Waiting:
         """Wait until a condition holds; False: it did not in time."""
         if not condition():
             future = Future(executor=self._node.executor)
-            self._open.append((future, condition, time.monotonic() + seconds))
+            self._open.append((future, condition, self._monotonic() + seconds))
             if self._timer.is_canceled():
                 self._timer.reset()
             await future

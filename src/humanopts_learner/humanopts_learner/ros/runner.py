@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-import time
 import uuid
 
 from humanopts_env.seeding import generator
@@ -265,7 +264,7 @@ class Runner:
             action=action,
             option_name=active.run.acting.name,
         )
-        active.deadline = time.monotonic() + self._patience
+        active.deadline = self._node.monotonic() + self._patience
         self._actions.publish(command)
         active.command = self._actions.sequence
 
@@ -341,7 +340,7 @@ class Runner:
 
     def _check_deadline(self) -> None:
         active = self._active
-        if active is not None and time.monotonic() > active.deadline:
+        if active is not None and self._node.monotonic() > active.deadline:
             self._finish(active.run.end(RunStatus.NO_PROGRESS, f'{self._patience:g} s'))
 
     def _finish(self, end: RunResult) -> None:

@@ -6,7 +6,6 @@ from contextlib import suppress
 from datetime import datetime, UTC
 from pathlib import Path
 import sys
-import time
 from typing import Any
 
 from humanopts_env.domains.base import DomainError
@@ -55,13 +54,14 @@ _RESEND_DELAY = 0.5  # s from a learner's first status until its subscription is
 class LessonNode(NodeBase):
     """Serves one lesson; an answer or a demonstration is on disk before it is published."""
 
-    def __init__(self) -> None:
+    def __init__(self, **options: Any) -> None:
         """
         Open the folder of demonstrations, and wait for the rules of the game.
 
+        :param options: as of ``NodeBase``.
         :raises StartError: a parameter or the folder cannot be used.
         """
-        super().__init__('lesson')
+        super().__init__('lesson', **options)
         self._rules = self._read_rules()
         self._learner_deadline = float(
             self.setting(
@@ -166,7 +166,7 @@ class LessonNode(NodeBase):
             domain,
             self._store,
             StartStates(domain, self._rules),
-            clock=time.monotonic,
+            clock=self.monotonic,
             today=lambda: datetime.now(UTC).strftime('%Y%m%d'),
         )
         if self._participant:
@@ -196,7 +196,7 @@ class LessonNode(NodeBase):
             if isinstance(request, BeginDemonstration) and answer.ok:
                 answer = await self._begin(answer)
             if answer.demonstration is not None:  # kept, or taken back
-                self._asked_learner = time.monotonic()
+                self._asked_learner = self.monotonic()
                 self._unsent.append(answer.demonstration)
             self._show()
             return encode(answer, response)
@@ -297,7 +297,7 @@ class LessonNode(NodeBase):
     def _tick(self) -> None:
         if self._opened is None:
             return
-        late = time.monotonic() - self._asked_learner > self._learner_deadline
+        late = self.monotonic() - self._asked_learner > self._learner_deadline
         if self._lesson.awaited and late:
             self._lesson.learner_silent()
             self._learner = ''  # it may lack what was sent, once it publishes again

@@ -10,6 +10,7 @@ import os
 from pathlib import Path
 import sys
 import time
+from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus, StreamLoss
 from humanopts_ros.node_base import NodeBase, StartError
@@ -84,8 +85,8 @@ class Recorder(NodeBase):
     taking messages, so that no publisher is held back.
     """
 
-    def __init__(self) -> None:
-        super().__init__('recorder')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('recorder', **options)
         self._bag = self._begin()
         attach = self.setting('attach', [''], 'files and folders to keep in the bag at its end')
         self._attached = [Path(path) for path in attach if path]

@@ -1,7 +1,6 @@
 """The node ``simulated_teacher``: teaches over the graph as a person does."""
 
 import sys
-import time
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus
@@ -33,8 +32,8 @@ _REFUSALS = 3  # in a row, after which it gives up
 class SimulatedTeacherNode(NodeBase):
     """Does one thing, and the next when it can see what came of it."""
 
-    def __init__(self) -> None:
-        super().__init__('simulated_teacher')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('simulated_teacher', **options)
         self._settings = self._read_settings()
         self._deadline = float(
             self.setting(
@@ -128,12 +127,12 @@ class SimulatedTeacherNode(NodeBase):
             if not isinstance(act, Wait):
                 return act
             if act.reason != reason:
-                reason, since = act.reason, time.monotonic()
+                reason, since = act.reason, self.monotonic()
 
             def is_news(seen: tuple[Any, Any] = (lesson, game)) -> bool:
                 return (client.lesson, client.game) != seen
 
-            if not await self.waiting.until(is_news, since + self._deadline - time.monotonic()):
+            if not await self.waiting.until(is_news, since + self._deadline - self.monotonic()):
                 raise NoAnswerError(f'gave up after {self._deadline:g} s of waiting for {reason}')
 
 
