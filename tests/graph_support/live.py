@@ -298,7 +298,7 @@ class Graph:
             self.until(
                 lambda name=name: self.state(name) == NodeStatus.STATE_READY,
                 f'{name} to be ready',
-                30.0,
+                90.0,
             )
 
     def state(self, name: str) -> int:
