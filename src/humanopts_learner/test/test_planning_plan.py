@@ -1,29 +1,45 @@
-"""Plans on Taxi: action sets, fallback, progress, and what is refused."""
+"""Plans of both kinds: action sets, fallback, progress, and how they are played and judged."""
 
 from dataclasses import replace
 from functools import cache
 import math
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
+from humanopts_env.domains import rooms_reference
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.gymnasium_domain import gymnasium_domain
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.options.option import (
     LearnedOption,
     option_from_table,
+    options_from_references,
     TabularOption,
     tabulate,
 )
-from humanopts_learner.planning.evaluate import episode_starts, play
+from humanopts_learner.planning.evaluate import (
+    episode_start,
+    episode_starts,
+    Interval,
+    NORMAL_95,
+    play,
+)
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
-from humanopts_learner.planning.plan import make_plan
-from humanopts_learner.planning.request import NoOptionsError, PlanCanceled, PlanError, PlanRequest
+from humanopts_learner.planning.plan import judge_plan, make_plan
+from humanopts_learner.planning.request import PlanCanceled, PlanError, PlanRequest
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 import numpy as np
 from numpy.typing import NDArray
 import pytest
 
 TAXI = Taxi()
+ROOMS, YARD = Rooms(), PacMan('yard', max_steps=60)
+BOTH: list[Any] = [ROOMS, YARD]
+HALLWAYS = options_from_references(ROOMS, rooms_reference.reference_options(ROOMS).values())
+STEPS, SEED = 4_000, 3
 PICKUP = 'go to passenger and pickup'
 DROPOFF = 'go to destination and dropoff'
 
@@ -219,24 +235,131 @@ def test_seconds_are_those_of_the_clock() -> None:
     assert (found.table_seconds, found.model_seconds, found.sweep_seconds) == (1.0, 1.0, 1.0)
 
 
-def test_a_request_that_makes_no_sense_is_refused_by_name() -> None:
-    option = learned(PICKUP)
-    with pytest.raises(PlanError, match='human, primitive'):
-        make_plan(TAXI, [option], PlanRequest('robot'))
-    with pytest.raises(NoOptionsError, match='teach one'):
-        make_plan(TAXI, [], PlanRequest('human'))
-    with pytest.raises(PlanError, match=PICKUP):
-        make_plan(TAXI, [option, option], PlanRequest('human'))
-    with pytest.raises(PlanError, match='"rows": 6'):
-        make_plan(TAXI, [learned(PICKUP, Taxi(6, 6))], PlanRequest('human'))
-    with pytest.raises(PlanError, match='max_sweeps'):
-        make_plan(TAXI, [option], PlanRequest('human', max_sweeps=-1))
-    for gamma in (-0.5, 1.01, math.nan):
-        with pytest.raises(PlanError, match='gamma'):
-            make_plan(TAXI, [option], PlanRequest('human', gamma=gamma))
+def request(**values: Any) -> PlanRequest:
+    """Ask for primitive actions, from few samples."""
+    return PlanRequest(**{'action_set': 'primitive', 'game_steps': STEPS, 'seed': SEED, **values})
 
 
-def test_a_domain_whose_states_cannot_be_listed_is_refused() -> None:
-    unlisted = SimpleNamespace(name='fog', gamma=0.9)
-    with pytest.raises(PlanError, match='fog'):
-        make_plan(cast(Domain[Any], unlisted), [], PlanRequest('primitive'))
+def test_where_states_can_be_listed_the_plan_is_the_exact_one() -> None:
+    """Whatever is asked of samples."""
+    plan = make_plan(ROOMS, HALLWAYS, request(action_set='human'))
+    exact = make_plan(ROOMS, HALLWAYS, PlanRequest('human'))
+    assert (plan.names, plan.game_steps) == (exact.names, 0)
+    assert np.array_equal(plan.solution.values, exact.solution.values)
+
+
+def test_elsewhere_the_plan_is_the_sampled_one_of_the_seed() -> None:
+    """With the number of game steps that were asked for."""
+    plan, sampled = (
+        make_plan(YARD, [], request()),
+        make_sampled_plan(YARD, [], PlanRequest('primitive', game_steps=STEPS, seed=3)),
+    )
+    assert (plan.names, plan.game_steps) == (sampled.names, STEPS)
+    assert np.array_equal(plan.solution.values, sampled.solution.values)
+    other = make_plan(YARD, [], request(seed=4))
+    assert not np.array_equal(other.solution.values, plan.solution.values)
+
+
+def test_an_exact_plan_is_judged_by_the_starts_of_the_seed() -> None:
+    """The interval by hand: 1.96 standard errors of the episodes' returns on each side."""
+    plan = make_plan(ROOMS, HALLWAYS[:2], PlanRequest('human'))
+    found = judge_plan(plan, SEED, 40)
+    returns = play(plan, episode_starts(ROOMS, SEED, 40), seed=SEED)
+    error = returns.discounted.std(ddof=1) / math.sqrt(40)
+    assert (found.episodes, found.total.mean) == (40, returns.total.mean())
+    assert found.discounted.mean == returns.discounted.mean()
+    assert found.discounted.high - found.discounted.mean == pytest.approx(NORMAL_95 * error)
+    assert found.discounted.mean - found.discounted.low == pytest.approx(NORMAL_95 * error)
+    assert found.fallbacks == returns.fallbacks.sum() > 0
+    assert found.outcomes == {}
+
+
+def test_a_sampled_plan_is_judged_as_it_plays() -> None:
+    """Telling how far the games are changes nothing in them."""
+    plan = make_plan(YARD, [], request())
+    assert isinstance(plan, SampledPlan)
+    returns, found = plan.play(SEED, 30), judge_plan(plan, SEED, 30)
+    assert found.total == Interval.of(returns.total)
+    assert found.discounted == Interval.of(returns.discounted)
+    assert found.outcomes == {
+        name: Interval.of(values) for name, values in returns.outcomes.items()
+    }
+    assert found == judge_plan(plan, SEED, 30)
+
+
+@pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
+def test_one_episode_has_a_mean_without_bounds(domain: Domain[Any]) -> None:
+    """And none is refused."""
+    plan = make_plan(domain, [], request())
+    found = judge_plan(plan, SEED, 1).total
+    assert math.isfinite(found.mean)
+    assert math.isnan(found.low)
+    assert math.isnan(found.high)
+    with pytest.raises(PlanError, match='0 episodes'):
+        judge_plan(plan, SEED, 0)
+
+
+@pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
+def test_judging_says_how_far_it_is_and_can_be_canceled(domain: Domain[Any]) -> None:
+    """From its first start state to its last step."""
+    plan, seen = make_plan(domain, [], request()), list[float]()
+
+    def note(stage: str, fraction: float, sweeps: int, residual: float) -> None:
+        assert (stage, sweeps) == ('evaluation', 0)
+        seen.append(fraction)
+
+    def stop(stage: str, fraction: float, sweeps: int, residual: float) -> None:
+        if fraction >= share:
+            raise PlanCanceled
+
+    judge_plan(plan, SEED, 10, note)
+    assert seen == sorted(seen)
+    assert (seen[0], seen[-1]) == (0.0, 1.0)
+    assert len(set(seen)) > 10
+    for share in (0.0, seen[-2]):  # noqa: B007 - stop reads it
+        with pytest.raises(PlanCanceled):
+            judge_plan(plan, SEED, 10, stop)
+
+
+@pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
+def test_a_plan_chooses_in_states_of_the_domain(domain: Domain[Any]) -> None:
+    """A primitive action, never as a fallback where they are what is planned with."""
+    plan = make_plan(domain, [], request())
+    decision = plan.choose(episode_start(domain, SEED, 0))
+    assert decision.name in plan.names
+    assert not decision.fallback
+
+
+def test_the_slippery_lake_is_crossed_as_often_as_it_can_be() -> None:
+    """Gymnasium gives 0.74 as the optimum within its 100 steps; 20,000 games, error 0.003."""
+    lake = gymnasium_domain('FrozenLake-v1')()
+    plan = make_plan(lake, [], PlanRequest('primitive'))
+    assert plan.solution.values[0] == pytest.approx(0.5420, abs=5e-5)  # at gamma 0.99
+    returns = play(plan, episode_starts(lake, seed=0, episodes=20_000))
+    assert returns.total.mean() == pytest.approx(0.74, abs=0.015)
+
+
+def test_the_cliff_is_passed_in_thirteen_steps() -> None:
+    """Along its edge, since nothing slips."""
+    cliff = gymnasium_domain('CliffWalking-v1')()
+    returns = play(make_plan(cliff, [], PlanRequest('primitive')), cliff.start_states())
+    assert returns.total.tolist() == [-13.0]
+    assert returns.successes.all()
+
+
+def test_on_a_slippery_cliff_the_way_is_longer() -> None:
+    """And no game falls for ever."""
+    cliff = gymnasium_domain('CliffWalkingSlippery-v1')()
+    returns = play(
+        make_plan(cliff, [], PlanRequest('primitive')), episode_starts(cliff, 0, 500), seed=1
+    )
+    assert returns.successes.all()
+    assert returns.steps.mean() > 13
+
+
+def test_a_taxi_of_gymnasium_delivers_every_passenger() -> None:
+    """With its own rewards: 20 for the delivery, -1 for every other step."""
+    taxi = gymnasium_domain('Taxi-v4')()
+    returns = play(make_plan(taxi, [], PlanRequest('primitive')), taxi.start_states())
+    assert returns.successes.all()
+    assert (returns.total == 21 - returns.steps).all()

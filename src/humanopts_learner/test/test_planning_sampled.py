@@ -7,13 +7,11 @@ from humanopts_env.domains.capabilities import Abstraction
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.domains.tabular_games import TabularGames
-from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, options_from_references
 from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (
-    batch_games,
     Execution,
     ignore_progress,
     PlanCanceled,
@@ -264,23 +262,6 @@ def test_progress_rises_and_can_cancel() -> None:
     assert seen[-1] == pytest.approx(1.0, abs=0.01)  # parts of the budget are not quite used up
     with pytest.raises(PlanCanceled):
         rooms_plan('human', 20_000, progress=stop)
-
-
-def test_what_makes_no_sense_is_refused_by_name() -> None:
-    """Domains without a batched form, budgets below one game, and numbers out of range."""
-    with pytest.raises(PlanError, match='batch_games'):
-        batch_games(Taxi())
-    with pytest.raises(PlanError, match='at least 100'):
-        rooms_plan('human', 99)
-    with pytest.raises(PlanError, match='two rounds'):
-        Sampling(rounds=1)
-    for game_steps in (0, 7):  # one in each of eight rounds, at least
-        with pytest.raises(PlanError, match='one step of each game in every round'):
-            Sampling(game_steps=game_steps)
-    with pytest.raises(PlanError, match='explore from 0 to 1'):
-        Sampling(explore=1.5)
-    with pytest.raises(PlanError, match='needs options'):
-        make_sampled_plan(BatchRooms(), [], PlanRequest('human', game_steps=10_000, seed=1))
 
 
 def test_games_that_begin_again_are_seen_as_they_are() -> None:
