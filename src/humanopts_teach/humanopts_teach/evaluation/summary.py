@@ -1,13 +1,14 @@
 """What a demo writes about its lesson: ``summary.json``, and how live and offline differ."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 import json
 import os
 from pathlib import Path
-import tempfile
 from typing import Any
 
+from humanopts_learner.append_only_log import sync
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
 from humanopts_teach.evaluation.measures import OptionBlock, PlanningRow
 
@@ -111,18 +112,13 @@ def write_text(path: Path, text: str) -> None:
 
     :raises SummaryError: the folder is missing, full or not writable.
     """
-    temporary = None
+    temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:
-        with tempfile.NamedTemporaryFile(
-            'w', encoding='utf-8', dir=path.parent, prefix=f'.{path.name}.', delete=False
-        ) as file:
-            temporary = Path(file.name)
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.chmod(0o644)
+        temporary.write_text(text, 'utf-8')
+        sync(temporary)
         temporary.replace(path)
     except OSError as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
         raise SummaryError(f'cannot write {path}: {error.strerror or error}') from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
