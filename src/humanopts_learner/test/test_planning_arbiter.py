@@ -35,13 +35,13 @@ class TaxiGames(TabularGames):
     """Games whose abstract states hide where the passenger is."""
 
     def abstraction(self, *, fine: bool) -> Abstraction:
-        """Tell states apart by where the taxi and the destination are."""
+        """Abstract a state to the places of the taxi and the destination."""
         return Abstraction((25, 4))
 
     def abstract_features(
         self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
     ) -> NDArray[np.int32]:
-        """Tell states apart by where the taxi and the destination are."""
+        """Abstract a state to the places of the taxi and the destination."""
         return np.stack([batch[0] // 20, batch[0] % 4], axis=1).astype(np.int32)
 
 

@@ -90,12 +90,12 @@ def test_a_domain_that_cannot_be_planned_in_so_is_refused(plain_taxi: Any) -> No
 
 
 def named(name: str, participant: str) -> LearnedOption:
-    """Return an option by somebody."""
+    """Return an option that a participant taught."""
     return replace(OPTIONS[0], name=name, participant=participant)
 
 
 def test_options_are_chosen_by_person_and_name_in_the_order_they_have() -> None:
-    """Nothing is chosen for primitive actions, and nobody's options is no error yet."""
+    """No option is chosen for primitive actions; that there are none is no error yet."""
     a, b, c = named('a', 'ann'), named('b', 'ann'), named('a', 'bob')
     assert select_options([a, b], 'human') == [a, b]
     assert select_options([a, b], 'human', names=['b', 'a']) == [a, b]

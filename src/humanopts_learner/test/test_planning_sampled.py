@@ -282,8 +282,8 @@ def test_games_that_begin_again_are_seen_as_they_are() -> None:
     assert set(changed) <= {3, 40}
 
 
-class _Telling(TabularGames):
-    """Games whose primitive actions are told nothing, and whose options the state."""
+class _TwoAbstractions(TabularGames):
+    """Games with one abstract state for primitive actions, and one for each state for options."""
 
     def abstraction(self, *, fine: bool) -> Abstraction:
         """One abstract state, or one for each state; plans with both see the latter, too."""
@@ -293,21 +293,21 @@ class _Telling(TabularGames):
     def abstract_features(
         self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
     ) -> NDArray[np.int32]:
-        """Report nothing, or the state."""
-        told = super().abstract_features(batch, rows, fine=False)
-        return np.zeros((len(told), 1), dtype=np.int32) if fine else told
+        """Return nothing, or the state."""
+        features = super().abstract_features(batch, rows, fine=False)
+        return np.zeros((len(features), 1), dtype=np.int32) if fine else features
 
 
-def test_plans_with_options_and_primitive_actions_see_what_both_are_told() -> None:
-    """Were they told only what primitive actions are, all states would be one."""
+def test_plans_with_options_and_primitive_actions_see_the_features_of_both() -> None:
+    """With the features of primitive actions alone, all states would be one."""
     domain = Rooms()
-    mixed = StateAbstraction(_Telling(domain), 'human+primitive')
-    assert len(mixed.context) == len(_Telling(domain).abstraction(fine=False).sizes)
+    mixed = StateAbstraction(_TwoAbstractions(domain), 'human+primitive')
+    assert len(mixed.context) == len(_TwoAbstractions(domain).abstraction(fine=False).sizes)
     batch = np.arange(domain.n_states)[None]
     states = mixed.observe(batch).states
     assert len(set(states.tolist())) == domain.n_states
     assert set(mixed.without_context(states).tolist()) == {0}
-    primitive = StateAbstraction(_Telling(domain), 'primitive')
+    primitive = StateAbstraction(_TwoAbstractions(domain), 'primitive')
     assert set(primitive.observe(batch).states.tolist()) == {0}
 
 

@@ -173,9 +173,11 @@ class PlanRequest:
         )
         if self.action_set != PRIMITIVE:
             _check_options(domain, self.action_set, options)
-        fewest = self.sampling.game_steps
-        if sampled and batch_games(domain) and asked.game_steps < fewest:
-            raise PlanError(f'game_steps is {asked.game_steps}, and must be at least {fewest}')
+        if sampled:
+            batch_games(domain)  # raises where there are none
+            fewest = self.sampling.game_steps
+            if asked.game_steps < fewest:
+                raise PlanError(f'game_steps is {asked.game_steps}, and must be at least {fewest}')
         return asked
 
 
