@@ -227,7 +227,7 @@ class Answer:
 
     @property
     def ok(self) -> bool:
-        """Whether the request was carried out, and the lesson can go on after it."""
+        """Whether the request was carried out, with nothing left to ask for again."""
         return self.status is RequestStatus.OK
 
     @property

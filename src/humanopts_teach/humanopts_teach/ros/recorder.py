@@ -94,8 +94,7 @@ class Recorder(NodeBase):
         self._ledger = Ledger()
         self._pace = Pace()
         self._numbered: dict[str, bool] = {}  # recorded topics: whether messages carry numbers
-        self._matched = False  # every publisher, at the last look
-        self._complete = False  # the same at the last two looks
+        self._complete = False  # every publisher was matched at the last two looks
         self._stopped = ''  # why nothing is written any more; empty: it is
         self._text = self.selection.unevaluable
         if self._text:
@@ -173,10 +172,9 @@ class Recorder(NodeBase):
         """Subscribe to what is new on the graph; look less often while nothing changes."""
         self._skipped = (self._skipped + 1) % _SKIPPED_LOOKS if self._complete else 0
         if self._skipped == 0:
+            before = self._subscriber.complete
             added = self._subscriber.discover()
-            matched = self._subscriber.complete
-            self._complete = matched and self._matched  # the other side has matched, too
-            self._matched = matched
+            self._complete = before and self._subscriber.complete  # the other side matched, too
             self._unflushed = self._unflushed or bool(added)
             for subscription in added:
                 self._attempt(partial(self._add_topic, subscription))
