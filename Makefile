@@ -24,11 +24,12 @@ export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
 export CMAKE_PREFIX_PATH := $(CURDIR)/$(VENV)
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test test-slow lint docs format lock clean
+.PHONY: help setup demo test test-quick test-slow lint docs format lock clean
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
-	@echo 'make test    run the tests, two at a time (ARGS=); make test-slow runs the long ones'
+	@echo 'make test    run the tests, two at a time (ARGS=): first those that need no graph, which'
+	@echo '             make test-quick runs alone; make test-slow runs the long ones'
 	@echo 'make lint    ruff, mypy --strict, package.xml checks'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
 	@echo 'make setup   only the set-up that the others do when it is needed'
@@ -72,6 +73,9 @@ demo: setup
 
 test: setup
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow' $(ARGS)
+
+test-quick: setup
+	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not live' $(ARGS)
 
 test-slow: setup
 	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m slow $(ARGS)

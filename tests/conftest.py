@@ -14,6 +14,19 @@ os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ['TERM'] = 'xterm-256color'  # what the pseudo-terminals of the tests understand
 
 
+LIVE = {'demo', 'domain_id', 'live', 'shared'}  # fixtures of tests that need the graph
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that need the graph, and put the files of all others before theirs."""
+    files = set()
+    for item in items:
+        if not LIVE.isdisjoint(getattr(item, 'fixturenames', ())):
+            item.add_marker('live')
+            files.add(item.path)
+    items.sort(key=lambda item: item.path in files)
+
+
 @pytest.fixture
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     """A graph of one test."""

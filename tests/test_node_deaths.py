@@ -54,7 +54,7 @@ def check_end(command: Command, *words: str) -> None:
     assert command.running() == {}
 
 
-@pytest.mark.parametrize('node', ['recorder', 'game', 'learner', 'lesson', 'simulated_teacher'])
+@pytest.mark.parametrize('node', ['recorder', 'lesson'])
 def test_a_node_that_ends_while_it_teaches_ends_the_demo(
     start: Start, tmp_path: Path, node: str
 ) -> None:
@@ -69,7 +69,7 @@ def test_a_node_that_ends_while_it_teaches_ends_the_demo(
     assert in_bag == on_disk[: len(in_bag)]
 
 
-@pytest.mark.parametrize('node', ['option_server', 'planner'])
+@pytest.mark.parametrize('node', ['planner'])
 def test_a_node_that_ends_while_it_plays_ends_the_demo(
     start: Start, tmp_path: Path, node: str
 ) -> None:

@@ -20,7 +20,7 @@ from humanopts_learner.planning.sampled.plan import SampledPlan
 import numpy as np
 import pytest
 
-MAZE = make_domain('pacman', {'maze': 'yard', 'max_steps': 200})
+MAZE = make_domain('pacman', {'maze': 'yard', 'max_steps': 80})
 EPISODES, SEED, STEPS = 20, 11, 20_000
 STOPS = 3  # seed of an episode in which options are stopped
 

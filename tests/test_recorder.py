@@ -32,6 +32,7 @@ from rclpy.signals import SignalHandlerOptions
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
+pytestmark = pytest.mark.live
 BEST_EFFORT = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )

@@ -19,7 +19,18 @@ code="$2"; shift 2
 exec {python} -c "{line}
 $code" "$@"
 """
-TARGETS = ('help', 'setup', 'demo', 'test', 'lint', 'docs', 'format', 'lock', 'clean')
+TARGETS = (
+    'help',
+    'setup',
+    'demo',
+    'test',
+    'test-quick',
+    'lint',
+    'docs',
+    'format',
+    'lock',
+    'clean',
+)
 
 
 def tool(folder: Path, name: str) -> None:

@@ -41,7 +41,6 @@ from humanopts_teach.evaluation.summary import (
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.report.recording import TopicRow
-from humanopts_teach.report.write import write_evaluation_report
 
 EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
 _WATCHED = 0.02  # s between steps of the machine, in a terminal
@@ -92,6 +91,8 @@ def run_demo(
             'messages': bag.n_messages,
             'topics': len(bag.topics),
         }
+        from humanopts_teach.report.write import write_evaluation_report  # takes a second
+
         page = setup.directory / 'report.html'
         try:
             write_json(setup.directory / 'summary.json', summary(live, evaluation, holds))
