@@ -116,8 +116,9 @@ def test_command_in_a_tree_that_is_not_set_up_says_what_to_run(tmp_path: Path) -
     assert 'make setup' in done.stderr
 
 
-def test_every_locked_package_is_pinned_with_hashes_and_no_host_is_named() -> None:
-    text = (ROOT / 'requirements.lock').read_text('utf-8')
+@pytest.mark.parametrize('lock', ['requirements.lock', 'requirements-test.lock'])
+def test_every_locked_package_is_pinned_with_hashes_and_no_host_is_named(lock: str) -> None:
+    text = (ROOT / lock).read_text('utf-8')
     entries = re.split(r'^(?=[a-z0-9])', text, flags=re.M)[1:]
     assert len(entries) > 50
     assert [e for e in entries if not re.match(r'[a-z0-9._-]+(\[[\w,-]+\])?==\S+', e)] == []
@@ -126,13 +127,42 @@ def test_every_locked_package_is_pinned_with_hashes_and_no_host_is_named() -> No
     assert 'index' not in text.partition('\n')[0]
 
 
-def test_every_wanted_package_is_locked() -> None:
-    def names(file: str) -> set[str]:
-        lines = (ROOT / file).read_text('utf-8').splitlines()
-        found = (re.match(r'[A-Za-z0-9._-]+', line) for line in lines)
-        return {match[0].lower().replace('_', '-') for match in found if match}
+def versions(file: str) -> dict[str, str]:
+    """Return the packages that a file of requirements names, with their versions."""
+    lines = (ROOT / file).read_text('utf-8').splitlines()
+    found = (re.match(r'([A-Za-z0-9._-]+)(?:\[.*\])?(?:==(\S+))?', line) for line in lines)
+    return {match[1].lower().replace('_', '-'): match[2] for match in found if match}
 
-    assert names('requirements.in') <= names('requirements.lock')
+
+@pytest.mark.parametrize('name', ['requirements', 'requirements-test'])
+def test_every_wanted_package_is_locked(name: str) -> None:
+    assert versions(f'{name}.in').keys() <= versions(f'{name}.lock').keys()
+
+
+def test_the_tests_run_with_the_versions_that_the_product_runs_with() -> None:
+    product, tests = versions('requirements.lock'), versions('requirements-test.lock')
+    both = product.keys() & tests.keys()
+    assert {'numpy', 'mcap'} <= both
+    assert {n: product[n] for n in both} == {n: tests[n] for n in both}
+
+
+def test_a_step_of_the_set_up_takes_one_line_with_its_seconds() -> None:
+    done = subprocess.run(
+        [ROOT / 'tools/step.sh', 'Counting', 'true'], capture_output=True, text=True, check=True
+    )
+    assert re.fullmatch(r'Counting \.\.\. \d+\.\d s\n', done.stdout)
+    assert done.stderr == ''
+
+
+def test_a_step_that_fails_shows_all_that_it_said_and_stops_make() -> None:
+    done = subprocess.run(
+        [ROOT / 'tools/step.sh', 'Counting', 'bash', '-c', 'echo one; echo two >&2; exit 3'],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 3
+    assert done.stderr == 'failed:\none\ntwo\n'
 
 
 def make(*arguments: str) -> 'subprocess.CompletedProcess[str]':

@@ -1,0 +1,44 @@
+#!/usr/bin/env bash
+# build_interfaces.sh VENV: builds src/humanopts_interfaces into install/ with the ROS of a virtual
+# environment: C type support alone, which is all that Python loads. What was built once for these
+# files, this Python and these ROS packages is kept in the user's cache folder for the next clone.
+set -euo pipefail
+venv=$(cd "$1" && pwd)
+root=$PWD
+built=install/humanopts_interfaces
+name=humanopts_interfaces
+
+key=$({
+  find "src/$name" tools/build_interfaces.sh tools/drop_missing_includes.cmake -type f -print0 |
+    LC_ALL=C sort -z | xargs -0 sha256sum
+  grep -E '^(ros-|numpy)' requirements.lock
+  "$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_config_var("SOABI"))'
+  ldd --version | head -1
+} | sha256sum | cut -c1-20)
+cache=${XDG_CACHE_HOME:-$HOME/.cache}/humanopts/interfaces-$key
+
+# Copies a tree and puts its new place where a text file of it names the old one.
+copy() {
+  mkdir -p "$(dirname "$2")"
+  local part
+  part=$(mktemp -d "$(dirname "$2")/.part-XXXXXX")
+  (cd "$1" && tar cf - --exclude=__pycache__ .) | tar xf - -C "$part"
+  { grep -rlIF "$3" "$part" || true; } | xargs -r sed -i "s|$3|$4|g"
+  rm -rf "$2"
+  mv "$part" "$2"
+}
+
+mkdir -p install build
+touch install/COLCON_IGNORE build/COLCON_IGNORE
+if [ -d "$cache" ]; then
+  copy "$cache" "$built" @ROOT@ "$root"
+  echo "from $cache"
+  exit
+fi
+export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv MAKEFLAGS=-j$(nproc)
+PATH="$venv/bin:$PATH" "$venv/bin/colcon" --log-level error build \
+  --event-handlers console_direct- summary- --packages-select "$name" --cmake-args \
+  -DPython3_EXECUTABLE="$venv/bin/python" -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF \
+  -DCMAKE_PROJECT_INCLUDE="$root/tools/drop_missing_includes.cmake" \
+  -DHUMANOPTS_PYTHON_ONLY=ON > build/interfaces.log 2>&1 || { cat build/interfaces.log; exit 1; }
+copy "$built" "$cache" "$root" @ROOT@ || echo "$cache cannot be written"
