@@ -209,7 +209,7 @@ def _backend(jobs: int, dask: str) -> Iterator[None]:
             '--dask needs the packages dask and distributed, which are not installed'
         ) from None
     try:
-        client = Client(dask, timeout=10)
+        client = Client(dask, timeout=10)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise ClusterError(f'no Dask scheduler answers at {dask}: {error}') from error
     with client, parallel_config(backend='dask', client=client):

@@ -14,7 +14,7 @@ from rclpy.action.client import ActionClient
 from rclpy.node import Node
 from rclpy.task import Future
 
-_ACTIONS = {
+_ACTIONS: dict[type[Run], tuple[Any, str]] = {
     requests.RunOption: (actions.ExecuteOption, 'execute_option'),
     requests.PlanOptions: (actions.Plan, 'plan'),
     requests.PlayEpisodes: (actions.RunPolicy, 'run_policy'),
