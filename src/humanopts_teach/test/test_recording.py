@@ -9,7 +9,7 @@ from humanopts_ros.recording import Selection
 from humanopts_teach.bags.provenance import attachments, lock_hash, software, UNKNOWN
 from humanopts_teach.commands.ending import CommandError
 from humanopts_teach.commands.options import LaunchOptions, size
-from humanopts_teach.commands.session import check_setup, setup_from
+from humanopts_teach.commands.session import check_folder, setup_from
 from humanopts_teach.launching.processes import common_parameters, processes, Recording, Setup
 from humanopts_teach.ros.recorder import Pace
 import numpy as np
@@ -20,7 +20,9 @@ import typer
 def launch(evaluated: bool = False, record: bool = True, **options: Any) -> Setup:
     """Return the setup of a launch with these options."""
     launch_options = LaunchOptions(**options)
-    return setup_from('taxi', launch_options, Path('x'), evaluated=evaluated, record=record)
+    return setup_from(
+        'taxi', launch_options, directory=Path('x'), evaluated=evaluated, record=record
+    )
 
 
 def test_a_message_that_waits_too_long_puts_the_recorder_behind_for_a_second() -> None:
@@ -85,7 +87,7 @@ def test_a_name_that_is_not_in_utf_8_is_kept_as_far_as_it_is(tmp_path: Path) -> 
 
 def test_a_folder_that_is_not_in_utf_8_is_refused_before_anything_starts(tmp_path: Path) -> None:
     with pytest.raises(CommandError, match='is not in UTF-8; choose another --out'):
-        check_setup(Setup('taxi', tmp_path / 'b\udcff'))
+        check_folder(Setup('taxi', tmp_path / 'b\udcff'))
     assert not any(tmp_path.iterdir())
 
 
