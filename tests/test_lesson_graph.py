@@ -219,7 +219,8 @@ def test_without_a_game_the_lesson_says_so_and_stays_ready(graph: Graph, person:
     person.start_lesson()
     person.get_ready()
     graph.stop(graph.node_called('/game'))
-    answer = person.ask(BeginDemonstration)
+    with graph.hurried():
+        answer = person.ask(BeginDemonstration)
     assert answer.status == BeginDemonstration.Response.STATUS_NO_GAME
     assert 'ame' in answer.detail
     assert person.lesson.phase == LessonState.PHASE_READY
