@@ -37,6 +37,7 @@ import pyte
 import pytest
 
 WIDTH, HEIGHT = 80, 24
+LOOK = 0.02  # s between looks at the screen, each of which takes longer than a callback
 SIDE = 24  # column where the panel beside the board begins
 PICKUP = 'go to passenger and pickup'
 KEYS = {'down': '\x1b[B', 'up': '\x1b[A', 'right': '\x1b[C', 'left': '\x1b[D'}
@@ -93,8 +94,10 @@ class Terminal:
         deadline = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < deadline, f'waited in vain for {what}:\n{self.text()}'
-            self._graph.spin(0.005)
-            self.read(0.0)
+            looked = time.monotonic()
+            while time.monotonic() < looked + LOOK:
+                self._graph.spin(0.005)
+                self.read(0.0)
 
     def see(self, text: str, seconds: float = 30.0) -> None:
         """Read until a text is on the screen, however it is wrapped."""
