@@ -101,7 +101,7 @@ def greatest_mass(option_values: Floats, action: Ints) -> Ints:
     finite = np.isfinite(option_values)
     weakest = np.where(finite, option_values, np.inf).min(axis=1, keepdims=True)
     strength = np.subtract(option_values, weakest, out=np.zeros(option_values.shape), where=finite)
-    wants = action[:, :, None] == np.arange(action.max() + 1)  # (N, O, A)
+    wants = action[:, :, None] == np.arange(action.max(initial=0) + 1)  # (N, O, A)
     mass = (strength[:, :, None] * wants).sum(axis=1)
     wins = np.take_along_axis(mass, action, axis=1) >= mass.max(axis=1, keepdims=True)
     option: Ints = np.where(wins, option_values, -np.inf).argmax(axis=1)
