@@ -45,7 +45,7 @@ TEXT = {
     RunStatus.EPISODE_OVER: 'the episode ended',
     RunStatus.MAX_STEPS: 'it was cut off at its step limit',
     RunStatus.NO_PROGRESS: 'the game did not answer before the deadline',
-    RunStatus.INTERRUPTED: 'a person took control, or the game was reset',
+    RunStatus.INTERRUPTED: 'a person or another node acted, or the game was reset',
     RunStatus.CANCELED: 'it was canceled',
     RunStatus.BUSY: 'refused: another run is under way',
     RunStatus.UNKNOWN_OPTION: 'refused: there is no such option',
