@@ -1,9 +1,10 @@
 """The command line: help, one plain line for any bad input, and two launches in one place."""
 
-from importlib.metadata import version
+from importlib.metadata import EntryPoint, version
 import json
 import os
 from pathlib import Path
+import pty
 import resource
 import signal
 import subprocess
@@ -11,6 +12,7 @@ import sys
 from typing import Any, get_args, get_type_hints
 
 from graph_support.command import Command, DemoRun
+from humanopts_env.domains import registry
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach.bags.contents import read_episodes
@@ -23,6 +25,7 @@ from mcap.writer import Writer
 import pexpect
 import pytest
 
+EARLIER = Path(__file__).parent / 'data' / 'earlier' / 'bag'
 THRESHOLDS = ('--return-delta', '--initiation-error', '--termination-error')
 LAUNCH = (
     *('--out', '--seed', '--strategy', '--budget', '--parameter', '--namespace'),
@@ -71,6 +74,36 @@ def test_help_of_every_command_names_its_options(
 def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
     assert run('--version') == 0
     assert capsys.readouterr().out.strip() == version('humanopts_teach')
+
+
+def test_what_an_export_wrote_is_on_standard_output_beside_a_bar_on_the_terminal(
+    tmp_path: Path,
+) -> None:
+    terminal, stderr = pty.openpty()
+    command = ('bag', 'export', EARLIER, '--to', 'csv', '--out', tmp_path)
+    done = subprocess.run(
+        [sys.executable, '-m', 'humanopts_teach.cli', *map(str, command)],
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        text=True,
+        check=True,
+    )
+    os.close(stderr)
+    os.close(terminal)
+    assert {Path(line).name for line in done.stdout.splitlines()} == {
+        path.name for path in tmp_path.iterdir()
+    }
+
+
+def test_reference_options_that_cannot_be_made_are_bad_input(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    group, find = registry.REFERENCE_OPTIONS, registry._entry_point
+    broken = EntryPoint('taxi', 'no_such_module:options', group)
+    monkeypatch.setattr(
+        registry, '_entry_point', lambda g, n: broken if g == group else find(g, n)
+    )
+    check_refused(capsys, run('demo', '--domain', 'taxi'), 'no_such_module')
 
 
 def test_strategies_on_offer_are_those_of_the_learner() -> None:

@@ -13,19 +13,18 @@ key=$({
     LC_ALL=C sort -z | xargs -0 sha256sum
   grep -E '^(ros-|numpy)' requirements.lock
   "$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_config_var("SOABI"))'
-  ldd --version | head -1
+  ldd --version 2>&1 | sed -n 1p  # reads to the end, so that ldd is not cut off
 } | sha256sum | cut -c1-20)
-cache=${XDG_CACHE_HOME:-$HOME/.cache}/humanopts/interfaces-$key
+cache=${XDG_CACHE_HOME:-${HOME:-/nonexistent}/.cache}/humanopts/interfaces-$key
 
 # Copies a tree and puts its new place where a text file of it names the old one.
 copy() {
-  mkdir -p "$(dirname "$2")"
-  local part
-  part=$(mktemp -d "$(dirname "$2")/.part-XXXXXX")
-  (cd "$1" && tar cf - --exclude=__pycache__ .) | tar xf - -C "$part"
-  { grep -rlIF "$3" "$part" || true; } | xargs -r sed -i "s|$3|$4|g"
-  rm -rf "$2"
-  mv "$part" "$2"
+  local folder part
+  folder=$(dirname "$2")
+  mkdir -p "$folder" && part=$(mktemp -d "$folder/.part-XXXXXX") || return
+  (cd "$1" && tar cf - --exclude=__pycache__ .) | tar xf - -C "$part" &&
+    { grep -rlIF "$3" "$part" || true; } | xargs -r sed -i "s|$3|$4|g" &&
+    rm -rf "$2" && mv "$part" "$2" || { rm -rf "$part"; return 1; }
 }
 
 mkdir -p install build

@@ -256,11 +256,12 @@ def export(
     try:
         with progress_bar() as show:
             opened = open_bag(bag, show)
-            print(export_bag(opened, to, out))
+            written = export_bag(opened, to, out)
     except (ExportError, StateError) as error:
         raise CommandError(str(error)) from error
     except OSError as error:
         raise CommandError(f'cannot write in {out}: {error.strerror or error}') from error
+    print(written)
     _warn('export', None, opened.damage.splitlines())
     return 0
 

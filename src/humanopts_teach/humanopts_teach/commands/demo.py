@@ -125,7 +125,10 @@ def _demo_domain(name: str, launch: LaunchOptions) -> Domain[Any]:
 
 def _taught_options(domain: Domain[Any]) -> tuple[str, ...]:
     """Return what the simulated teacher teaches: all that it knows, or what the domain says."""
-    known = tuple(reference_options(domain))
+    try:
+        known = tuple(reference_options(domain))
+    except DomainError as error:
+        raise CommandError(str(error)) from error
     if not known:
         raise CommandError(
             f'{domain.name} has no reference options, which the simulated teacher needs; '
