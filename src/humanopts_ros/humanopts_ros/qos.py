@@ -1,4 +1,4 @@
-"""The named QoS profiles of the graph; nothing else in humanopts builds one."""
+"""The named QoS profiles of the graph; but for the recorder's reader, nothing else builds one."""
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 

@@ -4,8 +4,9 @@ The choice of the next start state to demonstrate from, by the rules and the lea
 ``random`` is the paper's way (section 5). ``failures`` shows states from which the learned option
 does not do what was shown: of these, the one whose shortest ways to an end go through the most
 situations that fail and were not shown yet, so that one demonstration teaches the most. Once
-none is stuck, it asks about states that are outside I without evidence. Where states cannot all be
-run, it draws one of a sample: stuck, without evidence, or decided by a tenth of what was shown.
+none is stuck, it asks about states that are outside I without evidence, and then about those from
+which the option takes a longer way than needed. Where states cannot all be run, it draws one of a
+sample: stuck, without evidence, or decided by a tenth of what was shown.
 """
 
 from collections.abc import Sequence

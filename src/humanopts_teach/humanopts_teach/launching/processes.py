@@ -49,7 +49,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Setup:
-    """What a launch starts; the defaults are those of ``./humanopts up``."""
+    """What a launch starts."""
 
     domain: str
     directory: Path  # demonstrations, options and the bag go below it

@@ -46,7 +46,7 @@ _NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # and what shows 
 
 
 class KeyboardTeleopNode(NodeBase):
-    """Owns the terminal; everything that is decided is decided in ``terminal.app``."""
+    """Owns the terminal; ``terminal.app`` and its screens decide everything."""
 
     def __init__(self) -> None:
         super().__init__('keyboard_teleop')
