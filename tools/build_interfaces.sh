@@ -31,6 +31,7 @@ mkdir -p install build
 touch install/COLCON_IGNORE build/COLCON_IGNORE
 if [ -d "$cache" ]; then
   copy "$cache" "$built" @ROOT@ "$root"
+  "$venv/bin/python" -m compileall -q "$built"
   echo "from $cache"
   exit
 fi

@@ -11,5 +11,5 @@ if [ ! -x "$venv/bin/uv" ]; then
   awk '/^uv==/ {found = 1} found {print} found && !/\\$/ {exit}' "$lock" > "$venv/uv.lock"
   with_pip "$venv/uv.lock"
 fi
-VIRTUAL_ENV=$venv "$venv/bin/uv" pip install --quiet --require-hashes -r "$lock" \
-  2> "$venv/uv.log" || with_pip "$lock"
+VIRTUAL_ENV=$venv "$venv/bin/uv" pip install --quiet --require-hashes --compile-bytecode \
+  -r "$lock" 2> "$venv/uv.log" || with_pip "$lock"

@@ -1,18 +1,20 @@
 """Publishers that number and stamp their messages."""
 
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TYPE_CHECKING, TypeVar
 
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from std_msgs.msg import Header
+
+if TYPE_CHECKING:  # 30 modules, for a type alone
+    from std_msgs.msg import Header
 
 
 class Stamped(Protocol):
     """A message with the three fields that every message of humanopts begins with."""
 
-    header: Header
+    header: 'Header'
     publisher_id: str
     sequence: int
 
