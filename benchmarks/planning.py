@@ -28,8 +28,8 @@ from humanopts_learner.options.option import (
     tabulate,
 )
 from humanopts_learner.planning.exact import make_exact_plan
-from humanopts_learner.planning.multi_time_models import MultiTimeModel
 from humanopts_learner.planning.request import HUMAN, PlanRequest, PRIMITIVE
+from humanopts_learner.planning.smdp import MultiTimeModel
 from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
 from numpy.typing import NDArray

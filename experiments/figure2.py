@@ -22,7 +22,7 @@ from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.evaluation.measures import accuracies
 from humanopts_teach.lesson.in_process import SECONDS, teach
-from humanopts_teach.lesson.start_states import LessonRules
+from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.report.figures import Drawing
 import matplotlib
 from matplotlib.ticker import MaxNLocator, PercentFormatter

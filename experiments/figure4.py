@@ -12,6 +12,7 @@ from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.options.option import tabulate
+from humanopts_learner.planning.exact import option_table
 from humanopts_learner.planning.request import (
     AUTOMATIC,
     AUTOMATIC_AND_PRIMITIVE,
@@ -24,7 +25,6 @@ from humanopts_learner.qlearning import (
     drawn_rates,
     learn,
     Method,
-    option_table,
     Settings,
 )
 from humanopts_teach.report.figures import Drawing

@@ -36,8 +36,8 @@ from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.bag_evaluation import FACTS
 from humanopts_teach.evaluation.measures import settings_from_facts
 from humanopts_teach.lesson.in_process import teach
+from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
-from humanopts_teach.lesson.start_states import LessonRules
 
 from experiments import paper
 

@@ -14,8 +14,8 @@ from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.lesson.in_process import teach
+from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
-from humanopts_teach.lesson.start_states import LessonRules
 import pytest
 
 from experiments.people import options_of, owners, PERSON, read_bag_lessons, Study

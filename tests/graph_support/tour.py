@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, options_from_references
-from humanopts_learner.planning.exact import ExactPlan
-from humanopts_learner.planning.interruption import action_table, as_executed
+from humanopts_learner.planning.exact import ExactPlan, option_table
+from humanopts_learner.planning.interruption import as_executed
 from humanopts_learner.planning.request import Execution
 
 from graph_support.scripted import DELIVER, TAXI, walk
@@ -49,11 +49,12 @@ class Step:
 def steps(plan: ExactPlan, execution: Execution, start: int, limit: int) -> Iterator[Step]:
     """Play an episode by the tables of the vectorised play, which the runner never sees."""
     acting, rules = as_executed(plan, execution), TAXI.transitions()
-    does, at, column, stopped = action_table(plan), start, -1, False
+    does = option_table(plan.domain, plan.action_set, plan.options).action
+    at, column, stopped = start, -1, False
     for _ in range(limit):
         began = column < 0
         column = int(acting.solution.best[at]) if began else column
-        action = int(does[at, column])
+        action = int(does[column, at])
         last = (at, action, 0)
         reward, over = float(rules.reward[last]), bool(rules.terminated[last])
         at = int(rules.successor[last])

@@ -22,7 +22,7 @@ from humanopts_teach.lesson.requests import (
     Phase,
     Verdict,
 )
-from humanopts_teach.lesson.start_states import LessonRules, StartStates
+from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.store import DemonstrationStore
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ START = 'taxi 0,1 passenger R destination G'
 OTHER = 'taxi 3,1 passenger B destination R'
 
 
-class Starts(StartStates):
+class Starts(SeededStarts):
     """Start states without a learner: what is learned is set by the test."""
 
     known: set[str] | None = None  # uuids counted in; None: all

@@ -2,6 +2,8 @@
 Execution of one option, or of options as modules: the rules of the runner, without the graph.
 
 The caller asks for the next action, sends it to the game, and reports the state that it led to.
+Between two actions an ``Arbiter`` says whether a plan interrupts the option. It decides by
+``OptionValues``, which a message can carry, and as the vectorised play of plans does.
 """
 
 from collections import Counter
@@ -10,13 +12,15 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
-from humanopts_env.arrays import Rows
-from humanopts_env.domains.base import Domain
+from humanopts_env.arrays import Floats, Rows
+from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.library import RunnableOption
-from humanopts_learner.options.option import Mode
+from humanopts_learner.options.option import LearnedOption, Mode
 from humanopts_learner.options.rollout import is_deterministic
-from humanopts_learner.planning.arbiter import Arbiter
-from humanopts_learner.planning.request import Execution
+from humanopts_learner.planning.interruption import interruptions, OptionValues, winners
+from humanopts_learner.planning.request import Execution, MODULAR, PlanError
+from humanopts_learner.planning.sampled.action_set import ActionSet
+from humanopts_learner.planning.sampled.policies import GreedyPolicy
 import numpy as np
 
 
@@ -103,18 +107,76 @@ def refusal(status: RunStatus, option_name: str, detail: str = '') -> RunResult:
     return RunResult(status, _describe(status, detail), option_name)
 
 
-@dataclass(frozen=True)
-class Modules:
-    """All options of a plan as modules, of which one acts in each step."""
+class Arbiter:
+    """
+    Decides before each step, by the values of a plan, which option acts; nothing is drawn.
 
-    arbiter: Arbiter
-    options: Mapping[str, RunnableOption]  # by name, primitive actions too
+    :ivar execution: by which it decides.
+    """
 
-    def winner(self, state: Any) -> RunnableOption:
-        """Return the module that acts in a state."""
-        name = self.arbiter.before_step(state, '')
-        assert name is not None  # modules are never stopped
-        return self.options[name]
+    def __init__(
+        self,
+        values: OptionValues,
+        execution: Execution,
+        domain: Domain[Any],
+        options: Mapping[str, RunnableOption],
+    ) -> None:
+        """
+        Take the values of a plan.
+
+        :param options: by name: all of the plan, and every primitive action.
+        :raises PlanError: the values do not fit the domain.
+        """
+        self.execution, self._values, self._domain = execution, values, domain
+        self._options, self._rng = options, np.random.default_rng(0)  # that nothing draws from
+        among = [options[name] for name in values.names]
+        learned = [option for option in among if isinstance(option, LearnedOption)]
+        if values.sampled:
+            actions = ActionSet(domain, values.action_set, learned)
+            if actions.names[: actions.first_fallback] != values.names:
+                raise PlanError(f'the values are not for the actions of {domain.name}')
+            self._policy = GreedyPolicy(actions, values, execution)
+        elif not is_enumerable(domain) or domain.n_states != len(values.states):
+            raise PlanError(f'the values are not for every state of {domain.name}')
+
+    def stops(self, state: Any, running: str) -> bool:
+        """
+        Return whether an option is stopped in a state in which the task is not over.
+
+        :param running: name of the option, after its first step. Only interruption stops options.
+        """
+        if self.execution is not Execution.INTERRUPTED or running not in self._values.names:
+            return False
+        option = self._values.names.index(running)
+        if self._values.sampled:
+            seen = self._policy.actions.observe_state(state)
+            return bool(self._policy.stops(seen, np.array([option]), self._rng)[0])
+        stopped = interruptions(*self._values_at(state), self._values.interruption_margin)
+        return bool(stopped[0, option])
+
+    def module(self, state: Any) -> RunnableOption:
+        """
+        Return the module that acts in a state in which the task is not over.
+
+        :raises PlanError: the execution is not modular.
+        """
+        if self.execution not in MODULAR:
+            raise PlanError(f'{self.execution} runs no modules')
+        if self._values.sampled:
+            actions = self._policy.actions
+            chosen = self._policy.decide(actions.observe_state(state)).option[0]
+            return self._options[actions.names[int(chosen)]]
+        modules = [self._options[name] for name in self._values.names]
+        row = self._domain.feature_values(state)
+        action = np.array([[m.choose_action(row, Mode.GREEDY, self._rng) for m in modules]])
+        winner = winners(self.execution, *self._values_at(state), action)
+        return modules[int(winner[0])]
+
+    def _values_at(self, state: Any) -> tuple[Floats, Floats]:
+        """Return the exact option and continuation values of a state, (1, O)."""
+        assert is_enumerable(self._domain)
+        at = [self._domain.index(state)]
+        return self._values.option_values[at], self._values.continuation_values[at]
 
 
 class Run:
@@ -137,7 +199,7 @@ class Run:
 
     def __init__(
         self,
-        runs: RunnableOption | Modules,
+        runs: RunnableOption | Arbiter,
         domain: Domain[Any],
         gamma: float,
         max_steps: int = 0,
@@ -147,6 +209,7 @@ class Run:
         """
         Prepare a run.
 
+        :param runs: an option; or the arbiter of a modular execution, for modules.
         :param max_steps: 0: the option's own limit; for modules none but the domain's.
         :param rng: what the sampled mode draws from; the greedy mode draws nothing.
         :raises RunError: the sampled mode has nothing to draw from, max_steps is negative, or
@@ -156,8 +219,8 @@ class Run:
             raise RunError('the sampled mode needs a random generator')
         if max_steps < 0:
             raise RunError(f'max_steps is {max_steps}, and must be 0 or greater')
-        self._modules = runs if isinstance(runs, Modules) else None
-        if isinstance(runs, Modules):
+        self._modules = runs if isinstance(runs, Arbiter) else None
+        if isinstance(runs, Arbiter):
             if not (max_steps or domain.max_steps):
                 raise RunError(f'{domain.name} never cuts an episode off: give max_steps')
             self.name, self.max_steps = '', max_steps
@@ -197,7 +260,7 @@ class Run:
         """Return the index of the action to take now."""
         self._check_going()
         if self._modules is not None:
-            self.acting = self._modules.winner(self._state)
+            self.acting = self._modules.module(self._state)
         return self.acting.choose_action(self._row(), self._mode, self._rng)
 
     def observe(
@@ -234,8 +297,8 @@ class Run:
         :return: how the run ended; None while it continues.
         """
         self._check_going()
-        acting = arbiter.before_step(self._state, self.name)
-        return self.end(RunStatus.STOPPED_BY_PLAN) if acting is None else None
+        stops = arbiter.stops(self._state, self.name)
+        return self.end(RunStatus.STOPPED_BY_PLAN) if stops else None
 
     def end(self, status: RunStatus, detail: str = '') -> RunResult:
         """

@@ -25,9 +25,8 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
-from humanopts_learner.library import PRIMITIVE_PREFIX
-from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.request import OPTIONS_ONLY, PlanError, PlanRequest, PRIMITIVE
+from humanopts_learner.planning.exact import OptionTable
+from humanopts_learner.planning.request import PlanError
 import numpy as np
 
 # Called with the share of the episodes that is done, 0..1; raises ``PlanCanceled`` to stop
@@ -35,57 +34,6 @@ Progress = Callable[[float], object]
 REPORT_EVERY = 200  # steps
 SLOWEST, FASTEST = 0.05, 1.0  # learning rates that are tried
 LEAST, MOST = 0.005, 0.3  # shares of exploring decisions that are tried
-
-
-@dataclass(frozen=True)
-class OptionTable:
-    """
-    O options over S states: those given, then all primitive actions where the set needs them.
-
-    As in planning, these are available in the sets ``human`` and ``automatic`` only in states
-    where no option is.
-    """
-
-    names: tuple[str, ...]  # (O,)
-    action: Ints  # (O, S) primitive action
-    ends: Flags  # (O, S) whether the option ends there, after one step or more
-    available: Flags  # (S, O) whether the option can be chosen; none where the task is over
-    limits: Ints  # (O,) steps after which the option is cut off
-
-
-def option_table(
-    domain: EnumerableDomain[Any], action_set: str, options: Sequence[TabularOption]
-) -> OptionTable:
-    """
-    Return the options of an action set as one table.
-
-    :param options: ignored in the set ``primitive``.
-    :raises PlanError: there is no such set, or its options are none or not distinct.
-    """
-    used = () if action_set == PRIMITIVE else tuple(options)
-    PlanRequest(action_set).in_force(domain, options, sampled=False)
-    going = ~domain.over()
-    free = going
-    if action_set in OPTIONS_ONLY:
-        free = going & ~np.any([option.initiation for option in used], axis=0)
-    primitives = [
-        TabularOption(
-            name=PRIMITIVE_PREFIX + action.name,
-            max_steps=1,
-            action=np.full(len(free), index),
-            initiation=free,
-            termination=np.ones_like(free),
-        )
-        for index, action in enumerate(domain.actions)
-    ]
-    every = [*used, *primitives] if free.any() else used
-    return OptionTable(
-        names=tuple(option.name for option in every),
-        action=np.array([option.action for option in every], dtype=np.intp),
-        ends=np.array([option.termination for option in every]),
-        available=(np.array([option.initiation for option in every]) & going).T.copy(),
-        limits=np.array([option.max_steps for option in every], dtype=np.intp),
-    )
 
 
 class Method(Enum):

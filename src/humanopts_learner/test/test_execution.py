@@ -5,8 +5,8 @@ import re
 
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_learner.execution import (
+    Arbiter,
     execution_named,
-    Modules,
     refusal,
     Run,
     RunError,
@@ -27,6 +27,7 @@ from humanopts_learner.options.option import (
     OptionError,
     TabularOption,
 )
+from humanopts_learner.planning.interruption import OptionValues
 from humanopts_learner.planning.request import Execution
 import numpy as np
 from numpy.typing import NDArray
@@ -184,27 +185,31 @@ def test_a_run_ended_from_outside_keeps_what_it_did(status: RunStatus) -> None:
         run.next_action()
 
 
-class ByRow:
-    """A plan that has the taxi go up on even rows and to the right on odd ones."""
+def arbiter(
+    better: NDArray[np.bool_], execution: Execution = Execution.MODULAR_STRONGEST
+) -> Arbiter:
+    """Return what decides between going up and to the right, which is better where (S,) says."""
+    options = {'drive': option(NORTH, False), 'right': option(EAST, False, 'right')}
+    worth = np.stack([~better, better], axis=1).astype(np.float64)
+    states = np.arange(TAXI.n_states)
+    values = OptionValues('human', tuple(options), states, worth, worth, 0.0, sampled=False)
+    return Arbiter(values, execution, TAXI, options)
 
-    def before_step(self, state: TaxiState, running: str) -> str | None:
-        """Return the module that wins."""
-        return ('up', 'right')[state.row % 2]
 
-
-MODULES = {'up': option(NORTH, False, 'up'), 'right': option(EAST, False, 'right')}
+ROW = feature('taxi_row')
+ZIGZAG = arbiter(ROW % 2 == 1)
 
 
 def test_in_a_run_of_modules_the_winner_of_each_step_acts_and_is_counted() -> None:
     """From row 4 up to row 3 and then to the right; it goes on where a module would end."""
-    end = drive(Run(Modules(ByRow(), MODULES), TAXI, 0.9, max_steps=4), FAR)
+    end = drive(Run(ZIGZAG, TAXI, 0.9, max_steps=4), FAR)
     assert (end.status, end.step_count, end.option_name) == (RunStatus.MAX_STEPS, 4, '')
-    assert end.acted == {'up': 1, 'right': 3}
+    assert end.acted == {'drive': 1, 'right': 3}
     assert end.discounted_return == pytest.approx(-(1 + 0.9 + 0.81 + 0.729))
 
 
 def test_a_run_of_modules_ends_with_the_episode() -> None:
-    end = drive(Run(Modules(ByRow(), MODULES), TAXI, 0.9), FAR, cut_off=9)
+    end = drive(Run(ZIGZAG, TAXI, 0.9), FAR, cut_off=9)
     assert (end.status, end.truncated, end.step_count) == (RunStatus.EPISODE_OVER, True, 9)
 
 
@@ -212,19 +217,7 @@ def test_modules_that_nothing_would_cut_off_are_refused() -> None:
     endless = Taxi()
     endless.max_steps = 0
     with pytest.raises(RunError, match='give max_steps'):
-        Run(Modules(ByRow(), MODULES), endless, 0.9)
-
-
-class StopsAt:
-    """A plan that stops whatever runs in one row."""
-
-    def __init__(self, row: int) -> None:
-        """Stop there."""
-        self._row = row
-
-    def before_step(self, state: TaxiState, running: str) -> str | None:
-        """Return the ruling."""
-        return None if state.row == self._row else running
+        Run(ZIGZAG, endless, 0.9)
 
 
 def test_a_plan_stops_a_run_before_its_next_action() -> None:
@@ -232,8 +225,8 @@ def test_a_plan_stops_a_run_before_its_next_action() -> None:
     assert run.begin(FAR, 2, 1) is None
     run.next_action()
     assert run.observe(TaxiState(3, 0, 0, 1), -1.0, False, False) is None
-    assert run.stopped(StopsAt(2)) is None
-    end = run.stopped(StopsAt(3))
+    assert run.stopped(arbiter(ROW == 2, Execution.INTERRUPTED)) is None
+    end = run.stopped(arbiter(ROW == 3, Execution.INTERRUPTED))
     assert end is not None
     assert (end.status, end.acted) == (RunStatus.STOPPED_BY_PLAN, {'drive': 1})
 

@@ -12,10 +12,14 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.table_domain import TableDomain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.arbitration import winners
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
-from humanopts_learner.planning.interruption import as_executed, option_values, policy_values
+from humanopts_learner.planning.interruption import (
+    as_executed,
+    option_values,
+    policy_values,
+    winners,
+)
 from humanopts_learner.planning.request import Execution, MODULAR, PlanError, PlanRequest
 from humanopts_learner.ros.convert import option_values_from_message, option_values_to_message
 from hypothesis import given, settings

@@ -9,10 +9,10 @@ from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, options_from_references, tabulate
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.exact import build_model, ExactPlan
-from humanopts_learner.planning.multi_time_models import SparseMultiTimeModel
 from humanopts_learner.planning.option_models import StochasticModeller
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
+from humanopts_learner.planning.smdp import SparseMultiTimeModel
 from humanopts_learner.planning.value_iteration import sweep_table, value_history
 import numpy as np
 from numpy.typing import NDArray

@@ -5,13 +5,13 @@ from dataclasses import replace
 import itertools
 import tracemalloc
 
-from humanopts_learner.planning.multi_time_models import (
+from humanopts_learner.planning.request import PlanCanceled, PlanError
+from humanopts_learner.planning.smdp import (
     concatenate,
     MultiTimeModel,
     primitive_model,
     SparseMultiTimeModel,
 )
-from humanopts_learner.planning.request import PlanCanceled, PlanError
 from humanopts_learner.planning.value_iteration import solve_smdp
 from hypothesis import given, settings
 from hypothesis import strategies as st

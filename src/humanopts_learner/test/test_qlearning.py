@@ -11,7 +11,7 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.evaluate import Interval
-from humanopts_learner.planning.exact import build_model
+from humanopts_learner.planning.exact import build_model, option_table
 from humanopts_learner.planning.request import NoOptionsError, PlanCanceled, PlanError
 from humanopts_learner.planning.value_iteration import solve_smdp
 from humanopts_learner.qlearning import (
@@ -20,7 +20,6 @@ from humanopts_learner.qlearning import (
     learn,
     Learning,
     Method,
-    option_table,
     Rates,
     Settings,
 )

@@ -4,8 +4,8 @@ from .bags.info import summarise
 from .bags.reader import Bag, open_bag
 from .evaluation.bag_evaluation import BagEvaluation, evaluate_bag
 from .lesson.in_process import Taught, teach
+from .lesson.seeded_starts import LessonRules
 from .lesson.simulated_teacher import SimulatedTeacher, TeacherSettings
-from .lesson.start_states import LessonRules
 from .report.write import write_evaluation_report
 
 __all__ = [

@@ -11,7 +11,7 @@ from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_teach.lesson.history import OptionHistory
-from humanopts_teach.lesson.start_states import LessonRules, StartStates
+from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 import pytest
 
 OPTION = 'go to passenger and pickup'
@@ -31,8 +31,8 @@ def option(taxi: Domain[Any], shown: list[Demonstration]) -> LearnedOption:
 
 def starts(
     taxi: Domain[Any], strategy: str = 'failures', until: bool = True, seed: int = 0
-) -> StartStates:
-    return StartStates(taxi, LessonRules(strategy, seed=seed, until_no_failures=until))
+) -> SeededStarts:
+    return SeededStarts(taxi, LessonRules(strategy, seed=seed, until_no_failures=until))
 
 
 @pytest.fixture

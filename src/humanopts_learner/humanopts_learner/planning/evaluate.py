@@ -9,7 +9,7 @@ from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import Domain, EnumerableDomain, S
 from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.exact import ExactPlan, option_table
 from humanopts_learner.planning.request import ignore_progress, PlanError, Progress
 import numpy as np
 from numpy.typing import NDArray
@@ -133,7 +133,7 @@ class _Episodes:
         self._plan = plan
         over = plan.domain.over()
         self._simulator = TabularSimulator(plan.domain.transitions(), over)
-        self._tables = _OptionTables(plan)
+        self._options = option_table(plan.domain, plan.action_set, plan.options)
         self._state = starts.astype(np.intp)
         self._option = np.full(count, -1, dtype=np.intp)  # -1: to be decided
         self._ran = np.zeros(count, dtype=np.intp)  # steps of the running option
@@ -153,7 +153,7 @@ class _Episodes:
         """Take one primitive step in every episode that goes on."""
         live, returns = self.live, self.returns
         state, option = self._state[live], self._option[live]
-        action = self._tables.action(option, state)
+        action = self._options.action[option, state]
         drawn = self._simulator.draw(rng, len(self._state))
         arrived, reward, over = self._simulator.step(
             state, action, None if drawn is None else drawn[live]
@@ -165,36 +165,7 @@ class _Episodes:
         self._discount[live] *= self._plan.gamma
         self._state[live] = arrived
         self._ran[live] += 1
-        ended = self._tables.ends(option, arrived) | (
-            self._ran[live] >= self._tables.limit[option]
-        )
+        cut_off = self._ran[live] >= self._options.limits[option]
+        ended = self._options.ends[option, arrived] | cut_off
         self._option[live[ended]] = -1
         self.live = live[~over]
-
-
-class _OptionTables:
-    """The options of a plan as arrays; primitive actions are options of one step."""
-
-    def __init__(self, plan: ExactPlan) -> None:
-        n_options = len(plan.options)
-        primitives = len(plan.names) - n_options
-        self._n_options = n_options
-        shape = (n_options, plan.domain.n_states)
-        options = plan.options
-        self._action = np.array([o.action for o in options], dtype=np.intp).reshape(shape)
-        self._ends = np.array([o.termination for o in options], dtype=np.bool_).reshape(shape)
-        self.limit = np.array([o.max_steps for o in plan.options] + [1] * primitives)
-
-    def action(self, option: Ints, state: Ints) -> Ints:
-        """Return the primitive action of each game, (E,)."""
-        action = option - self._n_options
-        learned = option < self._n_options
-        action[learned] = self._action[option[learned], state[learned]]
-        return action
-
-    def ends(self, option: Ints, state: Ints) -> Flags:
-        """Return (E,): whether the termination condition holds."""
-        ends = option >= self._n_options
-        learned = ~ends
-        ends[learned] = self._ends[option[learned], state[learned]]
-        return ends

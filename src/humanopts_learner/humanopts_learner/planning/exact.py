@@ -6,16 +6,10 @@ import math
 import time
 from typing import Any
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_learner.library import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
-from humanopts_learner.planning.multi_time_models import (
-    concatenate,
-    Model,
-    MultiTimeModel,
-    primitive_model,
-    SparseMultiTimeModel,
-)
 from humanopts_learner.planning.option_models import option_modeller, OptionModel
 from humanopts_learner.planning.request import (
     Clock,
@@ -25,6 +19,13 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
     Progress,
+)
+from humanopts_learner.planning.smdp import (
+    concatenate,
+    Model,
+    MultiTimeModel,
+    primitive_model,
+    SparseMultiTimeModel,
 )
 from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 import numpy as np
@@ -168,6 +169,57 @@ def build_model(
         model = concatenate([model, primitives])
     progress('models', 1.0, 0, math.nan)
     return model
+
+
+@dataclass(frozen=True)
+class OptionTable:
+    """
+    O options over S states: those given, then all primitive actions where the set needs them.
+
+    In the sets ``human`` and ``automatic`` these are available only in states where no option is;
+    where there is no such state, they are left out.
+    """
+
+    names: tuple[str, ...]  # (O,)
+    action: Ints  # (O, S) primitive action
+    ends: Flags  # (O, S) whether the option ends there, after one step or more
+    available: Flags  # (S, O) whether the option can be chosen; none where the task is over
+    limits: Ints  # (O,) steps after which the option is cut off
+
+
+def option_table(
+    domain: EnumerableDomain[Any], action_set: str, options: Sequence[TabularOption]
+) -> OptionTable:
+    """
+    Return the options of an action set as one table.
+
+    :param options: ignored in the set ``primitive``.
+    :raises PlanError: there is no such set, or its options are none or not distinct.
+    """
+    PlanRequest(action_set).in_force(domain, options, sampled=False)
+    used = () if action_set == PRIMITIVE else tuple(options)
+    going = ~domain.over()
+    free = going
+    if action_set in OPTIONS_ONLY:
+        free = going & ~np.any([option.initiation for option in used], axis=0)
+    primitives = [
+        TabularOption(
+            name=PRIMITIVE_PREFIX + action.name,
+            max_steps=1,
+            action=np.full(len(free), index),
+            initiation=free,
+            termination=np.ones_like(free),
+        )
+        for index, action in enumerate(domain.actions)
+    ]
+    every = [*used, *primitives] if free.any() else used
+    return OptionTable(
+        names=tuple(option.name for option in every),
+        action=np.array([option.action for option in every], dtype=np.intp),
+        ends=np.array([option.termination for option in every]),
+        available=(np.array([option.initiation for option in every]) & going).T.copy(),
+        limits=np.array([option.max_steps for option in every], dtype=np.intp),
+    )
 
 
 def _option_models(

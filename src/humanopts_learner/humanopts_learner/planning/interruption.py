@@ -1,5 +1,10 @@
 """
-Interruption and modules with exact values: continuation values, and the policies that use them.
+Interruption and modules: which option acts in the next step, by the values of a plan.
+
+A policy over options can be executed in four ways. All but the first are polling executions: they
+decide anew before each step, from one table of option values, so the same table, states and draws
+always give the same run. Sampled plans and live games decide by the same rules. The values of
+exact plans, and the policies that follow from them, are made here.
 
 Sutton, Precup and Singh (1999), section 4 and theorem 2: a policy over Markov options that stops
 an option wherever going on is worth less than choosing anew, by the policy's own values, is worth
@@ -9,19 +14,107 @@ be, going on counts as the best that it can be worth with any number of steps le
 stopped only where that is right whatever is left, and the theorem holds.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
 from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.arbitration import interruptions, OptionValues, ROUNDING, winners
-from humanopts_learner.planning.exact import build_model, ExactPlan
-from humanopts_learner.planning.multi_time_models import look_ahead
+from humanopts_learner.planning.exact import build_model, ExactPlan, option_table
 from humanopts_learner.planning.option_models import option_modeller, visited
 from humanopts_learner.planning.request import Execution, PlanError
+from humanopts_learner.planning.smdp import look_ahead
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import eye_array
 from scipy.sparse.linalg import splu
+
+ROUNDING = 1e-9  # relative to the largest value: differences of values that are rounding
+
+
+@dataclass(frozen=True)
+class OptionValues:
+    """
+    The values of a plan that arbitration decides by: K states, O options.
+
+    States are those of an enumerable domain, by their indices, or the abstract states of a sampled
+    plan, by their codes. Values are discounted returns; -inf: not available, or not known.
+
+    :raises PlanError: the arrays contradict each other.
+    """
+
+    action_set: str
+    names: tuple[str, ...]  # (O,) options, then action:NAME
+    states: NDArray[np.int64]  # (K,) ascending
+    option_values: Floats  # (K, O) of choosing the option now, where it can start
+    continuation_values: Floats  # (K, O) of going on with it, where it can start or not
+    interruption_margin: float  # differences up to this do not count
+    sampled: bool  # states are abstract states
+
+    def __post_init__(self) -> None:
+        """Check the arrays."""
+        shape = len(self.states), len(self.names)
+        if self.option_values.shape != shape or self.continuation_values.shape != shape:
+            raise PlanError(
+                f'values are {self.option_values.shape} and {self.continuation_values.shape}, '
+                f'not {shape}'
+            )
+        if (np.diff(self.states) <= 0).any():
+            raise PlanError('the states do not ascend')
+        for values in (self.option_values, self.continuation_values):
+            if np.isnan(values).any() or (values == np.inf).any():
+                raise PlanError('a value is no number, or infinite')
+        if not 0.0 <= self.interruption_margin < np.inf:
+            raise PlanError(
+                f'interruption_margin is {self.interruption_margin}, and must be 0 or greater'
+            )
+
+    def find(self, states: NDArray[np.int64]) -> tuple[Ints, Flags]:
+        """Return the row of each state (N,), 0 where it has none, and (N,) whether it has one."""
+        row = np.minimum(np.searchsorted(self.states, states), len(self.states) - 1)
+        found = self.states[row] == states
+        return np.where(found, row, 0), found
+
+
+def interruptions(
+    option_values: Floats, continuation_values: Floats, interruption_margin: float
+) -> Flags:
+    """
+    Return (N, O): whether each option is stopped if it runs, since choosing anew is worth more.
+
+    :param option_values: (N, O); -inf: the option cannot be chosen.
+    :param continuation_values: (N, O); an option of value -inf is not stopped.
+    """
+    best = option_values.max(axis=1, keepdims=True)
+    worse = continuation_values < best - interruption_margin
+    stopped: Flags = np.isfinite(continuation_values) & worse
+    return stopped
+
+
+def winners(
+    execution: Execution, option_values: Floats, continuation_values: Floats, action: Ints
+) -> Ints:
+    """
+    Return (N,): the index of the option whose action modules take, the lowest of equals.
+
+    By mass, it is the strongest of those whose action has the greatest mass; equal masses are
+    decided by the strongest module.
+
+    :param execution: one of ``MODULAR``.
+    :param option_values: (N, O); modules of value -inf have no strength.
+    :param continuation_values: (N, O).
+    :param action: (N, O) the action that each module wants.
+    """
+    if execution is Execution.MODULAR_STRONGEST:
+        strongest: Ints = continuation_values.argmax(axis=1)
+        return strongest
+    finite = np.isfinite(option_values)
+    weakest = np.where(finite, option_values, np.inf).min(axis=1, keepdims=True)
+    strength = np.subtract(option_values, weakest, out=np.zeros(option_values.shape), where=finite)
+    wants = action[:, :, None] == np.arange(action.max(initial=0) + 1)  # (N, O, A)
+    mass = (strength[:, :, None] * wants).sum(axis=1)
+    wins = np.take_along_axis(mass, action, axis=1) >= mass.max(axis=1, keepdims=True)
+    option: Ints = np.where(wins, option_values, -np.inf).argmax(axis=1)
+    return option
 
 
 def option_values(plan: ExactPlan) -> OptionValues:
@@ -68,22 +161,14 @@ def as_executed(plan: ExactPlan, execution: Execution) -> ExactPlan:
             for o, option in enumerate(plan.options)
         ]
         return replace(plan, options=tuple(ending))
-    found = winners(execution, *values, action_table(plan))
+    action = option_table(plan.domain, plan.action_set, plan.options).action
+    found = winners(execution, *values, action[: len(plan.names)].T)
     winner = np.where(plan.domain.over(), -1, found).astype(np.int32)
     modules = [
         replace(option, max_steps=1, initiation=winner == o)
         for o, option in enumerate(plan.options)
     ]
     return replace(plan, options=tuple(modules), solution=replace(plan.solution, best=winner))
-
-
-def action_table(plan: ExactPlan) -> Ints:
-    """Return (S, O): the action of each option of a plan in every state."""
-    n_options, n_states = len(plan.options), plan.domain.n_states
-    action = np.tile(np.arange(len(plan.names)) - n_options, (n_states, 1))
-    for o, option in enumerate(plan.options):
-        action[:, o] = option.action
-    return action
 
 
 def policy_values(plan: ExactPlan) -> Floats:

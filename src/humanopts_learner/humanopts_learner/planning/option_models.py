@@ -22,8 +22,8 @@ from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
-from humanopts_learner.planning.multi_time_models import Rows
 from humanopts_learner.planning.request import PlanError
+from humanopts_learner.planning.smdp import Rows
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array

@@ -1,8 +1,8 @@
 """
 Planning in any domain: exact where its states can all be listed, from samples elsewhere.
 
-``make_plan``, ``judge_plan`` and ``option_values`` take domains and plans of both kinds. The same
-request, options and seed always give the same numbers, seconds apart.
+``make_plan`` and ``judge_plan`` take domains and plans of both kinds. The same request, options
+and seed always give the same numbers, seconds apart.
 """
 
 from collections.abc import Mapping, Sequence

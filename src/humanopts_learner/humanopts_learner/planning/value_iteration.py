@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from humanopts_env.arrays import Floats
-from humanopts_learner.planning.multi_time_models import Model
 from humanopts_learner.planning.request import check_limits
+from humanopts_learner.planning.smdp import Model
 import numpy as np
 from numpy.typing import NDArray
 

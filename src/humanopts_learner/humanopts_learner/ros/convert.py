@@ -14,7 +14,7 @@ from humanopts_learner.execution import RunResult
 from humanopts_learner.options.criteria import Judgement
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_learner.planning.arbitration import OptionValues
+from humanopts_learner.planning.interruption import OptionValues
 from humanopts_learner.planning.plan import AnyPlan, Performance
 from humanopts_learner.planning.request import PlanError, PlanRequest
 import numpy as np

@@ -15,8 +15,8 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_interfaces.srv import RunOption
 from humanopts_learner.execution import (
+    Arbiter,
     execution_named,
-    Modules,
     refusal,
     Run,
     RunError,
@@ -25,10 +25,9 @@ from humanopts_learner.execution import (
 )
 from humanopts_learner.library import OptionLibrary, UnknownOptionError
 from humanopts_learner.options.option import Mode
-from humanopts_learner.planning.arbiter import Arbiter
 from humanopts_learner.planning.request import Execution, MODULAR, PlanError
-from humanopts_learner.ros.arbitration import Arbitration
 from humanopts_learner.ros.convert import end_to_message
+from humanopts_learner.ros.policy_subscriber import PolicySubscriber
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, STREAM
 from rclpy.task import Future
@@ -97,7 +96,7 @@ class Runner:
         :param patience: s to wait for game, and for the values of a plan.
         """
         self._node, self._mode, self._seed, self._patience = node, mode, seed, patience
-        self._plans = Arbitration(node)
+        self._policy = PolicySubscriber(node)
         self.library: OptionLibrary | None = None
         self.state: GameState | None = None
         self._taken_by = ''  # the option or execution of the request; empty: the runner is free
@@ -152,10 +151,10 @@ class Runner:
         """Wait for the option values and the start state, and run from there."""
         plan_id = request.goal.plan_id
         if execution is not Execution.RUN_TO_END:
-            await self._wait(request, lambda: self._plans.has(plan_id))
-            if not self._plans.has(plan_id):
+            await self._wait(request, lambda: self._policy.has(plan_id))
+            if not self._policy.has(plan_id):
                 raise PlanError(
-                    f'the option values of plan {plan_id} did not come; {self._plans.newest()}'
+                    f'the option values of plan {plan_id} did not come; {self._policy.newest()}'
                 )
         state = await self._first_state(request)
         if state is None:
@@ -235,9 +234,9 @@ class Runner:
         rest = domain, domain.gamma, goal.max_steps, self._mode, rng
         arbiter = None
         if execution is not Execution.RUN_TO_END:
-            arbiter = self._plans.arbiter(execution, library)
+            arbiter = self._policy.arbiter(execution, library)
         if arbiter is not None and execution in MODULAR:
-            return Run(Modules(arbiter, self._plans.options(library)), *rest), None
+            return Run(arbiter, *rest), None
         return Run(library.resolve(goal.option_name, goal.participant), *rest), arbiter
 
     def _announce(self, active: _Active) -> None:
@@ -307,7 +306,7 @@ class Runner:
         if self._canceled(request):
             return run.end(RunStatus.CANCELED)
         plan_id = request.goal.plan_id
-        wanted = self._plans.wanted(before, request.execution_sequence, plan_id)
+        wanted = self._policy.wanted(before, request.execution_sequence, plan_id)
         if wanted is not before:
             if wanted in MODULAR or before in MODULAR:
                 return run.end(RunStatus.EXECUTION_CHANGED, f'from {before} to {wanted}')
@@ -321,12 +320,12 @@ class Runner:
         """Change the execution of an option, unless the values for it are not received yet."""
         if wanted is Execution.RUN_TO_END:
             active.execution, active.arbiter = wanted, None
-        elif self._plans.has(active.request.goal.plan_id):
-            active.arbiter = self._plans.arbiter(wanted, active.library)
+        elif self._policy.has(active.request.goal.plan_id):
+            active.arbiter = self._policy.arbiter(wanted, active.library)
             active.execution = wanted
 
     def _canceled(self, request: RunRequest) -> bool:
-        return request.canceled() or self._plans.canceled(request.execution_sequence)
+        return request.canceled() or self._policy.canceled(request.execution_sequence)
 
     def _on_refusal(self, message: ActionRefusal) -> None:
         """End the run because the game refused its command."""

@@ -28,6 +28,7 @@ from humanopts_teach.lesson.requests import (
     EndDemonstration,
     OptionStatus,
 )
+from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.simulated_teacher import (
     Act,
     Finish,
@@ -36,7 +37,6 @@ from humanopts_teach.lesson.simulated_teacher import (
     TeacherSettings,
     Wait,
 )
-from humanopts_teach.lesson.start_states import LessonRules, StartStates
 from humanopts_teach.lesson.store import DemonstrationStore
 
 # What a person is taken to need for one act, s: a simulated one needs no time of its own.
@@ -108,7 +108,7 @@ class _InProcess:
         self._domain, self._seed, self._enough = domain, rules.seed, enough
         self._seconds = 0.0
         self._teacher = SimulatedTeacher(domain, teacher)
-        starts = StartStates(domain, rules)
+        starts = SeededStarts(domain, rules)
         self._lesson = Lesson(domain, store, starts, clock=lambda: self._seconds, today=lambda: '')
         self._game = Game(domain)
         self._transition: Transition | None = None

@@ -37,7 +37,7 @@ from humanopts_teach.lesson.requests import (
     Verdict,
     WithdrawDemonstration,
 )
-from humanopts_teach.lesson.start_states import StartStates
+from humanopts_teach.lesson.seeded_starts import SeededStarts
 from humanopts_teach.lesson.store import (
     CODE,
     CODE_RULE,
@@ -83,7 +83,7 @@ class Lesson:
         self,
         domain: Domain[Any],
         store: DemonstrationStore,
-        starts: StartStates,
+        starts: SeededStarts,
         *,
         clock: Callable[[], float],
         today: Callable[[], str],

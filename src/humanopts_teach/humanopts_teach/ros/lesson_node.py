@@ -34,7 +34,7 @@ from humanopts_teach.lesson.requests import (
     RequestStatus,
     Verdict,
 )
-from humanopts_teach.lesson.start_states import LessonRules, StartStates
+from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.store import DemonstrationStore, StoreError
 from humanopts_teach.ros.convert import (
     decode,
@@ -165,7 +165,7 @@ class LessonNode(NodeBase):
         self._opened = Lesson(
             domain,
             self._store,
-            StartStates(domain, self._rules),
+            SeededStarts(domain, self._rules),
             clock=self.monotonic,
             today=lambda: datetime.now(UTC).strftime('%Y%m%d'),
         )

@@ -10,10 +10,9 @@ from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.arbitration import OptionValues
 from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.exact import Decision, SweepProgress
-from humanopts_learner.planning.multi_time_models import look_ahead, SparseMultiTimeModel
+from humanopts_learner.planning.interruption import OptionValues
 from humanopts_learner.planning.request import (
     Clock,
     Execution,
@@ -32,6 +31,7 @@ from humanopts_learner.planning.sampled.policies import (
     UniformPolicy,
 )
 from humanopts_learner.planning.sampled.sampled_models import SampleCounts, shrunk
+from humanopts_learner.planning.smdp import look_ahead, SparseMultiTimeModel
 from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 import numpy as np
 

@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import Protocol
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_learner.planning.arbitration import interruptions, OptionValues, winners
+from humanopts_learner.planning.interruption import interruptions, OptionValues, winners
 from humanopts_learner.planning.request import Execution, MODULAR
 from humanopts_learner.planning.sampled.action_set import ActionSet, Observation
 import numpy as np

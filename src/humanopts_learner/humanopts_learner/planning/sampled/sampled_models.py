@@ -10,7 +10,7 @@ that differ in such context only, as an empirical Bayes estimate would be (Efron
 from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_learner.planning.multi_time_models import Rows, SparseMultiTimeModel
+from humanopts_learner.planning.smdp import Rows, SparseMultiTimeModel
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array

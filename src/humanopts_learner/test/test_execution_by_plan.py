@@ -1,4 +1,4 @@
-"""Arbitration in one game at a time, from a table that went through a message, as vectorised."""
+"""Runs that a plan decides, by values that went through a message: as the vectorised play."""
 
 from dataclasses import replace
 from functools import cache
@@ -11,10 +11,9 @@ from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options as taxi_options
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import Run
+from humanopts_learner.execution import Arbiter, Run
 from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.option import LearnedOption, Mode, options_from_references
-from humanopts_learner.planning.arbiter import Arbiter
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.interruption import as_executed, option_values
@@ -69,10 +68,18 @@ def options_of(domain: Any) -> list[LearnedOption]:
 TAXI, BATCH_TAXI, ROOMS = Taxi(), BatchTaxi(), Rooms('G2')
 
 
+def library_of(domain: Any) -> OptionLibrary:
+    """Return the options of Taxi or the rooms, and their actions."""
+    library = OptionLibrary(domain)
+    library.replace(options_of(domain))
+    return library
+
+
 def arbiter_of(plan: ExactPlan | SampledPlan, execution: Execution) -> Arbiter:
     """Return the arbiter that is made of what a message carries."""
     values = option_values(plan) if isinstance(plan, ExactPlan) else plan.option_values()
-    options = options_of(plan.domain)[::-1]
+    library = library_of(plan.domain)
+    options = {name: library.resolve(name) for name in (*plan.names, *library.primitive_names)}
     sent = option_values_from_message(option_values_to_message(values, '', ''))
     return Arbiter(sent, execution, plan.domain, options)
 
@@ -83,8 +90,7 @@ class LiveGame:
     def __init__(self, plan: ExactPlan | SampledPlan, execution: Execution, start: Any) -> None:
         """Play to the end, or for LIMIT steps."""
         self._plan, self._domain, self.state = plan, plan.domain, start
-        self._library, self._rng = OptionLibrary(plan.domain), generator(0, 'live')
-        self._library.replace(options_of(plan.domain))
+        self._library, self._rng = library_of(plan.domain), generator(0, 'live')
         self._arbiter, self._execution = arbiter_of(plan, execution), execution
         self.actors: list[str] = []
         self.rewards: list[float] = []
@@ -96,10 +102,8 @@ class LiveGame:
                 self._run()
 
     def _module(self) -> None:
-        acting = self._arbiter.before_step(self.state, '')
-        assert acting is not None
-        option, row = self._library.resolve(acting), self._domain.feature_values(self.state)
-        self._step(acting, option.choose_action(row, Mode.GREEDY, self._rng))
+        option, row = self._arbiter.module(self.state), self._domain.feature_values(self.state)
+        self._step(option.name, option.choose_action(row, Mode.GREEDY, self._rng))
         self.decisions += 1
 
     def _run(self) -> None:
@@ -110,8 +114,7 @@ class LiveGame:
         self.decisions += 1
         while len(self.actors) < LIMIT:
             ended = self._step(name, run.next_action(), run)
-            to_end = self._execution is Execution.RUN_TO_END
-            if ended or (not to_end and self._arbiter.before_step(self.state, name) is None):
+            if ended or self._arbiter.stops(self.state, name):
                 return
 
     def _step(self, name: str, action: int, run: Run | None = None) -> bool:
@@ -184,21 +187,33 @@ def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(execution: E
         state = ROOMS.state_at(index)
         if execution in MODULAR:
             winner = plan.names[acting.solution.best[index]]
-            assert arbiter.before_step(state, '') == winner
+            assert arbiter.module(state).name == winner
             continue
         for before, after in zip(plan.options, acting.options):
             if not before.termination[index]:
-                stopped = arbiter.before_step(state, before.name) is None
-                assert stopped == bool(after.termination[index])
+                assert arbiter.stops(state, before.name) == bool(after.termination[index])
 
 
-def test_values_that_fit_neither_options_nor_domain_are_refused() -> None:
+@pytest.mark.parametrize('plan', [exact_plan, sampled_plan])
+def test_only_interruption_stops_options_and_only_modules_act_as_such(plan: Any) -> None:
+    state = TAXI.state_at(int(TAXI.start_states()[0]))
+    to_end, stopping = (arbiter_of(plan(), e) for e in list(Execution)[:2])
+    for arbiter in (to_end, stopping):
+        with pytest.raises(PlanError, match=f'{arbiter.execution} runs no modules'):
+            arbiter.module(state)
+    states = [TAXI.state_at(int(index)) for index in TAXI.start_states()]
+    assert any(stopping.stops(s, name) for s in states for name in TAXI_OPTIONS)
+    for execution in (Execution.RUN_TO_END, *MODULAR):
+        arbiter = arbiter_of(plan(), execution)
+        assert not any(arbiter.stops(s, name) for s in states for name in TAXI_OPTIONS)
+
+
+def test_values_that_do_not_fit_the_domain_are_refused() -> None:
     """With what is missing."""
+    options = {option.name: option for option in options_of(TAXI)}
     values = option_values(exact_plan())
-    with pytest.raises(PlanError, match='pickup/dropoff'):
-        Arbiter(values, Execution.INTERRUPTED, TAXI, options_of(TAXI)[:2])
     with pytest.raises(PlanError, match='every state of taxi'):
-        Arbiter(values, Execution.INTERRUPTED, Taxi(6, 6), options_of(TAXI))
+        Arbiter(values, Execution.INTERRUPTED, Taxi(6, 6), options)
     values = replace(sampled_plan().option_values(), action_set='human+primitive')
     with pytest.raises(PlanError, match='the actions of taxi'):
-        Arbiter(values, Execution.INTERRUPTED, BATCH_TAXI, options_of(BATCH_TAXI))
+        Arbiter(values, Execution.INTERRUPTED, BATCH_TAXI, options)

@@ -1,18 +1,17 @@
-"""The option values and executions that option_server needs to arbitrate, from planner."""
+"""What ``option_server`` receives of the policy that ``planner`` runs: values and execution."""
 
 from operator import is_
 
 from humanopts_interfaces.msg import ExecutionState, OptionValues
+from humanopts_learner.execution import Arbiter
 from humanopts_learner.library import OptionLibrary, RunnableOption
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.arbiter import Arbiter
 from humanopts_learner.planning.request import Execution
 from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT
 
 
-class Arbitration:
+class PolicySubscriber:
     """Keeps the newest option values and execution, and makes arbiters of them."""
 
     def __init__(self, node: NodeBase) -> None:
@@ -20,7 +19,7 @@ class Arbitration:
         self._message: OptionValues | None = None
         self._state: ExecutionState | None = None
         self._arbiters: dict[Execution, Arbiter] = {}  # of the newest values, for these options
-        self._made_for: tuple[OptionLibrary | None, list[LearnedOption]] = (None, [])
+        self._options: dict[str, RunnableOption] = {}
         node.create_subscription(OptionValues, 'option_values', self._on_values, CURRENT)
         node.create_subscription(ExecutionState, 'execution', self._on_execution, CURRENT)
 
@@ -42,25 +41,15 @@ class Arbitration:
         :raises ValueError: the values do not fit the options or their domain.
         """
         assert self._message is not None
-        found = self.options(library).values()
-        options = [option for option in found if isinstance(option, LearnedOption)]
-        known, before = self._made_for
-        if known is not library or not all(map(is_, options, before)):
-            self._made_for, self._arbiters = (library, options), {}
+        who, names = self._message.participant, [*self._message.names, *library.primitive_names]
+        options = {name: library.resolve(name, who) for name in names}
+        if not all(map(is_, options.values(), self._options.values())):
+            self._arbiters = {}  # options were taught anew
+        self._options = options
         if execution not in self._arbiters:
             values = option_values_from_message(self._message)
             self._arbiters[execution] = Arbiter(values, execution, library.domain, options)
         return self._arbiters[execution]
-
-    def options(self, library: OptionLibrary) -> dict[str, RunnableOption]:
-        """
-        Return all options of the plan of the newest values by name, with primitive actions.
-
-        :raises UnknownOptionError: an option of the plan is not in the library.
-        """
-        assert self._message is not None
-        who, names = self._message.participant, [*self._message.names, *library.primitive_names]
-        return {name: library.resolve(name, who) for name in names}
 
     def wanted(self, execution: Execution, sequence: int, plan_id: str) -> Execution:
         """

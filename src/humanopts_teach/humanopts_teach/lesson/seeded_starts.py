@@ -26,7 +26,7 @@ class LessonRules:
     until_no_failures: bool = True  # strategy failures: ask on while the learned option fails
 
 
-class StartStates:
+class SeededStarts:
     """
     The start states of one lesson.
 
