@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 from typing import Annotated
 
-from humanopts_teach.commands.ending import CommandError
+from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import PLAIN
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn

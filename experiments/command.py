@@ -9,8 +9,8 @@ import sys
 import time
 from typing import Annotated, Literal
 
-from humanopts_teach.bags.errors import BagError
-from humanopts_teach.commands.ending import CommandError
+from humanopts_teach.bags import BagError
+from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import PLAIN, SeveralValues, whole
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.report.pages import counted, duration

@@ -10,12 +10,14 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from humanopts_env.arrays import Ints
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.automatic.extract import find_options, search_space
-from humanopts_teach.report.automatic_figure import draw_visits, visit_map, VisitMap
+from humanopts_teach.report.boards import Board, board_of, draw_heat
 from humanopts_teach.report.figures import Drawing
+from matplotlib.colors import Normalize
 import numpy as np
 import pandas as pd
 
@@ -29,6 +31,7 @@ TITLE = 'Figure 3: automatic options'
 DOMAINS = {'taxi': 'Taxi', 'pacman': 'Pac-Man'}
 CENTRE = 'go to cell 2,2'  # of the 5 x 5 grid
 MIDDLE = 12  # index of that cell
+LARGEST_SIDE = 5.0  # of a picture's board, inches
 PAPERS = (*(f'{event} at {name}' for event in ('pickup', 'dropoff') for name in 'RGYB'), CENTRE)
 
 
@@ -203,13 +206,41 @@ def _human_initiation() -> float:
 
 def _picture(name: str, first: Mapping[str, Any]) -> Picture:
     domain = make_domain(name)
-    targets = [option['cell'] for option in first['options']]
-    seen = visit_map(domain, search_space(domain), np.array(first['visits']), targets)
+    space, targets = search_space(domain), [option['cell'] for option in first['options']]
+    assert space.board is not None, f'{name} has a board'
+    board = board_of(space.transitions, space.board)
+    cells = np.where(board.states >= 0, space.cell[board.states], -1)
+    rows, cols = cells.shape
+    side = LARGEST_SIDE / max(rows, cols)
     options = '; '.join(f'{n}: {o["name"]}' for n, o in enumerate(first['options'], start=1))
     label = f'Visits of greedy runs in {DOMAINS[name]}, with the targets of automatic options'
     caption = f'{DOMAINS[name]}. {options}'
-    return Picture(f'fig3-{name}', label, seen.size, partial(_draw, seen), caption)
+    draw = partial(_draw_visits, board, cells, first['visits'], targets)
+    size = side * cols + 1.2, side * rows + 0.8
+    return Picture(f'fig3-{name}', label, size, draw, caption)
 
 
-def _draw(seen: VisitMap, work: Drawing) -> None:
-    draw_visits(work, seen)
+def _draw_visits(
+    board: Board, cells: Ints, visits: Sequence[int], targets: Sequence[int], work: Drawing
+) -> None:
+    """
+    Draw the visits of each cell, and number the options at their targets.
+
+    :param cells: (rows, cols) the cell in each place of the board; -1: none.
+    :param visits: (K,) by cell.
+    :param targets: cell of each option.
+    """
+    rows, cols = cells.shape
+    visited = np.where(cells >= 0, np.asarray(visits)[cells], np.nan)
+    draw_heat(work, board, visited, Normalize(0.0, float(np.nanmax(visited))), 'visits')
+    box = {'boxstyle': 'round,pad=0.25', 'fc': '#ffffff', 'ec': '#101418', 'lw': 1.0}
+    size = min(max(7.5, 60.0 / max(rows, cols)), 11.0)
+    style: dict[str, Any] = {'ha': 'center', 'va': 'center', 'color': '#101418', 'weight': 'bold'}
+    labels: dict[int, list[str]] = {}
+    for number, target in enumerate(targets, start=1):
+        labels.setdefault(target, []).append(str(number))
+    for target, numbers in labels.items():
+        for row, col in np.argwhere(cells == target):
+            work.axes.text(col, row, ', '.join(numbers), size=size, bbox=box, **style)
+    work.axes.set_title('Visits of greedy runs, and automatic options')
+    work.axes.tick_params(length=0)

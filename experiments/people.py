@@ -30,8 +30,8 @@ from humanopts_learner.demonstrations import (
     Kind,
 )
 from humanopts_learner.options.learn import learn_option
+from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
-from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.bag_evaluation import FACTS
 from humanopts_teach.evaluation.measures import settings_from_facts

@@ -1,4 +1,4 @@
-"""The base class of all nodes: parameters, recorded endpoints, readiness, a clean end."""
+"""The base class of all nodes: parameters, recorded endpoints, readiness, waits, a clean end."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,7 +10,6 @@ from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.publisher import M, PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, STREAM
 from humanopts_ros.recording import Selection
-from humanopts_ros.waiting import Waiting
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
@@ -22,6 +21,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
+from rclpy.task import Future
 
 RECORDER = 'recorder'
 _RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
@@ -29,11 +29,56 @@ _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _PRESENCE_PERIOD = 1.0  # s between checks that the server of a request still exists
 _PROVISION = 5.0  # s that a request waits until the node is ready for it
-_CHECK_PERIOD = 0.02  # s between checks while a node starts or ends
+_CHECK_PERIOD = 0.02  # s between checks while a node starts or ends, or a coroutine waits
 
 
 class StartError(RuntimeError):
     """A node cannot start with these parameters; the text says which and why."""
+
+
+class Waiting:
+    """
+    Conditions that coroutines of one node wait for.
+
+    The coroutines must be in a reentrant callback group. Conditions are checked regularly while
+    there are any; ``look`` checks them at once.
+    """
+
+    def __init__(self, node: Node, monotonic: Callable[[], float]) -> None:
+        """
+        Begin with no condition.
+
+        :param monotonic: the clock of the deadlines, s.
+        """
+        self._node, self._monotonic = node, monotonic
+        self._open: list[tuple[Future, Callable[[], bool], float]] = []
+        self._timer = node.create_timer(
+            _CHECK_PERIOD, self.look, callback_group=ReentrantCallbackGroup(), autostart=False
+        )
+
+    def look(self) -> None:
+        """Wake the coroutines whose condition holds or whose time is over."""
+        now = self._monotonic()
+        still = []
+        for entry in self._open:
+            future, condition, deadline = entry
+            if condition() or now > deadline:
+                future.set_result(None)
+            else:
+                still.append(entry)
+        self._open = still
+        if not still:
+            self._timer.cancel()
+
+    async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Wait until a condition holds; False: it did not in time."""
+        if not condition():
+            future = Future(executor=self._node.executor)
+            self._open.append((future, condition, self._monotonic() + seconds))
+            if self._timer.is_canceled():
+                self._timer.reset()
+            await future
+        return condition()
 
 
 class NodeBase(Node):

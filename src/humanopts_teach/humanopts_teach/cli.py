@@ -13,9 +13,9 @@ import os
 import sys
 from typing import Annotated, Any
 
-from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags import BagError
+from humanopts_teach.commands import CommandError, interruptible
 from humanopts_teach.commands.bag import app as bag_app
-from humanopts_teach.commands.ending import CommandError, interruptible
 from humanopts_teach.commands.options import (
     CommandGroup,
     LaunchOptions,

@@ -8,8 +8,8 @@ import resource
 import struct
 
 from humanopts_interfaces.msg import GameState
+from humanopts_teach.bags import BagError, BagWriteError
 from humanopts_teach.bags.check import check_bag, RECORDER, REPAIR, repair
-from humanopts_teach.bags.errors import BagError, BagWriteError
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
 from humanopts_teach.cli import main

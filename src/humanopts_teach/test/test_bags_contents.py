@@ -10,6 +10,7 @@ from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_interfaces.msg import ActionCommand, GameState, OptionResult
 from humanopts_learner.demonstrations import check_demonstration, Demonstration, DemonstrationError
 from humanopts_learner.ros.convert import demonstration_to_message
+from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import (
     Actors,
     find_episodes,
@@ -18,7 +19,6 @@ from humanopts_teach.bags.contents import (
     read_domain,
     read_episodes,
 )
-from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import MOST_NOTES
 from humanopts_teach.bags.sequence_numbers import MOST_GAPS, read_stamp, Stamp, Stream

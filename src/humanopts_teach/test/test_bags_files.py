@@ -15,9 +15,8 @@ import sys
 from typing import Any
 
 from humanopts_interfaces.msg import ActionCommand, GameState
-from humanopts_teach.bags import mcap_file
+from humanopts_teach.bags import BagError, BagWriteError, mcap_file
 from humanopts_teach.bags.check import check_bag
-from humanopts_teach.bags.errors import BagError, BagWriteError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.bags.writer import BagWriter, Limits

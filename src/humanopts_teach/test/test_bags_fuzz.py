@@ -12,9 +12,9 @@ from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import GameState
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.ros.convert import demonstration_to_message
+from humanopts_teach.bags import BagError
 from humanopts_teach.bags.check import check_bag, repair
 from humanopts_teach.bags.contents import read_demonstrations, read_domain, read_episodes
-from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS

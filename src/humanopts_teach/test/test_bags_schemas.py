@@ -3,7 +3,7 @@
 from pathlib import Path
 import re
 
-from humanopts_teach.bags.errors import SchemaError
+from humanopts_teach.bags import SchemaError
 from humanopts_teach.bags.schemas import constants, field_lines, find_schema, SEPARATOR
 import pytest
 

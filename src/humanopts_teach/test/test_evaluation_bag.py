@@ -15,7 +15,7 @@ from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.ros.convert import demonstration_to_message, status_to_message
-from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags import BagError
 from humanopts_teach.bags.provenance import UNKNOWN
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main

@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.provenance import attachments, lock_hash, software, UNKNOWN
-from humanopts_teach.commands.ending import CommandError
+from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions, size
 from humanopts_teach.commands.session import check_folder, setup_from
 from humanopts_teach.launching.processes import common_parameters, processes, Recording, Setup

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags import BagError
 from humanopts_teach.bags.reader import Bag, Recorded
 from humanopts_teach.bags.rosbag2 import Extent, FILE, profiles
 from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp, Stamp, Stream

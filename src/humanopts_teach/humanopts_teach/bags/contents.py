@@ -10,7 +10,7 @@ from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
 from humanopts_env.game import Source, Transition, transition_from_message
 from humanopts_learner.demonstrations import Demonstration, demonstration_from_message
-from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags import BagError
 from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
 from humanopts_teach.bags.sequence_numbers import read_stamp, tells_place
 

@@ -15,7 +15,7 @@ import re
 import struct
 import zlib
 
-from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags import BagError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags import BagError
 from humanopts_teach.bags.mcap_file import (
     DAMAGE,
     data_fits,

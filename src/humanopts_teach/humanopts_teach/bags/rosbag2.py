@@ -7,7 +7,7 @@ from pathlib import Path
 from textwrap import indent
 from typing import Any
 
-from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags import BagError
 import yaml
 
 FILE = 'metadata.yaml'

@@ -12,7 +12,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from humanopts_teach.bags.errors import BagError, SchemaError
+from humanopts_teach.bags import BagError, SchemaError
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 

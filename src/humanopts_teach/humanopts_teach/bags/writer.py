@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, cast, IO
 
 from humanopts_learner.append_only_log import append_whole
-from humanopts_teach.bags.errors import BagWriteError
+from humanopts_teach.bags import BagWriteError
 from humanopts_teach.bags.rosbag2 import (
     bag_information,
     document,

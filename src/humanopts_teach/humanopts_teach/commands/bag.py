@@ -15,7 +15,7 @@ import sys
 import time
 from typing import Annotated, Any, Literal, Protocol, TYPE_CHECKING
 
-from humanopts_teach.commands.ending import CommandError
+from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import CommandGroup, number, PLAIN, several_games, whole
 import typer
 
@@ -88,9 +88,9 @@ def check(
     json: Json = False,
 ) -> int:
     """Show what of a bag is damaged or missing; status 1: something is."""
+    from humanopts_teach.bags import BagWriteError
     from humanopts_teach.bags.check import check_bag
     from humanopts_teach.bags.check import repair as write_repaired
-    from humanopts_teach.bags.errors import BagWriteError
     from humanopts_teach.bags.reader import open_bag
 
     if repair is not None and repair.exists():
@@ -250,18 +250,27 @@ def export(
     """Write tables or a dataset for other tools."""
     from humanopts_env.domains.base import StateError
     from humanopts_teach.bags.reader import open_bag
-    from humanopts_teach.export.files import export_bag
-    from humanopts_teach.export.tables import ExportError
+    from humanopts_teach.export import minari_dataset, tables
 
     try:
         with progress_bar() as show:
             opened = open_bag(bag, show)
-            written = export_bag(opened, to, out)
-    except (ExportError, StateError) as error:
+            if to == 'minari':
+                found = minari_dataset.write_dataset(opened, out)
+                written = [
+                    f'{found.episodes} episodes; with {minari_dataset.FOLDER}={out} in the '
+                    f'environment:\nminari.load_dataset({found.dataset_id!r})'
+                ]
+            elif to == 'files':
+                written = list(map(str, tables.write_attached(opened, out)))
+            else:
+                write = {'csv': tables.write_csv, 'parquet': tables.write_parquet}[to]
+                written = list(map(str, write(tables.bag_tables(opened), out)))
+    except (tables.ExportError, StateError) as error:
         raise CommandError(str(error)) from error
     except OSError as error:
         raise CommandError(f'cannot write in {out}: {error.strerror or error}') from error
-    print(written)
+    print('\n'.join(written))
     _warn('export', None, opened.damage.splitlines())
     return 0
 

@@ -10,9 +10,9 @@ from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.request import batch_games, HUMAN, PlanError, PRIMITIVE
-from humanopts_teach.bags.errors import BagError
+from humanopts_teach.bags import BagError
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.commands.ending import CommandError
+from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.progress import DemoProgress
 from humanopts_teach.commands.session import (

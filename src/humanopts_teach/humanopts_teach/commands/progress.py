@@ -6,7 +6,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.ros.convert import domain_from_info
 from humanopts_teach.ros.graph_client import GraphClient
-from humanopts_teach.terminal.board import board_text
+from humanopts_teach.terminal.drawing import board_text
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table

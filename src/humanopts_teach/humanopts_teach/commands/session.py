@@ -18,7 +18,7 @@ from humanopts_env.domains.capabilities import THRESHOLDS
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_ros.recording import Selection
-from humanopts_teach.commands.ending import CommandError, ENDING, interruptible
+from humanopts_teach.commands import CommandError, ENDING, interruptible
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher, only_launch

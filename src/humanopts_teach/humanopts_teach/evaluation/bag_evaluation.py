@@ -27,8 +27,8 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
+from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
-from humanopts_teach.bags.errors import BagError
 from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.comparison import part_of, ProgressCallback

@@ -1,5 +1,5 @@
 """
-What a bag holds as tables: steps of episodes, demonstrations, options and plans, as files.
+What a bag holds as files: tables of steps, demonstrations, options and plans, and attached files.
 
 Tables are written while the bag is read, so that a long one takes no memory.
 """
@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, fields
 from itertools import islice
 import json
 import math
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from humanopts_learner.demonstrations import Demonstration, each_once
@@ -196,3 +196,29 @@ def _write_batches(table: Table, path: Path, pyarrow: Any, parquet: Any) -> None
                 schema = batch.schema
                 writer = stack.enter_context(parquet.ParquetWriter(path, schema))
             writer.write_table(batch)
+
+
+def write_attached(bag: Bag, out: Path) -> list[Path]:
+    """
+    Write every attached file that is whole into a folder, under its name.
+
+    :raises ExportError: no file is attached, none is whole, or one has a name that leads out of
+        the folder or exists there.
+    :raises OSError: the folder cannot be written to.
+    """
+    if not bag.attachments:
+        raise ExportError(f'{bag.path} has no attached files')
+    paths = []
+    for file in bag.attached():
+        name = PurePosixPath(file.name)
+        if name.is_absolute() or '..' in name.parts or not name.parts:
+            raise ExportError(f'{bag.path} has an attached file of the name {file.name!r}')
+        path = out / name
+        if path.exists():
+            raise ExportError(f'{path} exists already; name another folder')
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(file.data)
+        paths.append(path)
+    if not paths:
+        raise ExportError(f'all files attached to {bag.path} are damaged')
+    return paths

@@ -18,7 +18,7 @@ from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
 from humanopts_ros.recording import MOST_BYTES, Selection
-from humanopts_teach.bags.errors import BagWriteError, SchemaError
+from humanopts_teach.bags import BagWriteError, SchemaError
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp
 from humanopts_teach.bags.writer import BagWriter, Limits
