@@ -445,4 +445,4 @@ def sampled(seed: int, episode: int) -> list[str]:
 
 def test_a_mode_that_there_is_not_is_refused(live: Graph) -> None:
     text = live.refused(OPTION_SERVER, mode='lazy')
-    assert text == "mode is 'lazy', and must be greedy or sampled"
+    assert text == "parameter mode: 'lazy' is none of greedy, sampled"

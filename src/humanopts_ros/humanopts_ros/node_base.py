@@ -1,16 +1,17 @@
 """The base class of all nodes: parameters, recorded endpoints, readiness, waits, a clean end."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
+from dataclasses import replace
 import time
-from typing import Any
+from typing import Any, TypeVar
 import uuid
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.publisher import M, PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, STREAM
 from humanopts_ros.recording import Selection
-from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
@@ -24,12 +25,19 @@ from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.task import Future
 
 RECORDER = 'recorder'
+SEEDS = (0, 2**62)
+PATIENCE = (0.1, 3600.0)  # s, of deadlines
 _RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
 _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _PRESENCE_PERIOD = 1.0  # s between checks that the server of a request still exists
 _PROVISION = 5.0  # s that a request waits until the node is ready for it
 _CHECK_PERIOD = 0.02  # s between checks while a node starts or ends, or a coroutine waits
+
+
+T = TypeVar('T')
+D = TypeVar('D', bound=Any)  # a dataclass
+Range = tuple[float, float]  # least and largest value
 
 
 class StartError(RuntimeError):
@@ -104,8 +112,8 @@ class NodeBase(Node):
         self.publisher_id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
         self._stamped: list[StampedPublisher[Any]] = []
         self._hidden: list[str] = []  # topics of services and actions
-        self._expect_recorder = bool(
-            self.setting('expect_recorder', False, 'wait until the recorder has every publisher')
+        self._expect_recorder = self.setting(
+            'expect_recorder', False, 'wait until the recorder has every publisher'
         )
         self.selection = Selection(
             self.get_namespace(),
@@ -129,18 +137,54 @@ class NodeBase(Node):
         """Destroy all endpoints that the node has on the graph."""
         super().destroy_node()  # type: ignore[no-untyped-call]
 
-    def setting(self, name: str, default: Any, description: str, **limits: Any) -> Any:
+    def setting(
+        self,
+        name: str,
+        default: T,
+        description: str,
+        between: Range | None = None,
+        among: Collection[str] = (),
+    ) -> T:
         """
         Declare a read-only parameter and return its value.
 
-        :param limits: further fields of its ParameterDescriptor.
-        :raises StartError: the value given at start has the wrong type or is out of range.
+        :param between: the least and the largest value of a number; None: any.
+        :param among: the texts that are allowed; empty: any.
+        :raises StartError: the value given at start has the wrong type or is not allowed.
         """
-        descriptor = ParameterDescriptor(description=description, read_only=True, **limits)
+        descriptor = ParameterDescriptor(description=description, read_only=True)
+        if between is not None:
+            low, high = between
+            if isinstance(default, int):
+                whole = IntegerRange(from_value=int(low), to_value=int(high), step=1)
+                descriptor.integer_range = [whole]
+            else:
+                real = FloatingPointRange(from_value=float(low), to_value=float(high))
+                descriptor.floating_point_range = [real]
         try:
-            return self.declare_parameter(name, default, descriptor).value
+            value: T = self.declare_parameter(name, default, descriptor).value
         except ParameterException as error:
             raise StartError(f'parameter {name}: {error}') from error
+        if among and value not in among:
+            raise StartError(f'parameter {name}: {value!r} is none of {", ".join(among)}')
+        return value
+
+    def settings(
+        self, usual: D, descriptions: Mapping[str, str], between: Mapping[str, Range]
+    ) -> D:
+        """
+        Declare a parameter for each of some fields of a dataclass, and return their values in one.
+
+        :param usual: the defaults.
+        :param descriptions: by field.
+        :param between: the least and the largest value of some fields; of the others, any.
+        :raises StartError: as ``setting``.
+        """
+        values = {
+            name: self.setting(name, getattr(usual, name), text, between.get(name))
+            for name, text in descriptions.items()
+        }
+        return replace(usual, **values)
 
     def stamped_publisher(
         self, kind: type[M], topic: str, qos: QoSProfile = STREAM

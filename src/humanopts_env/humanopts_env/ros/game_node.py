@@ -24,11 +24,10 @@ from humanopts_interfaces.msg import (
     NodeStatus,
 )
 from humanopts_interfaces.srv import ResetGame, SetControl
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, STREAM
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
 _RETRY_PERIOD = 0.5  # s between attempts to publish messages again
 _HOLDER_PERIOD = 1.0  # s between checks that the person's terminal is still on the graph
@@ -41,13 +40,12 @@ class GameNode(NodeBase):
     def __init__(self, **options: Any) -> None:
         super().__init__('game', **options)
         self._game = Game(self._read_domain())
-        natural = IntegerRange(from_value=0, to_value=2**62, step=1)
-        self._seed = self.setting('seed', 0, 'of the first episode', integer_range=[natural])
+        self._seed = self.setting('seed', 0, 'of the first episode', SEEDS)
         self._period = self.setting(
             'step_period',
             0.0,
             'least time between steps of the machine, s, for people who watch',
-            floating_point_range=[FloatingPointRange(from_value=0.0, to_value=60.0)],
+            (0.0, 60.0),
         )
         self._info = self.stamped_publisher(DomainInfo, 'domain_info', LATCHED)
         self._stream = self.stamped_publisher(GameState, 'game_state')

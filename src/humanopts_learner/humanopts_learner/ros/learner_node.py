@@ -22,10 +22,9 @@ from humanopts_learner.ros.convert import (
     not_learnable_status,
     status_to_message,
 )
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
 
 class LearnerNode(NodeBase):
@@ -36,9 +35,20 @@ class LearnerNode(NodeBase):
         self._directory = Path(
             self.setting('directory', 'options', 'folder of option files and of the data set')
         )
-        natural = IntegerRange(from_value=0, to_value=2**62, step=1)
-        self._seed = self.setting('seed', 0, 'of every random draw', integer_range=[natural])
-        self._thresholds = self._read_thresholds()
+        self._seed = self.setting('seed', 0, 'of every random draw', SEEDS)
+        self._thresholds = self.settings(
+            Thresholds(),
+            {
+                'return_delta': 'largest shortfall, reward units',
+                'initiation_error': 'largest balanced error of I',
+                'termination_error': 'largest balanced error of beta',
+            },
+            {
+                'return_delta': (0.0, 1e9),
+                'initiation_error': (0.0, 1.0),
+                'termination_error': (0.0, 1.0),
+            },
+        )
         self._trainer: OptionTrainer | None = None
         self._receipts = self.stamped_publisher(DemonstrationReceipt, 'demonstration_receipts')
         self._status_out = self.stamped_publisher(LearningStatus, 'learning_status', LATCHED)
@@ -54,20 +64,6 @@ class LearnerNode(NodeBase):
         """Publish the options of earlier sessions."""
         if self._trainer is not None:
             self._publish(self._trainer)
-
-    def _read_thresholds(self) -> Thresholds:
-        default, share = Thresholds(), FloatingPointRange(from_value=0.0, to_value=1.0)
-        any_delta = FloatingPointRange(from_value=0.0, to_value=1e9)
-
-        def read(name: str, text: str, limits: FloatingPointRange) -> float:
-            value = getattr(default, name)
-            return float(self.setting(name, value, text, floating_point_range=[limits]))
-
-        return Thresholds(
-            return_delta=read('return_delta', 'largest shortfall, reward units', any_delta),
-            initiation_error=read('initiation_error', 'largest balanced error of I', share),
-            termination_error=read('termination_error', 'largest balanced error of beta', share),
-        )
 
     def _on_domain(self, info: DomainInfo) -> None:
         if self._trainer is not None:

@@ -15,11 +15,10 @@ from humanopts_learner.options.files import load_options
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 from humanopts_learner.ros.convert import options_from_message
 from humanopts_learner.ros.runner import Runner, RunRequest
-from humanopts_ros.node_base import end_goal, NodeBase, StartError
+from humanopts_ros.node_base import end_goal, NodeBase, PATIENCE, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT
 import numpy as np
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 
@@ -42,17 +41,11 @@ class OptionServerNode(NodeBase):
         self._directory = self.setting(
             'options_directory', '', 'folder of option files to serve from the start; empty: none'
         )
-        natural = IntegerRange(from_value=0, to_value=2**62, step=1)
-        patience = FloatingPointRange(from_value=0.1, to_value=3600.0)
-        mode = self.setting('mode', Mode.GREEDY.value, 'greedy or sampled')
-        if mode not in {known.value for known in Mode}:
-            raise StartError(f'mode is {mode!r}, and must be greedy or sampled')
-        seed = self.setting('seed', 0, 'of what the sampled mode draws', integer_range=[natural])
+        modes = [mode.value for mode in Mode]
+        mode = self.setting('mode', Mode.GREEDY.value, 'greedy or sampled', among=modes)
+        seed = self.setting('seed', 0, 'of what the sampled mode draws', SEEDS)
         deadline = self.setting(
-            'no_progress_seconds',
-            5.0,
-            'a run ends when game is silent for so long, s',
-            floating_point_range=[patience],
+            'no_progress_seconds', 5.0, 'a run ends when game is silent for so long, s', PATIENCE
         )
         self._learned: list[LearnedOption] | None = None  # None: not published yet
         self._automatic: list[LearnedOption] = []

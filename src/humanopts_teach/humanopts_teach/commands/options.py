@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from humanopts_ros.recording import MOST_BYTES
+from humanopts_teach.lesson import BUDGET, STRATEGY
 import typer
 from typer.core import TyperCommand, TyperGroup
 
@@ -93,11 +94,11 @@ class LaunchOptions:
     strategy: Annotated[
         Literal['random', 'coverage', 'failures'],
         typer.Option(help='how start states are chosen'),
-    ] = 'failures'
+    ] = STRATEGY
     budget: Annotated[
         int,
         typer.Option(parser=whole(1), metavar='N', help='most start states shown for an option'),
-    ] = 150
+    ] = BUDGET
     return_delta: Annotated[
         float | None,
         typer.Option(

@@ -11,6 +11,7 @@ from humanopts_learner.options.accuracy import classification_accuracy, policy_a
 from humanopts_learner.options.criteria import INITIATION, TERMINATION, Thresholds
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.plan import AnyPlan, Performance
+from humanopts_teach.lesson import BUDGET, STRATEGY
 
 
 @dataclass(frozen=True)
@@ -18,10 +19,10 @@ class Settings:
     """What learning and judging depend on beside the demonstrations."""
 
     seed: int = 0
-    strategy: str = 'failures'  # of start states
+    strategy: str = STRATEGY  # of start states
     thresholds: Thresholds = field(default_factory=Thresholds)
     teacher_error_rate: float | None = None  # None: a person taught
-    budget: int = 150  # most start states shown for one option
+    budget: int = BUDGET  # most start states shown for one option
 
 
 def settings_from_facts(facts: Mapping[str, str]) -> tuple[Settings, list[str]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from humanopts_env.domains.base import Parameter
 from humanopts_learner.options.criteria import Thresholds
+from humanopts_teach.lesson import BUDGET, STRATEGY
 
 Value = Parameter | list[str]
 RECORDER = 'recorder'
@@ -56,8 +57,8 @@ class Setup:
     domain_parameters: Mapping[str, Parameter] = field(default_factory=dict)
     seed: int = 0
     thresholds: Thresholds = field(default_factory=Thresholds)
-    strategy: str = 'failures'
-    budget: int = 150
+    strategy: str = STRATEGY
+    budget: int = BUDGET
     participant: str = 'p1'
     teach: bool = True  # lesson and learner run
     taught: tuple[str, ...] = ()  # options that a simulated teacher teaches; empty: no teacher

@@ -10,6 +10,7 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_teach.launching.processes import Recording, Setup
+from humanopts_teach.lesson import BUDGET, STRATEGY
 
 
 class LaunchArgumentError(ValueError):
@@ -33,8 +34,8 @@ ARGUMENTS = (
     ),
     LaunchArgument('out', 'runs/launch', 'folder of demonstrations, options and bags'),
     LaunchArgument('seed', '1', 'of every random draw: a whole number from 0', int),
-    LaunchArgument('strategy', 'failures', 'of start states: random, coverage or failures'),
-    LaunchArgument('budget', '150', 'most start states shown for an option', int),
+    LaunchArgument('strategy', STRATEGY, 'of start states: random, coverage or failures'),
+    LaunchArgument('budget', str(BUDGET), 'most start states shown for an option', int),
     LaunchArgument('teach', 'true', 'whether lesson and learner run: true or false', bool),
     LaunchArgument(
         'record', 'true', 'whether everything goes into a new bag: true or false', bool

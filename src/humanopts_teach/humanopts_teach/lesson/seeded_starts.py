@@ -10,6 +10,7 @@ from humanopts_learner.options.failures import nothing_fails
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.start_states import choose_start_state
+from humanopts_teach.lesson import BUDGET, STRATEGY
 from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
 
@@ -20,8 +21,8 @@ FAILURES = 'failures'  # the strategy that looks at what was learned
 class LessonRules:
     """How start states are drawn, and when the lesson on an option ends."""
 
-    strategy: str = FAILURES  # one of the learner's ``STRATEGIES``
-    budget: int = 150  # the most that is asked for one option, "not here" answers included
+    strategy: str = STRATEGY  # one of the learner's ``STRATEGIES``
+    budget: int = BUDGET  # the most that is asked for one option, "not here" answers included
     seed: int = 0
     until_no_failures: bool = True  # strategy failures: ask on while the learned option fails
 

@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from humanopts_interfaces.msg import ControlState, ExecutionState, LearningStatus, OptionGoal
-from humanopts_ros.node_base import NodeBase
+from humanopts_ros.node_base import NodeBase, SEEDS
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, DISPLAY
@@ -31,7 +31,6 @@ from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.drawing import frame
 from humanopts_teach.terminal.menu import opening
-from rcl_interfaces.msg import IntegerRange
 from rclpy.executors import Executor
 from rclpy.task import Future
 
@@ -51,9 +50,7 @@ class KeyboardTeleopNode(NodeBase):
     def __init__(self) -> None:
         super().__init__('keyboard_teleop')
         participant = self.setting('participant', 'p1', 'code that is proposed to the person')
-        natural = IntegerRange(from_value=0, to_value=2**62, step=1)
-        what = 'of the start states of free play and of plans'
-        seed = self.setting('seed', 0, what, integer_range=[natural])
+        seed = self.setting('seed', 0, 'of the start states of free play and of plans', SEEDS)
         services = {**LESSON_SERVICES, **TERMINAL_SERVICES}
         self._client = LessonClient(self, services, on_news=self._on_news)
         self._world = self._client.world

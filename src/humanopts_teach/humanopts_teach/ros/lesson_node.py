@@ -17,7 +17,7 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.option import OptionError
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_learner.ros.convert import demonstration_to_message
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.node_base import NodeBase, PATIENCE, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
@@ -42,7 +42,6 @@ from humanopts_teach.ros.convert import (
     LESSON_SERVICES,
     option_status_from_message,
 )
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 _TICK = 0.1  # s between looks at deadlines
@@ -63,13 +62,11 @@ class LessonNode(NodeBase):
         """
         super().__init__('lesson', **options)
         self._rules = self._read_rules()
-        self._learner_deadline = float(
-            self.setting(
-                'learner_deadline',
-                30.0,
-                'longest wait for the learner after a demonstration, s',
-                floating_point_range=[FloatingPointRange(from_value=0.1, to_value=3600.0)],
-            )
+        self._learner_deadline = self.setting(
+            'learner_deadline',
+            30.0,
+            'longest wait for the learner after a demonstration, s',
+            PATIENCE,
         )
         self._participant = self.setting(
             'participant', '', 'code of the person whose session is opened at the start; or empty'
@@ -105,30 +102,18 @@ class LessonNode(NodeBase):
         )
 
     def _read_rules(self) -> LessonRules:
-        default = LessonRules()
-        numbers = IntegerRange(from_value=1, to_value=1_000_000, step=1)
-        seeds = IntegerRange(from_value=0, to_value=2**62, step=1)
-        what = f'of start states: {", ".join(STRATEGIES)}'
-        strategy = self.setting('strategy', default.strategy, what)
-        if strategy not in STRATEGIES:
-            raise StartError(
-                f'parameter strategy: {strategy!r} is none of {", ".join(STRATEGIES)}'
-            )
-        return LessonRules(
-            strategy,
-            self.setting(
-                'budget',
-                default.budget,
-                'demonstrations that are asked for at most for one option',
-                integer_range=[numbers],
-            ),
-            self.setting('seed', default.seed, 'of every random draw', integer_range=[seeds]),
-            self.setting(
-                'until_no_failures',
-                default.until_no_failures,
-                'with strategy failures: once the criteria hold, go on while the learned option '
-                'fails from a state (from more than a tenth, where states are sampled)',
-            ),
+        what, usual = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy
+        strategy = self.setting('strategy', usual, what, among=STRATEGIES)
+        return self.settings(
+            LessonRules(strategy),
+            {
+                'budget': 'demonstrations that are asked for at most for one option',
+                'seed': 'of every random draw',
+                'until_no_failures': 'with strategy failures: once the criteria hold, go on while '
+                'the learned option fails from a state (from more than a tenth, where states are '
+                'sampled)',
+            },
+            {'budget': (1, 1_000_000), 'seed': SEEDS},
         )
 
     @property

@@ -24,7 +24,6 @@ from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp
 from humanopts_teach.bags.writer import BagWriter, Limits
 from humanopts_teach.launching.usage import look
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
 _NS = 10**9
 _BUSY_PERIOD = 4 * 10**6  # ns between takes while messages come
@@ -135,15 +134,11 @@ class Recorder(NodeBase):
 
         :raises StartError: it cannot be begun there, or a parameter cannot be used.
         """
-        path = str(self.setting('path', '', 'directory of the bag; must not exist'))
-        facts = str(self.setting('metadata', '{}', 'JSON object of facts to keep in the bag'))
-        most = IntegerRange(from_value=0, to_value=MOST_BYTES, step=1)
-        longest = FloatingPointRange(from_value=0.0, to_value=1e9)
+        path = self.setting('path', '', 'directory of the bag; must not exist')
+        facts = self.setting('metadata', '{}', 'JSON object of facts to keep in the bag')
         limits = Limits(
-            self.setting('max_bytes', 0, 'size of a file; 0: any', integer_range=[most]),
-            self.setting(
-                'max_seconds', 0.0, 'time in a file; 0: any', floating_point_range=[longest]
-            ),
+            self.setting('max_bytes', 0, 'size of a file; 0: any', (0, MOST_BYTES)),
+            self.setting('max_seconds', 0.0, 'time in a file; 0: any', (0.0, 1e9)),
         )
         if not path:
             raise StartError('parameter path: name the directory of the bag')

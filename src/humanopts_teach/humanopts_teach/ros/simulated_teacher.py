@@ -4,7 +4,7 @@ import sys
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.node_base import NodeBase, PATIENCE, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_teach.lesson.requests import Drive, LessonRequest
@@ -22,7 +22,6 @@ from humanopts_teach.ros.lesson_client import (
     NoAnswerError,
     RefusedError,
 )
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 _TICK = 0.1  # s until something that was refused is tried again
@@ -35,13 +34,11 @@ class SimulatedTeacherNode(NodeBase):
     def __init__(self, **options: Any) -> None:
         super().__init__('simulated_teacher', **options)
         self._settings = self._read_settings()
-        self._deadline = float(
-            self.setting(
-                'deadline',
-                120.0,
-                'longest wait for anything, s; the lesson waits for the learner in it',
-                floating_point_range=[FloatingPointRange(from_value=0.1, to_value=3600.0)],
-            )
+        self._deadline = self.setting(
+            'deadline',
+            120.0,
+            'longest wait for anything, s; the lesson waits for the learner in it',
+            PATIENCE,
         )
         self._teacher: SimulatedTeacher | None = None
         self._client = LessonClient(self, patience=self._deadline, on_news=self._meet)
@@ -56,29 +53,26 @@ class SimulatedTeacherNode(NodeBase):
         self._begin = self.create_timer(0.0, self._teach, callback_group=ReentrantCallbackGroup())
 
     def _read_settings(self) -> TeacherSettings:
-        default = TeacherSettings(('',))
-        share = {'floating_point_range': [FloatingPointRange(from_value=0.0, to_value=1.0)]}
-        steps = {'integer_range': [IntegerRange(from_value=1, to_value=1_000_000, step=1)]}
-        seeds = {'integer_range': [IntegerRange(from_value=0, to_value=2**62, step=1)]}
-        given: dict[str, Any] = {
-            name: self.setting(name, getattr(default, name), text, **limits)
-            for name, text, limits in (
-                ('options', 'names of the reference options to teach, in order', {}),
-                ('participant', 'code under which it teaches', {}),
-                ('session', 'code of the session', {}),
-                ('error_rate', 'probability of a wrong action before each step, below 1', share),
-                (
-                    'extra_feature_rate',
-                    'probability of a needless yes for each feature, below 1',
-                    share,
-                ),
-                ('own_habits', 'prefer actions in an order drawn for the participant', {}),
-                ('step_limit', 'steps after which a demonstration is discarded', steps),
-                ('seed', 'of every random draw', seeds),
-            )
-        }
-        given['options'] = tuple(name for name in given['options'] or () if name)
-        return TeacherSettings(**given)
+        names = self.setting('options', [''], 'names of the reference options to teach, in order')
+        share = (0.0, 1.0)
+        return self.settings(
+            TeacherSettings(tuple(filter(None, names or ()))),
+            {
+                'participant': 'code under which it teaches',
+                'session': 'code of the session',
+                'error_rate': 'probability of a wrong action before each step, below 1',
+                'extra_feature_rate': 'probability of a needless yes for each feature, below 1',
+                'own_habits': 'prefer actions in an order drawn for the participant',
+                'step_limit': 'steps after which a demonstration is discarded',
+                'seed': 'of every random draw',
+            },
+            {
+                'error_rate': share,
+                'extra_feature_rate': share,
+                'step_limit': (1, 1_000_000),
+                'seed': SEEDS,
+            },
+        )
 
     def _meet(self) -> None:
         """Get ready to teach, once the rules of the game are known."""
