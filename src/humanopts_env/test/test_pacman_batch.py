@@ -19,7 +19,7 @@ NO_GHOST = '%%%%%\n%P..%\n%%%%%'
 MAZES = ('gardens', 'yard', FOUR_GHOSTS, NO_GHOST)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     maze=strategies.sampled_from(MAZES),
     ghosts=strategies.sampled_from(['random', 'chase']),

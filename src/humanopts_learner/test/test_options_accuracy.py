@@ -1,9 +1,12 @@
 """Accuracies over all states, and over a sample where they cannot be listed."""
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
+from humanopts_env.arrays import Rows
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.reference import judge_states, ReferenceOption
 from humanopts_env.domains.registry import parameters_json, reference_options
@@ -27,12 +30,19 @@ TAXI, ROOMS, PACMAN = Taxi(), Rooms(), PacMan()
 FETCH, FOOD, AVOID = 'go to passenger and pickup', 'go to the closest food', 'avoid ghost'
 
 
+@cache
+def sampled(domain: Domain[Any], count: int) -> tuple[list[Any], Rows]:
+    """Return sampled states, and their features (count, F)."""
+    states = domain.sample_states(generator(9, 'fitted'), count)
+    return states, feature_rows(domain, states)
+
+
 def fitted(domain: Domain[Any], reference: ReferenceOption, count: int = 3000) -> LearnedOption:
     """Return an option whose trees are fitted to what the reference says of sampled states."""
-    states = domain.sample_states(generator(9, 'fitted'), count)
+    states, rows = sampled(domain, count)
     said = judge_states(reference, states, len(domain.actions))
     encoding = feature_encoding(domain, reference.features)
-    X = encode_rows(encoding, np.array([domain.feature_values(state) for state in states]))
+    X = encode_rows(encoding, rows)
     acts = said.initiation
     return LearnedOption(
         name=reference.name,

@@ -1,6 +1,7 @@
 """Sampled models and plans against exact ones, in domains small enough to have both."""
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 from humanopts_env.domains.capabilities import Abstraction
@@ -52,20 +53,27 @@ def rooms_options(domain: Rooms) -> list[LearnedOption]:
     return options_from_references(domain, reference_options(domain).values())
 
 
-def rooms_plan(
-    action_set: str, steps: int = 200_000, progress: Progress = ignore_progress, **kwargs: Any
+def new_plan(
+    action_set: str,
+    steps: int = 200_000,
+    progress: Progress = ignore_progress,
+    goal: str = 'G1',
+    **kwargs: Any,
 ) -> SampledPlan:
     """Plan in the rooms from samples."""
-    domain = BatchRooms()
+    domain = BatchRooms(goal)
     settings: dict[str, Any] = {'seed': 1, 'sampling': EXACT, **kwargs}
     request = PlanRequest(action_set, game_steps=steps, **settings)
     return make_sampled_plan(domain, rooms_options(domain), request, progress)
 
 
+rooms_plan = cache(new_plan)  # plans are read only
+
+
 @pytest.mark.parametrize('action_set', ['human', 'primitive', 'human+primitive'])
 def test_values_come_near_those_of_exact_models(action_set: str) -> None:
-    """Where starts are drawn from, after 400,000 steps; Rooms has chance and eight options."""
-    plan = rooms_plan(action_set, 400_000)
+    """Where starts are drawn from, after 200,000 steps; Rooms has chance and eight options."""
+    plan = rooms_plan(action_set)
     domain = BatchRooms()
     exact = make_plan(domain, rooms_options(domain), PlanRequest(action_set)).solution.values
     starts = domain.start_states()
@@ -181,7 +189,7 @@ def test_sampling_keeps_to_its_budget() -> None:
 
 def test_the_same_seed_gives_the_same_plan_and_another_another() -> None:
     """Values and states alike."""
-    first, again = rooms_plan('human', 20_000), rooms_plan('human', 20_000)
+    first, again = new_plan('human', 20_000), new_plan('human', 20_000)
     other = rooms_plan('human', 20_000, seed=2)
     assert np.array_equal(first.solution.values, again.solution.values)
     assert not np.array_equal(first.solution.values, other.solution.values)
@@ -217,13 +225,8 @@ def test_play_counts_what_happens() -> None:
 @pytest.mark.parametrize('execution', [Execution.INTERRUPTED, Execution.MODULAR_STRONGEST])
 def test_interruption_gains_where_options_pass_by_the_goal(execution: Execution) -> None:
     """With G2 as with exact models, in a plan that was sampled so or by runs to the end."""
-    domain = BatchRooms('G2')
     for sampled_by in (Execution.RUN_TO_END, execution):
-        plan = make_sampled_plan(
-            domain,
-            rooms_options(domain),
-            PlanRequest('human', game_steps=200_000, seed=1, execution=sampled_by, sampling=EXACT),
-        )
+        plan = rooms_plan('human', 100_000, goal='G2', execution=sampled_by)
         to_end = plan.play(3, 1000, Execution.RUN_TO_END).discounted
         gain = Interval.of(plan.play(3, 1000, execution).discounted - to_end)
         assert gain.low > 0.0
@@ -257,11 +260,11 @@ def test_progress_rises_and_can_cancel() -> None:
         if fraction > 0.3:
             raise PlanCanceled
 
-    rooms_plan('human', 20_000, progress=note)
+    new_plan('human', 20_000, progress=note)
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(1.0, abs=0.01)  # parts of the budget are not quite used up
     with pytest.raises(PlanCanceled):
-        rooms_plan('human', 20_000, progress=stop)
+        new_plan('human', 20_000, progress=stop)
 
 
 def test_games_that_begin_again_are_seen_as_they_are() -> None:
