@@ -34,7 +34,7 @@ from humanopts_learner.planning.request import (
     Sampling,
 )
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
-from humanopts_teach.evaluation.comparison import carried_over
+from humanopts_teach.evaluation.games import carried_over
 import numpy as np
 from numpy.typing import NDArray
 

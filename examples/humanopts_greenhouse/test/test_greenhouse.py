@@ -13,7 +13,7 @@ from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.options.criteria import Thresholds, usual_thresholds
 from humanopts_learner.options.option import options_from_references
-from humanopts_teach.evaluation.comparison import Baseline, compare, HEURISTIC, PLAN, RANDOM
+from humanopts_teach.evaluation.games import Baseline, compare, HEURISTIC, PLAN, RANDOM
 import numpy as np
 import pytest
 

@@ -22,7 +22,7 @@ from humanopts_teach.bags.contents import (
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import MOST_NOTES
 from humanopts_teach.bags.sequence_numbers import MOST_GAPS, read_stamp, Stamp, Stream
-from humanopts_teach.report.recording import read_last_episode
+from humanopts_teach.report.episode import read_last_episode
 from hypothesis import given, strategies
 import pytest
 from rclpy.serialization import serialize_message

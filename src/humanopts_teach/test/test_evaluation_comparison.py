@@ -18,7 +18,7 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
 )
 from humanopts_learner.planning.sampled.plan import make_sampled_plan
-from humanopts_teach.evaluation.comparison import (
+from humanopts_teach.evaluation.games import (
     Baseline,
     baselines_of,
     carried_over,

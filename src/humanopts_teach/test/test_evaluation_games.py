@@ -18,20 +18,21 @@ from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate,
 )
-from humanopts_teach.evaluation.comparison import (
+from humanopts_teach.evaluation.games import (
     Curve,
     CurveLimits,
     CurveRow,
+    evaluate_games,
+    GamesEvaluation,
     HEURISTIC,
+    option_sets,
     PLAN,
     RANDOM,
 )
-from humanopts_teach.evaluation.games import evaluate_games, GamesEvaluation, option_sets
 from humanopts_teach.evaluation.measures import Settings
 from humanopts_teach.evaluation.text import games_text
-from humanopts_teach.report.episode import episode_strip, MOST_PICTURES
+from humanopts_teach.report.episode import episode_strip, Frame, MOST_PICTURES
 from humanopts_teach.report.findings import findings, games_findings, reached
-from humanopts_teach.report.recording import Frame
 from humanopts_teach.report.write import render_report, ReportData
 import pytest
 

@@ -10,16 +10,16 @@ from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.planning.exact import ExactPlan
+from humanopts_teach.bags.summary import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
 from humanopts_teach.evaluation.measures import Settings
 from humanopts_teach.evaluation.summary import Execution, Live, SummaryError
 from humanopts_teach.report import charts
 from humanopts_teach.report.boards import board_of
 from humanopts_teach.report.charts import learning_curves, sweep_report
-from humanopts_teach.report.episode import board_html, episode_strip
+from humanopts_teach.report.episode import board_html, episode_strip, Frame
 from humanopts_teach.report.findings import findings
 from humanopts_teach.report.pages import counted, DASH, MINUS, number, percent
-from humanopts_teach.report.recording import Frame, TopicRow
 from humanopts_teach.report.rules import option_rules
 from humanopts_teach.report.write import render_report, ReportData, write_evaluation_report
 import numpy as np

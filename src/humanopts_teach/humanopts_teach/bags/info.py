@@ -21,6 +21,7 @@ from humanopts_teach.bags.contents import (
     is_ended,
 )
 from humanopts_teach.bags.reader import Bag, Recorded
+from humanopts_teach.bags.rosbag2 import Topic
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.summary import (
     AttachedRow,
@@ -108,10 +109,7 @@ class _Collector:
             ),
             domains=tuple(self._domains),
             open_sessions=tuple(self._open_sessions),
-            topics=tuple(
-                TopicRow(topic.name, topic.type, tally.counts[name], name in tally.stamped)
-                for name, topic in bag.topics.items()
-            ),
+            topics=tuple(self._topic_row(topic) for topic in bag.topics.values()),
             options=tuple(self.option_rows()),
             criteria=tuple(self._criteria.values()),
             option_runs=dict(self._results[_OPTION_RESULT]),
@@ -123,6 +121,13 @@ class _Collector:
             episodes_ended=sum(self._ends),
             streams=tuple(tally.ledger),
         )
+
+    def _topic_row(self, topic: Topic) -> TopicRow:
+        tally, loss = self._tally, tuple[int, ...]()
+        if topic.name in tally.stamped:
+            missing = [stream.missing for stream in tally.ledger if stream.topic == topic.name]
+            loss = len(missing), sum(missing)
+        return TopicRow(topic.name, topic.type, tally.counts[topic.name], *loss)
 
     def option_rows(self) -> list[OptionRow]:
         """Return what was collected of options."""

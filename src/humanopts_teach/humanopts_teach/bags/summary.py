@@ -17,7 +17,13 @@ class TopicRow:
     name: str
     type: str
     messages: int
-    counted: bool  # its messages carry sequence numbers, by which loss is counted
+    publishers: int | None = None  # that number their messages; None: they carry no numbers
+    lost: int | None = None  # by gaps in the numbers; None: it is not known
+
+    @property
+    def counted(self) -> bool:
+        """Whether its messages carry sequence numbers, by which loss is counted."""
+        return self.publishers is not None
 
 
 @dataclass(frozen=True)
@@ -126,6 +132,15 @@ class BagInfo:
         return {
             'sittings': facts.pop('open_sessions'),  # the key of version 0.1.0
             **facts,
+            'topics': [
+                {
+                    'name': topic.name,
+                    'type': topic.type,
+                    'messages': topic.messages,
+                    'counted': topic.counted,
+                }
+                for topic in self.topics
+            ],
             'streams': [
                 {
                     'topic': stream.topic,
@@ -247,14 +262,21 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Lay out rows in columns, numbers to the right; empty where there are no rows."""
     if not rows:
         return ''
-    cells = [list(head), *([str(value) for value in row] for row in rows)]
-    widths = [max(len(row[column]) for row in cells) for column in range(len(head))]
     right = [isinstance(value, int | float) for value in rows[0]]
-    lines = [
+    return '\n'.join(aligned([head, *(list(map(str, row)) for row in rows)], right))
+
+
+def aligned(rows: Sequence[Sequence[str]], right: Sequence[bool]) -> list[str]:
+    """
+    Return lines with the columns aligned.
+
+    :param right: whether each column is aligned to the right.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    return [
         '  '.join(
-            text.rjust(width) if to_right else text.ljust(width)
-            for text, width, to_right in zip(row, widths, right, strict=True)
+            cell.rjust(width) if to_right else cell.ljust(width)
+            for cell, width, to_right in zip(row, widths, right, strict=True)
         ).rstrip()
-        for row in cells
+        for row in rows
     ]
-    return '\n'.join(lines)

@@ -12,6 +12,7 @@ from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.request import batch_games, HUMAN, PlanError, PRIMITIVE
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.summary import TopicRow
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.progress import DemoProgress
@@ -40,7 +41,6 @@ from humanopts_teach.evaluation.summary import (
 )
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.launching import LaunchError
-from humanopts_teach.report.recording import TopicRow
 
 EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
 _WATCHED = 0.02  # s between steps of the machine, in a terminal

@@ -31,8 +31,13 @@ from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, open_bag
-from humanopts_teach.evaluation.comparison import part_of, ProgressCallback
-from humanopts_teach.evaluation.games import evaluate_games, GAMES, GamesEvaluation
+from humanopts_teach.evaluation.games import (
+    evaluate_games,
+    GAMES,
+    GamesEvaluation,
+    part_of,
+    ProgressCallback,
+)
 from humanopts_teach.evaluation.measures import (
     finite,
     option_block,

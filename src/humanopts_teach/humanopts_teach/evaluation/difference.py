@@ -11,7 +11,7 @@ from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.summary import table
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag
-from humanopts_teach.evaluation.comparison import ProgressCallback
+from humanopts_teach.evaluation.games import ProgressCallback
 from humanopts_teach.evaluation.measures import finite
 
 HEAD = ('what', 'of', 'A', 'B')

@@ -2,49 +2,270 @@
 Plans compared in many games with random play and with a rule written by hand.
 
 This is for domains whose plans are made from samples. Plans with several sets of options and with
-primitive actions play many games in each variant of a domain. The score of a plan is also measured
-as planning is given more time.
+primitive actions play many games in each variant of a domain. Baselines are random choice among
+the options that can start, and a heuristic written by hand where the domain has one; each plays as
+many games under the same rules.
+
+The curve of score against planning time has the same protocol for every action set. A plan is made
+from a budget of game steps and judged in new games. The budget is doubled until the 95 % interval
+of the mean score lies at or above the target, or the largest budget is spent, or planning has
+taken as long as anyone wants to wait. Planning seconds are those of the processor, for one plan
+made from scratch, models counted; judging is not.
 """
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 import math
+import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.capabilities import PlanSettings
-from humanopts_env.domains.registry import make_domain
-from humanopts_learner.options.option import LearnedOption
+from humanopts_env.domains.capabilities import Baselines, HasBaselines, PlanSettings, Scores
+from humanopts_env.domains.registry import make_domain, parameters_json
+from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.planning.evaluate import Interval, Returns
 from humanopts_learner.planning.request import (
     Execution,
     GAME_STEPS,
     HUMAN,
     HUMAN_AND_PRIMITIVE,
+    PlanError,
+    PlanRequest,
     PRIMITIVE,
     Sampling,
 )
-from humanopts_teach.evaluation.comparison import (
-    Baseline,
-    baselines_of,
-    carried_over,
-    compare,
-    ComparisonRow,
-    Curve,
-    CurveLimits,
-    HEURISTIC,
-    part_of,
-    PLAN,
-    planning_curve,
-    ProgressCallback,
-    RANDOM,
-)
+from humanopts_learner.planning.sampled.action_set import ActionSet
+from humanopts_learner.planning.sampled.games import play_games
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
+from humanopts_learner.planning.sampled.policies import UniformPolicy
+import numpy as np
 
 GAMES = 1000  # that each way to play is judged by
 TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
 PATIENCE = 4.0  # s of planning after which options that do not reach the target are given up
 GENEROUS = 4  # times the game steps, in a second plan with primitive actions
+PLAN, RANDOM, HEURISTIC = 'plan', 'chance', 'rule'  # kinds of baseline, as in summary.json
+PLANNING = 0.8  # of the work of a plan and its games, about
 
 Options = Sequence[LearnedOption]
+ProgressCallback = Callable[[float, float, str], object]  # done, total, what is under way
+
+
+def part_of(
+    progress: ProgressCallback | None, number: int, count: int, name: str = ''
+) -> ProgressCallback:
+    """Return the callback for one of several parts that take about as long as each other."""
+
+    def report(done: float, total: float, text: str) -> None:
+        if progress is not None:
+            progress(number + done / total, count, ': '.join(filter(None, (name, text))))
+
+    return report
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One way to play."""
+
+    name: str
+    kind: str  # PLAN, RANDOM or HEURISTIC
+    action_set: str = HUMAN  # of PLAN and RANDOM
+    options: Sequence[LearnedOption] = ()  # of PLAN and RANDOM
+    budget_steps: int = 0  # game steps that the plan is made from
+    gamma: float | None = None  # of the plan; None: the domain's own
+    sampling: Sampling = field(default_factory=Sampling)  # of the plan
+    execution: Execution = Execution.RUN_TO_END  # of the plan
+    to_end: bool = True  # HEURISTIC: options run to their end; False: one is chosen at every step
+
+
+@dataclass(frozen=True)
+class ComparisonRow:
+    """Results of one way to play."""
+
+    name: str
+    kind: str
+    options: tuple[str, ...]  # names of the learned ones that it chooses among
+    games: int
+    score: Interval
+    outcomes: Mapping[str, Interval]  # that the domain reports; shares, or means
+    decisions: float | None = None  # options begun in a game, mean; None: not counted
+    fallbacks: float | None = None  # decisions for a primitive action: no option could start
+    game_steps: int = 0  # that planning sampled
+    seconds: float | None = None  # of planning; None: nothing was planned
+
+
+def compare(
+    domain: Domain[Any],
+    baselines: Sequence[Baseline],
+    seed: int,
+    games: int = 1000,
+    progress: ProgressCallback | None = None,
+) -> list[ComparisonRow]:
+    """
+    Return a row for each baseline, in order.
+
+    :param seed: of the plans, and of the games, which are drawn independently.
+    :param games: that each plays, two or more.
+    :param progress: called as the work goes on; what it raises passes through.
+    :raises PlanError: as ``make_sampled_plan``; or the domain has no rule written by hand.
+    """
+    count = len(baselines)
+    return [
+        _play(domain, baseline, seed, games, part_of(progress, number, count, baseline.name))
+        for number, baseline in enumerate(baselines)
+    ]
+
+
+def baselines_of(domain: Domain[Any]) -> Baselines:
+    """Return the baselines of a domain; none where it does not name any."""
+    return domain.baselines() if isinstance(domain, HasBaselines) else Baselines()
+
+
+def carried_over(option: LearnedOption, domain: Domain[Any]) -> LearnedOption:
+    """
+    Return an option that was learned in the same game with other parameters, for use in this one.
+
+    :raises PlanError: another game, or its features or actions are others there.
+    """
+    moved = replace(option, domain_parameters=parameters_json(domain))
+    try:
+        moved.check_domain(domain)
+    except OptionError as error:
+        raise PlanError(str(error)) from error
+    return moved
+
+
+def _play(
+    domain: Domain[Any], baseline: Baseline, seed: int, games: int, progress: ProgressCallback
+) -> ComparisonRow:
+    progress(0.0, 1.0, '')
+    results: Returns | Scores
+    found: dict[str, Any] = {}
+    if baseline.kind == PLAN:
+        plan = _make_plan(domain, baseline, seed, progress)
+        results = plan.play(seed, games)
+        found = {'game_steps': plan.game_steps, 'seconds': plan.seconds}
+    elif baseline.kind == RANDOM:
+        actions = ActionSet(domain, baseline.action_set, baseline.options)
+        policy = UniformPolicy(actions)
+        results = play_games(actions, policy, domain.gamma, seed, games)
+    elif (play := baselines_of(domain).heuristic) is not None:
+        results = play(games, seed, to_end=baseline.to_end)
+    else:
+        raise PlanError(f'{domain.name} has no rule that was written by hand')
+    if isinstance(results, Returns):
+        found |= {
+            'decisions': float(results.decisions.mean()),
+            'fallbacks': float(results.fallbacks.mean()),
+        }
+    return ComparisonRow(
+        name=baseline.name,
+        kind=baseline.kind,
+        options=tuple(option.name for option in baseline.options),
+        games=games,
+        score=Interval.of(results.total),
+        outcomes={
+            name: Interval.of_share(values) if values.dtype == np.bool_ else Interval.of(values)
+            for name, values in results.outcomes.items()
+        },
+        **found,
+    )
+
+
+def _make_plan(
+    domain: Domain[Any], baseline: Baseline, seed: int, progress: ProgressCallback
+) -> SampledPlan:
+    def on_stage(stage: str, fraction: float, sweeps: int, residual: float) -> None:
+        if stage == 'models':
+            progress(PLANNING * fraction, 1.0, '')
+
+    request = PlanRequest(
+        baseline.action_set,
+        gamma=baseline.gamma or 0.0,
+        game_steps=baseline.budget_steps,
+        seed=seed,
+        sampling=baseline.sampling,
+        execution=baseline.execution,
+    )
+    clock = time.process_time  # no other program's work makes it longer
+    return make_sampled_plan(domain, baseline.options, request, on_stage, clock)
+
+
+@dataclass(frozen=True)
+class CurveRow:
+    """One plan and its score."""
+
+    action_set: str
+    budget_steps: int
+    seconds: float  # of planning
+    score: Interval
+    n_states: int  # abstract states that were visited
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Score against planning seconds, with one action set."""
+
+    name: str
+    rows: tuple[CurveRow, ...]
+
+    def seconds_to_reach(self, target: float) -> float | None:
+        """Return the planning seconds of the first plan that reached a score; None: none did."""
+        return next((row.seconds for row in self.rows if row.score.low >= target), None)
+
+    @property
+    def most_seconds(self) -> float:
+        """Planning seconds of the longest plan that was tried."""
+        return max(row.seconds for row in self.rows)
+
+
+@dataclass(frozen=True)
+class CurveLimits:
+    """Where a curve begins, and where it ends."""
+
+    first: int = 12_500  # budget of game steps
+    largest: int = 25_600_000  # budget
+    target: float = math.inf  # mean score that is enough
+    enough_seconds: float = math.inf  # no larger budget is tried once a plan took so long
+
+    def budgets(self) -> Iterator[int]:
+        """Yield the first budget, doubled while it is at most the largest."""
+        budget = self.first
+        while budget <= self.largest:
+            yield budget
+            budget *= 2
+
+
+def planning_curve(
+    domain: Domain[Any],
+    baseline: Baseline,
+    limits: CurveLimits,
+    seed: int,
+    games: int = 1000,
+    progress: ProgressCallback | None = None,
+) -> Curve:
+    """
+    Make plans from budget after budget, and judge each.
+
+    :param baseline: a plan; its own budget is not used.
+    :param seed: of the plans, and of the games, which are drawn independently.
+    :param games: that each plan is judged by, two or more.
+    :raises PlanError: as ``make_sampled_plan``.
+    """
+    rows: list[CurveRow] = []
+    budgets = list(limits.budgets())
+    for number, budget in enumerate(budgets):
+        text = f'{baseline.name}, {budget:,} game steps'
+        report = part_of(progress, number, len(budgets), text)
+        plan = _make_plan(domain, replace(baseline, budget_steps=budget), seed, report)
+        score = Interval.of(plan.play(seed, games).total)
+        report(1.0, 1.0, f'score {score.mean:,.0f}')
+        states = len(plan.solution.values)
+        rows.append(CurveRow(baseline.action_set, budget, plan.seconds, score, states))
+        if score.low >= limits.target or plan.seconds >= limits.enough_seconds:
+            break
+    part_of(progress, 0, 1, baseline.name)(1.0, 1.0, 'done')
+    return Curve(baseline.name, tuple(rows))
 
 
 @dataclass(frozen=True)
@@ -97,7 +318,7 @@ def evaluate_games(
     seed: int,
     games: int = GAMES,
     game_steps: int = GAME_STEPS,
-    limits: CurveLimits = CurveLimits(),  # noqa: B008
+    limits: CurveLimits = CurveLimits(),
     progress: ProgressCallback | None = None,
 ) -> GamesEvaluation:
     """

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from humanopts_learner.options.criteria import Criterion
 from humanopts_learner.planning.evaluate import Interval
+from humanopts_teach.bags.summary import aligned
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation
 from humanopts_teach.evaluation.measures import PlanningRow
@@ -83,14 +84,8 @@ def interval(found: Interval, digits: int) -> str:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Return lines with the columns aligned, the first to the left and the others to the right."""
-    widths = [max(map(len, column)) for column in zip(head, *rows)]
-    return [
-        '  '.join(
-            cell.rjust(width) if place else cell.ljust(width)
-            for place, (cell, width) in enumerate(zip(row, widths))
-        ).rstrip()
-        for row in (head, ['-' * width for width in widths], *rows)
-    ]
+    rule = ['-' * max(map(len, column)) for column in zip(head, *rows)]
+    return aligned([head, rule, *rows], [place > 0 for place in range(len(head))])
 
 
 def number(value: float | None, digits: int = 4) -> str:

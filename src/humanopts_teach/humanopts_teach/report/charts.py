@@ -11,8 +11,7 @@ from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.exact import build_model, ExactPlan
 from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
 from humanopts_teach.evaluation.bag_evaluation import CurvePoint
-from humanopts_teach.evaluation.comparison import ComparisonRow, Curve
-from humanopts_teach.evaluation.games import GamesEvaluation, Setting
+from humanopts_teach.evaluation.games import ComparisonRow, Curve, GamesEvaluation, Setting
 from humanopts_teach.evaluation.measures import PlanningRow
 from humanopts_teach.report.figures import Drawing, drawing, MUTED, SERIES
 from humanopts_teach.report.findings import reached

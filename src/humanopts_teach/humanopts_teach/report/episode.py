@@ -1,4 +1,4 @@
-"""An episode as a strip of pictures of its board."""
+"""The last episode of a bag as a strip of pictures of its board."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,8 +8,16 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_learner.library import PRIMITIVE_PREFIX
+from humanopts_teach.bags.contents import (
+    actor_of,
+    Actors,
+    actors_in,
+    Episode,
+    namespace,
+    read_episodes,
+)
+from humanopts_teach.bags.reader import Bag
 from humanopts_teach.report.pages import MINUS
-from humanopts_teach.report.recording import Frame
 from rich.color import ColorType
 from rich.errors import StyleSyntaxError
 from rich.style import Style
@@ -19,6 +27,63 @@ MOST_PICTURES = 60  # of longer episodes only the ends of runs are shown
 FIRST = 40  # of the pictures that are shown where even these are too many; the others are the last
 LEAST_WIDTH = 10.6  # rem
 REM = 0.49  # that a character of a board is wide, about
+_OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One step of an episode."""
+
+    state: str  # in the domain's notation
+    action: str = ''  # that led here; empty in the first frame
+    reward: float = 0.0
+    option: str = ''  # that was running; empty: none
+    ends_run: bool = False  # the option's run ended here
+
+
+@dataclass(frozen=True)
+class _Run:
+    option: str  # empty: modules
+    first_step: int
+    last_step: int
+
+
+def read_last_episode(bag: Bag) -> list[Frame]:
+    """Return the last episode that learned options brought to its end; empty: there is none."""
+    under_way: dict[str, tuple[int, list[_Run]]] = {}  # episode and its runs, of each game
+    game, number, runs = '', 0, list[_Run]()
+    for recorded in bag.messages(bag.of_type(_OPTION_RESULT)):
+        message = recorded.message
+        if message is None or not message.episode:  # damaged, or refused
+            continue
+        topic_game, first = namespace(recorded.topic), message.first_step
+        if under_way.get(topic_game, (0,))[0] != message.episode:
+            under_way[topic_game] = (message.episode, [])
+        run = _Run(message.option_name, first, first + message.step_count)
+        under_way[topic_game][1].append(run)
+        if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):
+            game, (number, runs) = topic_game, under_way[topic_game]
+    found = read_episodes(bag, chosen=lambda g: (namespace(g.topic), g.number) == (game, number))
+    played = [episode for episode in found if episode.complete]
+    if not played:
+        return []
+    modules = any(not run.option for run in runs)
+    return _frames(played[-1], runs, actors_in(bag, played[-1]) if modules else Actors())
+
+
+def _frames(episode: Episode, runs: Sequence[_Run], actors: Actors) -> list[Frame]:
+    """
+    Return what is seen, step by step.
+
+    :param actors: the modules that sent the commands.
+    """
+    frames = []
+    for at in episode.transitions:
+        run = next((run for run in runs if run.first_step < at.step <= run.last_step), None)
+        option = (run.option or actor_of(at, actors)) if run else ''
+        ended = run is not None and run.last_step == at.step
+        frames.append(Frame(at.state, at.previous_action, at.reward, option, ended))
+    return frames
 
 
 @dataclass(frozen=True)

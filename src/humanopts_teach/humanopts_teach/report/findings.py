@@ -5,13 +5,20 @@ import math
 
 from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.request import HUMAN, PRIMITIVE
+from humanopts_teach.bags.summary import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
-from humanopts_teach.evaluation.comparison import ComparisonRow, Curve, PLAN, RANDOM
-from humanopts_teach.evaluation.games import GamesEvaluation, Setting, TENFOLD
+from humanopts_teach.evaluation.games import (
+    ComparisonRow,
+    Curve,
+    GamesEvaluation,
+    PLAN,
+    RANDOM,
+    Setting,
+    TENFOLD,
+)
 from humanopts_teach.evaluation.measures import PlanningRow
 from humanopts_teach.evaluation.summary import differences, Execution, Live
 from humanopts_teach.report.pages import counted, Finding, number
-from humanopts_teach.report.recording import TopicRow
 
 MARGIN = 80.0  # points by which a plan shall be better than random choice among its options
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import platform
 
 from humanopts_learner.planning.exact import ExactPlan
+from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag
+from humanopts_teach.bags.summary import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
 from humanopts_teach.evaluation.summary import Live, write_text
 from humanopts_teach.evaluation.text import REPRODUCED
@@ -19,10 +21,9 @@ from humanopts_teach.report.charts import (
     planning_figures,
     sweep_report,
 )
-from humanopts_teach.report.episode import episode_strip
+from humanopts_teach.report.episode import episode_strip, Frame, read_last_episode
 from humanopts_teach.report.findings import findings, planning_rows
 from humanopts_teach.report.pages import DASH, duration, percent, render
-from humanopts_teach.report.recording import Frame, read_last_episode, read_topics, TopicRow
 from humanopts_teach.report.rules import option_rules
 
 MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
@@ -66,7 +67,7 @@ def write_evaluation_report(
     data = ReportData(title, evaluation, live)
     if bag is not None:
         holds = f'{bag.path.name}: {bag.n_messages:,} messages on {len(bag.topics)} topics'
-        frames, topics = read_last_episode(bag), read_topics(bag)
+        frames, topics = read_last_episode(bag), summarise(bag).topics
         data = ReportData(title, evaluation, live, frames, topics, {'bag': holds})
     write_text(path, render_report(data))
     return data
