@@ -18,8 +18,8 @@ from typing import Any
 from humanopts_interfaces.msg import ActionCommand, GameState
 from humanopts_ros.qos import STREAM
 from humanopts_teach.bags import BagError
-from humanopts_teach.bags.check import count_loss
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.sequence_numbers import count_loss
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec

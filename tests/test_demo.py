@@ -15,9 +15,9 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Kind
 from humanopts_learner.options.files import option_from_json
-from humanopts_teach.bags.check import count_loss
 from humanopts_teach.bags.contents import DEMONSTRATION, Episode, read_episodes
 from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.bags.sequence_numbers import count_loss
 from humanopts_teach.cli import main
 from humanopts_teach.evaluation.bag_evaluation import evaluate_bag
 import numpy as np

@@ -20,9 +20,9 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.ros.convert import demonstration_to_message
-from humanopts_teach.bags.check import count_loss
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.sequence_numbers import count_loss
 from humanopts_teach.bags.writer import BagWriter
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String

@@ -10,7 +10,7 @@ from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.planning.exact import ExactPlan
-from humanopts_teach.bags.summary import TopicRow
+from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
 from humanopts_teach.evaluation.measures import Settings
 from humanopts_teach.evaluation.summary import Execution, Live, SummaryError

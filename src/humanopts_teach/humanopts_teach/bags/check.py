@@ -7,45 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from humanopts_teach.bags import BagError
-from humanopts_teach.bags.reader import Bag, Recorded
+from humanopts_teach.bags.info import table
+from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.rosbag2 import Extent, FILE, profiles
-from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp, Stamp, Stream
-from humanopts_teach.bags.summary import table
+from humanopts_teach.bags.sequence_numbers import Stamp, Stream, Tally
 from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
 
 RECORDER = '(recorder)'  # shown as publisher where only the recorder numbers messages
 UNNUMBERED = '(nobody)'  # shown where messages have no numbers, so loss cannot be counted
-
-
-class Tally:
-    """Counts the messages of a bag: by topic, by time, and by their publishers' numbers."""
-
-    def __init__(self, bag: Bag) -> None:
-        self.counts: Counter[str] = Counter()  # by topic
-        self.extent = Extent()
-        self.ledger = Ledger()
-        self.stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
-        self._bag = bag
-
-    def add(self, recorded: Recorded) -> bool:
-        """Count a message; False: it does not decode, which ``Bag.damage`` then says."""
-        self.counts[recorded.topic] += 1
-        self.extent.add(recorded.log_time)
-        if recorded.topic in self.stamped:
-            stamp = read_stamp(recorded.data)
-            if stamp is None:
-                self._bag.note(f'a message on {recorded.topic} does not decode')
-                return False
-            self.ledger.add(recorded.topic, stamp)
-        return True
-
-
-def count_loss(bag: Bag) -> Ledger:
-    """Count what is missing in a bag, by the numbers in every humanopts message."""
-    tally = Tally(bag)
-    for recorded in bag.messages(tally.stamped, decoded=False):
-        tally.add(recorded)
-    return tally.ledger
 
 
 @dataclass(frozen=True)

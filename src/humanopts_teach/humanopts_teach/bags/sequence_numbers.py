@@ -1,12 +1,17 @@
 """Loss, counted by the publisher and sequence number that begin every humanopts message."""
 
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 import struct
-from typing import NamedTuple
+from typing import NamedTuple, TYPE_CHECKING
 
+from humanopts_teach.bags.rosbag2 import Extent
 from humanopts_teach.bags.schemas import field_lines
+
+if TYPE_CHECKING:  # the recorder does not read
+    from humanopts_teach.bags.reader import Bag, Recorded
 
 _FIELDS = [
     ('std_msgs/Header', 'header'),
@@ -134,3 +139,34 @@ class Ledger:
     def __iter__(self) -> Iterator[Stream]:
         """Yield the streams, sorted by topic and publisher."""
         return iter(self._streams[key] for key in sorted(self._streams))
+
+
+class Tally:
+    """Counts the messages of a bag: by topic, by time, and by their publishers' numbers."""
+
+    def __init__(self, bag: 'Bag') -> None:
+        self.counts: Counter[str] = Counter()  # by topic
+        self.extent = Extent()
+        self.ledger = Ledger()
+        self.stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
+        self._bag = bag
+
+    def add(self, recorded: 'Recorded') -> bool:
+        """Count a message; False: it does not decode, which ``Bag.damage`` then says."""
+        self.counts[recorded.topic] += 1
+        self.extent.add(recorded.log_time)
+        if recorded.topic in self.stamped:
+            stamp = read_stamp(recorded.data)
+            if stamp is None:
+                self._bag.note(f'a message on {recorded.topic} does not decode')
+                return False
+            self.ledger.add(recorded.topic, stamp)
+        return True
+
+
+def count_loss(bag: 'Bag') -> Ledger:
+    """Count what is missing in a bag, by the numbers in every humanopts message."""
+    tally = Tally(bag)
+    for recorded in bag.messages(tally.stamped, decoded=False):
+        tally.add(recorded)
+    return tally.ledger

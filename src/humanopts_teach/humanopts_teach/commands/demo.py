@@ -11,8 +11,8 @@ from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.request import batch_games, HUMAN, PlanError, PRIMITIVE
 from humanopts_teach.bags import BagError
+from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.summary import TopicRow
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.progress import DemoProgress

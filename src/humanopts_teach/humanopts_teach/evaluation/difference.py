@@ -8,8 +8,8 @@ from typing import Any
 
 from humanopts_learner.demonstrations import Demonstration, each_once
 from humanopts_teach.bags.contents import read_demonstrations
+from humanopts_teach.bags.info import table
 from humanopts_teach.bags.reader import Bag
-from humanopts_teach.bags.summary import table
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag
 from humanopts_teach.evaluation.games import ProgressCallback
 from humanopts_teach.evaluation.measures import finite

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from humanopts_learner.options.criteria import Criterion
 from humanopts_learner.planning.evaluate import Interval
-from humanopts_teach.bags.summary import aligned
+from humanopts_teach.bags.info import aligned
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation
 from humanopts_teach.evaluation.measures import PlanningRow

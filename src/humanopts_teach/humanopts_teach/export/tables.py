@@ -25,10 +25,9 @@ from humanopts_teach.bags.contents import (
     read_episodes,
     source_of,
 )
-from humanopts_teach.bags.info import option_rows, PLAN_RESULT
+from humanopts_teach.bags.info import option_rows, OptionRow, PLAN_RESULT
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.schemas import constants
-from humanopts_teach.bags.summary import OptionRow
 
 BATCH = 50_000  # rows of a Parquet table that are held in memory
 FEATURE_PREFIX = 'feature:'  # before the name of a feature, in the head of a column

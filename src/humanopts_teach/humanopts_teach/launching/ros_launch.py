@@ -10,7 +10,6 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_teach.launching.processes import Recording, Setup
-from humanopts_teach.lesson import BUDGET, STRATEGY
 
 
 class LaunchArgumentError(ValueError):
@@ -22,38 +21,47 @@ class LaunchArgument:
     """One argument of the launch file; all values are texts."""
 
     name: str
-    default: str
+    usual: Any  # and its kind: int, float (seconds), bool, dict (JSON), tuple (by ";") or str
     description: str
-    kind: type = str  # int, float (seconds), bool, dict (JSON), tuple (separated by ";") or str
+
+    @property
+    def default(self) -> str:
+        """The usual value as a text."""
+        if isinstance(self.usual, str | tuple):
+            return ';'.join(self.usual) if isinstance(self.usual, tuple) else self.usual
+        return json.dumps(self.usual)
 
 
 ARGUMENTS = (
     LaunchArgument('domain', 'taxi', 'what is played: the name of a registered domain'),
-    LaunchArgument(
-        'domain_parameters', '{}', 'its parameters as a JSON object, as {"rows": 7}', dict
-    ),
+    LaunchArgument('domain_parameters', {}, 'its parameters as a JSON object, as {"rows": 7}'),
     LaunchArgument('out', 'runs/launch', 'folder of demonstrations, options and bags'),
-    LaunchArgument('seed', '1', 'of every random draw: a whole number from 0', int),
-    LaunchArgument('strategy', STRATEGY, 'of start states: random, coverage or failures'),
-    LaunchArgument('budget', str(BUDGET), 'most start states shown for an option', int),
-    LaunchArgument('teach', 'true', 'whether lesson and learner run: true or false', bool),
+    LaunchArgument('seed', 1, 'of every random draw: a whole number from 0'),
+    LaunchArgument('strategy', Setup.strategy, 'of start states: random, coverage or failures'),
+    LaunchArgument('budget', Setup.budget, 'most start states shown for an option'),
+    LaunchArgument('teach', Setup.teach, 'whether lesson and learner run: true or false'),
     LaunchArgument(
-        'record', 'true', 'whether everything goes into a new bag: true or false', bool
+        'record', Setup.record, 'whether everything goes into a new bag: true or false'
     ),
     LaunchArgument(
-        'record_include', '', 'topics to record, as "lesson/*;action"; empty: all', tuple
+        'record_include', Recording.include, 'topics to record, as "lesson/*;action"; empty: all'
     ),
-    LaunchArgument('record_exclude', '', 'topics not to record, in the same form', tuple),
+    LaunchArgument('record_exclude', Recording.exclude, 'topics not to record, in the same form'),
     LaunchArgument(
-        'split_bytes', '0', 'size at which the bag goes on in another file; 0: never', int
+        'split_bytes',
+        Recording.split_bytes,
+        'size at which the bag goes on in another file; 0: never',
     ),
-    LaunchArgument('split_seconds', '0.0', 'and time after which it does; 0: never', float),
-    LaunchArgument('step_period', '0.0', "seconds between a machine's steps, to watch it", float),
+    LaunchArgument(
+        'split_seconds', Recording.split_seconds, 'and time after which it does; 0: never'
+    ),
+    LaunchArgument(
+        'step_period', Setup.step_period, "seconds between a machine's steps, to watch it"
+    ),
     LaunchArgument(
         'taught',
-        '',
+        Setup.taught,
         'options that a simulated teacher teaches, separated by ";"; empty: no teacher',
-        tuple,
     ),
 )
 _WANTED = {
@@ -91,7 +99,7 @@ def setup_from_launch(texts: Mapping[str, str]) -> Setup:
 
 def _read(argument: LaunchArgument, text: str) -> Any:
     """Return the value of an argument, of its kind."""
-    kind = argument.kind
+    kind = type(argument.usual)
     if kind is str:
         return text
     if kind is tuple:

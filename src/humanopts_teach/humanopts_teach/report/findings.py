@@ -5,7 +5,7 @@ import math
 
 from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.request import HUMAN, PRIMITIVE
-from humanopts_teach.bags.summary import TopicRow
+from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import (
     ComparisonRow,

@@ -8,9 +8,8 @@ from pathlib import Path
 import platform
 
 from humanopts_learner.planning.exact import ExactPlan
-from humanopts_teach.bags.info import summarise
+from humanopts_teach.bags.info import summarise, TopicRow
 from humanopts_teach.bags.reader import Bag
-from humanopts_teach.bags.summary import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
 from humanopts_teach.evaluation.summary import Live, write_text
 from humanopts_teach.evaluation.text import REPRODUCED
