@@ -123,7 +123,7 @@ def test_events_in_a_cell_give_an_option_each_that_starts_before_them() -> None:
     }
 
 
-@pytest.mark.parametrize('seed', range(2))
+@pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_taxi_has_the_nine_options_of_the_paper(seed: int) -> None:
     """Section 7.3: four pickups, four dropoffs, and one to reach the centre; nobody said nine."""
     names = [option.name for option in found('taxi', seed).options]

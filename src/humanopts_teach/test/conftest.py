@@ -65,7 +65,7 @@ def pacman_lesson() -> list[Demonstration]:
 @pytest.fixture(scope='session')
 def yard() -> Domain[Any]:
     """Pac-Man in a small maze, with short games."""
-    return make_domain('pacman', {'maze': 'yard', 'max_steps': 120})
+    return make_domain('pacman', {'maze': 'yard', 'max_steps': 60})
 
 
 @pytest.fixture(scope='session')
