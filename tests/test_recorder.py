@@ -1,44 +1,34 @@
-"""The recorder as a process on a real graph: everything is in the bag, whatever ends it."""
+"""The recorder on a real graph: everything is in the bag, whatever ends it."""
 
-from collections import Counter
-from collections.abc import Callable, Iterator
 import os
-from pathlib import Path
 import resource
 import signal
-import subprocess
-import sys
 import time
 from typing import Any
 
-from graph_support.live import free_domain_id
+from graph_support.live import GAME, Graph, NodeProcess, RECORDER
 from humanopts_interfaces.action import Plan
 from humanopts_interfaces.msg import GameState, NodeStatus, RecorderStatus
-from humanopts_interfaces.srv import SetControl
-from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
+from humanopts_interfaces.srv import ResetGame, SetControl
+from humanopts_ros.qos import LATCHED, STREAM
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.provenance import software
 from humanopts_teach.bags.reader import Bag, open_bag
 import pytest
-import rclpy
 from rclpy.action import ActionClient, ActionServer
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.service_introspection import ServiceIntrospectionState
-from rclpy.signals import SignalHandlerOptions
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 
-pytestmark = pytest.mark.live
 BEST_EFFORT = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
 # Publishes game states, the first when the recorder has matched: as fast as it can, or at a rate.
 BURST = """
-import sys, time
+import os, signal, sys, time
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_interfaces.msg import GameState
@@ -60,92 +50,54 @@ class Burst(NodeBase):
         if self.sent == self.count:
             for publisher in self.publishers:
                 publisher.wait_for_all_acked(Duration(seconds=20))
-            print('sent', flush=True)
-            self.count = -1
+            os.kill(os.getpid(), signal.SIGTERM)
 run_node(Burst, ['--ros-args', '-p', 'expect_recorder:=true'])
 """
 
 
-class Graph:
-    """A recorder in its own process, and a node of the test."""
+class Recording:
+    """
+    A recorder on a graph, in the test's own process where no signal or limit is to reach it.
 
-    def __init__(self, path: Path, domain_id: int) -> None:
-        self.path = path
-        self.environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
-        self.recorder: subprocess.Popen[str] | None = None
-        self.others: list[subprocess.Popen[str]] = []
-        self.context = Context()
-        rclpy.init(
-            context=self.context,
-            domain_id=domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        self.node = Node('tester', context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.status = RecorderStatus()
-        self.said: list[RecorderStatus] = []
-        self.node_states: dict[str, int] = {}
-        self.node.create_subscription(RecorderStatus, 'recorder_status', self._keep, LATCHED)
-        self.node.create_subscription(
-            NodeStatus,
-            'node_status',
-            lambda m: self.node_states.update({m.node: m.state}),
-            LATCHED_ALL,
-        )
+    :ivar said: its statuses, in order.
+    """
 
-    def _keep(self, status: RecorderStatus) -> None:
-        self.status = status
-        self.said.append(status)
+    def __init__(self, graph: Graph) -> None:
+        self.graph, self.node = graph, graph.node
+        self.path = graph.folder / 'bag'
+        self.said: list[RecorderStatus] = graph.listen(RecorderStatus, 'recorder_status', LATCHED)
+        self._recorder: Any = None
 
-    def record(self, *options: str, **popen: Any) -> None:
+    @property
+    def status(self) -> RecorderStatus:
+        """Its newest status."""
+        return self.said[-1] if self.said else RecorderStatus()
+
+    def record(self, **parameters: Any) -> None:
         """Start the recorder and wait until it has matched everything."""
-        self.recorder = self.begin(*options, **popen)
+        self._recorder = self.graph.start(RECORDER, path=self.path, **parameters)
         self.complete()
 
-    def begin(self, *options: str, **popen: Any) -> 'subprocess.Popen[str]':
-        """Start a recorder."""
-        return self.run(
-            '-m',
-            'humanopts_teach.ros.recorder',
-            '--ros-args',
-            '-p',
-            f'path:={self.path}',
-            *options,
-            **popen,
-        )
+    def spawn(self, **parameters: Any) -> NodeProcess:
+        """Start the recorder in a process of its own and wait until it has matched everything."""
+        self._recorder = self.graph.spawn(RECORDER, path=self.path, **parameters)
+        self.complete()
+        return self._recorder
 
-    def run(self, *arguments: str, **popen: Any) -> 'subprocess.Popen[str]':
-        """Start Python on the graph."""
-        process = subprocess.Popen(
-            [sys.executable, *arguments],
-            env=self.environment,
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            **popen,
-        )
-        self.others.append(process)
-        return process
-
-    def until(self, condition: Callable[[], bool], what: str, seconds: float = 20.0) -> None:
-        """Serve the node until a condition holds."""
-        deadline = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < deadline, f'waited in vain for {what}'
-            self.executor.spin_once(0.02)
+    def burst(self, count: int, rate: int = 0) -> NodeProcess:
+        """Start a process that sends so many game states, at a rate or as fast as it can."""
+        return self.graph.run(['-c', BURST, str(count), str(rate)], 'burst')
 
     def complete(self, *hidden: str) -> None:
         """
-        Wait until the recorder has every publisher of this process.
+        Wait until the recorder has every publisher of the test's node.
 
         :param hidden: topics that rclpy publishes on by itself.
         """
-        publishers = list(self.node.publishers)
-        self.until(
+        self.graph.until(
             lambda: (
                 self.status.complete
-                and all(p.get_subscription_count() > 0 for p in publishers)
+                and all(p.get_subscription_count() > 0 for p in self.node.publishers)
                 and all(map(self._read_by_recorder, hidden))
             ),
             'the recorder',
@@ -160,82 +112,61 @@ class Graph:
         return [r.message for r in open_bag(self.path).messages([topic])]
 
     def holds(self, topic: str, count: int) -> None:
-        """Wait until so many messages of a topic are in the bag; ``stop`` waits for nothing."""
-        self.until(lambda: len(self.recorded(topic)) >= count, f'{count} messages on {topic}')
+        """Wait until so many messages of a topic are in the bag."""
+        self.graph.until(
+            lambda: len(self.recorded(topic)) >= count, f'{count} messages on {topic}'
+        )
 
-    def stop(self, number: int = signal.SIGTERM) -> int:
-        """Signal the recorder and wait for its end."""
-        assert self.recorder is not None
-        self.recorder.send_signal(number)
-        return self.recorder.wait(10)
-
-    def close(self) -> None:
-        """End every process, and the node."""
-        for process in self.others:
-            process.kill()
-            process.communicate()
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self.context)
+    def stop(self) -> Bag:
+        """End a recorder in the test's own process, as SIGTERM does; return its bag."""
+        self.graph.stop(self._recorder)
+        return open_bag(self.path)
 
 
 @pytest.fixture
-def graph(tmp_path: Path) -> Iterator[Graph]:
+def recording(live: Graph) -> Recording:
     """A graph with no recorder yet."""
-    with free_domain_id() as domain_id:
-        graph = Graph(tmp_path / 'bag', domain_id)
-        try:
-            yield graph
-        finally:
-            graph.close()
+    return Recording(live)
 
 
-def counts(bag: Bag) -> dict[str, int]:
-    """Return the number of messages by topic."""
-    return dict(Counter(recorded.topic for recorded in bag.messages(decoded=False)))
-
-
-def test_a_burst_is_recorded_whole_and_in_order(graph: Graph) -> None:
-    graph.record()
-    burst = graph.run('-c', BURST, '10000', '0')
-    assert burst.stdout is not None
-    assert 'sent\n' in burst.stdout  # reads until then
-    assert graph.stop() == 0
-    bag = open_bag(graph.path)
+def test_a_burst_is_recorded_whole_and_in_order(recording: Recording) -> None:
+    recorder = recording.spawn()
+    assert recording.burst(10_000).ended() == 0
+    assert recorder.kill(signal.SIGTERM) == 0
+    bag = open_bag(recording.path)
     assert bag.damage == ''
     assert summarise(bag).missing == 0
     assert [r.message.step for r in bag.messages(['/game_state'])] == list(range(10000))
-    with Reader(graph.path) as reader:
+    with Reader(recording.path) as reader:
         assert reader.topics['/game_state'].msgcount == 10000
 
 
-def test_service_requests_and_responses_are_recorded(graph: Graph) -> None:
+def test_service_requests_and_responses_are_recorded(recording: Recording) -> None:
     def answer(request: Any, response: Any) -> Any:
         response.status, response.detail = 1, f'for {request.holder_id}'
         return response
 
-    service = graph.node.create_service(SetControl, 'set_control', answer)
-    client = graph.node.create_client(SetControl, 'set_control')
+    node, until = recording.node, recording.graph.until
+    service = node.create_service(SetControl, 'set_control', answer)
+    client = node.create_client(SetControl, 'set_control')
     for end in (service, client):
-        end.configure_introspection(
-            graph.node.get_clock(), STREAM, ServiceIntrospectionState.CONTENTS
-        )
-    graph.record()
-    graph.complete('/set_control/_service_event')
-    graph.until(client.service_is_ready, 'the service')
+        end.configure_introspection(node.get_clock(), STREAM, ServiceIntrospectionState.CONTENTS)
+    recording.record()
+    recording.complete('/set_control/_service_event')
+    until(client.service_is_ready, 'the service')
     for number in range(5):
         future = client.call_async(SetControl.Request(hold=True, holder_id=f'terminal {number}'))
-        graph.until(future.done, 'an answer')
-    graph.holds('/set_control/_service_event', 20)  # each call has four
-    graph.stop()
-    events = [r.message for r in open_bag(graph.path).messages(['/set_control/_service_event'])]
+        until(future.done, 'an answer')
+    recording.holds('/set_control/_service_event', 20)  # each call has four
+    recording.stop()
+    events = recording.recorded('/set_control/_service_event')
     requests = [event.request[0].holder_id for event in events if event.request]
     responses = [event.response[0].detail for event in events if event.response]
     assert sorted(requests) == sorted([f'terminal {number}' for number in range(5)] * 2)
     assert sorted(responses) == sorted([f'for terminal {number}' for number in range(5)] * 2)
 
 
-def test_action_feedback_and_status_are_recorded(graph: Graph) -> None:
+def test_action_feedback_and_status_are_recorded(recording: Recording) -> None:
     def execute(goal: Any) -> Any:
         for sweeps in range(3):
             goal.publish_feedback(Plan.Feedback(stage='sweeps', sweeps=sweeps))
@@ -243,173 +174,180 @@ def test_action_feedback_and_status_are_recorded(graph: Graph) -> None:
         return Plan.Result()
 
     def last_status() -> int:
-        said = graph.recorded('/plan/_action/status')
+        said = recording.recorded('/plan/_action/status')
         return int(said[-1].status_list[-1].status) if said else 0
 
-    server = ActionServer(graph.node, Plan, 'plan', execute)
-    client = ActionClient(graph.node, Plan, 'plan')
-    graph.record()
-    graph.complete('/plan/_action/feedback', '/plan/_action/status')
-    graph.until(client.server_is_ready, 'the action')
+    server = ActionServer(recording.node, Plan, 'plan', execute)
+    client = ActionClient(recording.node, Plan, 'plan')
+    until = recording.graph.until
+    recording.record()
+    recording.complete('/plan/_action/feedback', '/plan/_action/status')
+    until(client.server_is_ready, 'the action')
     accepted = client.send_goal_async(Plan.Goal())
-    graph.until(accepted.done, 'the goal')
+    until(accepted.done, 'the goal')
     result = accepted.result().get_result_async()
-    graph.until(result.done, 'the result')
-    graph.holds('/plan/_action/feedback', 3)
-    graph.until(lambda: last_status() == 4, 'the status: it succeeded')
-    graph.stop()
-    feedback = [m.feedback.sweeps for m in graph.recorded('/plan/_action/feedback')]
+    until(result.done, 'the result')
+    recording.holds('/plan/_action/feedback', 3)
+    until(lambda: last_status() == 4, 'the status: it succeeded')
+    recording.stop()
+    feedback = [m.feedback.sweeps for m in recording.recorded('/plan/_action/feedback')]
     assert feedback == [0, 1, 2]
     assert last_status() == 4
     client.destroy()
     server.destroy()
 
 
-def test_what_was_latched_before_the_recorder_came_is_recorded(graph: Graph) -> None:
-    early = graph.node.create_publisher(GameState, 'current_state', LATCHED)
+def test_what_was_latched_before_the_recorder_came_is_recorded(recording: Recording) -> None:
+    early = recording.node.create_publisher(GameState, 'current_state', LATCHED)
     early.publish(GameState(publisher_id='/early#1', sequence=1, state='early'))
-    graph.record()
-    graph.holds('/current_state', 1)
-    graph.stop()
-    bag = open_bag(graph.path)
+    recording.record()
+    recording.holds('/current_state', 1)
+    bag = recording.stop()
     assert [r.message.state for r in bag.messages(['/current_state'])] == ['early']
     assert 'transient_local' in bag.topics['/current_state'].qos
     assert bag.topics['/current_state'].type_hash.startswith('RIHS01_')
 
 
-def test_nodes_that_come_later_are_recorded_from_their_first_message(graph: Graph) -> None:
-    graph.record()
+def test_nodes_that_come_later_are_recorded_from_their_first_message(
+    recording: Recording,
+) -> None:
+    recording.record()
     for topic, text in (('late', 'first'), ('other', 'first'), ('late', 'again')):
-        publisher = graph.node.create_publisher(String, topic, STREAM)
-        graph.until(lambda p=publisher: p.get_subscription_count() > 0, 'the recorder')
+        publisher = recording.node.create_publisher(String, topic, STREAM)
+        recording.graph.until(lambda p=publisher: p.get_subscription_count() > 0, 'the recorder')
         publisher.publish(String(data=text))
-        graph.until(
-            lambda t=topic, d=text: d in [m.data for m in graph.recorded(f'/{t}')],
+        recording.graph.until(
+            lambda t=topic, d=text: d in [m.data for m in recording.recorded(f'/{t}')],
             'the message in the bag',
         )
-        graph.node.destroy_publisher(publisher)
-    graph.stop()
-    assert [m.data for m in graph.recorded('/late')] == ['first', 'again']
-    assert [m.data for m in graph.recorded('/other')] == ['first']
+        recording.node.destroy_publisher(publisher)
+    recording.stop()
+    assert [m.data for m in recording.recorded('/late')] == ['first', 'again']
+    assert [m.data for m in recording.recorded('/other')] == ['first']
 
 
-def test_publishers_that_promise_less_are_matched(graph: Graph) -> None:
-    first = graph.node.create_publisher(String, 'mixed', LATCHED)
-    graph.record()
-    second = graph.node.create_publisher(String, 'mixed', BEST_EFFORT)
-    graph.until(lambda: second.get_subscription_count() > 0, 'a match with less')
-    graph.until(lambda: first.get_subscription_count() > 0, 'a match')
+def test_publishers_that_promise_less_are_matched(recording: Recording) -> None:
+    first = recording.node.create_publisher(String, 'mixed', LATCHED)
+    recording.record()
+    second = recording.node.create_publisher(String, 'mixed', BEST_EFFORT)
+    for publisher in (second, first):
+        recording.graph.until(lambda p=publisher: p.get_subscription_count() > 0, 'the recorder')
     first.publish(String(data='first'))
 
     def recorded() -> set[str]:
-        return {message.data for message in graph.recorded('/mixed')}
+        return {message.data for message in recording.recorded('/mixed')}
 
     def both() -> bool:
         second.publish(String(data='second'))  # best effort: one may be lost
         return recorded() == {'first', 'second'}
 
-    graph.until(both, 'messages of both')
-    graph.stop()
+    recording.graph.until(both, 'messages of both')
+    recording.stop()
     assert recorded() == {'first', 'second'}
 
 
-def test_the_log_the_parameters_and_the_recorder_itself_are_recorded(graph: Graph) -> None:
+def test_the_log_the_parameters_and_the_recorder_itself_are_recorded(
+    recording: Recording,
+) -> None:
     def logged() -> list[str]:
-        return [message.msg for message in graph.recorded('/rosout')]
+        return [message.msg for message in recording.recorded('/rosout')]
 
     def changed() -> list[str]:
-        events = graph.recorded('/parameter_events')
+        events = recording.recorded('/parameter_events')
         return [p.name for event in events for p in event.changed_parameters]
 
-    graph.node.declare_parameter('colour', 'red')
-    graph.record('-p', 'metadata:=\'{"seed": 7, "strategy": "failures"}\'')
-    graph.node.get_logger().info('a line of the log')
-    graph.node.set_parameters([rclpy.Parameter('colour', value='blue')])
-    graph.until(lambda: 'a line of the log' in logged(), 'the log')
-    graph.until(lambda: changed() == ['colour'], 'the change of a parameter')
-    graph.stop()
-    bag = open_bag(graph.path)
+    recording.node.declare_parameter('colour', 'red')
+    recording.record(metadata='{"seed": 7, "strategy": "failures"}')
+    recording.node.get_logger().info('a line of the log')
+    recording.node.set_parameters([Parameter('colour', value='blue')])
+    recording.graph.until(lambda: 'a line of the log' in logged(), 'the log')
+    recording.graph.until(lambda: changed() == ['colour'], 'the change of a parameter')
+    bag = recording.stop()
     assert 'a line of the log' in logged()
     assert changed() == ['colour']
-    assert {'/recorder_status', '/node_status'} <= counts(bag).keys()
+    assert {'/recorder_status', '/node_status'} <= {r.topic for r in bag.messages(decoded=False)}
     facts = {'seed': '7', 'strategy': 'failures', 'record_include': '["*"]', **software()}
     assert facts.items() <= bag.metadata['humanopts'].items()
 
 
-def test_a_namespace_is_recorded_without_its_neighbours(graph: Graph) -> None:
-    ours = graph.node.create_publisher(String, '/a/chatter', LATCHED)
-    theirs = graph.node.create_publisher(String, '/ab/chatter', LATCHED)
+def test_a_namespace_is_recorded_without_its_neighbours(live: Graph) -> None:
+    ours = live.node.create_publisher(String, '/a/chatter', LATCHED)
+    theirs = live.node.create_publisher(String, '/ab/chatter', LATCHED)
     for publisher in (ours, theirs):
         publisher.publish(String(data='x'))
-    graph.node.create_subscription(RecorderStatus, '/a/recorder_status', graph._keep, LATCHED)
-    graph.recorder = graph.begin('-r', '__ns:=/a')
-    graph.until(lambda: graph.status.complete, 'the recorder')
-    graph.until(lambda: ours.get_subscription_count() == 1, 'a match')
-    graph.holds('/a/chatter', 1)
-    graph.stop()
-    topics = set(open_bag(graph.path).topics)
+    said = live.listen(RecorderStatus, '/a/recorder_status', LATCHED)
+    recorder = live.start(RECORDER, '/a', path=live.folder / 'bag')
+    live.until(lambda: said and said[-1].complete, 'the recorder')
+    live.until(lambda: ours.get_subscription_count() == 1, 'a match')
+    live.until(lambda: list(open_bag(live.folder / 'bag').messages(['/a/chatter'])), 'a message')
+    live.stop(recorder)
+    topics = set(open_bag(live.folder / 'bag').topics)
     assert '/a/chatter' in topics
     assert all(t.startswith('/a/') or t in ('/rosout', '/parameter_events') for t in topics)
 
 
-def test_a_gap_is_said_while_recording_with_its_topic_and_sender(graph: Graph) -> None:
-    publisher = graph.node.create_publisher(GameState, 'game_state', STREAM)
-    graph.record()
+def test_a_gap_is_said_while_recording_with_its_topic_and_sender(recording: Recording) -> None:
+    publisher = recording.node.create_publisher(GameState, 'game_state', STREAM)
+    recording.record()
     for sequence in (1, 2, 6):
         publisher.publish(GameState(publisher_id='/tester#1', sequence=sequence))
-    graph.until(lambda: graph.status.missing == 3, 'three missing messages')
-    (loss,) = graph.status.losses
+    recording.graph.until(lambda: recording.status.missing == 3, 'three missing messages')
+    (loss,) = recording.status.losses
     assert (loss.topic, loss.sender) == ('/game_state', '/tester#1')
     assert (loss.sent, loss.missing) == (6, 3)
-    graph.stop()
 
 
 def test_a_recorder_that_was_stopped_says_that_it_is_behind_and_when_no_longer(
-    graph: Graph,
+    recording: Recording,
 ) -> None:
-    graph.record()
-    assert graph.recorder is not None
-    graph.run('-c', BURST, '1000000', '200')
-    graph.until(lambda: graph.status.messages > 20, 'messages')
-    graph.recorder.send_signal(signal.SIGSTOP)
+    recorder, until = recording.spawn(), recording.graph.until
+    recording.burst(1_000_000, 200)
+    until(lambda: recording.status.messages > 20, 'messages')
+    recorder.pause()
     stopped = time.monotonic()
-    graph.until(lambda: time.monotonic() > stopped + 1.0, 'a second')
-    graph.recorder.send_signal(signal.SIGCONT)
-    graph.until(lambda: graph.status.behind, 'a word about it')
-    assert graph.status.lag > 0.9
-    assert 'does not keep up' in graph.status.text
-    graph.until(lambda: not graph.status.behind, 'a recovery')
-    assert graph.status.text == ''
-    assert 0 < graph.status.cpu_seconds < 60
-    assert 2**20 < graph.status.memory < 2**32
-    assert graph.stop() == 0
-    assert summarise(open_bag(graph.path)).missing == 0
-    assert graph.recorder.stderr is not None
-    log = graph.recorder.stderr.read()
+    until(lambda: time.monotonic() > stopped + 1.0, 'a second')
+    recorder.go_on()
+    until(lambda: recording.status.behind, 'a word about it')
+    assert recording.status.lag > 0.9
+    assert 'does not keep up' in recording.status.text
+    until(lambda: not recording.status.behind, 'a recovery')
+    assert recording.status.text == ''
+    assert 0 < recording.status.cpu_seconds < 60
+    assert 2**20 < recording.status.memory < 2**32
+    assert recorder.kill(signal.SIGTERM) == 0
+    assert summarise(open_bag(recording.path)).missing == 0
+    log = recorder.said()
     assert log.count('does not keep up') == log.count('keeps up again')
 
 
-def test_a_recording_goes_on_in_other_files_and_loses_nothing(graph: Graph) -> None:
-    graph.record('-p', 'max_bytes:=20000', '-p', 'max_seconds:=30.0')
-    burst = graph.run('-c', BURST, '2000', '2000')
-    assert burst.stdout is not None
-    assert 'sent\n' in burst.stdout
-    graph.until(lambda: graph.status.messages >= 2000, 'messages')
-    assert graph.stop() == 0
-    bag = open_bag(graph.path)
+def test_a_recording_goes_on_in_other_files_and_loses_nothing(recording: Recording) -> None:
+    states = recording.node.create_publisher(GameState, 'game_state', STREAM)
+    recording.record(max_bytes=20_000, max_seconds=30.0)
+    for step in range(800):
+        text = os.urandom(40).hex()  # does not compress
+        states.publish(
+            GameState(publisher_id='/tester#1', sequence=step + 1, step=step, state=text)
+        )
+        if step % 100 == 99:
+            recording.holds('/game_state', step + 1)
+    bag = recording.stop()
     assert len(bag.files) > 2
-    assert graph.status.files in (len(bag.files), len(bag.files) - 1)
-    assert [r.message.step for r in bag.messages(['/game_state'])] == list(range(2000))
+    assert recording.status.files in (len(bag.files), len(bag.files) - 1)
+    assert [r.message.step for r in bag.messages(['/game_state'])] == list(range(800))
     assert check_bag(bag).findings == ()
 
 
-def test_a_recorder_killed_after_a_split_loses_half_a_second_at_most(graph: Graph) -> None:
-    graph.record('-p', 'max_seconds:=0.3')
-    graph.run('-c', BURST, '1000000', '500')
-    graph.until(lambda: graph.status.messages > 300 and graph.status.files > 2, 'files')
+def test_a_recorder_killed_after_a_split_loses_half_a_second_at_most(
+    recording: Recording,
+) -> None:
+    recorder = recording.spawn(max_seconds=0.3)
+    recording.burst(1_000_000, 500)
+    recording.graph.until(
+        lambda: recording.status.messages > 300 and recording.status.files > 2, 'files'
+    )
     killed = time.time_ns()
-    graph.stop(signal.SIGKILL)
-    bag = open_bag(graph.path)
+    recorder.kill(signal.SIGKILL)
+    bag = open_bag(recording.path)
     recorded = list(bag.messages(['/game_state']))
     assert [r.message.step for r in recorded] == list(range(len(recorded)))
     assert killed - recorded[-1].log_time < 0.5e9
@@ -418,107 +356,97 @@ def test_a_recorder_killed_after_a_split_loses_half_a_second_at_most(graph: Grap
     assert all(file['message_count'] > 0 for file in told[:-1])
 
 
-def test_only_chosen_topics_are_recorded_and_nobody_waits_for_others(graph: Graph) -> None:
-    patterns = ['-p', 'record_include:=["*_state", "recorder_*"]', '-p', 'record_exclude:=["c*"]']
-    other = graph.node.create_publisher(String, 'chatter_state', LATCHED)
+def test_only_chosen_topics_are_recorded_and_nobody_waits_for_others(
+    recording: Recording,
+) -> None:
+    patterns = {'record_include': ['*_state', 'recorder_*'], 'record_exclude': ['c*']}
+    other = recording.node.create_publisher(String, 'chatter_state', LATCHED)
     other.publish(String(data='x'))
-    graph.recorder = graph.begin(*patterns)
-    graph.until(lambda: graph.status.complete, 'the recorder')
-    waiting = BURST.replace("'expect_recorder:=true'", f"'expect_recorder:=true', *{patterns}")
-    burst = graph.run('-c', waiting, '100', '0')
-    assert burst.stdout is not None
-    assert 'sent\n' in burst.stdout
-    graph.stop()
-    bag = open_bag(graph.path)
+    recorder = recording.graph.start(RECORDER, path=recording.path, **patterns)
+    recording.graph.until(lambda: recording.status.complete, 'the recorder')
+    recording.graph.start(GAME, expect_recorder=True, **patterns)
+    recording.graph.ready('/game')
+    recording.graph.ask(ResetGame, 'reset_game', source=ResetGame.Request.SOURCE_PERSON)
+    recording.holds('/game_state', 1)
+    recording.graph.stop(recorder)
+    bag = open_bag(recording.path)
     assert set(bag.topics) == {'/game_state', '/recorder_status'}
-    assert [r.message.step for r in bag.messages(['/game_state'])] == list(range(100))
     facts = bag.metadata['humanopts']
     assert facts['record_include'] == '["*_state", "recorder_*"]'
     assert facts['record_exclude'] == '["c*"]'
-    assert 'demonstrations and domain_info will not be recorded' in graph.said[0].text
+    assert 'demonstrations and domain_info will not be recorded' in recording.said[0].text
 
 
-def test_patterns_that_leave_nothing_are_said(graph: Graph) -> None:
-    graph.recorder = graph.begin('-p', 'record_include:=["nothing"]')
-    graph.until(lambda: graph.status.complete, 'the recorder')
-    assert graph.status.text == 'the patterns leave no topic to record'
-    assert graph.stop() == 0
+def test_patterns_that_leave_nothing_are_said(recording: Recording) -> None:
+    recording.graph.start(RECORDER, path=recording.path, record_include=['nothing'])
+    recording.graph.until(lambda: recording.status.complete, 'the recorder')
+    assert recording.status.text == 'the patterns leave no topic to record'
 
 
-def test_option_files_are_kept_as_they_are_at_the_end(graph: Graph, tmp_path: Path) -> None:
-    folder = tmp_path / 'options'
-    graph.record('-p', f'attach:=["{folder}"]')
+def test_option_files_are_kept_as_they_are_at_the_end(recording: Recording) -> None:
+    folder = recording.graph.folder / 'options'
+    recording.record(attach=[str(folder)])
     (folder / 'p1').mkdir(parents=True)
     (folder / 'p1' / 'go.json').write_text('{"version": 1}')
-    (folder / 'p1' / 'secret.json').symlink_to(tmp_path / 'nowhere')
-    assert graph.stop() == 0
-    (kept,) = open_bag(graph.path).attached()
+    (folder / 'p1' / 'secret.json').symlink_to(recording.graph.folder / 'nowhere')
+    (kept,) = recording.stop().attached()
     assert (kept.name, kept.data) == ('options/p1/go.json', b'{"version": 1}')
     assert kept.media_type == 'application/json'
     assert kept.create_time == (folder / 'p1' / 'go.json').stat().st_mtime_ns
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_it_with_a_whole_bag(graph: Graph, number: int) -> None:
-    publisher = graph.node.create_publisher(String, 'chatter', STREAM)
-    graph.record()
+def test_a_signal_ends_it_with_a_whole_bag(recording: Recording, number: signal.Signals) -> None:
+    publisher = recording.node.create_publisher(String, 'chatter', STREAM)
+    recorder = recording.spawn()
     for word in range(500):
         publisher.publish(String(data=str(word)))
-    assert graph.stop(number) == 0
-    bag = open_bag(graph.path)
+    assert recorder.kill(number) == 0
+    bag = open_bag(recording.path)
     assert bag.damage == ''
     assert [r.message.data for r in bag.messages(['/chatter'])] == [str(n) for n in range(500)]
 
 
-def test_a_full_disk_is_said_and_holds_nobody_back(graph: Graph) -> None:
-    limit = 20_000
-    graph.record(
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
-    )
-    publisher = graph.node.create_publisher(String, 'chatter', STREAM)
-    graph.until(lambda: publisher.get_subscription_count() > 0, 'the recorder')
+def test_a_full_disk_is_said_and_holds_nobody_back(recording: Recording) -> None:
+    recorder, until = recording.spawn(), recording.graph.until
+    publisher = recording.node.create_publisher(String, 'chatter', STREAM)
+    until(lambda: publisher.get_subscription_count() > 0, 'the recorder')
     publisher.publish(String(data='before'))
-    graph.until(lambda: graph.status.messages > 4, 'a status')
+    until(lambda: recording.status.messages > 4, 'a status')
+    resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (20_000, 20_000))
     for _ in range(8):
         publisher.publish(String(data=os.urandom(10_000).hex()))
-    graph.until(lambda: graph.status.stopped, 'the end of the recording')
-    assert 'recording stopped: cannot write to' in graph.status.text
-    graph.until(
-        lambda: graph.node_states.get('/recorder') == NodeStatus.STATE_PAUSED, 'its node status'
-    )
+    until(lambda: recording.status.stopped, 'the end of the recording')
+    assert 'recording stopped: cannot write to' in recording.status.text
+    until(lambda: recording.graph.state('/recorder') == NodeStatus.STATE_PAUSED, 'its node status')
     for _ in range(6000):  # more than a reader that has stopped would let pass
         publisher.publish(String(data='after'))
-    assert graph.stop() == 0
-    first = next(open_bag(graph.path).messages(['/chatter']))
+    assert recorder.kill(signal.SIGTERM) == 0
+    first = next(open_bag(recording.path).messages(['/chatter']))
     assert first.message.data == 'before'
 
 
-def test_a_recorder_that_stopped_stays_when_nodes_come(graph: Graph) -> None:
-    graph.record('-p', 'max_seconds:=0.1')
-    (graph.path / 'metadata.yaml.new').mkdir()
-    graph.until(lambda: graph.status.stopped, 'the end of the recording')
-    late = graph.node.create_publisher(GameState, 'game_state', STREAM)
-    graph.until(lambda: late.get_subscription_count() > 0, 'the recorder')
-    said = graph.status.sequence
-    graph.until(lambda: graph.status.sequence > said, 'another word')
-    assert graph.stop() == 0
+def test_a_recorder_that_stopped_stays_when_nodes_come(recording: Recording) -> None:
+    recording.record(max_seconds=0.1)
+    (recording.path / 'metadata.yaml.new').mkdir()
+    recording.graph.until(lambda: recording.status.stopped, 'the end of the recording')
+    late = recording.node.create_publisher(GameState, 'game_state', STREAM)
+    recording.graph.until(lambda: late.get_subscription_count() > 0, 'the recorder')
+    said = recording.status.sequence
+    recording.graph.until(lambda: recording.status.sequence > said, 'another word')
 
 
 @pytest.mark.parametrize(
-    ('options', 'reason'),
+    ('parameters', 'reason'),
     [
-        ((), 'exists already'),
-        (('-p', 'path:=/proc/no/such'), 'cannot make /proc/no/such'),
-        (('-p', "path:=''"), 'name the directory'),
-        (('-p', 'metadata:="[1]"', '-p', 'path:=/tmp/never'), 'not a JSON object'),
+        ({}, 'exists already'),
+        ({'path': '/proc/no/such'}, 'cannot make /proc/no/such'),
+        ({'path': ''}, 'name the directory'),
+        ({'path': '/proc/never', 'metadata': '[1]'}, 'not a JSON object'),
     ],
 )
 def test_a_recording_that_cannot_begin_says_why(
-    graph: Graph, options: tuple[str, ...], reason: str
+    live: Graph, parameters: dict[str, Any], reason: str
 ) -> None:
-    graph.path.mkdir()
-    process = graph.begin(*options)
-    _, errors = process.communicate(timeout=20)
-    assert process.returncode == 2
-    assert reason in errors
-    assert 'Traceback' not in errors
+    (live.folder / 'bag').mkdir()
+    assert reason in live.refused(RECORDER, **{'path': live.folder / 'bag', **parameters})
