@@ -33,7 +33,6 @@ from humanopts_learner.options.learn import learn_option
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.reader import Bag, open_bag
-from humanopts_teach.evaluation.bag_evaluation import FACTS
 from humanopts_teach.evaluation.measures import settings_from_facts
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
@@ -116,7 +115,7 @@ def read_bag_lessons(path: Path) -> list[BagLesson]:
     """
     bag = open_bag(path)
     domain = read_domain(bag)
-    settings, _ = settings_from_facts(bag.metadata.get(FACTS, {}))
+    settings, _ = settings_from_facts(bag.facts)
     lessons = [
         BagLesson(
             str(path.resolve()),

@@ -77,7 +77,7 @@ def library_of(domain: Any) -> OptionLibrary:
 
 def arbiter_of(plan: ExactPlan | SampledPlan, execution: Execution) -> Arbiter:
     """Return the arbiter that is made of what a message carries."""
-    values = option_values(plan) if isinstance(plan, ExactPlan) else plan.option_values()
+    values = option_values(plan) if isinstance(plan, ExactPlan) else plan.policy.values
     library = library_of(plan.domain)
     options = {name: library.resolve(name) for name in (*plan.names, *library.primitive_names)}
     sent = option_values_from_message(option_values_to_message(values, '', ''))
@@ -214,6 +214,6 @@ def test_values_that_do_not_fit_the_domain_are_refused() -> None:
     values = option_values(exact_plan())
     with pytest.raises(PlanError, match='every state of taxi'):
         Arbiter(values, Execution.INTERRUPTED, Taxi(6, 6), options)
-    values = replace(sampled_plan().option_values(), action_set='human+primitive')
+    values = replace(sampled_plan().policy.values, action_set='human+primitive')
     with pytest.raises(PlanError, match='the actions of taxi'):
         Arbiter(values, Execution.INTERRUPTED, BATCH_TAXI, options)

@@ -301,7 +301,7 @@ class PolicyServer:
         plan = made.plan
 
         def compute() -> OptionValues:
-            values = option_values(plan) if isinstance(plan, ExactPlan) else plan.option_values()
+            values = option_values(plan) if isinstance(plan, ExactPlan) else plan.policy.values
             return option_values_to_message(values, made.plan_id, made.participant)
 
         message = await in_thread(self._node, self._state.pool, compute)

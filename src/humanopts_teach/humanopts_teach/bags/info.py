@@ -4,9 +4,8 @@ What ``humanopts bag info`` prints, found in one pass and shown as text and as J
 These are the facts about a bag: people, options, runs, plans, episodes and loss.
 """
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, UTC
 from functools import lru_cache, partial
 import math
@@ -107,31 +106,31 @@ class AttachedRow:
     media_type: str
 
 
-@dataclass(frozen=True)
+@dataclass
 class BagInfo:
-    """What a bag holds."""
+    """What a bag holds, filled in while it is read."""
 
     path: str
-    damage: str  # what is wrong with the bag, a line each; empty: nothing
-    start: int  # of the first message, ns since the epoch
-    duration: int  # to the last message, ns
-    files: int  # MCAP files
-    bytes: int  # size of the MCAP files
-    facts: Mapping[str, str]  # that the recorder was given
-    attached: tuple[AttachedRow, ...]
-    domains: tuple[str, ...]  # name and parameters
-    open_sessions: tuple[tuple[str, str], ...]  # participant and code of each session
-    topics: tuple[TopicRow, ...]
-    options: tuple[OptionRow, ...]
-    criteria: tuple[CriterionRow, ...]  # over time, as the learner published them
-    option_runs: Mapping[str, int]  # by status
-    plans: Mapping[str, int]
-    policy_runs: Mapping[str, int]
-    interruptions: int  # options that policies interrupted, since another was worth more
-    execution_changes: int  # of policies while they ran
-    episodes: int
-    episodes_ended: int  # whose last state was recorded
-    streams: tuple[Stream, ...]
+    damage: str = ''  # what is wrong with the bag, a line each; empty: nothing
+    start: int = 0  # of the first message, ns since the epoch
+    duration: int = 0  # to the last message, ns
+    files: int = 0  # MCAP files
+    bytes: int = 0  # size of the MCAP files
+    facts: Mapping[str, str] = field(default_factory=dict)  # that the recorder was given
+    attached: Sequence[AttachedRow] = ()
+    domains: list[str] = field(default_factory=list)  # name and parameters
+    open_sessions: list[tuple[str, str]] = field(default_factory=list)  # participant, session
+    topics: Sequence[TopicRow] = ()
+    options: Sequence[OptionRow] = ()
+    criteria: Sequence[CriterionRow] = ()  # over time, as the learner published them
+    option_runs: dict[str, int] = field(default_factory=dict)  # by status
+    plans: dict[str, int] = field(default_factory=dict)
+    policy_runs: dict[str, int] = field(default_factory=dict)
+    interruptions: int = 0  # options that policies interrupted, since another was worth more
+    execution_changes: int = 0  # of policies while they ran
+    episodes: int = 0
+    episodes_ended: int = 0  # whose last state was recorded
+    streams: Sequence[Stream] = ()
 
     @property
     def messages(self) -> int:
@@ -307,19 +306,18 @@ class _Collector:
     """Collects what a bag holds, message by message."""
 
     def __init__(self, bag: Bag) -> None:
+        self._info = info = BagInfo(str(bag.path))
         self._bag = bag
         self._tally = Tally(bag)
         self._games = EpisodeGrouping(bag)
-        self._ends: list[bool] = []  # whether the end of each episode was recorded
         self._demonstrations: list[Demonstration] = []
         self._met: dict[tuple[str, str], bool] = {}  # all criteria, by participant and option
         self._criteria: dict[tuple[str, str, str], CriterionRow] = {}
-        self._domains: dict[str, None] = {}
-        self._open_sessions: dict[tuple[str, str], None] = {}
-        self._results: dict[str, Counter[str]] = {
-            kind: Counter() for kind in (_OPTION_RESULT, PLAN_RESULT, _POLICY_RESULT)
+        self._results = {
+            _OPTION_RESULT: info.option_runs,
+            PLAN_RESULT: info.plans,
+            _POLICY_RESULT: info.policy_runs,
         }
-        self._interruptions = self._execution_changes = 0
         self._handlers = {
             DEMONSTRATION: self._demonstration,
             DOMAIN_INFO: self._domain,
@@ -342,31 +340,22 @@ class _Collector:
         bag, tally = self._bag, self._tally
         for group in self._games.unfinished():
             self._episode(group)
-        return BagInfo(
-            path=str(bag.path),
+        return replace(
+            self._info,
             damage=bag.damage,
             start=tally.extent.first if tally.extent.messages else 0,
             duration=tally.extent.duration,
             files=len(bag.files),
             bytes=sum(file.stat().st_size for file in bag.files),
-            facts=bag.metadata.get('humanopts', {}),
-            attached=tuple(
+            facts=bag.facts,
+            attached=[
                 AttachedRow(name, at.data_size, at.media_type)
                 for name, at in bag.attachments.items()
-            ),
-            domains=tuple(self._domains),
-            open_sessions=tuple(self._open_sessions),
-            topics=tuple(self._topic_row(topic) for topic in bag.topics.values()),
-            options=tuple(self.option_rows()),
-            criteria=tuple(self._criteria.values()),
-            option_runs=dict(self._results[_OPTION_RESULT]),
-            plans=dict(self._results[PLAN_RESULT]),
-            policy_runs=dict(self._results[_POLICY_RESULT]),
-            interruptions=self._interruptions,
-            execution_changes=self._execution_changes,
-            episodes=len(self._ends),
-            episodes_ended=sum(self._ends),
-            streams=tuple(tally.ledger),
+            ],
+            topics=[self._topic_row(topic) for topic in bag.topics.values()],
+            options=self.option_rows(),
+            criteria=list(self._criteria.values()),
+            streams=list(tally.ledger),
         )
 
     def _topic_row(self, topic: Topic) -> TopicRow:
@@ -403,17 +392,21 @@ class _Collector:
     def _episode(self, group: EpisodeMessages | None) -> None:
         """Count an episode that is over."""
         if group is not None:
-            self._ends.append(is_ended(self._bag, group))
+            self._info.episodes += 1
+            self._info.episodes_ended += is_ended(self._bag, group)
 
     def _demonstration(self, _: Recorded, message: Any) -> None:
         self._demonstrations.append(demonstration_from_message(message))
 
     def _domain(self, _: Recorded, message: Any) -> None:
-        self._domains[f'{message.domain} {message.parameters}'] = None
+        played = f'{message.domain} {message.parameters}'
+        if played not in self._info.domains:
+            self._info.domains.append(played)
 
     def _lesson(self, _: Recorded, message: Any) -> None:
-        if message.participant:
-            self._open_sessions[message.participant, message.session] = None
+        opened = (message.participant, message.session)
+        if message.participant and opened not in self._info.open_sessions:
+            self._info.open_sessions.append(opened)
 
     def _status(self, recorded: Recorded, message: Any) -> None:
         for option in message.options:
@@ -436,11 +429,12 @@ class _Collector:
 
     def _result(self, recorded: Recorded, message: Any) -> None:
         names = _constants(self._bag.topics[recorded.topic].schema, 'STATUS_')
-        name = names.get(message.status, f'status {message.status}')
-        self._results[recorded.type][name.lower()] += 1
+        name = names.get(message.status, f'status {message.status}').lower()
+        counts = self._results[recorded.type]
+        counts[name] = counts.get(name, 0) + 1
         if recorded.type == _POLICY_RESULT:  # older versions have no such fields
-            self._interruptions += getattr(message, 'interruptions', 0)
-            self._execution_changes += getattr(message, 'execution_changes', 0)
+            self._info.interruptions += getattr(message, 'interruptions', 0)
+            self._info.execution_changes += getattr(message, 'execution_changes', 0)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

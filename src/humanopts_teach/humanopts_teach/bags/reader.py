@@ -55,7 +55,7 @@ class Bag:
     :ivar information: the contents of metadata.yaml; {}: there is none.
     :ivar on_read: called in every pass.
     :ivar files: the MCAP files.
-    :ivar metadata: the MCAP metadata records by name; ``humanopts`` has the recorder's facts.
+    :ivar metadata: the MCAP metadata records by name.
     :ivar attachments: the attached files by name, of which ``attached`` has the contents.
     :ivar numbered: our recorder wrote the bag, which numbers the messages of a topic from 1.
     :ivar topics: the topics by name, sorted.
@@ -82,6 +82,11 @@ class Bag:
     def damage(self) -> str:
         """What is wrong with the bag, as far as it was read, a line each; empty: nothing."""
         return '\n'.join(self._damage)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What our recorder was given to keep of the recording, by name."""
+        return self.metadata.get(RECORD, {})
 
     @property
     def n_messages(self) -> int:
@@ -250,7 +255,7 @@ class Bag:
 
     def _compare_facts(self) -> None:
         """Note where the copies of our recorder's facts differ."""
-        facts = self.metadata.get(RECORD, {})
+        facts = self.facts
         for file in self._files:
             if file.metadata.get(RECORD, facts) != facts:
                 self.note(f'{file.path.name} has other facts than the last file')

@@ -49,7 +49,6 @@ from humanopts_teach.evaluation.measures import (
 )
 
 EPISODES = 100  # that plans are judged by, where models are exact
-FACTS = 'humanopts'  # the bag's metadata record of the lesson's settings
 SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # that learning depends on
 _OF_CURVE = (  # fields of an OptionBlock that a learning curve has
     'n_demonstrations',
@@ -194,10 +193,9 @@ def evaluate_bag(
     """
     opened = open_bag(bag) if isinstance(bag, str | Path) else bag
     domain = read_domain(opened)
-    facts = opened.metadata.get(FACTS, {})
-    settings, assumed = settings_from_facts(facts)
+    settings, assumed = settings_from_facts(opened.facts)
     demonstrations, attached = read_demonstrations(opened), attached_options(opened)
-    warnings = [*opened.damage.splitlines(), *assumed, *software_notes(facts)]
+    warnings = [*opened.damage.splitlines(), *assumed, *software_notes(opened.facts)]
     found = evaluate(demonstrations, domain, settings, warnings, progress, episodes)
     learned = [evaluated.last.option for evaluated in found.options]
     equal, differing = compare_options(attached, learned, demonstrations)

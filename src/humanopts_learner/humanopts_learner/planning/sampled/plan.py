@@ -105,10 +105,6 @@ class SampledPlan:
         policy = self.as_executed(execution)
         return play_games(self.actions, policy, self.gamma, seed, episodes, progress)
 
-    def option_values(self) -> OptionValues:
-        """Return the values for arbitration in the abstract states visited."""
-        return self.policy.values
-
 
 def make_sampled_plan(
     domain: Domain[Any],
