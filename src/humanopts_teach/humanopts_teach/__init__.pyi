@@ -1,5 +1,5 @@
+from .bags import BagError
 from .bags.contents import read_demonstrations, read_domain
-from .bags.errors import BagError
 from .bags.info import summarise
 from .bags.reader import Bag, open_bag
 from .evaluation.bag_evaluation import BagEvaluation, evaluate_bag
