@@ -100,9 +100,7 @@ def test_graph_is_measured_on_processes_of_its_own(tmp_path: Path, domain_id: in
 
 
 @pytest.mark.slow
-def test_recorder_loses_nothing_of_any_load(
-    tmp_path: Path, domain_id: int
-) -> None:
+def test_recorder_loses_nothing_of_any_load(tmp_path: Path, domain_id: int) -> None:
     results = tmp_path / 'bench.json'
     command = Command(
         ['bench', '--quick', '--only', 'recording', '--json', results], tmp_path, domain_id
