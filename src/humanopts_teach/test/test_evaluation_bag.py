@@ -174,7 +174,14 @@ def test_settings_are_read_from_the_facts_in_the_bag() -> None:
 
 @pytest.mark.parametrize(
     ('name', 'text'),
-    [('seed', '-1'), ('budget', 'many'), ('return_delta', 'nan'), ('initiation_error', '7')],
+    [
+        ('seed', '-1'),
+        ('budget', 'many'),
+        ('return_delta', 'nan'),
+        ('initiation_error', '7'),
+        ('teacher_error_rate', '2'),
+        ('teacher_error_rate', 'nan'),
+    ],
 )
 def test_a_fact_that_makes_no_sense_is_replaced_and_named(name: str, text: str) -> None:
     settings, assumed = settings_from_facts({name: text})

@@ -1,7 +1,7 @@
 """The numbers of a lesson, live or learned again: of its settings, options and plans."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 import math
 from typing import Any
 
@@ -24,6 +24,15 @@ class Settings:
     teacher_error_rate: float | None = None  # None: a person taught
     budget: int = BUDGET  # most start states shown for one option
 
+    def __post_init__(self) -> None:
+        """
+        Check the numbers.
+
+        :raises ValueError: one is out of range.
+        """
+        if min(self.seed, self.budget) < 0 or not 0 <= (self.teacher_error_rate or 0.0) <= 1:
+            raise ValueError(f'{self}: seed and budget are at least 0, and the rate a share')
+
 
 def settings_from_facts(facts: Mapping[str, str]) -> tuple[Settings, list[str]]:
     """
@@ -31,51 +40,27 @@ def settings_from_facts(facts: Mapping[str, str]) -> tuple[Settings, list[str]]:
 
     :return: the settings, and a sentence on each that had to be assumed.
     """
-    usual = Settings()
-    limits = asdict(usual.thresholds)
+    settings, assumed = Settings(), []
+    limits = asdict(settings.thresholds)
     parsers: dict[str, Callable[[str], Any]] = {
-        'seed': _natural,
-        **{name: _threshold(name) for name in limits},
+        'seed': int,
+        **dict.fromkeys(limits, float),
         'strategy': str,
-        'budget': _natural,
-        'teacher_error_rate': _rate,
+        'budget': int,
+        'teacher_error_rate': lambda text: None if text == 'None' else float(text),
     }
-    values: dict[str, Any] = {**asdict(usual), **limits}
-    assumed = []
     for name, parse in parsers.items():
+        usual = getattr(settings.thresholds if name in limits else settings, name)
         try:
-            values[name] = parse(facts[name])
+            change = {name: parse(facts[name])}
+            if name in limits:
+                change = {'thresholds': replace(settings.thresholds, **change)}
+            settings = replace(settings, **change)
         except KeyError:
-            assumed.append(f'the bag does not say its {name}; {values[name]} is assumed')
+            assumed.append(f'the bag does not say its {name}; {usual} is assumed')
         except ValueError:
-            was = repr(facts[name])
-            assumed.append(f'its {name} {was} is not valid; {values[name]} is assumed')
-    values['thresholds'] = Thresholds(**{name: values.pop(name) for name in limits})
-    return Settings(**values), assumed
-
-
-def _natural(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise ValueError(text)
-    return value
-
-
-def _threshold(name: str) -> Callable[[str], float]:
-    def read(text: str) -> float:
-        value: float = getattr(Thresholds(**{name: float(text)}), name)
-        return value
-
-    return read
-
-
-def _rate(text: str) -> float | None:
-    if text == 'None':
-        return None
-    value = float(text)
-    if not 0 <= value <= 1:
-        raise ValueError(text)
-    return value
+            assumed.append(f'its {name} {facts[name]!r} is not valid; {usual} is assumed')
+    return settings, assumed
 
 
 @dataclass(frozen=True)
