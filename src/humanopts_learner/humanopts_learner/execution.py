@@ -128,7 +128,7 @@ class Arbiter:
         :raises PlanError: the values do not fit the domain.
         """
         self.execution, self._values, self._domain = execution, values, domain
-        self._options, self._rng = options, np.random.default_rng(0)  # that nothing draws from
+        self._options, self._rng = options, np.random.default_rng(0)  # nothing draws from it
         among = [options[name] for name in values.names]
         learned = [option for option in among if isinstance(option, LearnedOption)]
         if values.sampled:

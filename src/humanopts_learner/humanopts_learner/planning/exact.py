@@ -151,9 +151,7 @@ def build_model(
     """
     Return the exact model of an action set.
 
-    It has the options and then, where the set needs them, the primitive actions. In the sets
-    ``human`` and ``automatic`` these are available only in states where no option is; where there
-    is no such state, they are left out.
+    It has the options and then, where the set needs them, the primitive actions.
 
     :param options: ignored in the set ``primitive``.
     """
@@ -161,24 +159,33 @@ def build_model(
     if action_set == PRIMITIVE:
         return primitive_model(domain.transitions(), domain.over(), gamma, names)
     model = _option_models(domain, options, gamma, progress)
-    closed = domain.over()
-    if action_set in OPTIONS_ONLY:
-        closed = closed | model.available.any(axis=1)
-    if not closed.all():
-        primitives = primitive_model(domain.transitions(), closed, gamma, names)
+    free = _primitive_states(domain, action_set, options)
+    if free.any():
+        primitives = primitive_model(domain.transitions(), ~free, gamma, names)
         model = concatenate([model, primitives])
     progress('models', 1.0, 0, math.nan)
     return model
 
 
+def _primitive_states(
+    domain: EnumerableDomain[Any], action_set: str, options: Sequence[TabularOption]
+) -> Flags:
+    """
+    Return the states in which primitive actions can be chosen, (S,).
+
+    In the sets ``human`` and ``automatic`` these are only the states where no option is available;
+    where there is no such state, primitive actions are left out of the set.
+    """
+    going = ~domain.over()
+    if action_set not in OPTIONS_ONLY:
+        return going
+    free: Flags = going & ~np.any([option.initiation for option in options], axis=0)
+    return free
+
+
 @dataclass(frozen=True)
 class OptionTable:
-    """
-    O options over S states: those given, then all primitive actions where the set needs them.
-
-    In the sets ``human`` and ``automatic`` these are available only in states where no option is;
-    where there is no such state, they are left out.
-    """
+    """O options over S states: those given, then the primitive actions if the set needs them."""
 
     names: tuple[str, ...]  # (O,)
     action: Ints  # (O, S) primitive action
@@ -198,10 +205,7 @@ def option_table(
     """
     PlanRequest(action_set).in_force(domain, options, sampled=False)
     used = () if action_set == PRIMITIVE else tuple(options)
-    going = ~domain.over()
-    free = going
-    if action_set in OPTIONS_ONLY:
-        free = going & ~np.any([option.initiation for option in used], axis=0)
+    free = _primitive_states(domain, action_set, used)
     primitives = [
         TabularOption(
             name=PRIMITIVE_PREFIX + action.name,
@@ -217,7 +221,7 @@ def option_table(
         names=tuple(option.name for option in every),
         action=np.array([option.action for option in every], dtype=np.intp),
         ends=np.array([option.termination for option in every]),
-        available=(np.array([option.initiation for option in every]) & going).T.copy(),
+        available=(np.array([option.initiation for option in every]) & ~domain.over()).T.copy(),
         limits=np.array([option.max_steps for option in every], dtype=np.intp),
     )
 
