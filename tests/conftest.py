@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 import os
 
-from graph_support.command import DemoRun, shared_demo
+from graph_support.command import DemoRun, EPISODES, shared_demo
 from graph_support.live import free_domain_id, Graph, open_graph
 from humanopts_ros.environment import prepare_discovery
 import pytest
@@ -53,5 +53,5 @@ def demo(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> DemoRun:
     """A whole demo, which all tests of what it leaves share, in whichever process they run."""
     own = tmp_path_factory.getbasetemp()
     everybodys = own if worker_id == 'master' else own.parent
-    arguments = ('--domain', 'taxi', '--seed', 1, '--episodes', 100)
+    arguments = ('--domain', 'taxi', '--seed', 1, '--episodes', EPISODES)
     return shared_demo(everybodys / 'demo', *arguments)

@@ -1,15 +1,17 @@
 """A policy that is interrupted, or runs as modules, on the real graph: as the pure code plays."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
-from graph_support.acting import Acting, LIMIT, START, start_acting
 from graph_support.live import Graph
-from graph_support.scripted import TAXI
-from graph_support.tour import Step, steps, TOUR, touring, USE
+from graph_support.planning import Acting, LIMIT, START, start_acting
+from graph_support.scripted import TAXI, TOUR, touring, USE
 from humanopts_interfaces.msg import OptionResult, OptionValues, PolicyResult
 from humanopts_interfaces.srv import RunOption, SetExecution
 from humanopts_learner.planning.evaluate import episode_starts
-from humanopts_learner.planning.interruption import option_values
+from humanopts_learner.planning.exact import ExactPlan, option_table
+from humanopts_learner.planning.interruption import as_executed, option_values
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import Execution, PlanRequest
 from humanopts_learner.ros.convert import option_values_to_message
@@ -21,6 +23,45 @@ OPTIONS = touring()
 PLAN = make_plan(TAXI, OPTIONS, PlanRequest('human'))
 STARTS = episode_starts(TAXI, SEED, EPISODES)
 CHANGED = [e for e in Execution if e is not Execution.RUN_TO_END]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of an episode, and what the policy did before it."""
+
+    state: str  # that it led to
+    action: str
+    actor: str  # whose action it was
+    reward: float
+    began: bool  # a decision was made before it
+    stopped: bool  # and what ran was stopped for it
+
+
+def steps(plan: ExactPlan, execution: Execution, start: int, limit: int) -> Iterator[Step]:
+    """Play an episode by the tables of the vectorised play, which the runner never sees."""
+    acting, rules = as_executed(plan, execution), TAXI.transitions()
+    does = option_table(plan.domain, plan.action_set, plan.options).action
+    at, column, stopped = start, -1, False
+    for _ in range(limit):
+        began = column < 0
+        column = int(acting.solution.best[at]) if began else column
+        action = int(does[column, at])
+        last = (at, action, 0)
+        reward, over = float(rules.reward[last]), bool(rules.terminated[last])
+        at = int(rules.successor[last])
+        text = TAXI.encode(TAXI.state_at(at))
+        names = TAXI.actions[action].name, plan.names[column]
+        yield Step(text, *names, reward, began, stopped)
+        if over:
+            return
+        ends = stopped = False
+        if column < len(plan.options):
+            ends = bool(plan.options[column].termination[at])
+            stopped = not ends and bool(acting.options[column].termination[at])
+        modules = execution in (Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST)
+        stopped = stopped and not modules
+        if ends or stopped or modules or column >= len(plan.options):
+            column = -1
 
 
 @pytest.fixture(scope='module')
@@ -145,7 +186,7 @@ def test_a_run_that_cannot_be_arbitrated_is_refused_in_words(
 
 def test_values_for_options_that_are_not_there_any_more_are_refused(acting: Acting) -> None:
     acting.play('interrupted', episodes=1)
-    acting.planning.teach([option for option in OPTIONS if option.name != USE])
+    acting.teach([option for option in OPTIONS if option.name != USE])
     try:
         acting.graph.until(
             lambda: acting.run(option_name=USE).status == OptionResult.STATUS_UNKNOWN_OPTION,
@@ -155,8 +196,8 @@ def test_values_for_options_that_are_not_there_any_more_are_refused(acting: Acti
         assert result.status == OptionResult.STATUS_UNKNOWN_OPTION
         assert repr(USE) in result.detail
     finally:
-        acting.planning.teach(OPTIONS)
-        acting.plan_id = acting.planning.plan('human').plan_id
+        acting.teach(OPTIONS)
+        acting.plan_id = acting.plan('human').plan_id
 
 
 def test_values_that_are_on_their_way_are_waited_for(acting: Acting) -> None:

@@ -1,10 +1,10 @@
 """Who watches changes how a policy is carried out, ends it, or takes over: at once."""
 
 from action_msgs.msg import GoalStatus
-from graph_support.acting import Acting, START, start_acting
 from graph_support.live import Graph
+from graph_support.planning import Acting, START, start_acting
 from graph_support.player import PERSON
-from graph_support.tour import touring
+from graph_support.scripted import touring
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import OptionResult, PolicyResult
 from humanopts_interfaces.srv import RunOption
@@ -73,7 +73,7 @@ def test_modules_that_were_begun_are_not_changed_by_what_is_learned_meanwhile(
 ) -> None:
     goal = paced.begin('modular_mass')
     paced.graph.until(lambda: len(paced.commands) > 2, 'some steps')
-    learned = paced.planning.teach([])
+    learned = paced.teach([])
     try:
         known = len(paced.commands)
         paced.graph.until(lambda: len(paced.commands) > known + 4, 'more steps')
@@ -83,8 +83,8 @@ def test_modules_that_were_begun_are_not_changed_by_what_is_learned_meanwhile(
         again = paced.play('modular_mass')
         assert again.status == PolicyResult.STATUS_NO_PLAN
     finally:
-        assert paced.planning.teach(touring()) == learned + 1
-        paced.plan_id = paced.planning.plan('human').plan_id
+        assert paced.teach(touring()) == learned + 1
+        paced.plan_id = paced.plan('human').plan_id
 
 
 def test_a_person_takes_over_from_modules(paced: Acting) -> None:

@@ -343,25 +343,25 @@ def test_bag_that_was_cut_short_says_so_and_gives_what_is_left(
 
 
 def test_eval_of_a_bag_writes_a_report_or_says_why_not(
-    capsys: pytest.CaptureFixture[str], demo: DemoRun, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     page = tmp_path / 'report.html'
-    assert run('bag', 'eval', demo.bag, '--html', page) == 0
+    assert run('bag', 'eval', EARLIER, '--html', page) == 0
     assert page.read_text('utf-8').startswith('<!doctype html>')
     assert capsys.readouterr().err.strip() == f'report: {page}'
     page = tmp_path / 'nowhere/report.html'
-    check_refused(capsys, run('bag', 'eval', demo.bag, '--html', page), str(page))
+    check_refused(capsys, run('bag', 'eval', EARLIER, '--html', page), str(page))
 
 
 def test_bags_are_told_apart_and_a_bag_is_the_same_as_itself(
     capsys: pytest.CaptureFixture[str], demo: DemoRun, tmp_path: Path
 ) -> None:
-    assert run('bag', 'diff', demo.bag, demo.bag, '--json') == 0
+    assert run('bag', 'diff', EARLIER, EARLIER, '--json') == 0
     assert json.loads(capsys.readouterr().out) == {'same': True, 'differences': []}
     content = next(demo.bag.glob('*.mcap')).read_bytes()
     cut = tmp_path / 'cut.mcap'
     cut.write_bytes(content[: len(content) // 8])
-    assert run('bag', 'diff', demo.bag, cut) == 1
+    assert run('bag', 'diff', EARLIER, cut) == 1
     out, err = capsys.readouterr()
     assert 'demonstration' in out
     assert 'cut short' in err
@@ -370,12 +370,13 @@ def test_bags_are_told_apart_and_a_bag_is_the_same_as_itself(
 def test_several_bags_are_evaluated_each_by_itself(
     capsys: pytest.CaptureFixture[str], demo: DemoRun
 ) -> None:
-    assert run('bag', 'eval', demo.bag, demo.bag, '--json') == 0
-    listed = json.loads(capsys.readouterr().out)
-    assert [found['bag'] for found in listed] == [str(demo.bag)] * 2
-    for found in listed:
-        for option, alone in zip(found['options'], demo.summary['options'], strict=True):
-            assert {key: option[key] for key in alone} == alone
+    assert run('bag', 'eval', demo.bag, EARLIER, '--json') == 0
+    first, second = json.loads(capsys.readouterr().out)
+    assert [first['bag'], second['bag']] == [str(demo.bag), str(EARLIER)]
+    for option, alone in zip(first['options'], demo.summary['options'], strict=True):
+        assert {key: option[key] for key in alone} == alone
+    assert run('bag', 'eval', EARLIER, '--json') == 0
+    assert {'bag': str(EARLIER), **json.loads(capsys.readouterr().out)} == second
 
 
 def test_episode_is_played_as_text_where_there_is_no_terminal(

@@ -54,7 +54,8 @@ def check_end(command: Command, *words: str) -> None:
     assert command.running() == {}
 
 
-@pytest.mark.parametrize('node', ['recorder', 'lesson'])
+# Each starts a whole demo, so that only one of these pairs is tested in every run.
+@pytest.mark.parametrize('node', ['recorder', pytest.param('lesson', marks=pytest.mark.slow)])
 def test_a_node_that_ends_while_it_teaches_ends_the_demo(
     start: Start, tmp_path: Path, node: str
 ) -> None:
@@ -69,14 +70,11 @@ def test_a_node_that_ends_while_it_teaches_ends_the_demo(
     assert in_bag == on_disk[: len(in_bag)]
 
 
-@pytest.mark.parametrize('node', ['planner'])
-def test_a_node_that_ends_while_it_plays_ends_the_demo(
-    start: Start, tmp_path: Path, node: str
-) -> None:
+def test_a_planner_that_ends_while_it_plays_ends_the_demo(start: Start, tmp_path: Path) -> None:
     command = start('--budget', 3, '--episodes', 2000)
     command.until(lambda: 'playing' in command.output, 'the first episode')
-    command.kill(node, SIGTERM)
-    check_end(command, node)  # the planner may say itself that it stops
+    command.kill('planner', SIGTERM)
+    check_end(command, 'planner')  # it may say itself that it stops
     bag = bag_of(tmp_path)
     assert bag.damage == ''
     assert shown_in_bag(bag) == shown_on_disk(tmp_path / 'out')
@@ -94,7 +92,7 @@ def test_a_killed_recorder_leaves_what_it_had_written(start: Start, tmp_path: Pa
     assert bag.n_messages > 50
 
 
-@pytest.mark.parametrize('how', [SIGINT, SIGTERM])
+@pytest.mark.parametrize('how', [SIGINT, pytest.param(SIGTERM, marks=pytest.mark.slow)])
 def test_a_demo_that_is_interrupted_stops_everything(
     start: Start, tmp_path: Path, how: signal.Signals
 ) -> None:

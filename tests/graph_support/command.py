@@ -21,6 +21,8 @@ from humanopts_teach.lesson.store import entry_from_line
 
 from graph_support.live import free_domain_id
 
+EPISODES = 30  # played in the demo that tests share
+
 
 class Command:
     """``humanopts ARGUMENTS``, in a session of its own, without a terminal."""

@@ -11,11 +11,20 @@ from humanopts_env.domains.registry import make_domain, parameters_json, referen
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.option import LearnedOption, options_from_references
 import numpy as np
 
 FETCH, DELIVER = 'go to passenger and pickup', 'go to destination and dropoff'
 TAXI = make_domain('taxi')
+TOUR, USE = 'tour', 'pickup/dropoff'
+LAST = ['north'] * 2 + ['east'] * 2 + ['south'] * 4 + ['west']  # by G to B
+WAYS = {
+    '4,0': ['north'] * 4 + ['east'] + ['south'] * 2 + ['east'] + LAST,
+    '4,1': ['north'] * 2 + ['east'] + LAST,
+    '4,2': ['north'] * 2 + LAST,
+    '3,3': ['north'] * 3 + LAST[3:],
+    '0,1': ['south'] * 2 + ['east'] + LAST,
+}
 Chooser = Callable[[int, Any], str | None]  # (actions taken, state) to the next; None: done
 
 
@@ -109,3 +118,18 @@ def taught_pacman(domain: Domain[Any]) -> list[LearnedOption]:
         learn_option(expert(name, 40, domain), domain, 0)
         for name in (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)
     ]
+
+
+def touring() -> list[LearnedOption]:
+    """
+    Return options that are worth interrupting, and what helps with passengers.
+
+    A tour of the landmarks drives past the passenger, and ends at B.
+    """
+    demos = [
+        walk(f'taxi {cell} passenger G destination B', way, TOUR, ['taxi_row', 'taxi_col'])
+        for cell, way in WAYS.items()
+    ]
+    known = reference_options(TAXI)
+    ready = options_from_references(TAXI, [known[USE], known[DELIVER]])
+    return [learn_option(demos, TAXI, 0), *(replace(o, participant='p1') for o in ready)]

@@ -1,6 +1,6 @@
 """Bags of what the test says, and what is in them."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 import os
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,8 @@ from humanopts_env.game import Command, Game, Source, Transition
 from humanopts_interfaces.msg import GameState
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from rclpy.serialization import serialize_message
 
 START = 10**18  # ns since the epoch
@@ -82,3 +84,29 @@ def play(domain: Domain[Any], actions: list[str]) -> list[Transition]:
         game.command(Command('/x#1', number, Source.MACHINE, 1, number - 1, action))
         moments.append(game.transition)
     return moments
+
+
+def without(bag: Path, copy: Path, type_name: str, leave_out: Callable[[Any], bool]) -> Path:
+    """Copy a bag's MCAP file record by record, without the messages of a type that match."""
+    opened = open_bag(bag)
+    (source,) = opened.files
+    with source.open('rb') as old, copy.open('wb') as new:
+        reader, writer = make_reader(old), Writer(new)
+        writer.start(profile='ros2')
+        channels: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, kind, channel.metadata
+                )
+            if schema.name == type_name and leave_out(opened.decode(channel.topic, message.data)):
+                continue
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time
+            )
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        writer.finish()
+    return copy
