@@ -151,10 +151,6 @@ class SparseMultiTimeModel:
         """Number of states, S."""
         return int(self.reward.shape[0])
 
-    def expectation(self) -> Expectation:
-        """Return the expectation over the successors; computing it allocates one array (O*S,)."""
-        return lambda values: iter((self.rows @ values).reshape(self.reward.T.shape))
-
 
 Model = MultiTimeModel | SparseMultiTimeModel
 

@@ -2,13 +2,16 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
-from humanopts_env.arrays import Floats
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.planning.request import check_limits
-from humanopts_learner.planning.smdp import Model
+from humanopts_learner.planning.smdp import Model, MultiTimeModel, SparseMultiTimeModel
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
+Number = TypeVar('Number', bound=np.generic)
 OnSweep = Callable[[int, float], bool | None]
 OnValues = Callable[[Floats], object]
 
@@ -25,37 +28,103 @@ class Solution:
 
 
 class _Backup:
-    """One sweep over a model, in place: no loop over states, and one option in cache at a time."""
+    """
+    One sweep over a model, in place and without a loop over states.
+
+    Options are compared in layers. The first layer has an option for every state, a later one for
+    the first states of an order that the model gives.
+
+    :ivar order: (S,) the states in this order; values are in it too.
+    """
+
+    order: Ints
 
     def __init__(self, model: Model) -> None:
-        self._dead = ~model.available.any(axis=1)
-        self._expected = model.expectation()
-        self._reward = np.where(model.available.T, model.reward.T, -np.inf)
-        self._reward[0, self._dead] = 0.0  # nothing follows there, so their value stays 0
+        self._dead: Flags = ~np.asarray(model.available.any(axis=1))
+        self._available = model.available.copy()
+        self._available[self._dead, 0] = True  # nothing follows there, so their value stays 0
+        self._reward = np.where(self._dead[:, None], 0.0, model.reward)
 
     def sweep(self, old: Floats, new: Floats) -> float:
         """Write the next values to ``new`` and the changes to ``old``; return the largest."""
-        new.fill(-np.inf)
-        for choice in self._option_values(old):
-            np.maximum(new, choice, out=new)
+        layers = self._layers(old)
+        np.copyto(new, next(layers)[1])
+        for _, choice in layers:
+            first = new[: len(choice)]
+            np.maximum(first, choice, out=first)
         np.subtract(new, old, out=old)
         return max(float(old.max()), -float(old.min()))
 
     def best(self, values: Floats) -> NDArray[np.int32]:
-        """Return the greedy option of every state, the lowest of equals; -1: none."""
+        """Return the greedy option (S,) in the order of the model, the lowest of equals."""
         greatest = np.full(len(values), -np.inf)
         best = np.zeros(len(values), dtype=np.int32)
-        for option, choice in enumerate(self._option_values(values)):
-            best[choice > greatest] = option
-            np.maximum(greatest, choice, out=greatest)
+        for option, choice in self._layers(values):
+            first = slice(len(choice))
+            best[first] = np.where(choice > greatest[first], option, best[first])
+            np.maximum(greatest[first], choice, out=greatest[first])
+        best = self.in_order_of_model(best)
         best[self._dead] = -1
         return best
 
-    def _option_values(self, values: Floats) -> Iterator[Floats]:
-        """Yield the value of each option in every state (S,), valid until the next."""
-        for expected, reward in zip(self._expected(values), self._reward):
+    def in_order_of_model(self, values: NDArray[Number]) -> NDArray[Number]:
+        """Return a copy of one value for each state, (S,), in the order of the model."""
+        found = np.empty_like(values)
+        found[self.order] = values
+        return found
+
+    def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
+        """Yield options, lowest first, and their values in the first states, until the next."""
+        raise NotImplementedError
+
+
+class _DenseBackup(_Backup):
+    """Layer k is option k in every state, so that one option at a time is in cache."""
+
+    def __init__(self, model: MultiTimeModel) -> None:
+        super().__init__(model)
+        self.order = np.arange(model.n_states)
+        self._expected = model.expectation()
+        self._rewards = np.where(self._available.T, self._reward.T, -np.inf)
+
+    def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
+        for option, (expected, reward) in enumerate(zip(self._expected(values), self._rewards)):
             expected += reward
-            yield expected
+            yield option, expected
+
+
+class _SparseBackup(_Backup):
+    """
+    Layer k is the k-th available option of each state that has so many.
+
+    States are in the order of their number of options, and then of the number of successors of the
+    first: rows of equal length are multiplied more than twice as fast as in any order.
+    """
+
+    def __init__(self, model: SparseMultiTimeModel) -> None:
+        super().__init__(model)
+        n_states, n_options = model.n_states, self._available.sum(axis=1)
+        first = self._available.argmax(axis=1) * n_states + np.arange(n_states)
+        self.order = np.lexsort((np.diff(model.rows.indptr)[first], -n_options))
+        place = np.empty(n_states, dtype=np.int32)
+        place[self.order] = np.arange(n_states, dtype=np.int32)
+        state, option = np.nonzero(self._available)
+        layer = np.arange(len(state)) - np.repeat(np.cumsum(n_options) - n_options, n_options)
+        pairs = np.lexsort((place[state], layer))
+        state, self._option = state[pairs], option[pairs]
+        self._ends = np.cumsum(np.bincount(layer))
+        rows = model.rows[self._option * n_states + state]
+        successor, ends = place[rows.indices], rows.indptr.astype(np.int32)
+        self._rows = csr_array((rows.data, successor, ends), shape=rows.shape)
+        self._rewards = self._reward[state, self._option]
+
+    def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
+        expected = self._rows @ values
+        expected += self._rewards
+        begin = 0
+        for end in self._ends:
+            yield self._option[begin:end], expected[begin:end]
+            begin = end
 
 
 def solve_smdp(
@@ -72,21 +141,22 @@ def solve_smdp(
     :param max_sweeps: 1 or more.
     :param on_sweep: called with the number of sweeps and the residual after each; returning True
         ends the work early, and what it raises passes through.
-    :param on_values: called with the values (S,) after each sweep; they must be copied to be kept.
+    :param on_values: called with the values (S,) after each sweep.
     :raises PlanError: tol is negative or no number, or max_sweeps is below 1.
     """
     check_limits(tol, max_sweeps)
-    backup = _Backup(model)
+    backup = _DenseBackup(model) if isinstance(model, MultiTimeModel) else _SparseBackup(model)
     old, new = np.zeros(model.n_states), np.empty(model.n_states)
     for sweeps in range(1, max_sweeps + 1):
         residual = backup.sweep(old, new)
         old, new = new, old
         if on_values is not None:
-            on_values(old)
+            on_values(backup.in_order_of_model(old))
         stop = on_sweep is not None and on_sweep(sweeps, residual)
         if stop or residual <= tol:
             break
-    return Solution(old, backup.best(old), sweeps, residual, residual <= tol)
+    values = backup.in_order_of_model(old)
+    return Solution(values, backup.best(old), sweeps, residual, residual <= tol)
 
 
 @dataclass(frozen=True)
@@ -107,7 +177,7 @@ def value_history(model: Model, tol: float = 1e-8, max_sweeps: int = 1000) -> Fl
     :raises PlanError: as ``solve_smdp``.
     """
     history = [np.zeros(model.n_states)]
-    solve_smdp(model, tol, max_sweeps, on_values=lambda values: history.append(values.copy()))
+    solve_smdp(model, tol, max_sweeps, on_values=history.append)
     return np.array(history)
 
 
