@@ -6,7 +6,7 @@ scikit-learn is imported when the first tree is fitted.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -78,13 +78,24 @@ def encode_rows(
     :param rows: (N, F), all features of the domain.
     :return: (N, C), one encoded feature after the other in memory, as large trees are walked.
     """
-    picked = rows.T[[encoded.index for encoded in encoding]]
-    values = [encoded.value for encoded in encoding]
-    if any(value is not None for value in values):
-        one_hot = np.array([value is not None for value in values], dtype=np.bool_)
-        wanted = np.array([value or 0 for value in values], dtype=np.int32)
-        picked = np.where(one_hot[:, None], picked == wanted[:, None], picked)
-    return picked.astype(np.float32).T
+    return _Encoder(encoding)(rows)
+
+
+class _Encoder:
+    """Encodes rows, with the encoding as arrays."""
+
+    def __init__(self, encoding: Sequence[EncodedFeature]) -> None:
+        self._index = np.array([encoded.index for encoded in encoding], dtype=np.intp)
+        values = [encoded.value for encoded in encoding]
+        self._one_hot = np.array([[value is not None] for value in values], dtype=np.bool_)
+        self._wanted = np.array([[value or 0] for value in values], dtype=np.int32)
+        self._any = bool(self._one_hot.any())
+
+    def __call__(self, rows: NDArray[np.int32]) -> NDArray[np.float32]:
+        picked = rows.T[self._index]
+        if self._any:
+            picked = np.where(self._one_hot, picked == self._wanted, picked)
+        return picked.astype(np.float32).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,6 +227,30 @@ class Tree:
             raise TreeError(f'the tree has no {error}') from None
         except (TypeError, ValueError, OverflowError) as error:
             raise TreeError(f'not a tree: {error}') from None
+
+
+class TreeOfRows:
+    """A tree that takes all features of the domain, and encodes only those that it tests."""
+
+    def __init__(self, tree: Tree, encoding: Sequence[EncodedFeature]) -> None:
+        """Prepare a tree that takes rows of this encoding."""
+        inner = tree.left != LEAF
+        tested = np.unique(tree.feature[inner])
+        feature = np.where(inner, np.searchsorted(tested, tree.feature), LEAF).astype(np.int32)
+        self._tree = replace(tree, feature=feature, n_features=len(tested))
+        self._encode = _Encoder([encoding[number] for number in tested])
+
+    def probabilities(self, rows: NDArray[np.int32]) -> Floats:
+        """Return (N, K): ``Tree.probabilities`` of each row (N, F)."""
+        return self._tree.probabilities(self._encode(rows))
+
+    def probability_of(self, number: int, rows: NDArray[np.int32]) -> Floats:
+        """Return (N,): ``Tree.probability_of`` each row (N, F)."""
+        return self._tree.probability_of(number, self._encode(rows))
+
+    def likeliest(self, rows: NDArray[np.int32]) -> Ints:
+        """Return (N,): ``Tree.likeliest`` of each row (N, F)."""
+        return self._tree.likeliest(self._encode(rows))
 
 
 def fit_tree(

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
@@ -15,6 +16,7 @@ from humanopts_learner.options.decision_tree import (
     feature_encoding,
     fit_tree,
     Tree,
+    TreeOfRows,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -95,21 +97,30 @@ class LearnedOption:
                 f'the features or actions of {self.name!r} are not those of the game'
             )
 
+    @cached_property
+    def _on_rows(self) -> tuple[TreeOfRows, TreeOfRows, TreeOfRows]:
+        """The trees of policy, I and beta, for rows of all features."""
+        policy, initiation, termination = (
+            TreeOfRows(tree, self.encoding)
+            for tree in (self.policy, self.initiation, self.termination)
+        )
+        return policy, initiation, termination
+
     def action_probabilities(self, rows: Rows) -> Floats:
         """Return (N, A): pi of every action in each of the N states."""
-        return self.policy.probabilities(encode_rows(self.encoding, rows))
+        return self._on_rows[0].probabilities(rows)
 
     def initiation_probability(self, rows: Rows) -> Floats:
         """Return (N,): the share of members of I among examples like each state."""
-        return self.initiation.probability_of(MEMBER, encode_rows(self.encoding, rows))
+        return self._on_rows[1].probability_of(MEMBER, rows)
 
     def termination_probability(self, rows: Rows) -> Floats:
         """Return (N,): beta of each state."""
-        return self.termination.probability_of(MEMBER, encode_rows(self.encoding, rows))
+        return self._on_rows[2].probability_of(MEMBER, rows)
 
     def greedy_action(self, rows: Rows) -> Ints:
         """Return (N,): the likeliest action, the lowest index among equals."""
-        return self.policy.likeliest(encode_rows(self.encoding, rows))
+        return self._on_rows[0].likeliest(rows)
 
     def can_start(self, rows: Rows) -> Flags:
         """Return (N,): whether each state is in the initiation set."""

@@ -9,11 +9,11 @@ and distance, "none".
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Feature, FeatureKind
-from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, Masks, MOVES, STAY
+from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, Masks, MOVES, Paths, STAY
 from humanopts_env.domains.pacman.rules import PacManBatch, Rules, Taken
 from humanopts_env.domains.pacman.state import eaten_names, SCARED_STEPS
 from humanopts_env.domains.tabular import read_only
@@ -269,14 +269,25 @@ def _nearest_things(
     batch: PacManBatch, cells: Sequence[int], taken: Taken
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Masks]:
     """Return steps to the nearest thing left, its cell, and first moves to all as near."""
-    paths, items = batch.rules.paths, [*cells, 0]  # the last entry of ``taken`` is no thing
-    steps = paths.distance[:, items][batch.pacman] | taken
-    at = steps[:, :-1].argmin(axis=1) if cells else np.zeros(len(batch), dtype=np.intp)
-    least = np.where(taken[:, :-1] == 0, steps[:, :-1], paths.far).min(axis=1, initial=paths.far)
-    nearest = (steps == least[:, None]) & (taken == 0)
-    first = np.where(nearest, paths.shortest[:, items][batch.pacman], 0)
+    paths = batch.rules.paths
+    if not cells:
+        none = np.zeros(len(batch), dtype=np.intp)
+        return none + paths.far, none, none.astype(np.uint8)
+    distance, shortest = _to_things(paths, tuple(cells))
+    steps = distance[batch.pacman] | taken[:, :-1]  # ``far`` where it is taken
+    at = steps.argmin(axis=1)
+    least = steps[np.arange(len(batch)), at]
+    first = np.where(steps == least[:, None], shortest[batch.pacman], 0)
     masks: Masks = np.bitwise_or.reduce(first, axis=1).astype(np.uint8)
-    return least.astype(np.intp), np.array(items)[at], masks
+    masks[least == paths.far] = 0
+    return least.astype(np.intp), np.array(cells)[at], masks
+
+
+@lru_cache(maxsize=8)
+def _to_things(paths: Paths, cells: tuple[int, ...]) -> tuple[NDArray[np.unsignedinteger], Masks]:
+    """Return the distance (C, K) from each cell to each thing, and the first moves to it."""
+    columns = list(cells)
+    return read_only(paths.distance[:, columns]), read_only(paths.shortest[:, columns])
 
 
 def flight(batch: PacManBatch) -> Flags:

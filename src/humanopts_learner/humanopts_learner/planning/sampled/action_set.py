@@ -24,16 +24,23 @@ LARGEST_CODE = 2**53  # abstract states are numbered below this
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2**64 by the golden ratio, odd: for hashing
 
 
-@dataclass(frozen=True)
+@dataclass
 class Observation:
     """The features and abstract states of N games, for options and policies."""
 
     rows: NDArray[np.int32]  # (N, F) all features
     states: Codes  # (N,) codes of the abstract states
+    startable: Flags | None = None  # (N, O) which options can start; None: not asked yet
 
     def take(self, chosen: Ints) -> 'Observation':
         """Return the observation of chosen games (M,)."""
-        return Observation(self.rows[chosen], self.states[chosen])
+        startable = None if self.startable is None else self.startable[chosen]
+        return Observation(self.rows[chosen], self.states[chosen], startable)
+
+    def put(self, chosen: Ints, source: 'Observation') -> None:
+        """Set chosen games (M,) to those of another observation."""
+        self.rows[chosen], self.states[chosen] = source.rows, source.states
+        self.startable = None
 
 
 class StateAbstraction:
@@ -117,12 +124,13 @@ class ActionSet:
         names = self.names[: self.first_fallback]
         return (*names, *(f'going on: {option.name}' for option in self.options))
 
-    def startable(self, rows: Rows) -> Flags:
+    def startable(self, seen: Observation) -> Flags:
         """Return (N, O): which options can start in each game, without the fallback ones."""
-        can = np.ones((len(rows), self.first_fallback), dtype=np.bool_)
-        for o, option in enumerate(self.options):
-            can[:, o] = option.can_start(rows)
-        return can
+        if seen.startable is None:
+            seen.startable = np.ones((len(seen.rows), self.first_fallback), dtype=np.bool_)
+            for o, option in enumerate(self.options):
+                seen.startable[:, o] = option.can_start(seen.rows)
+        return seen.startable
 
     def fallback(self, rows: Rows) -> Ints:
         """
@@ -159,7 +167,7 @@ class ActionSet:
 
     def can_start(self, seen: Observation, option: Ints) -> Flags:
         """Return (N,): whether each game's option could start there."""
-        can = option < self.first_fallback
-        for one, games in self.running(option):
-            can[games] = one.can_start(seen.rows[games])
-        return can
+        modelled = option < self.first_fallback
+        found: Flags = modelled.copy()
+        found[modelled] = self.startable(seen)[modelled, option[modelled]]
+        return found

@@ -76,8 +76,7 @@ class Runs:
         """Begin chosen games (M,) again."""
         fresh = self._games.batch_reset(len(chosen), self._rng)
         self._games.batch_put(self.batch, chosen, fresh)
-        seen = self._observe(fresh)
-        self.seen.rows[chosen], self.seen.states[chosen] = seen.rows, seen.states
+        self.seen.put(chosen, self._observe(fresh))
         self.option[chosen] = -1
 
     def keep(self, chosen: Ints) -> None:
@@ -238,6 +237,7 @@ class Sampler:
 
     def _step(self, policy: Policy, recording: Recording, t: int) -> None:
         runs, fallback = self._runs, self._actions.first_fallback
+        self._actions.startable(runs.seen)  # asked for parts of the games below, more than once
         decided, _ = runs.decide(policy)
         if t:
             recording.ended[t - 1, decided] = True  # those that were stopped

@@ -6,7 +6,7 @@ import math
 import time
 from typing import Any
 
-from humanopts_env.arrays import Floats
+from humanopts_env.arrays import Floats, Ints
 from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
@@ -165,6 +165,7 @@ class _Estimate:
 
     solution: Solution
     policy: GreedyPolicy
+    _group: Ints  # (S,) number of the states that differ in context only; where values are shrunk
 
     def __init__(
         self,
@@ -181,6 +182,9 @@ class _Estimate:
     ) -> None:
         """Solve the model of all samples so far, and make the policy of its values."""
         choosable = model.first(self._actions.first_fallback)
+        if self._shrinks:
+            states = self._actions.abstraction.without_context(self._counts.index.codes)
+            self._group = np.unique(states, return_inverse=True)[1]
         self.solution = solve_smdp(choosable, tol, max_sweeps, on_sweep)
         values = look_ahead(model, self.solution.values)
         for _ in range(IMPROVEMENTS if self._shrinks else 0):
@@ -200,10 +204,8 @@ class _Estimate:
         option_values = values[:, : self._actions.first_fallback]
         if not self._shrinks:
             return option_values
-        states = self._actions.abstraction.without_context(self._counts.index.codes)
-        group = np.unique(states, return_inverse=True)[1]
         samples = self._counts.samples[:, : self._actions.first_fallback]
-        return shrunk(option_values, samples, group, self._config.shrinkage)
+        return shrunk(option_values, samples, self._group, self._config.shrinkage)
 
     def _set_policy(self, values: Floats) -> None:
         """Make the policy of the values (S, modelled)."""
