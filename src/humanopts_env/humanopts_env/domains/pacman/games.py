@@ -296,7 +296,8 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
     want = rng.integers(len(WANTS), size=count)
     for step in range(int(length.max(initial=-1)) + 1):
         ready = np.flatnonzero(length[playing] == step)
-        drawn.put(playing[ready], batch.take(ready))
+        if ready.size:
+            drawn.put(playing[ready], batch.take(ready))
         if step % DROPPED == 0:
             on = np.flatnonzero(length[playing] > step)
             playing, batch = playing[on], batch.take(on)

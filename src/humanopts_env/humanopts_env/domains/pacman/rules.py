@@ -53,6 +53,7 @@ ATE_FOOD, ATE_PILL, ATE_FRUIT, ATE_GHOST = 1, 2, 4, 8  # bits of PacManState.ate
 FRUIT_AFTER = (30, 65)  # food eaten
 DRAWS, CHASE_DRAWS = 60, 48  # 48 / 60 = 0.8; both, and their difference, divide by 1 to 4
 GHOST_RULES = ('random', 'chase')
+OF_GHOSTS = ('ghosts', 'headings', 'scared')  # arrays of a batch with one row for each ghost
 
 
 def _picks() -> NDArray[np.uint8]:
@@ -274,20 +275,19 @@ class PacManBatch:
         chosen.rules, chosen.tables = self.rules, self.tables
         for name in PacManBatch.__annotations__:
             value = getattr(self, name)
-            by_ghost = name in ('ghosts', 'headings', 'scared')
-            setattr(chosen, name, value[:, games] if by_ghost else value[games])
+            setattr(chosen, name, value[:, games] if name in OF_GHOSTS else value[games])
         return chosen
 
     def put(self, games: NDArray[Any], source: 'PacManBatch') -> None:
         """Set chosen games, by their indices (M,), each once, to the M games of another batch."""
         for name in PacManBatch.__annotations__:
-            by_ghost = name in ('ghosts', 'headings', 'scared')
-            at = (slice(None), games) if by_ghost else games
+            at = (slice(None), games) if name in OF_GHOSTS else games
             getattr(self, name)[at] = getattr(source, name)
 
     def restart(self, games: NDArray[Any]) -> None:
         """Begin chosen games again, by their indices (M,)."""
-        self.put(games, PacManBatch(self.rules, len(games)))
+        if len(games):
+            self.put(games, PacManBatch(self.rules, len(games)))
 
     def draws(self, rng: np.random.Generator) -> Ints:
         """Return the random draws of one step, (G, N)."""
@@ -349,8 +349,8 @@ class PacManBatch:
         self.ate |= ATE_FOOD * fed
         for after in FRUIT_AFTER:
             left = len(self.rules.maze.food) - after
-            if left > 0 and fed.any():
-                reached: Flags = fed & (self.food_left == left)
+            reached: Flags = fed & (self.food_left == left)
+            if left > 0 and reached.any():
                 self._lay_fruit(reached.nonzero()[0])
         games = self._take(self.pills_taken, self.tables.pill_at, live).nonzero()[0]
         if not games.size:
@@ -362,8 +362,6 @@ class PacManBatch:
 
     def _lay_fruit(self, games: Ints) -> None:
         """Lay fruit on the food that is left nearest to the middle."""
-        if not games.size:
-            return
         maze = self.rules.maze
         there = self.food_taken[games][:, maze.from_middle] == 0
         cells = np.array(maze.food)[list(maze.from_middle)]
