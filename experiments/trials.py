@@ -7,23 +7,20 @@ stopped, and what was computed by other code is computed anew.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, ExitStack
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 import hashlib
 from importlib.metadata import version
 from importlib.util import find_spec
 import json
-from multiprocessing import resource_tracker
 from pathlib import Path
-import signal
-import threading
 import time
 from typing import Any
 
+from humanopts_teach.evaluation.side_by_side import as_they_end, processes
 from humanopts_teach.evaluation.summary import write_text
-from joblib import delayed, Parallel, parallel_config
-from joblib.externals.loky.backend import resource_tracker as loky_tracker
+from joblib import parallel_config
 
 PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach', 'experiments')
 LIBRARIES = ('numpy', 'scipy', 'scikit-learn')  # that results may depend on to the last digit
@@ -173,33 +170,26 @@ def _replies(trials: Sequence[Trial], jobs: int, dask: str) -> Iterator[_Reply]:
     """Yield what comes back, as it comes; the costliest trials are begun first."""
     if not trials:
         return
-    order = sorted(range(len(trials)), key=lambda number: -trials[number].cost)
+    calls = [partial(_compute, trial.compute, dict(trial.parameters)) for trial in trials]
     with _backend(jobs, dask):
-        work = Parallel(return_as='generator_unordered', pre_dispatch='all', batch_size=1)
-        tasks = (
-            delayed(_compute)(number, trials[number].compute, dict(trials[number].parameters))
-            for number in order
-        )
-        with ExitStack() as stack:
-            with _started_without_interrupts():
-                replies = stack.enter_context(closing(work(tasks)))
-            yield from replies
+        for number, reply in as_they_end(calls, [trial.cost for trial in trials]):
+            yield number, *reply
 
 
-def _compute(number: int, compute: Compute, parameters: dict[str, Any]) -> _Reply:
+def _compute(compute: Compute, parameters: dict[str, Any]) -> tuple[Any, float, str]:
     """Compute one trial in the process that has it; an error is caught there."""
     began = time.perf_counter()
     try:
         result, error = compute(parameters), ''
     except Exception as problem:  # whatever happens to one trial, the others go on
         result, error = None, f'{type(problem).__name__}: {problem}'
-    return number, result, time.perf_counter() - began, error
+    return result, time.perf_counter() - began, error
 
 
 @contextmanager
 def _backend(jobs: int, dask: str) -> Iterator[None]:
     if not dask:
-        with parallel_config(backend='loky', n_jobs=jobs), _quiet_thread():
+        with processes(jobs):
             yield
         return
     try:
@@ -214,32 +204,3 @@ def _backend(jobs: int, dask: str) -> Iterator[None]:
         raise ClusterError(f'no Dask scheduler answers at {dask}: {error}') from error
     with client, parallel_config(backend='dask', client=client):
         yield
-
-
-@contextmanager
-def _started_without_interrupts() -> Iterator[None]:
-    """Have processes that are started meanwhile not hear Ctrl-C; this process ends them."""
-    for tracker in (resource_tracker, loky_tracker):  # each hears it again once it has started
-        tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _quiet_thread() -> Iterator[None]:
-    """Silence joblib's manager thread, which raises KeyError when its work is given up."""
-    before = threading.excepthook
-
-    def hook(error: threading.ExceptHookArgs) -> None:
-        name = error.thread.name if error.thread is not None else ''
-        if error.exc_type is not KeyError or name != 'ExecutorManagerThread':
-            before(error)
-
-    threading.excepthook = hook
-    try:
-        yield
-    finally:
-        threading.excepthook = before

@@ -12,7 +12,6 @@ from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, options_from_references
 from humanopts_learner.planning.request import (
     HUMAN,
-    PlanCanceled,
     PlanError,
     PlanRequest,
     PRIMITIVE,
@@ -22,12 +21,12 @@ from humanopts_teach.evaluation.games import (
     Baseline,
     baselines_of,
     carried_over,
-    compare,
     ComparisonRow,
     CurveLimits,
     HEURISTIC,
     PLAN,
     planning_curve,
+    play_baseline,
     RANDOM,
 )
 import pytest
@@ -63,7 +62,7 @@ def baselines(options: list[LearnedOption]) -> list[Baseline]:
 @pytest.fixture(scope='module')
 def rows(domain: PacMan, baselines: list[Baseline]) -> list[ComparisonRow]:
     """The comparison."""
-    return compare(domain, baselines, SEED, GAMES)
+    return [play_baseline(domain, baseline, SEED, GAMES) for baseline in baselines]
 
 
 def test_every_baseline_has_its_row_in_order(rows: list[ComparisonRow]) -> None:
@@ -137,36 +136,17 @@ def test_options_play_better_than_random_moves(rows: list[ComparisonRow]) -> Non
 def test_the_same_seed_gives_the_same_rows(
     domain: PacMan, baselines: list[Baseline], rows: list[ComparisonRow]
 ) -> None:
-    again = compare(domain, baselines, SEED, GAMES)
+    again = [play_baseline(domain, baseline, SEED, GAMES) for baseline in baselines]
     assert [replace(row, seconds=None) for row in again] == [
         replace(row, seconds=None) for row in rows
     ]
-
-
-def test_progress_rises_over_all_and_can_cancel(domain: PacMan, baselines: list[Baseline]) -> None:
-    told: list[tuple[str, float]] = []
-
-    def report(done: float, total: float, text: str) -> None:
-        told.append((text, done / total))
-
-    compare(domain, baselines[:2], 1, 2, report)
-    shares = [share for _, share in told]
-    assert shares == sorted(shares)
-    assert {name for name, _ in told} == {'planned', 'moves'}
-    assert 0.0 <= shares[0] <= shares[-1] <= 1.0
-
-    def stop(done: float, total: float, text: str) -> None:
-        raise PlanCanceled
-
-    with pytest.raises(PlanCanceled):
-        compare(domain, baselines, 1, 2, stop)
 
 
 def test_only_a_domain_with_a_rule_plays_by_it(domain: PacMan) -> None:
     assert baselines_of(domain).heuristic is not None
     assert baselines_of(Rooms()).heuristic is None
     with pytest.raises(PlanError, match='rooms has no rule'):
-        compare(Rooms(), [Baseline('rule', HEURISTIC)], 1)
+        play_baseline(Rooms(), Baseline('rule', HEURISTIC), 1)
 
 
 def test_options_go_along_to_other_parameters_but_not_to_other_features() -> None:

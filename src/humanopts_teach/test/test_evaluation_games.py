@@ -13,7 +13,7 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning import request
 from humanopts_learner.planning.evaluate import Interval
-from humanopts_learner.planning.request import HUMAN, PRIMITIVE
+from humanopts_learner.planning.request import HUMAN, PlanCanceled, PRIMITIVE
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate,
@@ -68,6 +68,7 @@ def games(
         *(yard, options, SEED, GAMES, 2_000),
         limits=CurveLimits(2_000, 4_000),
         progress=lambda done, total, text: told.append((text, done / total)),
+        jobs=1,
     )
 
 
@@ -116,6 +117,30 @@ def test_progress_rises_to_the_end(games: GamesEvaluation, told: list[tuple[str,
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert {'ghosts=chase: human, 3 options'} <= {what for what, _ in told}
+
+
+def test_two_processes_play_the_same_games(
+    yard: Domain[Any], options: list[LearnedOption], games: GamesEvaluation
+) -> None:
+    limits = CurveLimits(2_000, 4_000)
+    again = evaluate_games(yard, options, SEED, GAMES, 2_000, limits, jobs=2)
+    for one, other in zip(games.settings, again.settings, strict=True):
+        assert [(row.name, row.score, row.outcomes) for row in one.rows] == [
+            (row.name, row.score, row.outcomes) for row in other.rows
+        ]
+
+
+def test_whoever_watches_can_end_it(yard: Domain[Any], options: list[LearnedOption]) -> None:
+    told: list[float] = []
+
+    def stop(done: float, total: float, text: str) -> None:
+        told.append(done)
+        if done:
+            raise PlanCanceled
+
+    with pytest.raises(PlanCanceled):
+        evaluate_games(yard, options, SEED, 2, 2_000, progress=stop, jobs=1)
+    assert told == [0, 1]
 
 
 def test_json_and_text_hold_every_number(games: GamesEvaluation) -> None:

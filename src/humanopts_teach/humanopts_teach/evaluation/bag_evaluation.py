@@ -35,7 +35,7 @@ from humanopts_teach.evaluation.games import (
     evaluate_games,
     GAMES,
     GamesEvaluation,
-    part_of,
+    no_progress,
     ProgressCallback,
 )
 from humanopts_teach.evaluation.measures import (
@@ -226,7 +226,7 @@ def evaluate(
     requests = [*((person, HUMAN) for person, _ in groups), ('', PRIMITIVE)]
     requests = list(dict.fromkeys(requests))
     total = sum(map(len, groups.values())) + len(requests)
-    report, done = progress or _ignore, 0
+    report, done = progress or no_progress, 0
     options = []
     for (participant, name), demos in groups.items():
         curve = []
@@ -248,10 +248,6 @@ def evaluate(
             continue
         plans.append(PlanEvaluation(person, plan, row_of_plan(plan, judged)))
     return BagEvaluation(domain, settings, tuple(options), tuple(plans), (*warnings, *notes))
-
-
-def _ignore(done: float, total: float, text: str) -> None:
-    """Show no progress."""
 
 
 def _usable(
@@ -373,7 +369,10 @@ def with_games(
     found = {}
     for number, person in enumerate(people):
         options = [each.last.option for each in evaluation.of(person)]
-        report = part_of(progress, number, len(people))
+
+        def report(done: float, total: float, text: str, before: int = number) -> None:
+            (progress or no_progress)(before + done / total, len(people), text)
+
         try:
             found[person] = evaluate_games(
                 domain, options, evaluation.settings.seed, games, progress=report

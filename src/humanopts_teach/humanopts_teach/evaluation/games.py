@@ -15,6 +15,7 @@ made from scratch, models counted; judging is not.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 import math
 import time
 from typing import Any
@@ -38,29 +39,19 @@ from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
+from humanopts_teach.evaluation.side_by_side import as_they_end, processes
 import numpy as np
 
 GAMES = 1000  # that each way to play is judged by
 TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
 PATIENCE = 4.0  # s of planning after which options that do not reach the target are given up
 GENEROUS = 4  # times the game steps, in a second plan with primitive actions
+CURVES = 'score by planning time'
+PLAYING = 50_000  # game steps that take about as long as to judge a way to play
 PLAN, RANDOM, HEURISTIC = 'plan', 'chance', 'rule'  # kinds of baseline, as in summary.json
-PLANNING = 0.8  # of the work of a plan and its games, about
 
 Options = Sequence[LearnedOption]
 ProgressCallback = Callable[[float, float, str], object]  # done, total, what is under way
-
-
-def part_of(
-    progress: ProgressCallback | None, number: int, count: int, name: str = ''
-) -> ProgressCallback:
-    """Return the callback for one of several parts that take about as long as each other."""
-
-    def report(done: float, total: float, text: str) -> None:
-        if progress is not None:
-            progress(number + done / total, count, ': '.join(filter(None, (name, text))))
-
-    return report
 
 
 @dataclass(frozen=True)
@@ -94,28 +85,6 @@ class ComparisonRow:
     seconds: float | None = None  # of planning; None: nothing was planned
 
 
-def compare(
-    domain: Domain[Any],
-    baselines: Sequence[Baseline],
-    seed: int,
-    games: int = 1000,
-    progress: ProgressCallback | None = None,
-) -> list[ComparisonRow]:
-    """
-    Return a row for each baseline, in order.
-
-    :param seed: of the plans, and of the games, which are drawn independently.
-    :param games: that each plays, two or more.
-    :param progress: called as the work goes on; what it raises passes through.
-    :raises PlanError: as ``make_sampled_plan``; or the domain has no rule written by hand.
-    """
-    count = len(baselines)
-    return [
-        _play(domain, baseline, seed, games, part_of(progress, number, count, baseline.name))
-        for number, baseline in enumerate(baselines)
-    ]
-
-
 def baselines_of(domain: Domain[Any]) -> Baselines:
     """Return the baselines of a domain; none where it does not name any."""
     return domain.baselines() if isinstance(domain, HasBaselines) else Baselines()
@@ -135,14 +104,20 @@ def carried_over(option: LearnedOption, domain: Domain[Any]) -> LearnedOption:
     return moved
 
 
-def _play(
-    domain: Domain[Any], baseline: Baseline, seed: int, games: int, progress: ProgressCallback
+def play_baseline(
+    domain: Domain[Any], baseline: Baseline, seed: int, games: int = 1000
 ) -> ComparisonRow:
-    progress(0.0, 1.0, '')
+    """
+    Play games in one way.
+
+    :param seed: of the plan, and of the games, which are drawn independently.
+    :param games: two or more.
+    :raises PlanError: as ``make_sampled_plan``; or the domain has no rule written by hand.
+    """
     results: Returns | Scores
     found: dict[str, Any] = {}
     if baseline.kind == PLAN:
-        plan = _make_plan(domain, baseline, seed, progress)
+        plan = _make_plan(domain, baseline, seed)
         results = plan.play(seed, games)
         found = {'game_steps': plan.game_steps, 'seconds': plan.seconds}
     elif baseline.kind == RANDOM:
@@ -172,13 +147,7 @@ def _play(
     )
 
 
-def _make_plan(
-    domain: Domain[Any], baseline: Baseline, seed: int, progress: ProgressCallback
-) -> SampledPlan:
-    def on_stage(stage: str, fraction: float, sweeps: int, residual: float) -> None:
-        if stage == 'models':
-            progress(PLANNING * fraction, 1.0, '')
-
+def _make_plan(domain: Domain[Any], baseline: Baseline, seed: int) -> SampledPlan:
     request = PlanRequest(
         baseline.action_set,
         gamma=baseline.gamma or 0.0,
@@ -188,7 +157,7 @@ def _make_plan(
         execution=baseline.execution,
     )
     clock = time.process_time  # no other program's work makes it longer
-    return make_sampled_plan(domain, baseline.options, request, on_stage, clock)
+    return make_sampled_plan(domain, baseline.options, request, clock=clock)
 
 
 @dataclass(frozen=True)
@@ -242,7 +211,6 @@ def planning_curve(
     limits: CurveLimits,
     seed: int,
     games: int = 1000,
-    progress: ProgressCallback | None = None,
 ) -> Curve:
     """
     Make plans from budget after budget, and judge each.
@@ -253,18 +221,13 @@ def planning_curve(
     :raises PlanError: as ``make_sampled_plan``.
     """
     rows: list[CurveRow] = []
-    budgets = list(limits.budgets())
-    for number, budget in enumerate(budgets):
-        text = f'{baseline.name}, {budget:,} game steps'
-        report = part_of(progress, number, len(budgets), text)
-        plan = _make_plan(domain, replace(baseline, budget_steps=budget), seed, report)
+    for budget in limits.budgets():
+        plan = _make_plan(domain, replace(baseline, budget_steps=budget), seed)
         score = Interval.of(plan.play(seed, games).total)
-        report(1.0, 1.0, f'score {score.mean:,.0f}')
         states = len(plan.solution.values)
         rows.append(CurveRow(baseline.action_set, budget, plan.seconds, score, states))
         if score.low >= limits.target or plan.seconds >= limits.enough_seconds:
             break
-    part_of(progress, 0, 1, baseline.name)(1.0, 1.0, 'done')
     return Curve(baseline.name, tuple(rows))
 
 
@@ -320,45 +283,70 @@ def evaluate_games(
     game_steps: int = GAME_STEPS,
     limits: CurveLimits = CurveLimits(),
     progress: ProgressCallback | None = None,
+    jobs: int = 0,
 ) -> GamesEvaluation:
     """
     Compare action sets, chance and the domain's rule in games, and measure the curves.
-
-    The second curve, with primitive actions, goes on until planning took ten times as long as the
-    options needed.
 
     :param options: of one participant, learned in ``domain`` or in a variant of it.
     :param games: that each way to play is judged by, two or more.
     :param game_steps: that the plans which are compared are made from.
     :param limits: of the budgets of the curves; the scores of interest are added.
     :param progress: called as the work goes on; what it raises passes through.
+    :param jobs: processes that do the work; 0: one for each core; 1: this one.
     :raises PlanError: the domain cannot play many games, or the options are of another one.
     """
     variants = {
         name: make_domain(domain.name, {**domain.parameters, **changed})
         for name, changed in baselines_of(domain).variants.items()
     } or {'': domain}
-    parts = len(variants) + 2
-    settings = []
-    for number, (name, variant) in enumerate(variants.items()):
-        report = part_of(progress, number, parts, name)
-        rows = compare(variant, _baselines(variant, options, game_steps), seed, games, report)
-        settings.append(Setting(name, tuple(rows)))
-    name, variant = next(iter(variants.items()))
-    usual = baselines_of(variant)
-    moved = [carried_over(option, variant) for option in options]
-    measured = (
-        Baseline(f'human, {_counted(options)}', PLAN, HUMAN, moved),
-        _planned(PRIMITIVE, PRIMITIVE, (), 0, usual.primitive),
+    plays = [
+        (name, baseline)
+        for name, variant in variants.items()
+        for baseline in _baselines(variant, options, game_steps)
+    ]
+    first, variant = next(iter(variants.items()))
+    names = [*(f'{name}: {each.name}' if name else each.name for name, each in plays), CURVES]
+    calls: list[Callable[[], Any]] = [
+        *(partial(play_baseline, variants[name], each, seed, games) for name, each in plays),
+        partial(_curves, variant, options, seed, games, limits),
+    ]
+    costs = [*(each.budget_steps + PLAYING for _, each in plays), math.inf]
+    results: list[Any] = [None] * len(calls)
+    report = progress or no_progress
+    report(0, len(calls), f'{len(calls)} parts')
+    with processes(jobs):
+        for done, (number, result) in enumerate(as_they_end(calls, costs), start=1):
+            results[number] = result
+            report(done, len(calls), names[number])
+    *rows, curves = results
+    settings = tuple(
+        Setting(name, tuple(row for (of, _), row in zip(plays, rows) if of == name))
+        for name in variants
     )
-    limits = replace(limits, target=max(usual.targets, default=math.inf))
-    curves: list[Curve] = []
-    for number, baseline in enumerate(measured, start=len(variants)):
-        enough = TENFOLD * _needed(curves[0], usual.targets) if curves else PATIENCE
-        report = part_of(progress, number, parts, 'score by planning time')
-        limited = replace(limits, enough_seconds=enough)
-        curves.append(planning_curve(variant, baseline, limited, seed, games, report))
-    return GamesEvaluation(games, tuple(settings), name, tuple(curves), usual.targets)
+    return GamesEvaluation(games, settings, first, curves, baselines_of(variant).targets)
+
+
+def no_progress(done: float, total: float, text: str) -> None:
+    """Show no progress."""
+
+
+def _curves(
+    domain: Domain[Any], options: Options, seed: int, games: int, limits: CurveLimits
+) -> tuple[Curve, ...]:
+    """
+    Return the curves of options and of primitive actions.
+
+    The second goes on until planning took ten times as long as the options needed.
+    """
+    usual = baselines_of(domain)
+    moved = [carried_over(option, domain) for option in options]
+    limits = replace(limits, target=max(usual.targets, default=math.inf), enough_seconds=PATIENCE)
+    of_options = Baseline(f'human, {_counted(options)}', PLAN, HUMAN, moved)
+    human = planning_curve(domain, of_options, limits, seed, games)
+    limits = replace(limits, enough_seconds=TENFOLD * _needed(human, usual.targets))
+    of_actions = _planned(PRIMITIVE, PRIMITIVE, (), 0, usual.primitive)
+    return human, planning_curve(domain, of_actions, limits, seed, games)
 
 
 def _baselines(domain: Domain[Any], options: Options, steps: int) -> list[Baseline]:

@@ -1,0 +1,77 @@
+"""Work done side by side by processes of this machine, which end with the one that began them."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager, ExitStack
+from multiprocessing import resource_tracker
+import os
+import signal
+import threading
+from typing import TypeVar
+
+from joblib import delayed, Parallel, parallel_config
+from joblib.externals.loky.backend import resource_tracker as loky_tracker
+
+Result = TypeVar('Result')
+
+
+@contextmanager
+def processes(jobs: int = 0) -> Iterator[None]:
+    """
+    Have ``as_they_end`` use processes.
+
+    :param jobs: number of processes; 1: this one alone. 0: one for each core.
+    """
+    count = jobs or len(os.sched_getaffinity(0))
+    with parallel_config(backend='loky', n_jobs=count), _quiet_thread():
+        yield
+
+
+def as_they_end(
+    calls: Sequence[Callable[[], Result]], costs: Sequence[float]
+) -> Iterator[tuple[int, Result]]:
+    """
+    Yield the number of each call and its result as it ends; the costliest are begun first.
+
+    :param calls: partial calls of functions of modules, so that another process can make them.
+        What one raises passes through, and the others are given up.
+    """
+    parallel = Parallel(return_as='generator_unordered', pre_dispatch='all', batch_size=1)
+    order = sorted(range(len(calls)), key=lambda number: -costs[number])
+    tasks = (delayed(_numbered)(number, calls[number]) for number in order)
+    with ExitStack() as stack:
+        with _started_without_interrupts():
+            results = stack.enter_context(closing(parallel(tasks)))
+        yield from results
+
+
+def _numbered(number: int, call: Callable[[], Result]) -> tuple[int, Result]:
+    return number, call()
+
+
+@contextmanager
+def _started_without_interrupts() -> Iterator[None]:
+    """Have processes that are started meanwhile not hear Ctrl-C; this process ends them."""
+    for tracker in (resource_tracker, loky_tracker):  # each hears it again once it has started
+        tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _quiet_thread() -> Iterator[None]:
+    """Silence joblib's manager thread, which raises KeyError when its work is given up."""
+    before = threading.excepthook
+
+    def hook(error: threading.ExceptHookArgs) -> None:
+        name = error.thread.name if error.thread is not None else ''
+        if error.exc_type is not KeyError or name != 'ExecutorManagerThread':
+            before(error)
+
+    threading.excepthook = hook
+    try:
+        yield
+    finally:
+        threading.excepthook = before
