@@ -132,6 +132,7 @@ def test_two_processes_play_the_same_games(
 
 def test_whoever_watches_can_end_it(yard: Domain[Any], options: list[LearnedOption]) -> None:
     told: list[float] = []
+    limits = CurveLimits(2_000, 4_000)
 
     def stop(done: float, total: float, text: str) -> None:
         told.append(done)
@@ -139,7 +140,7 @@ def test_whoever_watches_can_end_it(yard: Domain[Any], options: list[LearnedOpti
             raise PlanCanceled
 
     with pytest.raises(PlanCanceled):
-        evaluate_games(yard, options, SEED, 2, 2_000, progress=stop, jobs=1)
+        evaluate_games(yard, options, SEED, 2, 2_000, limits, progress=stop, jobs=1)
     assert told == [0, 1]
 
 

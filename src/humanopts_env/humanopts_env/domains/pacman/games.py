@@ -37,8 +37,8 @@ AFAR = 1000  # above all distances; stands for the distance of what is not there
 N_DIRECTIONS = len(DIRECTIONS)
 # For primitive actions: the first distance of each bucket but the nearest. In the last bucket the
 # direction is left out, but for food.
-NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL = (2, 3, 4, 5, 7), (3, 5), (3, 6, 13), (3, 9)
-NEAR_FOOD = (2, 3, 5, 9)
+NEAR_DANGER, NEAR_SECOND = np.array((2, 3, 4, 5, 7)), np.array((3, 5))
+NEAR_PREY, NEAR_PILL, NEAR_FOOD = np.array((3, 6, 13)), np.array((3, 9)), np.array((2, 3, 5, 9))
 LONGEST = 300  # steps that are played before a state is drawn
 DROPPED = 16  # a game that is drawn is played at most so many steps more
 CHANGES = 0.1  # probability of a new aim at a step
@@ -73,6 +73,7 @@ ABSTRACT_FEATURES = (
     Bucketed('pills_left', (1, 2)),
     Bucketed('lives', (2,)),
 )
+_EDGES = [np.array(feature.edges) for feature in ABSTRACT_FEATURES]
 CONTEXT = ('food_left', 'pills_left')  # remaining points, not things nearby
 
 
@@ -151,7 +152,7 @@ class PacManGames:
         values: list[NDArray[Any]] = [
             self._of(rows, 'legal_moves'),
             self._of(rows, 'food_direction'),
-            np.searchsorted(NEAR_FOOD, self._of(rows, 'food_distance'), side='right'),
+            NEAR_FOOD.searchsorted(self._of(rows, 'food_distance'), side='right'),
             *self._dangers(batch, rows),
             self._prey(batch, rows),
             self._way(rows, 'pill', NEAR_PILL),
@@ -161,7 +162,7 @@ class PacManGames:
     def _of(self, rows: NDArray[np.int32], name: str) -> NDArray[np.int32]:
         return rows[:, self._column[name]]
 
-    def _way(self, rows: NDArray[np.int32], thing: str, near: tuple[int, ...]) -> Ints:
+    def _way(self, rows: NDArray[np.int32], thing: str, near: Ints) -> Ints:
         """Return the direction of a thing and the bucket of its distance as one number (N,)."""
         direction = self._of(rows, f'{thing}_direction')
         return _near(direction, self._of(rows, f'{thing}_distance'), near)
@@ -195,9 +196,9 @@ def batch_outcome(batch: PacManBatch) -> Mapping[str, NDArray[Any]]:
     return {'cleared': batch.food_left == 0, 'lives left': batch.lives}
 
 
-def _near(direction: NDArray[Any], away: NDArray[Any], near: tuple[int, ...]) -> Ints:
+def _near(direction: NDArray[Any], away: NDArray[Any], near: Ints) -> Ints:
     """Return direction and bucket as one number, without the direction in the last bucket."""
-    bucket = np.searchsorted(near, away, side='right')
+    bucket = near.searchsorted(away, side='right')
     return np.where(
         bucket < len(near), bucket * N_DIRECTIONS + direction, len(near) * N_DIRECTIONS
     )
@@ -230,8 +231,8 @@ def abstract_features(batch: PacManBatch, seen: Surroundings | None = None) -> N
         batch.lives,
     )
     values = np.empty((len(batch), len(ABSTRACT_FEATURES)), dtype=np.int32)
-    for column, (feature, number) in enumerate(zip(ABSTRACT_FEATURES, numbers, strict=True)):
-        values[:, column] = np.searchsorted(feature.edges, number, side='right')
+    for column, (edges, number) in enumerate(zip(_EDGES, numbers, strict=True)):
+        values[:, column] = edges.searchsorted(number, side='right')
     return values
 
 
