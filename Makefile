@@ -29,7 +29,7 @@ unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
 	@echo 'make test    run the tests, two at a time (ARGS=), first those that need no graph'
-	@echo 'make test-quick  run only those of pure code; make test-slow  only the long ones'
+	@echo 'make test-quick  run the quick ones of pure code; make test-slow  the long ones'
 	@echo 'make test-stress  run the tests of the graph ten times while all cores are busy and nodes are'
 	@echo '             found late (ROUNDS=, SEED=, LIMIT= in seconds, ARGS= for files)'
 	@echo 'make lint    ruff, mypy --strict, package.xml checks'
@@ -75,7 +75,7 @@ test: checked
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow' $(ARGS)
 
 test-quick: checked
-	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not live' $(or $(ARGS),src)
+	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not live and not heavy' $(or $(ARGS),src)
 
 test-slow: checked
 	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m slow $(ARGS)

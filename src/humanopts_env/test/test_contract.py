@@ -50,6 +50,7 @@ class TestRoomsWithTheGoalInARoom(DomainContract):
         return Rooms('G2')
 
 
+@pytest.mark.heavy
 class TestPacMan(DomainContract):
     """Our own maze."""
 
@@ -60,6 +61,7 @@ class TestPacMan(DomainContract):
         return domain
 
 
+@pytest.mark.heavy
 class TestChasedPacMan(DomainContract):
     """A small maze with one ghost that chases."""
 
@@ -68,6 +70,7 @@ class TestChasedPacMan(DomainContract):
         return PacMan('yard', ghosts='chase', lives=1, max_steps=100)
 
 
+@pytest.mark.heavy
 class TestCrowdedPacMan(DomainContract):
     """Numbered ghosts and three pills, from a file."""
 

@@ -19,6 +19,7 @@ NO_GHOST = '%%%%%\n%P..%\n%%%%%'
 MAZES = ('gardens', 'yard', FOUR_GHOSTS, NO_GHOST)
 
 
+@pytest.mark.heavy
 @settings(max_examples=12, deadline=None)
 @given(
     maze=strategies.sampled_from(MAZES),

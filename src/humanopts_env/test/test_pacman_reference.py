@@ -124,6 +124,7 @@ def random_moves(domain: PacMan, games: int) -> Ints:
     return batch.score
 
 
+@pytest.mark.heavy
 def test_better_players_score_more() -> None:
     """Random moves, random options, and a rule over the options, at both speeds of ghosts."""
     for ghosts in ('random', 'chase'):

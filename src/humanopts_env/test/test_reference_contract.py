@@ -14,6 +14,8 @@ from humanopts_env.reference_contract import ReferenceContract
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.heavy
+
 PICKUP = reference_options(Taxi())['go to passenger and pickup']
 ONLY_SOUTH = np.arange(6) == 0
 

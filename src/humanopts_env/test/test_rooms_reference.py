@@ -123,6 +123,7 @@ def reach_value(
     return value
 
 
+@pytest.mark.heavy
 def test_expected_steps_are_the_mean_of_simulated_runs() -> None:
     """4,000 runs of about 12 steps; four standard errors are 0.4."""
     option, rng = OPTIONS[NORTH], generator(0, 'test')

@@ -123,6 +123,7 @@ def test_events_in_a_cell_give_an_option_each_that_starts_before_them() -> None:
     }
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_taxi_has_the_nine_options_of_the_paper(seed: int) -> None:
     """Section 7.3: four pickups, four dropoffs, and one to reach the centre; nobody said nine."""
@@ -132,6 +133,7 @@ def test_taxi_has_the_nine_options_of_the_paper(seed: int) -> None:
     assert len(names) == 9
 
 
+@pytest.mark.heavy
 def test_taxi_options_pick_up_and_drop_off_whatever_the_destination() -> None:
     taxi = Taxi()
     for option in found('taxi').options[1:]:
@@ -141,6 +143,7 @@ def test_taxi_options_pick_up_and_drop_off_whatever_the_destination() -> None:
         assert option.reaches == 1.0
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('name', ['taxi', 'rooms', 'pacman'])
 def test_options_end_at_their_target_and_outside_their_initiation_set(name: str) -> None:
     for option in found(name).options:
@@ -149,6 +152,7 @@ def test_options_end_at_their_target_and_outside_their_initiation_set(name: str)
         assert (option.termination == ~option.initiation).all()
 
 
+@pytest.mark.heavy
 def test_the_doorways_of_rooms_lie_on_most_runs() -> None:
     """At least two of the first four targets are doorways or next to one, of 104 cells."""
     rooms, space = Rooms(), found('rooms').space
@@ -157,6 +161,7 @@ def test_the_doorways_of_rooms_lie_on_most_runs() -> None:
     assert sum(near[option.target.cell] for option in found('rooms').options[:4]) >= 2
 
 
+@pytest.mark.heavy
 def test_planning_with_automatic_options_and_primitives_loses_nothing() -> None:
     taxi = Taxi()
     best = make_exact_plan(taxi, (), PlanRequest(PRIMITIVE, gamma=0.99)).solution.values
@@ -186,6 +191,7 @@ def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
     assert came.all()
 
 
+@pytest.mark.heavy
 def test_the_same_seed_finds_the_same_options() -> None:
     first, again = (find_options(PacMan(maze='yard'), 3, QUICK) for _ in range(2))
     other = find_options(PacMan(maze='yard'), 4, QUICK)
@@ -194,6 +200,7 @@ def test_the_same_seed_finds_the_same_options() -> None:
     assert (first.visits != other.visits).any()
 
 
+@pytest.mark.heavy
 def test_the_cost_is_counted_and_told() -> None:
     told: list[tuple[str, float, int]] = []
     ticks = iter([10.0, 12.5])
@@ -249,6 +256,7 @@ def test_a_domain_that_cannot_be_listed_is_refused() -> None:
         find_options(Endless(), 0)  # type: ignore[arg-type]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('name', ['taxi', 'rooms', 'gymnasium:CliffWalking-v1'])
 def test_trees_say_what_the_tables_say_wherever_an_episode_goes_on(name: str) -> None:
     domain, space = make_domain(name), found(name).space
@@ -261,6 +269,7 @@ def test_trees_say_what_the_tables_say_wherever_an_episode_goes_on(name: str) ->
         assert learned.max_steps == option.max_steps
 
 
+@pytest.mark.heavy
 def test_options_of_pacman_see_his_place_and_do_the_same_in_every_game() -> None:
     domain = make_domain('pacman')
     games, rng = batch_games(domain), np.random.default_rng(0)
@@ -276,6 +285,7 @@ def test_options_of_pacman_see_his_place_and_do_the_same_in_every_game() -> None
         assert (learned.ends(rows) == option.termination[cells]).all()
 
 
+@pytest.mark.heavy
 def test_an_option_depends_on_no_feature_that_it_can_do_without() -> None:
     for option in options('taxi'):
         assert 'blocked_moves' not in option.features
@@ -283,6 +293,7 @@ def test_an_option_depends_on_no_feature_that_it_can_do_without() -> None:
     assert {option.features for option in options('rooms')} == {('row', 'col')}
 
 
+@pytest.mark.heavy
 def test_what_the_features_do_not_tell_apart_is_refused() -> None:
     seen = found('rooms')
     dark = replace(seen, space=replace(seen.space, rows=np.zeros_like(seen.space.rows)))
@@ -290,6 +301,7 @@ def test_what_the_features_do_not_tell_apart_is_refused() -> None:
         to_learned_options(Rooms(), dark)
 
 
+@pytest.mark.heavy
 def test_a_file_keeps_an_automatic_option_without_demonstrations() -> None:
     option = options('taxi')[0]
     again, demonstrations = option_from_json(option_to_json(option))
@@ -298,6 +310,7 @@ def test_a_file_keeps_an_automatic_option_without_demonstrations() -> None:
     assert (again.participant, again.n_demonstrations) == ('automatic', 0)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('action_set', ['automatic', 'automatic+primitive'])
 def test_plans_of_learned_form_and_of_tables_are_the_same(action_set: str) -> None:
     taxi = Taxi()
@@ -310,6 +323,7 @@ def test_plans_of_learned_form_and_of_tables_are_the_same(action_set: str) -> No
     assert plan.first_fallback == (len(plan.options) if action_set == 'automatic' else 9 + 6)
 
 
+@pytest.mark.heavy
 def test_fallbacks_of_automatic_options_are_where_none_can_start() -> None:
     sampled = make_sampled_plan(
         make_domain('pacman'),
@@ -319,11 +333,13 @@ def test_fallbacks_of_automatic_options_are_where_none_can_start() -> None:
     assert sampled.first_fallback == len(options('pacman'))
 
 
+@pytest.mark.heavy
 def test_people_are_not_taken_for_machines() -> None:
     with pytest.raises(PlanError, match="must begin with 'automatic', not 'ann'"):
         to_learned_options(Rooms(), found('rooms'), 'ann')
 
 
+@pytest.mark.heavy
 def test_sets_choose_between_what_people_taught_and_what_was_found() -> None:
     auto, other = options('rooms')[:2]
     taught = replace(auto, name='out', participant='ann')

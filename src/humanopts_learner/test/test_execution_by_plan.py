@@ -154,6 +154,7 @@ def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Executio
         assert game.decisions == returns.decisions[episode]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('execution', Execution)
 def test_a_live_game_is_the_vectorised_one_with_sampled_values(execution: Execution) -> None:
     """From the start that the seed draws, to the same last state."""

@@ -26,6 +26,8 @@ from humanopts_learner.options.option import (
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.heavy
+
 TAXI, ROOMS, PACMAN = Taxi(), Rooms(), PacMan()
 FETCH, FOOD, AVOID = 'go to passenger and pickup', 'go to the closest food', 'avoid ghost'
 

@@ -100,6 +100,7 @@ def test_text_that_is_no_option_is_refused(text: str) -> None:
         option_from_json(text)
 
 
+@pytest.mark.heavy
 @settings(max_examples=200, deadline=None)
 @given(
     place=st.floats(0, 1), text=st.sampled_from(['', '-', '9', 'null', '[]', '{}', '"x"', '1e999'])
@@ -124,6 +125,7 @@ def test_files_are_kept_by_person_and_option(
     assert [file.name for file in path.parent.iterdir()] == [path.name]  # nothing temporary
 
 
+@pytest.mark.heavy
 @settings(max_examples=15, deadline=None)
 @given(st.sets(st.text(min_size=1, max_size=60), min_size=2, max_size=6))
 def test_no_two_names_share_a_file(option: LearnedOption, names: set[str]) -> None:

@@ -187,6 +187,7 @@ def test_failures_teaches_every_state_within_thirty_demonstrations(
     assert not (found.stuck[reference.initiation] | found.detour[reference.initiation]).any()
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('name', [FETCH, DELIVER])
 def test_once_nothing_fails_and_the_criteria_hold_every_start_is_driven_in_spite_of_slips(
     person: Callable[..., Any], name: str
@@ -207,6 +208,7 @@ def test_once_nothing_fails_and_the_criteria_hold_every_start_is_driven_in_spite
     assert option.n_demonstrations <= 50
 
 
+@pytest.mark.heavy
 def test_when_nothing_fails_what_was_shown_least_is_asked_for(person: Callable[..., Any]) -> None:
     someone = person()
 
@@ -220,6 +222,7 @@ def test_when_nothing_fails_what_was_shown_least_is_asked_for(person: Callable[.
     assert found.times_shown[TAXI.index(state)] <= np.median(found.times_shown[found.candidate])
 
 
+@pytest.mark.heavy
 def test_where_states_cannot_be_enumerated_a_sample_that_fails_is_asked_for(
     person: Callable[..., Any], plain_taxi: Any
 ) -> None:
@@ -263,6 +266,7 @@ def test_from_one_trajectory_nothing_in_i_is_settled(
     assert found.tolist() == option.can_start(rows).tolist()
 
 
+@pytest.mark.heavy
 def test_where_sampled_states_do_not_fail_coverage_chooses(
     person: Callable[..., Any], plain_taxi: Any
 ) -> None:

@@ -188,6 +188,7 @@ def dense_model(
     return total, successor + running, running.sum(axis=1)
 
 
+@pytest.mark.heavy
 @settings(deadline=None, max_examples=150)
 @given(
     seed=st.integers(0, 2**32 - 1),

@@ -248,6 +248,7 @@ def test_where_states_can_be_listed_the_plan_is_the_exact_one() -> None:
     assert np.array_equal(plan.solution.values, exact.solution.values)
 
 
+@pytest.mark.heavy
 def test_elsewhere_the_plan_is_the_sampled_one_of_the_seed() -> None:
     """With the number of game steps that were asked for."""
     plan, sampled = (
@@ -274,6 +275,7 @@ def test_an_exact_plan_is_judged_by_the_starts_of_the_seed() -> None:
     assert found.outcomes == {}
 
 
+@pytest.mark.heavy
 def test_a_sampled_plan_is_judged_as_it_plays() -> None:
     """Telling how far the games are changes nothing in them."""
     plan = make_plan(YARD, [], request())
@@ -299,6 +301,7 @@ def test_one_episode_has_a_mean_without_bounds(domain: Domain[Any]) -> None:
         judge_plan(plan, SEED, 0)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
 def test_judging_says_how_far_it_is_and_can_be_canceled(domain: Domain[Any]) -> None:
     """From its first start state to its last step."""
@@ -330,6 +333,7 @@ def test_a_plan_chooses_in_states_of_the_domain(domain: Domain[Any]) -> None:
     assert not decision.fallback
 
 
+@pytest.mark.heavy
 def test_the_slippery_lake_is_crossed_as_often_as_it_can_be() -> None:
     """Gymnasium gives 0.74 as the optimum within its 100 steps; 20,000 games, error 0.003."""
     lake = gymnasium_domain('FrozenLake-v1')()

@@ -50,6 +50,7 @@ def room_of(name: str) -> NDArray[np.bool_]:
     return found
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('max_steps', [6, 200])
 def test_option_models_agree_with_simulated_runs(max_steps: int) -> None:
     """Each discounted share within five standard errors, from the far corner of the room."""

@@ -36,6 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 import pytest
 
+pytestmark = pytest.mark.heavy
+
 GAMMA = 0.9
 EXACT = Sampling(n_games=2000, game_steps=100, penalty=0.0, explore=0.5, interruption_margin=0.0)
 

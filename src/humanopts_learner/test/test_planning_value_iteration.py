@@ -98,6 +98,7 @@ def policy_iteration(model: MultiTimeModel) -> NDArray[np.float64]:
         policy[better] = ahead[better].argmax(axis=1)
 
 
+@pytest.mark.heavy
 @settings(deadline=None, max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 60), n_options=st.integers(1, 5))
 def test_policy_iteration_comes_to_the_same_values(
@@ -224,6 +225,7 @@ def test_limits_that_make_no_sense_are_refused(tol: float, max_sweeps: int) -> N
         solve_smdp(random_model(5, 3, 2), tol, max_sweeps)
 
 
+@pytest.mark.heavy
 @settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 40), n_options=st.integers(1, 4))
 def test_both_forms_of_one_model_have_one_solution(

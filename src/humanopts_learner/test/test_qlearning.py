@@ -107,6 +107,7 @@ def taxi_options() -> list[TabularOption]:
     return [TabularOption.of_reference(found[name]) for name in (FETCH, DELIVER)]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('method', Method)
 @pytest.mark.parametrize('action_set', ['primitive', MIXED])
 @pytest.mark.parametrize('seed', range(2))
@@ -119,6 +120,7 @@ def test_it_comes_to_the_values_of_planning(seed: int, action_set: str, method: 
     assert values[known] == pytest.approx(exact[known], abs=1e-6)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('method', Method)
 def test_with_chance_it_comes_to_the_values_of_planning_on_the_mean(method: Method) -> None:
     """Learners with a small rate, which is worth less than 5 % of the largest value."""
@@ -129,6 +131,7 @@ def test_with_chance_it_comes_to_the_values_of_planning_on_the_mean(method: Meth
     assert values[known] == pytest.approx(exact[known], abs=0.05 * np.abs(exact[known]).max())
 
 
+@pytest.mark.heavy
 def test_intra_option_learning_values_options_that_are_never_begun() -> None:
     """Option 2 can start in state 0 only; primitive steps that agree with it teach its value."""
     world = RandomWorld(seed=1)
@@ -144,6 +147,7 @@ def test_intra_option_learning_values_options_that_are_never_begun() -> None:
     assert (runs[1:] == 0.0).all()
 
 
+@pytest.mark.heavy
 def test_hallway_options_need_fewer_steps_early_on() -> None:
     """Sutton, Precup and Singh (1999), figure 5: the first ten episodes, intervals apart."""
     rooms = Rooms('G1')
@@ -155,6 +159,7 @@ def test_hallway_options_need_fewer_steps_early_on() -> None:
     assert Interval.of(some.mean(axis=1)).high < 0.8 * Interval.of(none.mean(axis=1)).low
 
 
+@pytest.mark.heavy
 def test_taxi_is_learned_at_once_with_the_options_that_people_taught() -> None:
     """Figure 4: with them every episode is about as short as the best; 13 steps on the mean."""
     human, primitive = (
@@ -177,6 +182,7 @@ def test_episodes_are_cut_off() -> None:
     assert learn(TAXI, choices, [Rates()], Settings(3), 0).steps.max() <= 200
 
 
+@pytest.mark.heavy
 def test_the_same_seed_learns_the_same() -> None:
     world = RandomWorld(0)
     first, again, other = (
@@ -196,6 +202,7 @@ def test_the_set_human_has_primitive_actions_where_no_option_can_start() -> None
     assert not option_table(world, 'human', world.options()).available[-1].any()
 
 
+@pytest.mark.heavy
 def test_the_search_finds_the_rates_that_learn_faster() -> None:
     slow, fast = Rates(0.1, 1.0), Rates(0.8, 0.02)
     choices = option_table(TAXI, 'human', taxi_options()[:1])

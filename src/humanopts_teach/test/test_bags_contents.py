@@ -29,6 +29,7 @@ from rclpy.serialization import serialize_message
 from teach_support.bags import numbered, play, write_messages
 
 
+@pytest.mark.heavy
 def test_demonstrations_come_back_equal(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
 ) -> None:

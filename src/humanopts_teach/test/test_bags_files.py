@@ -262,6 +262,7 @@ def test_files_whose_end_tells_less_are_read_and_whole(tmp_path: Path, how: Any)
     assert check_bag(open_bag(file)).damage == ()
 
 
+@pytest.mark.heavy
 def test_a_scan_of_messages_outside_chunks_tells_how_far_it_is(tmp_path: Path) -> None:
     file, told = tmp_path / 'plain.mcap', list[int]()
     write_by_another(file, 20_000, **PLAIN)

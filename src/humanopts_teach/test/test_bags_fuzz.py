@@ -24,6 +24,8 @@ import pytest
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
+pytestmark = pytest.mark.heavy
+
 SECOND = 10**9
 ATTACHED = b'{"a": 1}'
 BATCH = 50  # mutated bags in one test

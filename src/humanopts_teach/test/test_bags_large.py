@@ -29,6 +29,8 @@ import pexpect
 import pytest
 from rclpy.serialization import serialize_message
 
+pytestmark = pytest.mark.heavy
+
 MESSAGES = 'humanopts_interfaces/msg/'
 VALUES = 8192  # numbers in a large message, 64 KiB
 STEPS = 20  # of an episode
@@ -38,6 +40,7 @@ MEASURE = """
 import os, sys
 from humanopts_teach.cli import main
 from humanopts_teach.launching.usage import look
+
 status = main(['bag', *sys.argv[1:]])
 print(look(os.getpid()).peak // 2**20, status, file=sys.stderr)
 """

@@ -75,6 +75,7 @@ def evaluation(taxi: Domain[Any], taxi_lesson: Lesson) -> BagEvaluation:
     return evaluate(taxi_lesson, taxi, SETTINGS)
 
 
+@pytest.mark.heavy
 def test_order_and_repetitions_change_no_number(
     taxi: Domain[Any], taxi_lesson: Lesson, evaluation: BagEvaluation
 ) -> None:
@@ -92,6 +93,7 @@ def test_one_demonstration_less_changes_the_numbers(
     assert fewer.blocks[1] == evaluation.blocks[1]
 
 
+@pytest.mark.heavy
 def test_what_was_taken_back_is_as_if_it_had_never_been_shown(
     taxi: Domain[Any], taxi_lesson: Lesson, evaluation: BagEvaluation
 ) -> None:
@@ -121,6 +123,7 @@ def test_primitive_actions_plan_at_least_as_well_as_options(evaluation: BagEvalu
     assert human.mean_return <= primitive.mean_return
 
 
+@pytest.mark.heavy
 def test_people_are_evaluated_apart(taxi: Domain[Any], taxi_lesson: Lesson) -> None:
     other = [
         replace(demo, participant='p2', uuid=str(uuid.uuid5(uuid.NAMESPACE_OID, demo.uuid)))
@@ -255,6 +258,7 @@ def test_what_cannot_be_done_is_refused_before_the_work(
     assert reason in capsys.readouterr().err
 
 
+@pytest.mark.heavy
 def test_a_state_that_is_none_of_the_domain_is_an_error_of_the_report(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -270,6 +274,7 @@ def test_a_state_that_is_none_of_the_domain_is_an_error_of_the_report(
     assert "'chess e4' is not a taxi state" in capsys.readouterr().err
 
 
+@pytest.mark.heavy
 def test_a_bag_gives_the_numbers_of_its_demonstrations_exactly(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson
 ) -> None:
@@ -281,6 +286,7 @@ def test_a_bag_gives_the_numbers_of_its_demonstrations_exactly(
     assert found.warnings == ()
 
 
+@pytest.mark.heavy
 def test_the_status_message_gives_the_same_block_as_the_bag(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson
 ) -> None:

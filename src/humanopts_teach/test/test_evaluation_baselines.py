@@ -31,6 +31,8 @@ from humanopts_teach.evaluation.games import (
 )
 import pytest
 
+pytestmark = pytest.mark.heavy
+
 GAMES, STEPS, SEED = 40, 8_000, 3
 
 

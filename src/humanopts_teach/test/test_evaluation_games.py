@@ -36,6 +36,8 @@ from humanopts_teach.report.findings import findings, games_findings, reached
 from humanopts_teach.report.write import render_report, ReportData
 import pytest
 
+pytestmark = pytest.mark.heavy
+
 GAMES, SEED, STEPS = 20, 5, 20_000
 
 

@@ -68,6 +68,7 @@ def test_what_cannot_be_measured_is_null_and_never_nan(
     assert unknown == {name for name in KEYS if name.startswith(('cv_', 'policy_', 'classif'))}
 
 
+@pytest.mark.heavy
 def test_accuracies_are_measured_where_states_cannot_be_listed(
     pacman_lesson: list[Demonstration],
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 OPTION = 'go to passenger and pickup'
 
 
+@pytest.mark.heavy
 def test_it_teaches_until_the_criteria_hold_and_nothing_fails(taxi: Any) -> None:
     taught = teach(taxi, TeacherSettings((OPTION,), error_rate=0.02))
     assert [option.name for option in taught.options] == [OPTION]

@@ -25,6 +25,8 @@ from humanopts_teach.report.write import render_report, ReportData, write_evalua
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.heavy
+
 SETTINGS = Settings(seed=5, thresholds=Thresholds(2.25, 0.0625, 0.125), teacher_error_rate=0.02)
 FRAMES = (
     Frame('taxi 0,1 passenger R destination B'),

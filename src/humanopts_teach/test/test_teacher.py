@@ -140,6 +140,7 @@ def test_an_option_that_could_start_again_at_its_end_is_said_so() -> None:
     )
 
 
+@pytest.mark.heavy
 def test_it_always_prefers_the_same_among_equally_good_actions() -> None:
     reference = REFERENCES[PICKUP]
     states = TAXI.sample_states(np.random.default_rng(0), 100)
@@ -149,6 +150,7 @@ def test_it_always_prefers_the_same_among_equally_good_actions() -> None:
         assert act.action == NAMES[min(reference.optimal_actions(state))]
 
 
+@pytest.mark.heavy
 def test_own_habits_are_drawn_for_the_participant_and_kept() -> None:
     def first_act(participant: str) -> object:
         settings = TeacherSettings((PICKUP,), participant, own_habits=True)
