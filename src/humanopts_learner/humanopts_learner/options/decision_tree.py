@@ -6,7 +6,7 @@ scikit-learn is imported when the first tree is fitted.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -78,24 +78,33 @@ def encode_rows(
     :param rows: (N, F), all features of the domain.
     :return: (N, C), one encoded feature after the other in memory, as large trees are walked.
     """
-    return _Encoder(encoding)(rows)
+    return Encoder(encoding)(rows)
 
 
-class _Encoder:
-    """Encodes rows, with the encoding as arrays."""
+class Encoder:
+    """Encodes rows, again and again, with the encoding as arrays."""
 
     def __init__(self, encoding: Sequence[EncodedFeature]) -> None:
-        self._index = np.array([encoded.index for encoded in encoding], dtype=np.intp)
         values = [encoded.value for encoded in encoding]
-        self._one_hot = np.array([[value is not None] for value in values], dtype=np.bool_)
-        self._wanted = np.array([[value or 0] for value in values], dtype=np.int32)
-        self._any = bool(self._one_hot.any())
+        self._index = np.array([encoded.index for encoded in encoding], dtype=np.intp)
+        self._one_hot = np.array([value is not None for value in values], dtype=np.bool_)
+        self._wanted = np.array([value or 0 for value in values], dtype=np.int32)
 
-    def __call__(self, rows: NDArray[np.int32]) -> NDArray[np.float32]:
-        picked = rows.T[self._index]
-        if self._any:
-            picked = np.where(self._one_hot, picked == self._wanted, picked)
-        return picked.astype(np.float32).T
+    def __call__(
+        self, rows: NDArray[np.int32], tested: Ints | slice = slice(None)
+    ) -> NDArray[np.float32]:
+        """
+        Return what ``encode_rows`` does.
+
+        :param tested: the encoded features that matter; the others may have any values.
+        """
+        picked, one_hot = rows.T[self._index[tested]], self._one_hot[tested]
+        if one_hot.any():
+            equal = picked == self._wanted[tested][:, None]
+            picked = np.where(one_hot[:, None], equal, picked)
+        encoded = np.empty((len(self._index), len(rows)), dtype=np.float32)
+        encoded[tested] = picked
+        return encoded.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +179,11 @@ class Tree:
         return best
 
     @cached_property
+    def tested(self) -> Ints:
+        """Indices of the encoded features that it tests, ascending."""
+        return np.unique(self.feature[self.left != LEAF]).astype(np.intp)
+
+    @cached_property
     def depth(self) -> int:
         """Number of tests on the longest way from the root to a leaf."""
         level = np.zeros(len(self.left), dtype=np.int64)
@@ -179,10 +193,15 @@ class Tree:
 
     @cached_property
     def _self_looping(self) -> tuple[Ints, Ints]:
-        """Features (N,) and children (2, N) where every leaf is its own child."""
+        """
+        Features (N,) and children (2, N) where every leaf is its own child.
+
+        Leaves look at the first feature that is tested anywhere: others need not be encoded.
+        """
         leaf, itself = self.left == LEAF, np.arange(len(self.left))
+        any_tested = self.tested[0] if len(self.tested) else 0
         children = np.stack([np.where(leaf, itself, side) for side in (self.left, self.right)])
-        return np.where(leaf, 0, self.feature).astype(np.intp), children.astype(np.intp)
+        return np.where(leaf, any_tested, self.feature).astype(np.intp), children.astype(np.intp)
 
     @cached_property
     def _shares(self) -> Floats:
@@ -229,30 +248,6 @@ class Tree:
             raise TreeError(f'not a tree: {error}') from None
 
 
-class TreeOfRows:
-    """A tree that takes all features of the domain, and encodes only those that it tests."""
-
-    def __init__(self, tree: Tree, encoding: Sequence[EncodedFeature]) -> None:
-        """Prepare a tree that takes rows of this encoding."""
-        inner = tree.left != LEAF
-        tested = np.unique(tree.feature[inner])
-        feature = np.where(inner, np.searchsorted(tested, tree.feature), LEAF).astype(np.int32)
-        self._tree = replace(tree, feature=feature, n_features=len(tested))
-        self._encode = _Encoder([encoding[number] for number in tested])
-
-    def probabilities(self, rows: NDArray[np.int32]) -> Floats:
-        """Return (N, K): ``Tree.probabilities`` of each row (N, F)."""
-        return self._tree.probabilities(self._encode(rows))
-
-    def probability_of(self, number: int, rows: NDArray[np.int32]) -> Floats:
-        """Return (N,): ``Tree.probability_of`` each row (N, F)."""
-        return self._tree.probability_of(number, self._encode(rows))
-
-    def likeliest(self, rows: NDArray[np.int32]) -> Ints:
-        """Return (N,): ``Tree.likeliest`` of each row (N, F)."""
-        return self._tree.likeliest(self._encode(rows))
-
-
 def fit_tree(
     X: NDArray[np.float32], y: NDArray[np.integer], classes: Sequence[int], seed: int
 ) -> Tree:
@@ -272,7 +267,7 @@ def fit_tree(
 
     classifier = DecisionTreeClassifier(random_state=seed)
     with config_context(assume_finite=True, skip_parameter_validation=True):
-        fitted = classifier.fit(X, y).tree_
+        fitted = classifier.fit(X, y, check_input=False).tree_  # both are of the right type
     leaf = fitted.children_left == LEAF
     counts = np.zeros((fitted.node_count, len(classes)), dtype=np.int64)
     shares = fitted.value[:, 0, :] * fitted.weighted_n_node_samples[:, None]

@@ -13,10 +13,10 @@ from humanopts_env.domains.registry import parameters_json
 from humanopts_learner.options.decision_tree import (
     encode_rows,
     EncodedFeature,
+    Encoder,
     feature_encoding,
     fit_tree,
     Tree,
-    TreeOfRows,
 )
 import numpy as np
 from numpy.typing import NDArray
@@ -98,29 +98,24 @@ class LearnedOption:
             )
 
     @cached_property
-    def _on_rows(self) -> tuple[TreeOfRows, TreeOfRows, TreeOfRows]:
-        """The trees of policy, I and beta, for rows of all features."""
-        policy, initiation, termination = (
-            TreeOfRows(tree, self.encoding)
-            for tree in (self.policy, self.initiation, self.termination)
-        )
-        return policy, initiation, termination
+    def _encode(self) -> Encoder:
+        return Encoder(self.encoding)
 
     def action_probabilities(self, rows: Rows) -> Floats:
         """Return (N, A): pi of every action in each of the N states."""
-        return self._on_rows[0].probabilities(rows)
+        return self.policy.probabilities(self._encode(rows, self.policy.tested))
 
     def initiation_probability(self, rows: Rows) -> Floats:
         """Return (N,): the share of members of I among examples like each state."""
-        return self._on_rows[1].probability_of(MEMBER, rows)
+        return self.initiation.probability_of(MEMBER, self._encode(rows, self.initiation.tested))
 
     def termination_probability(self, rows: Rows) -> Floats:
         """Return (N,): beta of each state."""
-        return self._on_rows[2].probability_of(MEMBER, rows)
+        return self.termination.probability_of(MEMBER, self._encode(rows, self.termination.tested))
 
     def greedy_action(self, rows: Rows) -> Ints:
         """Return (N,): the likeliest action, the lowest index among equals."""
-        return self._on_rows[0].likeliest(rows)
+        return self.policy.likeliest(self._encode(rows, self.policy.tested))
 
     def can_start(self, rows: Rows) -> Flags:
         """Return (N,): whether each state is in the initiation set."""
