@@ -15,16 +15,26 @@ os.environ['TERM'] = 'xterm-256color'  # what the pseudo-terminals of the tests 
 
 
 LIVE = {'demo', 'domain_id', 'live', 'shared'}  # fixtures of tests that need the graph
+LONGEST = ('test_demo_pacman.py', 'test_demo.py', 'test_node_deaths.py', 'test_cli.py')
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that need the graph, and put the files of all others before theirs."""
+    """
+    Mark the tests that need the graph, and put the files of all others before theirs.
+
+    The longest of their files come first, so that no process is left with one at the end.
+    """
     files = set()
     for item in items:
         if not LIVE.isdisjoint(getattr(item, 'fixturenames', ())):
             item.add_marker('live')
             files.add(item.path)
-    items.sort(key=lambda item: item.path in files)
+
+    def place(item: pytest.Item) -> tuple[bool, int]:
+        name = item.path.name
+        return item.path in files, LONGEST.index(name) if name in LONGEST else len(LONGEST)
+
+    items.sort(key=place)
 
 
 @pytest.fixture
