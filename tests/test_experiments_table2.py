@@ -121,7 +121,7 @@ def test_both_games_of_pacman_are_planned_with_budgets_that_double() -> None:
 def test_same_seed_gives_the_same_numbers_and_another_one_others() -> None:
     domain, variant = PacMan(maze='yard', max_steps=50), VARIANTS[0]
     first, again, other = (
-        without_seconds(plan_from_samples(domain, variant, (), 1, TINY, seed))
+        without_seconds(plan_from_samples(domain, variant, (), 1, replace(TINY, tried=1), seed))
         for seed in (1, 1, 2)
     )
     assert first == again
