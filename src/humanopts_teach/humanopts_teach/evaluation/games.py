@@ -314,7 +314,7 @@ def evaluate_games(
     costs = [*(each.budget_steps + PLAYING for _, each in plays), math.inf]
     results: list[Any] = [None] * len(calls)
     report = progress or no_progress
-    report(0, len(calls), f'{len(calls)} parts')
+    report(0, len(calls), f'{len(calls)} parts, side by side')
     with processes(jobs):
         for done, (number, result) in enumerate(as_they_end(calls, costs), start=1):
             results[number] = result
