@@ -37,13 +37,10 @@ class _Backup:
     :ivar order: (S,) the states in this order; values are in it too.
     """
 
-    order: Ints
+    order: Ints | slice = slice(None)
 
     def __init__(self, model: Model) -> None:
         self._dead: Flags = ~np.asarray(model.available.any(axis=1))
-        self._available = model.available.copy()
-        self._available[self._dead, 0] = True  # nothing follows there, so their value stays 0
-        self._reward = np.where(self._dead[:, None], 0.0, model.reward)
 
     def sweep(self, old: Floats, new: Floats) -> float:
         """Write the next values to ``new`` and the changes to ``old``; return the largest."""
@@ -83,9 +80,9 @@ class _DenseBackup(_Backup):
 
     def __init__(self, model: MultiTimeModel) -> None:
         super().__init__(model)
-        self.order = np.arange(model.n_states)
         self._expected = model.expectation()
-        self._rewards = np.where(self._available.T, self._reward.T, -np.inf)
+        self._rewards = np.where(model.available.T, model.reward.T, -np.inf)
+        self._rewards[0, self._dead] = 0.0  # nothing follows there, so their value stays 0
 
     def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
         for option, (expected, reward) in enumerate(zip(self._expected(values), self._rewards)):
@@ -103,12 +100,14 @@ class _SparseBackup(_Backup):
 
     def __init__(self, model: SparseMultiTimeModel) -> None:
         super().__init__(model)
-        n_states, n_options = model.n_states, self._available.sum(axis=1)
-        first = self._available.argmax(axis=1) * n_states + np.arange(n_states)
+        available = model.available.copy()
+        available[self._dead, 0] = True  # nothing follows there, so their value stays 0
+        n_states, n_options = model.n_states, available.sum(axis=1)
+        first = available.argmax(axis=1) * n_states + np.arange(n_states)
         self.order = np.lexsort((np.diff(model.rows.indptr)[first], -n_options))
         place = np.empty(n_states, dtype=np.int32)
         place[self.order] = np.arange(n_states, dtype=np.int32)
-        state, option = np.nonzero(self._available)
+        state, option = np.nonzero(available)
         layer = np.arange(len(state)) - np.repeat(np.cumsum(n_options) - n_options, n_options)
         pairs = np.lexsort((place[state], layer))
         state, self._option = state[pairs], option[pairs]
@@ -116,7 +115,7 @@ class _SparseBackup(_Backup):
         rows = model.rows[self._option * n_states + state]
         successor, ends = place[rows.indices], rows.indptr.astype(np.int32)
         self._rows = csr_array((rows.data, successor, ends), shape=rows.shape)
-        self._rewards = self._reward[state, self._option]
+        self._rewards = np.where(self._dead[state], 0.0, model.reward[state, self._option])
 
     def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
         expected = self._rows @ values
