@@ -367,6 +367,7 @@ def test_same_seed_teaches_the_same_again(
     ]
 
 
+@pytest.mark.slow  # a whole demo of its own
 def test_demo_that_was_too_short_to_teach_says_what_is_missing(
     tmp_path: Path, domain_id: int
 ) -> None:

@@ -54,8 +54,8 @@ def check_end(command: Command, *words: str) -> None:
     assert command.running() == {}
 
 
-# Each starts a whole demo, so that only one of these pairs is tested in every run.
-@pytest.mark.parametrize('node', ['recorder', pytest.param('lesson', marks=pytest.mark.slow)])
+@pytest.mark.slow  # a whole demo each; every run tests the planner's end and a killed recorder
+@pytest.mark.parametrize('node', ['recorder', 'lesson'])
 def test_a_node_that_ends_while_it_teaches_ends_the_demo(
     start: Start, tmp_path: Path, node: str
 ) -> None:
