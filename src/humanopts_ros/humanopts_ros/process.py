@@ -11,7 +11,7 @@ from humanopts_ros.environment import LAUNCHER_PID, prepare_discovery
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.publisher import PublishError, without_source
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
@@ -33,13 +33,18 @@ class _Stop:
         return self.requested or (self._launcher != 0 and os.getppid() != self._launcher)
 
 
-def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> int:
+def run_node(
+    factory: Callable[[], NodeBase],
+    args: list[str] | None = None,
+    make_executor: Callable[[], Executor] = SingleThreadedExecutor,
+) -> int:
     """
     Run a node until SIGINT, SIGTERM or SIGHUP.
 
     The node is closed however it ends. An unexpected error is raised to the caller, so
     that the traceback is shown and the exit status is 1.
 
+    :param make_executor: makes the executor once ROS has started.
     :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
         cannot go on.
     """
@@ -50,7 +55,7 @@ def run_node(factory: Callable[[], NodeBase], args: list[str] | None = None) -> 
     except RuntimeError as error:  # such as invalid arguments
         print(f'humanopts: ROS cannot start: {without_source(error)}', file=sys.stderr)
         return 2
-    executor = SingleThreadedExecutor()
+    executor = make_executor()
     node: NodeBase | None = None
     try:
         node = factory()
