@@ -12,6 +12,7 @@ from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.publisher import PublishError, without_source
 import rclpy
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
@@ -36,7 +37,8 @@ class _Stop:
 def run_node(
     factory: Callable[[], NodeBase],
     args: list[str] | None = None,
-    make_executor: Callable[[], Executor] = SingleThreadedExecutor,
+    *,
+    by_events: bool = False,
 ) -> int:
     """
     Run a node until SIGINT, SIGTERM or SIGHUP.
@@ -44,7 +46,8 @@ def run_node(
     The node is closed however it ends. An unexpected error is raised to the caller, so
     that the traceback is shown and the exit status is 1.
 
-    :param make_executor: makes the executor once ROS has started.
+    :param by_events: run on the ``EventsExecutor``, which answers about three times as fast; it is
+        experimental, and for nodes whose services are no coroutines.
     :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
         cannot go on.
     """
@@ -55,7 +58,7 @@ def run_node(
     except RuntimeError as error:  # such as invalid arguments
         print(f'humanopts: ROS cannot start: {without_source(error)}', file=sys.stderr)
         return 2
-    executor = make_executor()
+    executor: Executor = EventsExecutor() if by_events else SingleThreadedExecutor()
     node: NodeBase | None = None
     try:
         node = factory()

@@ -28,7 +28,6 @@ from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, STREAM
-from rclpy.experimental.events_executor import EventsExecutor
 
 _RETRY_PERIOD = 0.5  # s between attempts to publish messages again
 _HOLDER_PERIOD = 1.0  # s between checks that the person's terminal is still on the graph
@@ -169,8 +168,8 @@ class GameNode(NodeBase):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node; every step waits for it, and this executor answers three times as fast."""
-    return run_node(GameNode, args, EventsExecutor)
+    """Run the node, for whose answer every step waits."""
+    return run_node(GameNode, args, by_events=True)
 
 
 if __name__ == '__main__':
