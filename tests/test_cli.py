@@ -376,7 +376,11 @@ def test_several_bags_are_evaluated_each_by_itself(
     for option, alone in zip(first['options'], demo.summary['options'], strict=True):
         assert {key: option[key] for key in alone} == alone
     assert run('bag', 'eval', EARLIER, '--json') == 0
-    assert {'bag': str(EARLIER), **json.loads(capsys.readouterr().out)} == second
+    alone = {'bag': str(EARLIER), **json.loads(capsys.readouterr().out)}
+    for row in (*alone['planning'], *second['planning']):
+        for part in ('table', 'model', 'sweep'):
+            assert row.pop(f'{part}_seconds') >= 0.0
+    assert alone == second
 
 
 def test_episode_is_played_as_text_where_there_is_no_terminal(

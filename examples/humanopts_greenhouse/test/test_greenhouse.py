@@ -13,7 +13,7 @@ from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.options.criteria import Thresholds, usual_thresholds
 from humanopts_learner.options.option import options_from_references
-from humanopts_teach.evaluation.games import Baseline, compare, HEURISTIC, PLAN, RANDOM
+from humanopts_teach.evaluation.games import Baseline, HEURISTIC, PLAN, play_baseline, RANDOM
 import numpy as np
 import pytest
 
@@ -141,6 +141,6 @@ def test_a_plan_with_options_plays_like_the_rule_written_by_hand() -> None:
         Baseline('rule', HEURISTIC),
         Baseline('moves', RANDOM, 'primitive'),
     ]
-    planned, rule, moves = compare(HOUSE, baselines, seed=1, games=60)
+    planned, rule, moves = (play_baseline(HOUSE, each, seed=1, games=60) for each in baselines)
     assert planned.score.mean == pytest.approx(rule.score.mean, abs=2.0)
     assert moves.score.high < rule.score.low
