@@ -1,5 +1,6 @@
 """SMDP value iteration: synchronous, over options (Sutton, Precup and Singh 1999, section 3.1)."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeVar
@@ -27,7 +28,7 @@ class Solution:
     converged: bool  # residual is at most tol
 
 
-class _Backup:
+class _Backup(ABC):
     """
     One sweep over a model, in place and without a loop over states.
 
@@ -70,9 +71,9 @@ class _Backup:
         found[self.order] = values
         return found
 
+    @abstractmethod
     def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
         """Yield options, lowest first, and their values in the first states, until the next."""
-        raise NotImplementedError
 
 
 class _DenseBackup(_Backup):
