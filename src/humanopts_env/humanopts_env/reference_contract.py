@@ -21,8 +21,7 @@ import numpy as np
 
 ALL = 2000  # the tests use sampled states of a domain with more
 SAMPLE = 600
-ONE_BY_ONE = 40  # states that are judged one by one
-RUNS = 15  # that are played of each option, twice
+ONE_BY_ONE = 40  # states that are judged one by one, and runs that are played
 LONGEST = 1000  # steps of a run, where the domain has no limit of its own
 
 
@@ -87,7 +86,7 @@ class ReferenceContract:
         seen = self._seen
         for name, option in seen.options.items():
             starts = np.flatnonzero(seen.of(name).initiation)
-            for number in starts[:: max(1, len(starts) // RUNS)]:
+            for number in starts[:: max(1, len(starts) // ONE_BY_ONE)]:
                 for which in (0, -1):
                     assert seen.run_ends(option, seen.states[number], which), name
 
