@@ -126,7 +126,7 @@ def test_files_are_kept_by_person_and_option(
 
 
 @pytest.mark.heavy
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.sets(st.text(min_size=1, max_size=60), min_size=2, max_size=6))
 def test_no_two_names_share_a_file(option: LearnedOption, names: set[str]) -> None:
     folder = Path('options')
