@@ -1,6 +1,7 @@
 """Launching: what dies is named, the recorder is the last to go, and places are kept apart."""
 
 from collections.abc import Callable, Iterator
+from itertools import permutations
 import os
 from pathlib import Path
 import resource
@@ -9,7 +10,13 @@ import time
 
 from graph_support.command import Command
 from graph_support.live import GAME, Graph, module_of, RECORDER
-from humanopts_interfaces.msg import NodeStatus
+from humanopts_interfaces.msg import (
+    LearnedOptions,
+    LearningStatus,
+    LessonState,
+    NodeStatus,
+    OptionStatus,
+)
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher, only_launch
@@ -182,6 +189,51 @@ def test_a_wait_goes_on_as_long_as_there_is_progress(
         assert time.monotonic() - began > 0.9
         with pytest.raises(LaunchError, match=r'gave up waiting for more after 0 s'):
             conductor.wait(lambda: False, 0.2, 'more', tenths)
+    finally:
+        conductor.close()
+
+
+def test_what_was_learned_is_known_once_all_of_it_has_come_in_any_order(
+    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    finished = LessonState(
+        phase=LessonState.PHASE_FINISHED, participant='p01', option_name='go', last_uuid='second'
+    )
+    news = {
+        'lesson': finished,
+        'options': LearnedOptions(publisher_id='learner', sequence=2),
+        'learning': LearningStatus(
+            publisher_id='learner',
+            sequence=2,
+            options=[OptionStatus(participant='p01', option_name='go', last_uuid='second')],
+        ),
+    }
+    early = {
+        'lesson': LessonState(
+            phase=LessonState.PHASE_LEARNING,
+            participant='p01',
+            option_name='go',
+            last_uuid='second',
+        ),
+        'options': LearnedOptions(publisher_id='learner', sequence=1),
+        'learning': LearningStatus(
+            publisher_id='learner',
+            sequence=1,
+            options=[OptionStatus(participant='p01', option_name='go', last_uuid='first')],
+        ),
+    }
+    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=lambda: None)
+    try:
+        for last in permutations(news):
+            for name in news:
+                setattr(conductor, name, None)
+            for kept in (early, news):
+                for name in last:
+                    assert not conductor.knows_learned('go')
+                    setattr(conductor, name, kept[name])
+            assert conductor.knows_learned('go')
+            assert not conductor.knows_learned('another option')
     finally:
         conductor.close()
 

@@ -45,6 +45,7 @@ from humanopts_teach.launching import LaunchError
 EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
 _WATCHED = 0.02  # s between steps of the machine, in a terminal
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
+_NEWS_SECONDS = 10.0  # for what was published to come here
 
 
 def run_demo(
@@ -149,6 +150,8 @@ def _teach_plan_play(
         'the simulated teacher',
         graph.taught_so_far,
     )
+    last = setup.taught[-1]
+    graph.wait(lambda: graph.knows_learned(last), _NEWS_SECONDS, f'what was learned of {last!r}')
     references = reference_options(domain)
     options = []
     for model, status in graph.learned():

@@ -209,6 +209,24 @@ class GraphClient(NodeBase):
         status = self.statuses.get(self._full_name('simulated_teacher'))
         return status is not None and status.text == FINISHED
 
+    def knows_learned(self, option_name: str) -> bool:
+        """
+        Return whether an option is finished, and all that was learned until then has come here.
+
+        The topics of several nodes come in any order. The learner publishes one status for each
+        message of options, so that the two which belong together have the same sequence.
+        """
+        lesson, learning, options = self.lesson, self.learning, self.options
+        if lesson is None or learning is None or options is None:
+            return False
+        newest = (option_name, lesson.participant, lesson.last_uuid)
+        return (
+            (lesson.phase, lesson.option_name) == (lesson.PHASE_FINISHED, option_name)
+            and newest in [(o.option_name, o.participant, o.last_uuid) for o in learning.options]
+            and learning.publisher_id == options.publisher_id
+            and learning.sequence == options.sequence
+        )
+
     def taught_so_far(self) -> tuple[int, int]:
         """Return what changes while somebody teaches: the newest step and learning status."""
         state, learning = self.state, self.learning
