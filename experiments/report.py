@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from humanopts_learner.intervals import Interval
 from humanopts_teach.evaluation.summary import write_text
 from humanopts_teach.report.figures import Drawing, drawing, file_settings
 from humanopts_teach.report.pages import Finding, number
@@ -16,7 +17,6 @@ import matplotlib
 from matplotlib.axes import Axes
 import numpy as np
 import pandas as pd
-from scipy.stats import t
 
 from experiments import paper
 from experiments.paper import Statement
@@ -145,10 +145,11 @@ def mean_intervals(
         as the limits of a single value.
     """
     groups = frame.groupby(list(by), sort=False)[value]
-    found = groups.agg(['count', 'mean', 'sem']).astype({'count': int, 'mean': float})
-    half = t.ppf(0.975, np.maximum(found['count'] - 1, 1)) * found.pop('sem')
-    found['low'] = (found['mean'] - half).clip(lower=least)
-    found['high'] = (found['mean'] + half).clip(upper=most)
+    found = groups.agg('count').to_frame('count')
+    intervals = [Interval.of(values.dropna()) for _, values in groups]
+    for name in ('mean', 'low', 'high'):
+        found[name] = np.array([getattr(interval, name) for interval in intervals], dtype=float)
+    found['low'], found['high'] = found['low'].clip(lower=least), found['high'].clip(upper=most)
     return found.reset_index()
 
 

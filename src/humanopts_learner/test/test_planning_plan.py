@@ -13,6 +13,7 @@ from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import (
     LearnedOption,
     option_from_table,
@@ -20,13 +21,7 @@ from humanopts_learner.options.option import (
     TabularOption,
     tabulate,
 )
-from humanopts_learner.planning.evaluate import (
-    episode_start,
-    episode_starts,
-    Interval,
-    NORMAL_95,
-    play,
-)
+from humanopts_learner.planning.evaluate import episode_start, episode_starts, play
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanCanceled, PlanError, PlanRequest
@@ -40,6 +35,7 @@ ROOMS, YARD = Rooms(), PacMan('yard', max_steps=60)
 BOTH: list[Any] = [ROOMS, YARD]
 HALLWAYS = options_from_references(ROOMS, rooms_reference.reference_options(ROOMS).values())
 STEPS, SEED = 4_000, 3
+T_4 = 2.7764451051977987  # 97.5 % quantile of Student's t with 4 degrees of freedom
 PICKUP = 'go to passenger and pickup'
 DROPOFF = 'go to destination and dropoff'
 
@@ -262,15 +258,15 @@ def test_elsewhere_the_plan_is_the_sampled_one_of_the_seed() -> None:
 
 
 def test_an_exact_plan_is_judged_by_the_starts_of_the_seed() -> None:
-    """The interval by hand: 1.96 standard errors of the episodes' returns on each side."""
+    """The interval by hand: of five episodes, 2.776 standard errors of the returns each side."""
     plan = make_plan(ROOMS, HALLWAYS[:2], PlanRequest('human'))
-    found = judge_plan(plan, SEED, 40)
-    returns = play(plan, episode_starts(ROOMS, SEED, 40), seed=SEED)
-    error = returns.discounted.std(ddof=1) / math.sqrt(40)
-    assert (found.episodes, found.total.mean) == (40, returns.total.mean())
+    found = judge_plan(plan, SEED, 5)
+    returns = play(plan, episode_starts(ROOMS, SEED, 5), seed=SEED)
+    error = returns.discounted.std(ddof=1) / math.sqrt(5)
+    assert (found.episodes, found.total.mean) == (5, returns.total.mean())
     assert found.discounted.mean == returns.discounted.mean()
-    assert found.discounted.high - found.discounted.mean == pytest.approx(NORMAL_95 * error)
-    assert found.discounted.mean - found.discounted.low == pytest.approx(NORMAL_95 * error)
+    assert found.discounted.high - found.discounted.mean == pytest.approx(T_4 * error)
+    assert found.discounted.mean - found.discounted.low == pytest.approx(T_4 * error)
     assert found.fallbacks == returns.fallbacks.sum() > 0
     assert found.outcomes == {}
 

@@ -9,8 +9,8 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.seeding import generator
+from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption, options_from_references
-from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (
     Execution,
@@ -326,24 +326,3 @@ def test_a_primitive_penalty_leaves_primitive_actions_where_they_gain_less() -> 
     assert (values[some].argmax(axis=1) < n_options).all()
     free = rooms_plan('human+primitive').policy.values.option_values
     assert (free[some[: len(free)]].argmax(axis=1) >= n_options).any()
-
-
-@pytest.mark.parametrize(('good', 'low', 'high'), [(0, 0.0, 0.278), (5, 0.237, 0.763)])
-def test_shares_have_wilsons_interval(good: int, low: float, high: float) -> None:
-    """Of ten; the values are those of Newcombe (1998)."""
-    found = Interval.of_share(np.arange(10) < good)
-    assert (found.mean, found.low, found.high) == pytest.approx((good / 10, low, high), abs=5e-4)
-
-
-def test_wilsons_interval_covers_shares_near_one() -> None:
-    rng = generator(1, 'shares')
-    found = [Interval.of_share(rng.random(100) < 0.98) for _ in range(1000)]
-    assert sum(i.low <= 0.98 <= i.high for i in found) >= 930
-    assert max(i.high for i in found) <= 1.0
-
-
-def test_an_interval_covers_the_mean_about_as_often_as_it_says() -> None:
-    """Of 1000 intervals of 50 numbers."""
-    rng = generator(1, 'interval')
-    found = [Interval.of(rng.random(50)) for _ in range(1000)]
-    assert sum(i.low <= 0.5 <= i.high for i in found) == pytest.approx(945, abs=25)

@@ -10,9 +10,9 @@ from humanopts_env.domains.pacman.baselines import PAPER_OPTIONS
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning import request
-from humanopts_learner.planning.evaluate import Interval
 from humanopts_learner.planning.request import HUMAN, PlanCanceled, PRIMITIVE
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,

@@ -14,8 +14,6 @@ from humanopts_learner.planning.request import ignore_progress, PlanError, Progr
 import numpy as np
 from numpy.typing import NDArray
 
-NORMAL_95 = 1.959963984540054  # standard errors on each side of a 95 % interval
-
 
 @dataclass(frozen=True)
 class Returns:
@@ -37,37 +35,6 @@ class Returns:
         steps, decisions, fallbacks, unknown = np.zeros((4, len(over)), dtype=np.intp)
         total, discounted = np.zeros((2, len(over)))
         return cls(total, discounted, steps, over, decisions, fallbacks, unknown, outcomes or {})
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A mean and its 95 % confidence interval."""
-
-    mean: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: NDArray[Any]) -> 'Interval':
-        """Return the normal interval of the mean of independent values (E,); NaN around one."""
-        mean = float(values.mean())
-        if len(values) == 1:
-            return cls(mean, math.nan, math.nan)
-        half = NORMAL_95 * float(values.std(ddof=1)) / float(np.sqrt(len(values)))
-        return cls(mean, mean - half, mean + half)
-
-    @classmethod
-    def of_share(cls, values: Flags) -> 'Interval':
-        """
-        Return a share and its interval (Wilson 1927), which stays within 0 and 1.
-
-        :param values: (E,) one or more.
-        """
-        count, share = len(values), float(values.mean())
-        z = NORMAL_95**2 / count
-        centre = (share + z / 2) / (1 + z)
-        half = float(np.sqrt(z * share * (1 - share) + z * z / 4)) / (1 + z)
-        return cls(share, max(centre - half, 0.0), min(centre + half, 1.0))
 
 
 def episode_starts(

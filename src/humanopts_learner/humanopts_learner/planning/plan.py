@@ -12,8 +12,9 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.evaluate import episode_starts, Interval, play
+from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.request import (
     Clock,

@@ -23,8 +23,9 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import Baselines, HasBaselines, PlanSettings, Scores
 from humanopts_env.domains.registry import make_domain, parameters_json
+from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_learner.planning.evaluate import Interval, Returns
+from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.request import (
     Execution,
     GAME_STEPS,
@@ -40,7 +41,6 @@ from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_teach.evaluation.side_by_side import as_they_end, processes
-import numpy as np
 
 GAMES = 1000  # that each way to play is judged by
 TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
@@ -139,10 +139,7 @@ def play_baseline(
         options=tuple(option.name for option in baseline.options),
         games=games,
         score=Interval.of(results.total),
-        outcomes={
-            name: Interval.of_share(values) if values.dtype == np.bool_ else Interval.of(values)
-            for name, values in results.outcomes.items()
-        },
+        outcomes={name: Interval.of(values) for name, values in results.outcomes.items()},
         **found,
     )
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
+from humanopts_learner.intervals import Interval
 from humanopts_learner.options.criteria import Criterion
-from humanopts_learner.planning.evaluate import Interval
 from humanopts_teach.bags.info import aligned
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation

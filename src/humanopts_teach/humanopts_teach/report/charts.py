@@ -7,7 +7,7 @@ from itertools import pairwise, zip_longest
 import math
 from typing import Any, Literal
 
-from humanopts_learner.planning.evaluate import Interval
+from humanopts_learner.intervals import Interval
 from humanopts_learner.planning.exact import build_model, ExactPlan
 from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
 from humanopts_teach.evaluation.bag_evaluation import CurvePoint

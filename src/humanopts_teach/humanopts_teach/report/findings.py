@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 import math
 
-from humanopts_learner.planning.evaluate import Interval
+from humanopts_learner.intervals import Interval
 from humanopts_learner.planning.request import HUMAN, PRIMITIVE
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation

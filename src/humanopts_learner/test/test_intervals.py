@@ -1,0 +1,120 @@
+"""Confidence intervals, against published values, SciPy's tests, and how often they are right."""
+
+import math
+
+from humanopts_env.seeding import generator
+from humanopts_learner.intervals import all_hold, Interval
+import numpy as np
+from numpy.typing import NDArray
+import pytest
+from scipy import stats
+
+RNG = generator(1, 'intervals')
+FIRST, SECOND = RNG.normal(3.0, 1.0, 6), RNG.normal(2.0, 2.0, 6)
+
+
+def limits(found: Interval) -> tuple[float, float]:
+    return found.low, found.high
+
+
+@pytest.mark.parametrize(('count', 'half'), [(2, 12.706), (5, 2.776), (30, 2.045)])
+def test_a_mean_of_few_has_the_interval_of_students_t(count: int, half: float) -> None:
+    """The values are those of printed tables: half widths in standard errors."""
+    values = RNG.normal(size=count)
+    error = values.std(ddof=1) / math.sqrt(count)
+    found = Interval.of(values)
+    assert found.mean == pytest.approx(values.mean())
+    assert [x / error for x in (found.mean - found.low, found.high - found.mean)] == pytest.approx(
+        [half, half], abs=5e-4
+    )
+
+
+def test_the_lower_limit_at_90_percent_is_one_sided_at_95() -> None:
+    low = Interval.of(FIRST, level=0.9).low
+    test = stats.ttest_1samp(FIRST, 0.0, alternative='greater')
+    assert low == pytest.approx(test.confidence_interval(0.95).low)
+
+
+def test_one_value_has_no_limits_and_none_has_no_mean() -> None:
+    one, none = Interval.of([4.0]), Interval.of([])
+    assert one.mean == 4.0
+    assert all(map(math.isnan, (one.low, one.high, none.mean, none.low, none.high)))
+    assert one.above(0.0) is one.above(9.0) is one.at_least(4.0) is None
+
+
+@pytest.mark.parametrize('count', [5, 50])
+def test_an_interval_covers_the_mean_about_as_often_as_it_says(count: int) -> None:
+    """Of 1000 intervals; 1.96 standard errors of five numbers would cover about 880."""
+    rng = generator(1, 'coverage', count)
+    found = [Interval.of(rng.normal(0.5, 1.0, count)) for _ in range(1000)]
+    assert sum(i.low <= 0.5 <= i.high for i in found) == pytest.approx(950, abs=25)
+
+
+@pytest.mark.parametrize(
+    ('good', 'of', 'low', 'high'),
+    [(0, 10, 0.0, 0.278), (5, 10, 0.237, 0.763), (81, 263, 0.255, 0.366), (5, 5, 0.566, 1.0)],
+)
+def test_shares_have_wilsons_interval(good: int, of: int, low: float, high: float) -> None:
+    """The values of the first three are those of Newcombe (1998)."""
+    flags = np.arange(of) < good
+    found = Interval.of(flags)
+    assert found == Interval.of_share(flags)
+    assert (found.mean, *limits(found)) == pytest.approx((good / of, low, high), abs=5e-4)
+
+
+def test_wilsons_interval_covers_shares_near_one() -> None:
+    rng = generator(1, 'shares')
+    found = [Interval.of_share(rng.random(100) < 0.98) for _ in range(1000)]
+    assert sum(i.low <= 0.98 <= i.high for i in found) >= 930
+    assert max(i.high for i in found) <= 1.0
+
+
+def test_differences_within_units_are_paired() -> None:
+    """What the units share drops out, and the interval is that of the paired t test."""
+    units = RNG.normal(0.0, 1000.0, 6)
+    found = Interval.of_difference(FIRST + units, SECOND + units)
+    known = stats.ttest_rel(FIRST, SECOND).confidence_interval()
+    assert found.mean == pytest.approx(FIRST.mean() - SECOND.mean())
+    assert limits(found) == pytest.approx((known.low, known.high))
+    with pytest.raises(ValueError, match='6 and 5 values'):
+        Interval.of_difference(FIRST, SECOND[:5])
+
+
+@pytest.mark.parametrize('second', [SECOND, SECOND[:3], FIRST])
+def test_differences_of_other_units_are_welchs(second: NDArray[np.float64]) -> None:
+    found = Interval.of_independent(FIRST, second)
+    known = stats.ttest_ind(FIRST, second, equal_var=False).confidence_interval()
+    assert found.mean == pytest.approx(FIRST.mean() - second.mean())
+    assert limits(found) == pytest.approx((known.low, known.high))
+
+
+def test_independent_samples_that_do_not_vary_differ_for_certain() -> None:
+    assert Interval.of_independent([2.0, 2.0], [1.0, 1.0]) == Interval(1.0, 1.0, 1.0)
+    assert Interval.of_independent([2.0], [1.0, 1.0]).above() is None
+
+
+def test_the_ratio_the_other_way_round_is_the_inverse() -> None:
+    found = Interval.of_ratio([2.0, 4.0, 3.0], [1.0, 1.0, 2.0])
+    other = Interval.of_ratio([1.0, 1.0, 2.0], [2.0, 4.0, 3.0])
+    assert found.mean == pytest.approx(12.0 ** (1 / 3))
+    assert limits(found) == pytest.approx((1 / other.high, 1 / other.low))
+    assert found.low < 12.0 ** (1 / 3) < found.high
+    alike = Interval.of_ratio([6.0, 2.0], [3.0, 1.0])
+    assert (alike.mean, *limits(alike)) == pytest.approx((2.0, 2.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ('value', 'above', 'at_least'),
+    [(0.9, True, True), (1.0, None, True), (2.0, None, None), (3.1, False, False)],
+)
+def test_an_interval_decides_only_what_lies_outside(
+    value: float, above: bool | None, at_least: bool | None
+) -> None:
+    found = Interval(2.0, 1.0, 3.0)
+    assert (found.above(value), found.at_least(value)) == (above, at_least)
+
+
+def test_claims_hold_together_where_all_do() -> None:
+    assert all_hold([True, True]) is True
+    assert all_hold([True, None]) is None
+    assert all_hold([None, False]) is False
