@@ -14,9 +14,6 @@ OPTIONS = reference_options(ROOMS)
 VALUES = [
     [f.values[v] for f, v in zip(ROOMS.features, row)] for row in ROOMS.feature_table().tolist()
 ]
-UNTOUCHED = [  # those whose other doorway is not the goal
-    option for option in OPTIONS.values() if option.initiation.sum() in (26, 31, 21)
-]
 NORTH = 'north-west room to north doorway'
 
 
@@ -89,31 +86,35 @@ def test_what_it_depends_on_tells_where_it_starts_and_what_it_does(option: Hallw
     assert len(rows) == ROOMS.n_states
 
 
-@pytest.mark.parametrize('option', UNTOUCHED, ids=lambda option: option.name)
+@pytest.mark.parametrize('option', OPTIONS.values(), ids=OPTIONS)
 def test_no_other_policy_reaches_the_doorway_sooner(option: HallwayOption) -> None:
-    """Changing the action of any one state lowers the value there (policy improvement)."""
+    """
+    Changing the action of any one state lowers the value there (policy improvement).
+
+    The other doorway is worth 0 to those who walk into it, because the option ends there.
+    """
     room, _, doorway = option.name.removesuffix(' doorway').partition(' room to ')
     values = [dict(zip(('room', 'doorway'), row[2:])) for row in VALUES]
     target = np.array([value['doorway'] == doorway for value in values])
     inside = np.array([value['room'] == room for value in values])
-    walks = inside | option.initiation
+    starts = inside | option.initiation
     action = option.optimal.argmax(axis=1)
-    value = reach_value(walks, action, target)
+    value = reach_value(inside, action, target)
     table = ROOMS.transitions()
     ahead = 0.9 * (table.probability * value[table.successor]).sum(axis=2)
     best = ahead.max(axis=1)
-    assert value[walks] == pytest.approx(best[walks], abs=1e-12)
+    assert value[inside] == pytest.approx(best[inside], abs=1e-12)
     worse = ahead < best[:, None] - 1e-9
-    assert (worse[walks] == ~option.optimal[walks]).all()
+    assert (worse[starts] == ~option.optimal[starts]).all()
 
 
 def reach_value(
-    walks: NDArray[np.bool_], action: NDArray[np.intp], target: NDArray[np.bool_]
+    inside: NDArray[np.bool_], action: NDArray[np.intp], target: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Solve the dense equations of one policy: expected 0.9**k at the target."""
     table, n = ROOMS.transitions(), ROOMS.n_states
     step = np.zeros((n, n))
-    for state in np.flatnonzero(walks):
+    for state in np.flatnonzero(inside):
         np.add.at(
             step[state],
             table.successor[state, action[state]],

@@ -62,9 +62,9 @@ def best_ways(
     Find the best paths to a target by value iteration until no value changes.
 
     :param target: (S,), outside ``allowed``.
-    :param allowed: (S,), states in which a step can be taken.
+    :param allowed: (S,), states that a path may visit between its first and its last step.
     :return: value (S,), the expected gamma**k at the target, 1 in the target and 0 in other states
-        outside ``allowed``; optimal (S, A).
+        outside ``allowed``; optimal (S, A), the best first actions, from states outside too.
     """
     value = target.astype(np.float64)
     while True:
@@ -73,7 +73,7 @@ def best_ways(
         if np.abs(better - value).max() <= np.finfo(np.float64).eps:
             break
         value = better
-    return value, allowed[:, None] & (ahead >= ahead.max(axis=1, keepdims=True) - TIE)
+    return value, ahead >= ahead.max(axis=1, keepdims=True) - TIE
 
 
 def _pairs(domain: Domain) -> list[tuple[str, str]]:
@@ -94,7 +94,7 @@ def _build(domain: Domain, room: str, doorway: str) -> HallwayOption:
     around = np.zeros_like(inside)
     around[table.successor[inside]] = True
     walks = inside | (around & ~inside & ~target)  # the room and its other doorway
-    _, optimal = best_ways(table, target, walks, domain.gamma)
+    _, optimal = best_ways(table, target, inside, domain.gamma)
     initiation = walks & ~over
     straight = _without_slips(table)
     distance, _ = distance_to(straight, target[straight.successor[:, :, 0]], walks)
