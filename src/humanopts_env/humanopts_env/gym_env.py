@@ -187,7 +187,7 @@ class PacManEnv(DomainEnv):
         """
         Make the environment of a maze.
 
-        :param parameters: those of ``PacMan``: maze, ghosts, lives and max_steps.
+        :param parameters: those of ``PacMan``: maze, ghosts, lives, max_steps and features.
         :raises DomainError: Pac-Man refuses the parameters.
         """
         super().__init__(make_domain('pacman', parameters), render_mode)

@@ -71,6 +71,15 @@ class TestChasedPacMan(DomainContract):
 
 
 @pytest.mark.heavy
+class TestPacManWithThePapersFeatures(DomainContract):
+    """Positions and no directions, in a small maze."""
+
+    def make(self) -> Domain[Any]:
+        """Return a game whose features are a part of all."""
+        return PacMan('yard', features='paper')
+
+
+@pytest.mark.heavy
 class TestCrowdedPacMan(DomainContract):
     """Numbered ghosts and three pills, from a file."""
 

@@ -84,6 +84,39 @@ def test_features_of_a_later_state() -> None:
     assert values['ate'] == 'food and ghost'
 
 
+def test_the_papers_list_is_positions_and_timers() -> None:
+    """No direction, distance or wall; every value is that of the full list."""
+    named = PacMan(MAZE, features='paper')
+    places = ('pacman', 'ghost_1', 'ghost_2', 'food', 'pill', 'fruit')
+    wanted = {f'{place}_{axis}' for place in places for axis in ('row', 'col')}
+    names = [feature.name for feature in named.features]
+    assert set(names) == {*wanted, 'ghost_1_scared', 'ghost_2_scared', 'ate'}
+    for text in (START, LATER):
+        values = named.feature_values(named.decode(text))
+        said = {f.name: f.values[value] for f, value in zip(named.features, values)}
+        assert said == {name: features_of(text)[name] for name in names}
+
+
+def test_the_papers_list_plays_the_same_game() -> None:
+    """States and, for plans, abstract states are those of the full list."""
+    full, named = PacMan('yard'), PacMan('yard', features='paper')
+    states = full.sample_states(generator(0, 'lists'), 50)
+    assert named.sample_states(generator(0, 'lists'), 50) == states
+    for fine in (False, True):
+        found = []
+        for games in (full.batch_games(), named.batch_games()):
+            batch = games.batch_of(states)
+            rows = games.batch_features(batch)
+            found.append(games.abstract_features(batch, rows, fine=fine))
+        assert (found[0] == found[1]).all()
+
+
+def test_only_the_papers_list_is_among_the_parameters() -> None:
+    """Files and bags from before there were two lists are of the default."""
+    assert 'features' not in PacMan(features='directions').parameters
+    assert PacMan(features='paper').parameters['features'] == 'paper'
+
+
 def test_questions_complete_the_sentence() -> None:
     """'Does OPTION depend on ...?'."""
     starts = ('which ', 'whether ', 'how many ', 'what ')

@@ -120,6 +120,7 @@ def test_a_maze_that_is_not_there_is_refused(bad: str) -> None:
         ({'maze': 3}, 'maze is 3'),
         ({'ghosts': 'slow'}, 'random or chase'),
         ({'ghosts': None}, 'ghosts is None'),
+        ({'features': 'all'}, "features is 'all', and must be directions or paper"),
         ({'lives': 0}, 'from 1 to 9'),
         ({'lives': True}, 'lives is True'),
         ({'max_steps': 0}, 'max_steps is 0'),

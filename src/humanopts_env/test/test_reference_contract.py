@@ -60,6 +60,14 @@ class TestChasedPacMan(ReferenceContract):
         return PacMan(ghosts='chase')
 
 
+class TestPacManWithThePapersFeatures(ReferenceContract):
+    """Positions tell where options start and end as well."""
+
+    def make(self) -> Domain[Any]:
+        """Return a small maze."""
+        return PacMan('yard', features='paper')
+
+
 @pytest.mark.parametrize(
     ('test', 'change'),
     [

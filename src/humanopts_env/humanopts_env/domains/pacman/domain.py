@@ -21,7 +21,13 @@ from humanopts_env.domains.capabilities import Baselines, TeachingDefaults
 from humanopts_env.domains.pacman import state as notation
 from humanopts_env.domains.pacman.baselines import pacman_baselines
 from humanopts_env.domains.pacman.board import draw_features, draw_state, GLYPH_STYLES
-from humanopts_env.domains.pacman.features import FeatureReader, pacman_features
+from humanopts_env.domains.pacman.features import (
+    ALL,
+    FEATURE_LISTS,
+    FeatureReader,
+    in_paper,
+    pacman_features,
+)
 from humanopts_env.domains.pacman.games import PacManGames, sample_games
 from humanopts_env.domains.pacman.maze import load_maze, maze_names
 from humanopts_env.domains.pacman.paths import MOVES, STAY
@@ -52,7 +58,12 @@ class PacMan:
     """
 
     def __init__(
-        self, maze: str = 'gardens', ghosts: str = 'random', lives: int = 3, max_steps: int = 1000
+        self,
+        maze: str = 'gardens',
+        ghosts: str = 'random',
+        lives: int = 3,
+        max_steps: int = 1000,
+        features: str = ALL,
     ) -> None:
         """
         Set up a maze.
@@ -64,14 +75,20 @@ class PacMan:
             come towards Pac-Man with probability 0.8.
         :param lives: at the beginning, 1 to 9.
         :param max_steps: an episode is truncated after this many steps.
+        :param features: 'directions', all of them, or 'paper', those that the paper names. Only
+            the latter is in ``parameters``: files and bags without it have the former.
         :raises MazeError: there is no such maze, or it cannot be played.
         :raises DomainError: another parameter is out of range.
         """
-        for name, text in (('maze', maze), ('ghosts', ghosts)):
+        for name, text in (('maze', maze), ('ghosts', ghosts), ('features', features)):
             if not isinstance(text, str):
                 raise DomainError(f'{name} is {text!r}, and must be a text')
-        if ghosts not in GHOST_RULES:
-            raise DomainError(f'ghosts is {ghosts!r}, and must be {" or ".join(GHOST_RULES)}')
+        for name, text, known in (
+            ('ghosts', ghosts, GHOST_RULES),
+            ('features', features, FEATURE_LISTS),
+        ):
+            if text not in known:
+                raise DomainError(f'{name} is {text!r}, and must be {" or ".join(known)}')
         for name, value, most in (
             ('lives', lives, MOST_LIVES),
             ('max_steps', max_steps, MOST_STEPS),
@@ -82,15 +99,19 @@ class PacMan:
                     f'{name} is {value!r}, and must be a whole number from 1 to {most}'
                 )
         self.rules = Rules(load_maze(maze), ghosts, lives)
-        self.read_features = FeatureReader(self.rules)
+        self.read_all_features = FeatureReader(self.rules)
         self.name = 'pacman'
         self.parameters: Mapping[str, Parameter] = {
             'maze': maze if maze in maze_names() else self.rules.maze.text,
             'ghosts': ghosts,
             'lives': lives,
             'max_steps': max_steps,
+            **({} if features == ALL else {'features': features}),
         }
-        self.features: Sequence[Feature] = pacman_features(self.rules)
+        every = pacman_features(self.rules)
+        self.has_all_features = features == ALL
+        self._listed = [k for k, one in enumerate(every) if features == ALL or in_paper(one.name)]
+        self.features: Sequence[Feature] = tuple(every[k] for k in self._listed)
         self.actions: Sequence[Action] = tuple(
             Action(name, key, f'go one cell {name}') for name, key in zip(MOVES, KEYS)
         )
@@ -134,6 +155,11 @@ class PacMan:
         batch = PacManBatch.from_states(self.rules, [state])
         values: NDArray[np.int32] = self.read_features(batch)[0]
         return values
+
+    def read_features(self, batch: PacManBatch) -> NDArray[np.int32]:
+        """Return the values of every feature in N games, (N, F)."""
+        rows = self.read_all_features(batch)
+        return rows if self.has_all_features else rows[:, self._listed]
 
     def encode(self, state: PacManState) -> str:
         """Return the state as one line."""

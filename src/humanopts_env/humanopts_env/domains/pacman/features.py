@@ -5,6 +5,12 @@ The features of Pac-Man, and the nearest thing of each kind, in many games at on
 the first move of a shortest path, the first in the order of moves where there are several. A thing
 that is absent (no pill is left, no ghost is scared) has the last value of row, column, direction
 and distance, "none".
+
+There are two lists. Directions hand a policy over: the first move of a shortest path is what
+"go to the closest food" does, and a few demonstrations are enough to copy it; they mean the same
+in every maze. ``PAPER`` has what Subramanian, Isbell and Thomaz (2011, section 3) name: positions
+and how long ghosts are scared. A policy over positions has to be shown cell by cell, and belongs
+to one maze. What the last step ate is in both: nothing else tells that food was eaten.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,6 +28,8 @@ from numpy.typing import NDArray
 
 DIRECTIONS = (*MOVES, 'here', 'none')
 NOWHERE = STAY + 1  # index of the last
+ALL, PAPER = 'directions', 'paper'  # lists of features
+FEATURE_LISTS = (ALL, PAPER)
 THINGS = {  # prefix of feature names: what it is to a person
     'food': 'the nearest food',
     'pill': 'the nearest power pill',
@@ -29,6 +37,11 @@ THINGS = {  # prefix of feature names: what it is to a person
     'danger': 'the nearest dangerous ghost',
     'prey': 'the nearest scared ghost',
 }
+
+
+def in_paper(name: str) -> bool:
+    """Return whether a feature is in the list ``PAPER``."""
+    return name.endswith(('_row', '_col', '_scared')) or name == 'ate'
 
 
 def pacman_features(rules: Rules) -> tuple[Feature, ...]:

@@ -84,8 +84,8 @@ class PacManGames:
         """Prepare the tables of a maze."""
         self.domain = domain
         self._rules = domain.rules
-        self._read = domain.read_features
-        self._column = {name: column for column, name in enumerate(self._read.names)}
+        self._read_all = domain.read_all_features
+        self._column = {name: column for column, name in enumerate(self._read_all.names)}
 
     def batch_reset(self, count: int, rng: np.random.Generator) -> PacManBatch:
         """Begin games."""
@@ -120,7 +120,7 @@ class PacManGames:
 
     def batch_features(self, batch: PacManBatch) -> NDArray[np.int32]:
         """Return (N, F): all features."""
-        return self._read(batch)
+        return self.domain.read_features(batch)
 
     def batch_outcome(self, batch: PacManBatch) -> Mapping[str, NDArray[Any]]:
         """Return whether the maze is cleared, and the lives that are left."""
@@ -149,6 +149,8 @@ class PacManGames:
         """Return (N, P): the values, from 0."""
         if not fine:
             return abstract_features(batch)
+        if not self.domain.has_all_features:
+            rows = self._read_all(batch)
         values: list[NDArray[Any]] = [
             self._of(rows, 'legal_moves'),
             self._of(rows, 'food_direction'),
