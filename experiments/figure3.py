@@ -15,6 +15,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.automatic.extract import find_options, search_space
+from humanopts_learner.intervals import Interval
 from humanopts_teach.report.boards import Board, board_of, draw_heat
 from humanopts_teach.report.figures import Drawing
 from matplotlib.colors import Normalize
@@ -23,7 +24,7 @@ import pandas as pd
 
 from experiments import paper
 from experiments.people import Study
-from experiments.report import compared, Comparison, Done, Picture, Section, Table
+from experiments.report import compared, Comparison, Done, Picture, Section, Table, written
 from experiments.trials import code_version, Trial
 
 NAME = 'fig3'
@@ -160,39 +161,53 @@ def _seen(found: Sequence[Mapping[str, Any]]) -> Counter[str]:
 
 def _comparisons(found: Sequence[Mapping[str, Any]]) -> list[Comparison]:
     """Compare extractions in Taxi with the paper's."""
-    of, seen = f'of {len(found)} extractions', _seen(found)
-    alike = sum(_events(one) == paper.AUTOMATIC for one in found)
+    seen = _seen(found)
+    alike = [_events(one) == paper.AUTOMATIC for one in found]
+    central = [any(o['name'] == CENTRE for o in one['options']) for one in found]
     fewest = min(seen[name] for name in PAPERS if name != CENTRE)
     cells = Counter(o['name'] for one in found for o in one['options'] if not o['event'])
     listed = ', '.join(f'{name} ({count})' for name, count in cells.most_common())
     share = np.mean([one['visits'][MIDDLE] / max(one['visits']) for one in found])
     counts, actions = [len(one['options']) for one in found], len(Taxi().actions)
-    automatic = float(np.mean([o['can_start'] for one in found for o in one['options']]))
+    more = [count - actions == 3 for count in counts]
+    automatic = Interval.of([np.mean([o['can_start'] for o in one['options']]) for one in found])
     human = _human_initiation()
     return [
         compared(
             paper.FIGURE_3['kinds'],
-            f'{alike} {of}; the rarest pickup or dropoff in {fewest}',
-            2 * alike > len(found),
+            f'{_share(alike)}; the rarest pickup or dropoff in {fewest}',
+            _mostly(alike),
         ),
         compared(
             paper.FIGURE_3['centre'],
-            f'{seen[CENTRE]} {of}; cells: {listed or "none"}; visits of the centre: {share:.1%} '
+            f'{_share(central)}; cells: {listed or "none"}; visits of the centre: {share:.1%} '
             'of those of the most visited cell',
-            2 * seen[CENTRE] > len(found),
+            _mostly(central),
         ),
         compared(
             paper.FIGURE_3['more'],
-            f'{np.mean(counts):.1f} options, {actions} primitive actions',
-            2 * sum(count - actions == 3 for count in counts) > len(found),
+            f'{np.mean(counts):.1f} options, {actions} primitive actions; three more in '
+            f'{_share(more)}',
+            _mostly(more),
         ),
         compared(
             paper.FIGURE_3['general'],
-            f'share of states where an option can start: automatic {automatic:.0%}, human, as an '
-            f'expert means it, {human:.0%}',
-            human > automatic,
+            f'share of states where an option can start: automatic {written(automatic, ".0%")}, '
+            f'human, as an expert means it, {human:.0%}',
+            automatic.below(human),
         ),
     ]
+
+
+def _share(found: Sequence[bool]) -> str:
+    """Return in how many extractions something was found, and the interval of the share."""
+    share = Interval.of_share(np.array(found))
+    return f'{sum(found)} of {len(found)} extractions ({share.low:.0%} to {share.high:.0%})'
+
+
+def _mostly(found: Sequence[bool]) -> bool | None:
+    """Return whether more than half of all extractions would find it; None: not decided."""
+    return Interval.of_share(np.array(found)).above(0.5)
 
 
 def _human_initiation() -> float:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ class Mark(Enum):
 
     AGREES = 'agrees'
     DIFFERS = 'does not agree'
+    UNDECIDED = 'not distinguishable'  # the interval says neither, or there is none
     NOT_COMPARABLE = 'not comparable'
     MET = 'met'  # a goal of this project, not of the paper
     MISSED = 'missed'
@@ -44,13 +46,15 @@ class Mark(Enum):
     @property
     def good(self) -> bool | None:
         """Whether the mark is a good one; None: neither good nor bad."""
-        known = {Mark.AGREES: True, Mark.MET: True, Mark.NOT_COMPARABLE: None}
-        return known.get(self, False)
+        if self in (Mark.UNDECIDED, Mark.NOT_COMPARABLE):
+            return None
+        return self in (Mark.AGREES, Mark.MET)
 
 
 SUMMARY = {  # text after the number of comparisons with each mark, at the top of the page
     Mark.AGREES: 'statements of the paper agree with what was found here',
     Mark.DIFFERS: 'do not agree',
+    Mark.UNDECIDED: 'statements and goals are not decided by the intervals',
     Mark.NOT_COMPARABLE: 'cannot be compared',
     Mark.MET: 'of our own goals are met',
     Mark.MISSED: 'of our own goals are missed',
@@ -68,14 +72,15 @@ class Comparison:
 
 
 def compared(statement: Statement, found: str, agrees: bool | None) -> Comparison:
-    """Return a statement of the paper beside what was found; None: it cannot be compared."""
-    mark = {True: Mark.AGREES, False: Mark.DIFFERS, None: Mark.NOT_COMPARABLE}[agrees]
+    """Return a statement of the paper beside what was found; None: the data do not decide it."""
+    mark = {True: Mark.AGREES, False: Mark.DIFFERS, None: Mark.UNDECIDED}[agrees]
     return Comparison(statement.text, statement.where, found, mark)
 
 
-def goal(said: str, found: str, met: bool) -> Comparison:
-    """Return a goal of this project beside what was found."""
-    return Comparison(said, OURS, found, Mark.MET if met else Mark.MISSED)
+def goal(said: str, found: str, met: bool | None) -> Comparison:
+    """Return a goal of this project beside what was found; None: the data do not decide it."""
+    mark = {True: Mark.MET, False: Mark.MISSED, None: Mark.UNDECIDED}[met]
+    return Comparison(said, OURS, found, mark)
 
 
 @dataclass(frozen=True)
@@ -166,6 +171,12 @@ def listed(values: Mapping[Any, str]) -> str:
     return '; '.join(f'{name} {value}' for name, value in values.items())
 
 
+def written(found: Interval, style: str = ',.2f') -> str:
+    """Return an estimate with its limits; of one person or run, the estimate alone."""
+    mean, low, high = (f'{value:{style}}' for value in (found.mean, found.low, found.high))
+    return mean if math.isnan(found.low) else f'{mean} ({low} to {high})'
+
+
 def draw_curves(
     axes: Axes,
     curves: pd.DataFrame,
@@ -237,13 +248,13 @@ def render(data: Reproduction) -> str:
         'findings': findings + [Finding(False, f'Not computed: {x}') for x in data.missing],
         'title': TITLE,
         'svg_of': _svg_for_page,
-        'written': _written,
+        'written': _of_table,
         'provenance': data.provenance,
     }
     return render_page('experiments', 'page.html', values)
 
 
-def _written(value: Any) -> str:
+def _of_table(value: Any) -> str:
     """Return a value of a table for people."""
     if isinstance(value, float) and abs(value) >= 1000:
         return f'{value:,.0f}'

@@ -3,9 +3,10 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
+import math
 import re
-from typing import Any
 
+from humanopts_learner.intervals import all_hold, any_holds, Interval, LEVEL, level_of_each
 from humanopts_teach.report.figures import Drawing
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 import numpy as np
@@ -24,6 +25,7 @@ from experiments.report import (
     Picture,
     Section,
     Table,
+    written,
 )
 from experiments.table2 import (
     AS_IN_PAPER,
@@ -40,6 +42,7 @@ from experiments.trials import code_version
 
 TITLE = 'Table 2: planning time and return'
 KEYS = ['game', 'action set']
+EXECUTIONS = ['game', 'carried out as']
 ROUNDING = 1e-9  # reward units
 WANTED_UNIFORM, WANTED_MORE = 1900.0, 300.0  # points
 TENTH = 10.0
@@ -88,13 +91,17 @@ def rows_of(done: Done, name: str, by: Sequence[str]) -> pd.DataFrame:
     )
 
 
-def summary_table(done: Done) -> pd.DataFrame:
-    """Return a row for each game and variant, indexed by both; each member counts once."""
+def member_table(done: Done) -> pd.DataFrame:
+    """Return the means of each member's plans, indexed by game, variant and member."""
     plans = rows_of(done, 'plans', KEYS)
-    if plans.empty:
+    plans['seconds'] = plans.reindex(columns=list(SECONDS)).sum(axis=1)
+    return plans.groupby([*KEYS, 'member'], sort=False).mean(numeric_only=True)
+
+
+def summary_table(members: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each game and variant, indexed by both; each member counts once."""
+    if members.empty:
         return pd.DataFrame(index=pd.MultiIndex.from_tuples([], names=KEYS))
-    plans['seconds'] = plans[list(SECONDS)].sum(axis=1)
-    members = plans.groupby([*KEYS, 'member'], sort=False).mean(numeric_only=True)
     means = members.groupby(KEYS, sort=False).mean()
     returns = mean_intervals(members.reset_index(), KEYS, 'mean').set_index(KEYS)
     exact = means.index.get_level_values('game') == TAXI.name
@@ -117,20 +124,26 @@ def summary_table(done: Done) -> pd.DataFrame:
     return pd.DataFrame(parts)
 
 
-def curve_table(done: Done) -> pd.DataFrame:
-    """Return mean return by budget; members whose curve has ended keep their last point."""
+def point_table(done: Done) -> pd.DataFrame:
+    """Return each member's curve by budget; one that has ended keeps its last point."""
     points = rows_of(done, 'curve', KEYS)
     found = []
     for key, mine in grouped(points, KEYS):
         mine['seconds'] = mine[list(SECONDS)].sum(axis=1)
         wide = mine.set_index(['budget', 'member'])[['seconds', 'mean']].unstack('member').ffill()
         every = wide.stack('member', future_stack=True).reset_index()
-        curve = mean_intervals(every, ['budget'], 'mean')
-        curve['seconds'] = every.groupby('budget')['seconds'].mean().to_numpy()
-        found.append(curve.assign(**dict(zip(KEYS, key))))
-    columns = [*KEYS, 'budget', 'seconds', 'mean', 'low', 'high']
-    every = pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=columns)
-    return every[columns].rename(columns={'mean': 'mean return'})
+        found.append(every.assign(**dict(zip(KEYS, key))))
+    columns = [*KEYS, 'budget', 'member', 'seconds', 'mean']
+    return pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=columns)
+
+
+def curve_table(points: pd.DataFrame) -> pd.DataFrame:
+    """Return mean return by budget, over members."""
+    by = [*KEYS, 'budget']
+    curves = mean_intervals(points, by, 'mean')
+    curves['seconds'] = points.groupby(by, sort=False)['seconds'].mean().to_numpy()
+    columns = [*by, 'seconds', 'mean', 'low', 'high']
+    return curves[columns].rename(columns={'mean': 'mean return'})
 
 
 def cost_table(done: Done) -> pd.DataFrame:
@@ -153,16 +166,20 @@ def cost_table(done: Done) -> pd.DataFrame:
     return found.reset_index()
 
 
-def gain_table(done: Done) -> pd.DataFrame:
-    """Return the gain of each execution of a plan over running each option to its end."""
-    keys = ['game', 'carried out as']
-    gains = rows_of(done, 'gains', keys).reindex(
-        columns=[*keys, 'member', 'least', 'mean', 'most']
+def gain_of_members(done: Done) -> pd.DataFrame:
+    """Return each member's gain by each execution of a plan over running options to their end."""
+    gains = rows_of(done, 'gains', EXECUTIONS).reindex(
+        columns=[*EXECUTIONS, 'member', 'least', 'mean', 'most']
     )
     means = {'least': 'min', 'mean': 'mean', 'most': 'max'}
-    members = gains.groupby([*keys, 'member'], sort=False).agg(means).astype(float)
-    found = mean_intervals(members.reset_index(), keys, 'mean')
-    extremes = members.groupby(keys, sort=False)
+    groups = gains.groupby([*EXECUTIONS, 'member'], sort=False)
+    return groups.agg(means).astype(float).reset_index()
+
+
+def gain_table(members: pd.DataFrame) -> pd.DataFrame:
+    """Return the gain of each execution, over members."""
+    found = mean_intervals(members, EXECUTIONS, 'mean')
+    extremes = members.groupby(EXECUTIONS, sort=False)
     found['least of all states'] = extremes['least'].min().to_numpy()
     found['most of all states'] = extremes['most'].max().to_numpy()
     exact = found['game'] == TAXI.name
@@ -194,12 +211,17 @@ def setting_table(done: Done) -> pd.DataFrame:
 
 def present(done: Done) -> Section:
     """Return the section of the report."""
-    summary, curves, gains = summary_table(done), curve_table(done), gain_table(done)
+    members, points, gains = member_table(done), point_table(done), gain_of_members(done)
+    summary, curves = summary_table(members), curve_table(points)
     games = [game for game in GAMES if game.name in summary.index]
     return Section(
         table2.NAME,
         TITLE,
-        [*_comparisons(summary, curves), *_compare_goals(summary), *_compare_gains(gains)],
+        [
+            *_comparisons(members, points, curves),
+            *_compare_goals(members),
+            *_compare_gains(gains),
+        ],
         [_picture(game, curves[curves['game'] == game.name]) for game in games],
         [
             *(
@@ -214,7 +236,7 @@ def present(done: Done) -> Section:
             Table(
                 'table2-executions',
                 'What the same plan gains over running each option to its end',
-                gains,
+                gain_table(gains),
             ),
             Table('table2-paper', "The paper's table, and ours", paper_table(summary)),
             Table(
@@ -235,86 +257,123 @@ def _slug(game: ComparedGame) -> str:
     return re.sub(r'[^a-z]+', '-', game.name.lower())
 
 
-def _comparisons(summary: pd.DataFrame, curves: pd.DataFrame) -> list[Comparison]:
+def _comparisons(
+    members: pd.DataFrame, points: pd.DataFrame, curves: pd.DataFrame
+) -> list[Comparison]:
     """Return what can be compared with the variants that there are."""
     found = []
     for game in GAMES:
-        if game.name not in summary.index:
-            continue
-        rows: Any = summary.loc[game.name]
-        mine = curves[curves['game'] == game.name]
-        curve = {name: points for (name,), points in grouped(mine, ['action set'])}
-        options = [name for name in ('human', 'automatic') if name in rows.index]
-        if 'primitive' in rows.index and options:
+        rows = _in_game(members, game)
+        options = [name for name in ('human', 'automatic') if name in rows]
+        if 'primitive' in rows and options:
             for name in options:
-                faster, text = _race(game, rows, curve, name, 'primitive')
+                faster, text = _race(game, rows, points, curves, name, 'primitive')
                 found.append(compared(paper.TABLE_2_SAID[f'{name} faster'], text, faster))
-            text = f'{game.name}, {_returns(rows, ["primitive", *options])}'
-            returns = rows['mean return']
-            worse = bool(returns[options].max() < returns['primitive'] - ROUNDING)
+            losses = {name: _more(rows, 'primitive', name) for name in options}
+            text = f'{game.name}, {_returns(rows, ["primitive", *options])}; primitive less '
+            text += listed({name: _written(loss) for name, loss in losses.items()})
+            worse = all_hold(loss.above(ROUNDING) for loss in losses.values())
             found.append(compared(paper.TABLE_2_SAID['never as good'], text, worse))
         if len(options) > 1:
-            faster, text = _race(game, rows, curve, *options)
-            better = bool(rows.at['human', 'mean return'] > rows.at['automatic', 'mean return'])
-            text += f'; {_returns(rows, options)}'
-            found.append(compared(paper.TABLE_2_SAID['efficient'], text, faster and better))
+            faster, text = _race(game, rows, points, curves, 'human', 'automatic')
+            more = _more(rows, 'human', 'automatic')
+            text += f'; {_returns(rows, options)}; human less automatic {_written(more)}'
+            verdict = all_hold([faster, more.above(ROUNDING)])
+            found.append(compared(paper.TABLE_2_SAID['efficient'], text, verdict))
     return found
+
+
+Rows = Mapping[str, pd.DataFrame]  # means of the members, by variant of one game
+
+
+def _in_game(members: pd.DataFrame, game: ComparedGame) -> Rows:
+    mine = members.reset_index()
+    mine = mine[mine['game'] == game.name]
+    return {name: rows.set_index('member') for (name,), rows in grouped(mine, ['action set'])}
 
 
 def _race(
     game: ComparedGame,
-    rows: Any,
-    curve: Mapping[str, pd.DataFrame],
+    rows: Rows,
+    points: pd.DataFrame,
+    curves: pd.DataFrame,
     first: str,
     second: str,
-) -> tuple[bool, str]:
+) -> tuple[bool | None, str]:
     """
     Return whether planning with one variant takes less time than with another, and both times.
 
-    :param rows: data frame of a game, indexed by variant, as in ``_returns``.
     Plans with exact models end by themselves. Sampled ones take as long as they are let, so they
-    are compared by the time that each needs for the best return of the worse of the two.
+    are compared by the time of the first plans whose whole interval lies at or above a return:
+    the highest that both come to so. Of one member there is no interval, and no verdict.
     """
     if game.exact:
-        times = {name: float(rows.at[name, 'total, s']) for name in (first, second)}
+        times = {name: rows[name]['seconds'] for name in (first, second)}
         until = ''
     else:
-        both = {name: curve[name] for name in (first, second)}
-        level = min(float(points['mean return'].max()) for points in both.values())
-        times = {
-            name: float(points.loc[points['mean return'] >= level, 'seconds'].iloc[0])
-            for name, points in both.items()
+        both = {
+            name: curves[(curves['game'] == game.name) & (curves['action set'] == name)]
+            for name in (first, second)
         }
+        level = min(float(curve['low'].max()) for curve in both.values())
+        if math.isnan(level):
+            return None, f'{game.name}, planning: one owner of options each has no interval'
+        times = {}
+        for name, curve in both.items():
+            budget = curve.loc[curve['low'] >= level, 'budget'].iloc[0]
+            mine = points[(points['game'] == game.name) & (points['action set'] == name)]
+            times[name] = mine.loc[mine['budget'] == budget, 'seconds']
         until = f' until {level:,.0f} points'
-    text = listed({name: _duration(seconds) for name, seconds in times.items()})
-    return times[first] < times[second], f'{game.name}, planning{until}: {text}'
+    ratio = Interval.of_ratio(times[first], times[second], paired=False)
+    text = listed({name: _duration(float(seconds.mean())) for name, seconds in times.items()})
+    text = f'{text}; {first} in {written(ratio, ".3g")} of the time of {second}'
+    return ratio.below(1.0), f'{game.name}, planning{until}: {text}'
 
 
-def _compare_goals(summary: pd.DataFrame) -> list[Comparison]:
-    """Compare the best way to interrupt human options with the goals of this project."""
+def _more(rows: Rows, first: str, second: str, level: float = LEVEL) -> Interval:
+    """Return by how much more the first variant returns; with the same owners, within each."""
+    one, other = rows[first]['mean'], rows[second]['mean']
+    return Interval.of_difference(one, other, level, paired=one.index.equals(other.index))
+
+
+def _compare_goals(members: pd.DataFrame) -> list[Comparison]:
+    """
+    Compare the best way to interrupt human options with the goals of this project.
+
+    Since it is the best of several, its intervals are those that hold for all of them at once.
+    """
     found = []
     for game, said in GOALS:
-        rows: Any = summary.loc[game.name] if game.name in summary.index else summary
-        mine = [variant.name for variant in INTERRUPTING if variant.name in rows.index]
-        if not mine or not {'primitive', 'human'} <= set(rows.index):
+        rows = _in_game(members, game)
+        mine = [variant.name for variant in INTERRUPTING if variant.name in rows]
+        if not mine or not {'primitive', 'human'} <= set(rows):
             continue
-        best = str(rows.loc[mine, 'mean return'].idxmax())
-        shown = [best, 'human', 'primitive']
-        value, human, primitive = rows.loc[shown, 'mean return']
-        text = f'{game.name}, {_returns(rows, shown)}'
-        wanted, quick = human + WANTED_MORE, True
+        best = max(mine, key=lambda name: rows[name]['mean'].mean())
+        level = level_of_each(len(mine))
+        reached = Interval.of(rows[best]['mean'], level)
+        less, more = (_more(rows, best, name, level) for name in ('primitive', 'human'))
+        text = (
+            f'{game.name}, {_returns(rows, ["human", "primitive"])}; best of {len(mine)}: {best} '
+            f'{_written(reached)}, less primitive {_written(less)}'
+        )
         if game == UNIFORM:
-            seconds = rows.loc[[best, 'primitive'], 'total, s']
-            wanted, quick = WANTED_UNIFORM, TENTH * seconds[best] <= seconds['primitive']
-            text += f'; planning: {listed({name: _duration(s) for name, s in seconds.items()})}'
-        found.append(goal(said, text, bool(value >= max(wanted, primitive) and quick)))
+            times = {name: rows[name]['seconds'] for name in ('primitive', best)}
+            slower = Interval.of_ratio(times['primitive'], times[best], level, paired=False)
+            text += f'; planning: {listed({n: _duration(s.mean()) for n, s in times.items()})}'
+            text += f', {written(slower, ".3g")} times as long'
+            parts = [reached.at_least(WANTED_UNIFORM), slower.at_least(TENTH)]
+        else:
+            text += f', less human {_written(more)}'
+            parts = [more.at_least(WANTED_MORE)]
+        found.append(goal(said, text, all_hold([*parts, less.at_least(-ROUNDING)])))
     return found
 
 
 def _compare_gains(gains: pd.DataFrame) -> list[Comparison]:
     """Compare what it gains to stop the options of the same plan."""
     found = []
-    theorem = gains[gains['game'] == TAXI.name].set_index('carried out as')['least of all states']
+    exact = gains[gains['game'] == TAXI.name].groupby('carried out as', sort=False)
+    theorem = exact['least'].min()
     theorem = theorem[~theorem.index.str.contains('greatest mass')]  # it has none
     if len(theorem):
         text = listed({name: f'{value:+.2g}' for name, value in theorem.items()})
@@ -325,27 +384,26 @@ def _compare_gains(gains: pd.DataFrame) -> list[Comparison]:
         text = f'least of all states and people: {text}'
         found.append(goal(said, text, bool(theorem.min() >= -ROUNDING)))
     for game in (UNIFORM, CHASE):
-        mine = gains[gains['game'] == game.name].set_index('carried out as')
+        mine = gains[gains['game'] == game.name]
         if len(mine):
-            text = listed({name: _interval(row, 'mean') for name, row in mine.iterrows()})
+            level = level_of_each(mine['carried out as'].nunique())
+            gained = {
+                name: Interval.of(values['mean'], level)
+                for (name,), values in grouped(mine, ['carried out as'])
+            }
+            text = listed({name: _written(gain) for name, gain in gained.items()})
             text = f'{game.name}, points gained by the same plan over running to the end: {text}'
-            gained = bool((mine['low'].fillna(mine['mean']) > 0.0).any())
-            found.append(compared(paper.TABLE_2_SAID['interrupted'], text, gained))
+            more = any_holds(gain.above() for gain in gained.values())
+            found.append(compared(paper.TABLE_2_SAID['interrupted'], text, more))
     return found
 
 
-def _returns(rows: Any, names: Sequence[str]) -> str:
-    means = {name: _interval(rows.loc[name], 'mean return') for name in names}
-    return f'return: {listed(means)}'
+def _returns(rows: Rows, names: Sequence[str]) -> str:
+    return f'return: {listed({name: _written(Interval.of(rows[name]["mean"])) for name in names})}'
 
 
-def _interval(row: Any, name: str) -> str:
-    """Return a mean with its limits; of one member, the mean alone."""
-    mean = float(row[name])
-    if pd.isna(row['low']):
-        return f'{mean:,.2f}'
-    digits = 0 if abs(mean) >= 100 else 2
-    return f'{mean:,.{digits}f} ({row["low"]:,.{digits}f} to {row["high"]:,.{digits}f})'
+def _written(found: Interval) -> str:
+    return written(found, ',.0f' if abs(found.mean) >= 100 else ',.2f')
 
 
 def _duration(seconds: float) -> str:

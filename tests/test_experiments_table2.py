@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 import json
+import math
 from typing import Any
 
 from humanopts_env.domains.pacman.domain import PacMan
@@ -169,16 +170,25 @@ GOOD = {  # seconds and return by kind
 
 
 def section_of(
-    level: Mapping[str, tuple[float, float]], gain: float = 100.0, least: float = 0.0
+    level: Mapping[str, tuple[float, float]],
+    gain: float = 100.0,
+    least: float = 0.0,
+    spread: float = 0.0,
 ) -> Section:
-    """Return the section of results that are the same in all games."""
+    """
+    Return the section of results that are the same in all games.
 
-    def result(trial: Trial) -> dict[str, Any]:
+    :param spread: how much more than the first the second of two members has of all returns and
+        gains, and of the logarithm of its seconds.
+    """
+
+    def result(trial: Trial, more: float) -> dict[str, Any]:
         whose, domain = trial.parameters['whose'], trial.parameters['domain']
         games = [game.name for game in GAMES if game.domain == domain]
         named = [v.name for v in VARIANTS if v.whose == whose and v.name in level]
         curve = [
-            {'game': game, 'action set': name, **plan(mean / part, seconds / part, 3 - part)}
+            {'game': game, 'action set': name}
+            | plan(mean / part + more, seconds / part * math.exp(more), 3 - part)
             for game in games
             for name, (seconds, mean) in level.items()
             for part in (2, 1)
@@ -193,7 +203,7 @@ def section_of(
             'costs': [{'action set': name, **dict.fromkeys(names, 4)} for name in named],
             'gains': [
                 {'game': game, 'carried out as': variant.name}
-                | (exact if game == TAXI.name else {'mean': gain})
+                | (exact if game == TAXI.name else {'mean': gain + more})
                 for game in games
                 for variant in INTERRUPTING
                 if whose == PERSON
@@ -201,7 +211,10 @@ def section_of(
         }
 
     trials = table2.trials(Study(participants=2, seeds=2))
-    done: Done = [(trial.parameters, result(trial)) for trial in trials]
+    done: Done = [
+        (trial.parameters, result(trial, spread * (number % 2)))
+        for number, trial in enumerate(trials)
+    ]
     return present(done)
 
 
@@ -214,8 +227,9 @@ def test_what_is_as_in_the_paper_agrees() -> None:
     for said in ('more efficient', 'with human options is faster', 'never as good'):
         assert [c.mark for c in about(section, said)] == [Mark.AGREES] * 3
     exact, sampled, _ = (c.found for c in about(section, 'with human options is faster'))
-    assert exact == 'Taxi, planning: human 2 s; primitive 50 s'
-    assert sampled.endswith('until 1,400 points: human 2 s; primitive 50 s')
+    text = 'human 2 s; primitive 50 s; human in 0.04 (0.04 to 0.04) of the time of primitive'
+    assert exact == f'Taxi, planning: {text}'
+    assert sampled.endswith(f'until 1,400 points: {text}')
     assert 'until 700 points: human 1 s; automatic 4 s' in about(section, 'efficient')[1].found
 
 
@@ -225,6 +239,26 @@ def test_human_options_that_are_behind_in_time_or_return_do_not_agree(
 ) -> None:
     found = about(section_of({**GOOD, 'human': human}), 'more efficient')
     assert [c.mark for c in found] == [Mark.DIFFERS] * 3
+
+
+def test_what_lies_within_the_intervals_is_not_distinguishable() -> None:
+    """The two members of each kind differ by 1: in seconds 2.7 times, and one point of return."""
+    near = {'primitive': (3.0, 10.3), 'human': (2.0, 10.0), 'automatic': (4.0, 9.7)}
+    section = section_of(near, gain=0.5, spread=1.0)
+    assert {c.mark for c in section.comparisons if 'Exact models' not in c.said} == {
+        Mark.UNDECIDED
+    }
+    (found, *_) = about(section, 'never as good')
+    # Welch: a standard error of sqrt(0.5), t(0.975, 2) = 4.303
+    assert 'primitive less human 0.30 (-2.74 to 3.34)' in found.found
+
+
+def test_the_same_people_are_compared_within_each() -> None:
+    """People differ by 40 points, and each gets 550 to 551 more with interruption."""
+    section = section_of(GOOD, spread=40.0)
+    (chase,) = about(section, 'Chasing ghosts:')
+    assert chase.mark is Mark.MET
+    assert 'less human 550 (550 to 550)' in chase.found
 
 
 def test_numbers_of_the_paper_stand_beside_ours() -> None:

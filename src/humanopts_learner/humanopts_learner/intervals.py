@@ -12,9 +12,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 import math
 
-from humanopts_env.arrays import Flags
+from humanopts_env.arrays import Flags, Floats
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 LEVEL = 0.95  # confidence, two-sided
 
@@ -66,52 +66,46 @@ class Interval:
 
     @classmethod
     def of_difference(
-        cls, first: ArrayLike, second: ArrayLike, level: float = LEVEL
+        cls, first: ArrayLike, second: ArrayLike, level: float = LEVEL, *, paired: bool = True
     ) -> 'Interval':
         """
-        Return the mean difference, first - second, of two samples of the same units, paired.
+        Return the difference of two means, first - second.
 
         :param first: (N,) by unit.
-        :param second: (N,) of the same units in the same order.
-        :raises ValueError: the samples are not of equal length.
+        :param second: (N,) of the same units in the same order; not paired: (M,) of other units,
+            with the degrees of freedom of Welch (1947).
+        :raises ValueError: they are paired, and not of equal length.
         """
-        return cls.of(np.subtract(*_paired(first, second)), level)
+        one, other = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+        if not paired:
+            return cls._of_independent(one, other, level)
+        if len(one) != len(other):
+            raise ValueError(f'{len(one)} and {len(other)} values are not of the same units')
+        return cls.of(one - other, level)
 
     @classmethod
-    def of_ratio(cls, first: ArrayLike, second: ArrayLike, level: float = LEVEL) -> 'Interval':
+    def of_ratio(
+        cls, first: ArrayLike, second: ArrayLike, level: float = LEVEL, *, paired: bool = True
+    ) -> 'Interval':
         """
-        Return the geometric mean of the ratios, first / second, of the same units, paired.
+        Return the ratio of two geometric means, first / second, of values above 0.
 
-        The interval is that of the mean logarithm, so that of second / first is its inverse.
-
-        :param first: (N,) by unit, above 0.
-        :param second: (N,) of the same units in the same order, above 0.
-        :raises ValueError: the samples are not of equal length.
+        Its logarithm is a difference of means, so the interval of second / first is the inverse.
+        Parameters and errors are those of ``of_difference``.
         """
-        logs = cls.of(np.subtract(*np.log(_paired(first, second))), level)
+        logs = cls.of_difference(np.log(first), np.log(second), level, paired=paired)
         return cls(*(math.exp(value) for value in (logs.mean, logs.low, logs.high)))
 
     @classmethod
-    def of_independent(
-        cls, first: ArrayLike, second: ArrayLike, level: float = LEVEL
-    ) -> 'Interval':
-        """
-        Return the difference of the means, first - second, of two samples of different units.
-
-        The interval is by Student's t with the degrees of freedom of Welch (1947).
-
-        :param first: (N,); of one value there are no limits, as of ``second``.
-        :param second: (M,).
-        """
-        samples = [np.asarray(sample, dtype=float) for sample in (first, second)]
-        means = [float(sample.mean()) if len(sample) else math.nan for sample in samples]
-        mean = means[0] - means[1]
-        if min(map(len, samples)) < 2:
+    def _of_independent(cls, first: Floats, second: Floats, level: float) -> 'Interval':
+        mean = cls.of(first).mean - cls.of(second).mean
+        if min(len(first), len(second)) < 2:
             return cls(mean, math.nan, math.nan)
-        squares = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
+        squares = [float(sample.var(ddof=1)) / len(sample) for sample in (first, second)]
         if not (total := sum(squares)):
             return cls(mean, mean, mean)
-        freedom = total**2 / sum(q**2 / (len(s) - 1) for q, s in zip(squares, samples))
+        counts = len(first), len(second)
+        freedom = total**2 / sum(s**2 / (count - 1) for s, count in zip(squares, counts))
         return cls._around(mean, math.sqrt(total), freedom, level)
 
     @classmethod
@@ -127,9 +121,25 @@ class Interval:
             return True
         return False if self.high < value else None
 
+    def below(self, value: float) -> bool | None:
+        """Return whether all of it lies below a value (True) or above (False); None: neither."""
+        above = self.above(value)
+        return None if above is None else not above
+
     def at_least(self, value: float = 0.0) -> bool | None:
         """Return whether all of it lies at or above a value, or all below; None: neither."""
         return True if self.low >= value else self.above(value)
+
+    def at_most(self, value: float) -> bool | None:
+        """Return whether all of it lies at or below a value, or all above; None: neither."""
+        if self.high <= value:
+            return True
+        return False if self.low > value else None
+
+
+def level_of_each(count: int) -> float:
+    """Return the level at which all of several intervals hold with ``LEVEL`` (Bonferroni)."""
+    return 1 - (1 - LEVEL) / count
 
 
 def all_hold(verdicts: Iterable[bool | None]) -> bool | None:
@@ -140,9 +150,9 @@ def all_hold(verdicts: Iterable[bool | None]) -> bool | None:
     return None if None in found else True
 
 
-def _paired(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
-    """Return two samples (2, N) of the same units."""
-    samples = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
-    if len(samples[0]) != len(samples[1]):
-        raise ValueError(f'{len(samples[0])} and {len(samples[1])} values: not of the same units')
-    return np.stack(samples)
+def any_holds(verdicts: Iterable[bool | None]) -> bool | None:
+    """Return whether any claim holds: True where one does, else None where one is open."""
+    found = list(verdicts)
+    if True in found:
+        return True
+    return None if None in found else False

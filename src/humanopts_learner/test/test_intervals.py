@@ -3,7 +3,7 @@
 import math
 
 from humanopts_env.seeding import generator
-from humanopts_learner.intervals import all_hold, Interval
+from humanopts_learner.intervals import all_hold, any_holds, Interval, level_of_each
 import numpy as np
 from numpy.typing import NDArray
 import pytest
@@ -82,15 +82,15 @@ def test_differences_within_units_are_paired() -> None:
 
 @pytest.mark.parametrize('second', [SECOND, SECOND[:3], FIRST])
 def test_differences_of_other_units_are_welchs(second: NDArray[np.float64]) -> None:
-    found = Interval.of_independent(FIRST, second)
+    found = Interval.of_difference(FIRST, second, paired=False)
     known = stats.ttest_ind(FIRST, second, equal_var=False).confidence_interval()
     assert found.mean == pytest.approx(FIRST.mean() - second.mean())
     assert limits(found) == pytest.approx((known.low, known.high))
 
 
 def test_independent_samples_that_do_not_vary_differ_for_certain() -> None:
-    assert Interval.of_independent([2.0, 2.0], [1.0, 1.0]) == Interval(1.0, 1.0, 1.0)
-    assert Interval.of_independent([2.0], [1.0, 1.0]).above() is None
+    assert Interval.of_difference([2.0, 2.0], [1.0, 1.0], paired=False) == Interval(1.0, 1.0, 1.0)
+    assert Interval.of_difference([2.0], [1.0, 1.0], paired=False).above() is None
 
 
 def test_the_ratio_the_other_way_round_is_the_inverse() -> None:
@@ -104,17 +104,38 @@ def test_the_ratio_the_other_way_round_is_the_inverse() -> None:
 
 
 @pytest.mark.parametrize(
-    ('value', 'above', 'at_least'),
-    [(0.9, True, True), (1.0, None, True), (2.0, None, None), (3.1, False, False)],
+    ('value', 'above', 'at_least', 'at_most'),
+    [
+        (0.9, True, True, False),
+        (1.0, None, True, None),
+        (2.0, None, None, None),
+        (3.0, None, None, True),
+        (3.1, False, False, True),
+    ],
 )
 def test_an_interval_decides_only_what_lies_outside(
-    value: float, above: bool | None, at_least: bool | None
+    value: float, above: bool | None, at_least: bool | None, at_most: bool | None
 ) -> None:
     found = Interval(2.0, 1.0, 3.0)
-    assert (found.above(value), found.at_least(value)) == (above, at_least)
+    decided = found.above(value), found.at_least(value), found.at_most(value)
+    assert decided == (above, at_least, at_most)
+    assert found.below(value) is {True: False, False: True, None: None}[above]
 
 
-def test_claims_hold_together_where_all_do() -> None:
+def test_the_best_of_several_has_a_wider_interval() -> None:
+    """So that chance alone puts one of five above in 5 of 200 cases, not in 5 of 40."""
+    rng = generator(1, 'several')
+    found = [
+        max(Interval.of(each, level_of_each(5)).low for each in rng.normal(size=(5, 6))) > 0.0
+        for _ in range(1000)
+    ]
+    assert sum(found) == pytest.approx(25, abs=15)
+
+
+def test_claims_hold_together_where_all_do_and_one_of_them_where_any_does() -> None:
     assert all_hold([True, True]) is True
     assert all_hold([True, None]) is None
     assert all_hold([None, False]) is False
+    assert any_holds([False, None, True]) is True
+    assert any_holds([False, None]) is None
+    assert any_holds([False, False]) is False
