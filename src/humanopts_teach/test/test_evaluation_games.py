@@ -33,7 +33,10 @@ from humanopts_teach.evaluation.measures import Settings
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.report.episode import episode_strip, Frame, MOST_PICTURES
 from humanopts_teach.report.findings import findings, games_findings, reached
+from humanopts_teach.report.pages import Finding
 from humanopts_teach.report.write import render_report, ReportData
+import numpy as np
+from numpy.typing import NDArray
 import pytest
 
 pytestmark = pytest.mark.heavy
@@ -151,6 +154,10 @@ def test_json_and_text_hold_every_number(games: GamesEvaluation) -> None:
     assert [s['rows'][0]['score']['mean'] for s in values['settings']] == [
         setting.rows[0].score.mean for setting in games.settings
     ]
+    for setting, plain in zip(games.settings, values['settings'], strict=True):
+        gain = setting.largest(PLAN).scores - setting.largest(RANDOM).scores
+        assert plain['gain_over_chance']['mean'] == gain.mean()
+        assert not any('scores' in row for row in plain['rows'])
     text = '\n'.join(games_text(games))
     for setting in games.settings:
         assert setting.name in text
@@ -171,22 +178,75 @@ def curve(name: str, *rows: tuple[float, float]) -> Curve:
 @pytest.mark.parametrize(
     ('human', 'primitive', 'good', 'words'),
     [
-        ((1.0, 1801.0), [(5.0, 1000.0), (12.0, 1700.0)], True, 'more than 12 times'),
-        ((2.0, 1801.0), [(5.0, 1000.0), (12.0, 1700.0)], None, 'is not decided'),
-        ((2.0, 1801.0), [(5.0, 1000.0), (12.0, 1805.0)], False, ': 6 times as long'),
-        ((2.0, 1799.0), [(12.0, 1805.0)], False, 'human not reached in 2.0 s'),
+        ([(1, 1801)], [(5, 1000), (12, 1700)], True, 'more than 12 times as long.'),
+        ([(1, 1801)], [(5, 1000), (12, 1795)], None, 'more than 5 times as long; whether'),
+        ([(2, 1801)], [(5, 1000), (12, 1700)], None, 'is not decided'),
+        (
+            [(1, 1700), (2, 1801)],
+            [(5, 1000), (8, 1805)],
+            False,
+            ': 4 times as long (at least 2.5, at most 8)',
+        ),
+        ([(1, 1700), (2, 1801)], [(22, 1000), (40, 1805)], True, '(at least 11, at most 40).'),
+        ([(2, 1801)], [(5, 1000), (12, 1805)], None, ': 6 times as long (at least 2.5); whether'),
+        ([(2, 1700)], [(12, 1805)], False, 'human not reached in 2.0 s'),
+        ([(2, 1799)], [(12, 1805)], None, 'human not reached in 2.0 s'),  # 1799 to 1809
     ],
 )
 def test_a_tenth_of_the_time_is_said_only_where_it_is_known(
     games: GamesEvaluation,
-    human: tuple[float, float],
+    human: list[tuple[float, float]],
     primitive: list[tuple[float, float]],
     good: bool | None,
     words: str,
 ) -> None:
-    both = curve('human', human), curve('primitive', *primitive)
+    both = curve('human', *human), curve('primitive', *primitive)
     *_, found = games_findings(replace(games, targets=(1800.0,), curves=both))
     assert (found.good, words in found.text) == (good, True), found.text
+
+
+@pytest.mark.parametrize(
+    ('scores', 'good', 'words'),
+    [
+        ((1880.0, 1890.0), True, 'reaches a mean score of 1,800'),
+        ((1780.0, 1820.0), None, 'is not distinguishable from a mean score of 1,800'),
+        ((1810.0, 1850.0), None, 'is not distinguishable'),  # a mean of 1830 alone would do
+        ((1700.0, 1710.0), False, 'does not reach'),
+    ],
+)
+def test_a_score_is_reached_by_its_whole_interval(
+    games: GamesEvaluation, scores: tuple[float, float], good: bool | None, words: str
+) -> None:
+    found = judged(games, Interval.of(np.array(scores)), np.zeros(GAMES))
+    assert (found[1].good, words in found[1].text) == (good, True), found[1].text
+
+
+@pytest.mark.parametrize(
+    ('gain', 'good', 'words'),
+    [
+        (100.0 + np.arange(GAMES), True, 'more than random choice'),
+        (70.0 + np.arange(GAMES), None, 'is 80 (77 to 82)'),
+        (np.arange(GAMES) - 9.5, False, 'not distinguishable from random choice'),
+        (-np.arange(GAMES), False, 'less than random choice'),
+    ],
+)
+def test_the_gain_over_random_choice_is_that_within_games(
+    games: GamesEvaluation, gain: NDArray[np.float64], good: bool | None, words: str
+) -> None:
+    """Games differ by far more."""
+    (found, *_) = judged(games, Interval(0.0, 0.0, 0.0), gain)
+    assert (found.good, words in found.text) == (good, True), found.text
+
+
+def judged(games: GamesEvaluation, score: Interval, gain: NDArray[np.float64]) -> list[Finding]:
+    """Return the findings of the first setting, with a score and gain of four options."""
+    first, luck = games.settings[0], 1000.0 * np.arange(GAMES)
+    scores = {first.largest(PLAN).name: luck + gain}
+    rows = [replace(r, score=score, scores=scores.get(r.name, luck)) for r in first.rows]
+    setting = replace(first, rows=tuple(rows))
+    both = curve('human', (1, 1801)), curve('primitive', (2, 1801))
+    told = replace(games, settings=(setting,), targets=(1800.0,), curves=both)
+    return list(games_findings(told))
 
 
 def test_what_is_never_reached_is_said_to_be_so() -> None:

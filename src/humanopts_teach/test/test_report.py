@@ -23,6 +23,7 @@ from humanopts_teach.report.pages import counted, DASH, MINUS, number, percent
 from humanopts_teach.report.rules import option_rules
 from humanopts_teach.report.write import render_report, ReportData, write_evaluation_report
 import numpy as np
+from numpy.typing import NDArray
 import pytest
 
 pytestmark = pytest.mark.heavy
@@ -164,6 +165,29 @@ def test_the_words_say_what_was_lost_and_what_differs(data: ReportData) -> None:
     good = [finding.text for finding in found if finding.good]
     assert any(text.startswith('No message was lost: 4,321') for text in good)
     assert any('equals the live one' in text for text in good)
+
+
+@pytest.mark.parametrize(
+    ('lost', 'good', 'words'),
+    [
+        (np.zeros(100), True, 'the options lose nothing.'),
+        (np.arange(100) % 2, None, 'the options lose 0.5 (0.4003 to 0.5997).'),
+        (np.arange(100) % 2 - 0.5, True, f'lose 0 ({MINUS}0.09971 to 0.09971).'),
+        (np.arange(100) % 2 - 2.0, True, 'the options gain 1.5 (1.4 to 1.6).'),
+        (1.0 + np.arange(100) % 2, False, 'the options lose 1.5 (1.4 to 1.6).'),
+    ],
+)
+def test_what_options_lose_is_that_within_episodes(
+    evaluation: BagEvaluation, lost: NDArray[np.float64], good: bool | None, words: str
+) -> None:
+    """May be 2 % of the return of primitive actions, here 0.5; episodes differ by far more."""
+    luck = 100.0 * np.arange(100)
+    human, primitive = evaluation.plans
+    row = replace(primitive.row, mean_return=-25.0)
+    plans = replace(human, totals=luck - lost), replace(primitive, row=row, totals=luck)
+    texts = {f.text: f.good for f in findings(replace(evaluation, plans=plans))}
+    (found,) = [text for text in texts if 'from the same start states' in text]
+    assert (texts[found], words in found) == (good, True), found
 
 
 def test_rules_say_when_an_option_starts_and_ends(

@@ -6,11 +6,12 @@ and seed always give the same numbers, seconds apart.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import math
 import time
 from typing import Any
 
+from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption
@@ -92,6 +93,7 @@ class Performance:
     discounted: Interval
     fallbacks: int  # primitive actions because no option could start
     outcomes: Mapping[str, Interval]  # other results that the domain reports; exact: none
+    totals: Floats = field(compare=False, repr=False)  # (E,) undiscounted return by episode
 
 
 def judge_plan(
@@ -120,4 +122,5 @@ def judge_plan(
         discounted=Interval.of(returns.discounted),
         fallbacks=int(returns.fallbacks.sum()),
         outcomes={name: Interval.of(values) for name, values in returns.outcomes.items()},
+        totals=returns.total,
     )

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import (
@@ -117,6 +118,7 @@ class PlanEvaluation:
     participant: str
     plan: AnyPlan
     row: PlanningRow
+    totals: Floats = field(compare=False, repr=False)  # (E,) returns by episode
 
 
 @dataclass(frozen=True)
@@ -246,7 +248,7 @@ def evaluate(
         except PlanError as error:
             notes.append(f'no plan with {action_set} actions: {error}')
             continue
-        plans.append(PlanEvaluation(person, plan, row_of_plan(plan, judged)))
+        plans.append(PlanEvaluation(person, plan, row_of_plan(plan, judged), judged.totals))
     return BagEvaluation(domain, settings, tuple(options), tuple(plans), (*warnings, *notes))
 
 

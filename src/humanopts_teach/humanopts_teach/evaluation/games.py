@@ -20,6 +20,7 @@ import math
 import time
 from typing import Any
 
+from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import Baselines, HasBaselines, PlanSettings, Scores
 from humanopts_env.domains.registry import make_domain, parameters_json
@@ -41,6 +42,7 @@ from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_teach.evaluation.side_by_side import as_they_end, processes
+import numpy as np
 
 GAMES = 1000  # that each way to play is judged by
 TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
@@ -83,6 +85,8 @@ class ComparisonRow:
     fallbacks: float | None = None  # decisions for a primitive action: no option could start
     game_steps: int = 0  # that planning sampled
     seconds: float | None = None  # of planning; None: nothing was planned
+    scores: Floats = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
+    """(E,) of each game, not in JSON data."""
 
 
 def baselines_of(domain: Domain[Any]) -> Baselines:
@@ -139,6 +143,7 @@ def play_baseline(
         options=tuple(option.name for option in baseline.options),
         games=games,
         score=Interval.of(results.total),
+        scores=results.total,
         outcomes={name: Interval.of(values) for name, values in results.outcomes.items()},
         **found,
     )
@@ -178,6 +183,30 @@ class Curve:
     def seconds_to_reach(self, target: float) -> float | None:
         """Return the planning seconds of the first plan that reached a score; None: none did."""
         return next((row.seconds for row in self.rows if row.score.low >= target), None)
+
+    def times_as_long(self, other: 'Curve', target: float) -> Interval | None:
+        """
+        Return how many times as long as the other this takes to reach a score; None: it cannot.
+
+        Either is known to reach it with the first plan whose whole interval does, and not to
+        reach it with plans whose whole interval lies below. So the limits are those of the
+        budgets that were tried; infinite: this one never reached it.
+        """
+        slow, quick = self.seconds_to_reach(target), other.seconds_to_reach(target)
+        if quick is None:
+            return None
+        short, long = self._too_short(target), other._too_short(target)
+        reached = math.inf if slow is None else slow
+        return Interval(
+            (self.most_seconds if slow is None else slow) / quick,
+            short / quick,
+            reached / long if long else math.inf,
+        )
+
+    def _too_short(self, target: float) -> float:
+        """Return the planning seconds of the longest plan that scores below for certain, or 0."""
+        low = (row.seconds for row in self.rows if row.score.at_least(target) is False)
+        return max(low, default=0.0)
 
     @property
     def most_seconds(self) -> float:
@@ -235,6 +264,15 @@ class Setting:
     name: str  # such as ghosts=chase; empty: there is but one
     rows: tuple[ComparisonRow, ...]
 
+    def largest(self, kind: str) -> ComparisonRow:
+        """Return the row of the largest set of options, of one kind."""
+        return max((row for row in self.rows if row.kind == kind), key=lambda r: len(r.options))
+
+    @property
+    def gain(self) -> Interval:
+        """What the plan with all options scores more than random choice among them, by game."""
+        return Interval.of_difference(self.largest(PLAN).scores, self.largest(RANDOM).scores)
+
 
 @dataclass(frozen=True)
 class GamesEvaluation:
@@ -250,6 +288,10 @@ class GamesEvaluation:
         """Return it as JSON data, without NaN."""
         values = asdict(self)
         targets = values.pop('targets')
+        for setting, plain in zip(self.settings, values['settings']):
+            plain['gain_over_chance'] = asdict(setting.gain)
+            for row in plain['rows']:
+                del row['scores']
         for curve, plain in zip(self.curves, values['curves']):
             plain['seconds_to_reach'] = [
                 {'score': target, 'seconds': curve.seconds_to_reach(target)} for target in targets

@@ -6,7 +6,7 @@ from humanopts_learner.intervals import Interval
 from humanopts_learner.options.criteria import Criterion
 from humanopts_teach.bags.info import aligned
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
-from humanopts_teach.evaluation.games import GamesEvaluation
+from humanopts_teach.evaluation.games import GamesEvaluation, PLAN, RANDOM
 from humanopts_teach.evaluation.measures import PlanningRow
 
 MOST_POINTS = 12  # of a learning curve that are printed
@@ -60,7 +60,8 @@ def games_text(games: GamesEvaluation) -> list[str]:
             ]
             for row in setting.rows
         ]
-        lines += ['', *table(head, rows)]
+        gain = f'{setting.largest(PLAN).name} less {setting.largest(RANDOM).name}, game by game'
+        lines += ['', *table(head, rows), f'{gain}: {interval(setting.gain, 0)}']
     for target in games.targets:
         reached = [
             f'{curve.name} '

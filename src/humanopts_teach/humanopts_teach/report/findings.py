@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 import math
 
-from humanopts_learner.intervals import Interval
+from humanopts_learner.intervals import Interval, level_of_each
 from humanopts_learner.planning.request import HUMAN, PRIMITIVE
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
@@ -12,14 +12,15 @@ from humanopts_teach.evaluation.games import (
     Curve,
     GamesEvaluation,
     PLAN,
-    RANDOM,
     Setting,
     TENFOLD,
 )
 from humanopts_teach.evaluation.measures import PlanningRow
 from humanopts_teach.evaluation.summary import differences, Execution, Live
 from humanopts_teach.report.pages import counted, Finding, number
+import numpy as np
 
+ALLOWED = 0.02  # share of the return that options may lose against primitive actions
 MARGIN = 80.0  # points by which a plan shall be better than random choice among its options
 
 
@@ -40,7 +41,7 @@ def findings(
     if live is not None:
         yield _execution(live.execution, sampled=sampled)
     if not evaluation.games:
-        yield from _sampled_plans(planning) if sampled else _exact_plans(planning)
+        yield from _sampled_plans(planning) if sampled else _exact_plans(evaluation, planning)
     if topics:
         yield _loss(topics)
     if live is not None:
@@ -65,10 +66,12 @@ def planning_rows(evaluation: BagEvaluation, live: Live | None) -> dict[str, Pla
 
 def _execution(execution: Execution, *, sampled: bool) -> Finding:
     """Judge the episodes that were played live; failures are expected of a sampled plan."""
-    good = execution.successes == execution.episodes > 0 and execution.fallbacks == 0
+    count, good = execution.episodes, execution.successes
+    share = Interval.of_share(np.arange(count) < good)
+    limits = f' (95 % interval {share.low:.0%} to {share.high:.0%})' if count else ''
     return Finding(
-        None if sampled else good,
-        f'{execution.successes} of {execution.episodes} episodes reached the end of the '
+        None if sampled else good == count > 0 and execution.fallbacks == 0,
+        f'{good} of {count} episodes{limits} reached the end of the '
         f'{"game" if sampled else "task"}, with {counted(execution.fallbacks, "fallback")} to a '
         f'primitive action; their mean return is {number(execution.mean_return)}.',
     )
@@ -115,24 +118,21 @@ def _sampled_plans(rows: Mapping[str, PlanningRow]) -> Iterator[Finding]:
         )
 
 
-def _exact_plans(rows: Mapping[str, PlanningRow]) -> Iterator[Finding]:
-    """Compare plans with options with the one of primitive actions."""
-    primitive = rows.get(PRIMITIVE)
+def _exact_plans(evaluation: BagEvaluation, rows: Mapping[str, PlanningRow]) -> Iterator[Finding]:
+    """Compare plans with options with the one of primitive actions, from the same start states."""
+    primitive, plans = rows.get(PRIMITIVE), evaluation.named_plans
     for name, human in rows.items():
         if primitive is None or human.action_set != HUMAN:
             continue
         whose = f' ({name})' if name != HUMAN else ''
-        if human.mean_return is not None and primitive.mean_return is not None:
-            gap = primitive.mean_return - human.mean_return
-            most = abs(primitive.mean_return)
-            share = gap / most if most else float(gap != 0)
-            way = 'below' if gap > 0 else 'above'
-            compared = 'the same as' if gap == 0 else f'{abs(share):.1%} {way}'
+        if name in plans and PRIMITIVE in plans:
+            loss = Interval.of_difference(plans[PRIMITIVE].totals, plans[name].totals)
             yield Finding(
-                share <= 0.02,
+                loss.at_most(ALLOWED * abs(primitive.mean_return or 0.0)),
                 f'The plan with the learned options{whose} has a mean return of '
-                f'{number(human.mean_return)}, {compared} that with primitive actions '
-                f'({number(primitive.mean_return)}) from the same start states.',
+                f'{number(human.mean_return)}, that with primitive actions '
+                f'{number(primitive.mean_return)}; from the same start states, the options '
+                f'{_lost(loss)}.',
             )
         times = ' against '.join(
             f'{1e3 * row.seconds:.3g} ms in {counted(row.sweeps, "sweep")}'
@@ -141,6 +141,16 @@ def _exact_plans(rows: Mapping[str, PlanningRow]) -> Iterator[Finding]:
         yield Finding(
             None, f'Planning with the learned options{whose} took {times} with primitives.'
         )
+
+
+def _lost(loss: Interval) -> str:
+    """Return what is lost within each episode in words."""
+    if loss.low == loss.high == 0.0:
+        return 'lose nothing'
+    words = {True: 'lose', False: 'gain', None: 'are not distinguishable: they lose'}
+    sign = -1.0 if loss.above() is False else 1.0
+    low, high = sorted((sign * loss.low, sign * loss.high))
+    return f'{words[loss.above()]} {number(sign * loss.mean)} ({number(low)} to {number(high)})'
 
 
 def _loss(topics: Sequence[TopicRow]) -> Finding:
@@ -182,59 +192,64 @@ def games_findings(games: GamesEvaluation) -> Iterator[Finding]:
     for setting in games.settings:
         yield _scores(games, setting)
     if games.targets:
-        planned = _largest(games.settings[0].rows, PLAN)
+        planned = games.settings[0].largest(PLAN)
         target = max(games.targets)
-        good = planned.score.mean >= target
-        verb = 'reaches' if good else 'does not reach'
+        good = planned.score.at_least(target)
+        verbs = {True: 'reaches', False: 'does not reach', None: 'is not distinguishable from'}
         where = f'a mean score of {target:,.0f} with {games.curve_setting}'
-        yield Finding(good, f'“{planned.name}” {verb} {where}.')
+        yield Finding(good, f'“{planned.name}” {verbs[good]} {where}: {_limits(planned.score)}.')
     for target in games.targets:
         yield _time(games.curves, target)
 
 
 def _scores(games: GamesEvaluation, setting: Setting) -> Finding:
-    """Compare the plan with all options with random choice among them."""
-    planned, chance = (_largest(setting.rows, kind) for kind in (PLAN, RANDOM))
-    gap = planned.score.mean - chance.score.mean
-    half = math.hypot(_half(planned.score), _half(chance.score))  # of independent means
+    """Compare the plan with all options with random choice among them, game by game."""
+    planned, gain = setting.largest(PLAN), setting.gain
     where = f'With {setting.name}, ' if setting.name else ''
-    best = max(setting.rows, key=lambda row: row.score.mean)
-    others = f' The best of all is “{best.name}” with {best.score.mean:,.0f}.'
+    words = {True: 'more than', False: 'less than', None: 'not distinguishable from'}
     text = (
-        f'{where}“{planned.name}” scores {planned.score.mean:,.0f} ± {_half(planned.score):,.0f} '
-        f'in {games.games:,} games: {abs(gap):,.0f} ± {half:,.0f} '
-        f'{"more" if gap >= 0 else "less"} than random choice among the same options.'
-        f'{others if best is not planned else ""}'
+        f'{where}“{planned.name}” scores {_limits(planned.score)} in {games.games:,} games, '
+        f'{words[gain.above()]} random choice among the same options: the difference is '
+        f'{_limits(gain)}.{_best(setting, planned)}'
     )
-    good = gap >= MARGIN if games.targets and setting.name == games.curve_setting else None
-    return Finding(good, text)
+    judged = bool(games.targets) and setting.name == games.curve_setting
+    return Finding(gain.at_least(MARGIN) if judged else None, text)
 
 
-def _half(found: Interval) -> float:
-    """Return half the width of an interval."""
-    return found.high - found.mean
+def _best(setting: Setting, planned: ComparisonRow) -> str:
+    """Return what plays best, and whether it is known to play better than the plan."""
+    best = max(setting.rows, key=lambda row: row.score.mean)
+    if best is planned:
+        return ''
+    level = level_of_each(len(setting.rows) - 1)  # the best of all the others was taken
+    better = Interval.of_difference(best.scores, planned.scores, level).above()
+    doubt = '' if better else ', not distinguishable from it'
+    return f' The highest mean is that of “{best.name}”: {best.score.mean:,.0f}{doubt}.'
+
+
+def _limits(found: Interval) -> str:
+    """Return a number of points with its interval."""
+    return f'{found.mean:,.0f} ({found.low:,.0f} to {found.high:,.0f})'
 
 
 def _time(curves: Sequence[Curve], target: float) -> Finding:
     """Judge whether options reached a score in a tenth of the time of primitive actions."""
     options, primitive = curves
-    quick, slow = options.seconds_to_reach(target), primitive.seconds_to_reach(target)
+    times = primitive.times_as_long(options, target)
     both = ', '.join(f'with {curve.name} {reached(curve, target)}' for curve in curves)
     text = f'Planning to a score of {target:,.0f} (the whole interval above it): {both}'
-    if quick is None:
-        return Finding(False, f'{text}.')
-    times = (primitive.most_seconds if slow is None else slow) / quick
-    if slow is None:
-        good = True if times >= TENFOLD else None
-        undecided = '' if good else '; whether it takes ten times as long is not decided'
-        return Finding(good, f'{text}: more than {_times(times)} times as long{undecided}.')
-    return Finding(times >= TENFOLD, f'{text}: {_times(times)} times as long.')
+    if times is None:
+        missed = options.rows[-1].score.at_least(target) is False
+        return Finding(False if missed else None, f'{text}.')
+    if primitive.seconds_to_reach(target) is None:
+        long = f'more than {_times(times.low)} times as long'
+    else:
+        high = '' if math.isinf(times.high) else f', at most {_times(times.high)}'
+        long = f'{_times(times.mean)} times as long (at least {_times(times.low)}{high})'
+    good = times.at_least(TENFOLD)
+    undecided = '; whether it takes ten times as long is not decided' if good is None else ''
+    return Finding(good, f'{text}: {long}{undecided}.')
 
 
 def _times(times: float) -> str:
     return f'{math.floor(times * 10) / 10:g}' if times < TENFOLD else f'{math.floor(times)}'
-
-
-def _largest(rows: Sequence[ComparisonRow], kind: str) -> ComparisonRow:
-    """Return the row of the largest set of options, of one kind."""
-    return max((row for row in rows if row.kind == kind), key=lambda row: len(row.options))
