@@ -262,6 +262,7 @@ class DomainContract:
         states = [s for s in _states(domain) if not domain.is_over(s)][:MANY]
         batch = games.batch_of(states)
         assert games.domain is domain
+        assert games.batch_states(batch) == states
         assert np.array_equal(games.batch_features(batch), _rows(domain, states))
         assert not games.batch_over(batch).any()
         actions = rng.integers(len(domain.actions), size=len(states))

@@ -14,7 +14,11 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
+from humanopts_learner.options.accuracy import (
+    average_return,
+    classification_accuracy,
+    policy_accuracy,
+)
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import (
@@ -130,6 +134,45 @@ def test_an_option_that_follows_the_reference_is_accurate(name: str) -> None:
     assert min(classification_accuracy(option, PACMAN, reference)) >= 0.98
     wrong = replace(option, policy=replace(option.policy, counts=option.policy.counts[:, ::-1]))
     assert policy_accuracy(wrong, PACMAN, reference) <= 0.4
+
+
+def test_average_return_is_that_of_runs_to_the_references_end(
+    fetching: list[Demonstration], plain_taxi: Domain[Any]
+) -> None:
+    """Counted by hand: every step costs 1 but the pickup; a run that gets stuck has 100."""
+    reference = reference_options(TAXI)[FETCH]
+    begun = reference.initiation & ~TAXI.over()
+    best = average_return(None, TAXI, reference)
+    assert best == pytest.approx(-(reference.distance[begun] - 1).mean())
+    option = learn_option(fetching[:12], TAXI, 0)
+    returns = []
+    for index in np.flatnonzero(begun).tolist():
+        state, total, rng = TAXI.state_at(index), 0.0, generator(0, 'no chance')
+        for _ in range(100):
+            action = int(option.greedy_action(TAXI.feature_values(state)[None])[0])
+            outcome = TAXI.step(state, action, rng)
+            state, total = outcome.state, total + outcome.reward
+            if reference.ends(state):
+                break
+        returns.append(total)
+    assert average_return(option, TAXI, reference) == pytest.approx(np.mean(returns))
+    assert min(returns) == -100 < np.mean(returns) < best
+    endless = replace(option, termination=option.initiation)  # where a run ends is not learned
+    assert average_return(endless, TAXI, reference) == average_return(option, TAXI, reference)
+    listed = average_return(option, plain_taxi, reference)
+    assert listed == pytest.approx(np.mean(returns), abs=4 * np.std(returns) / 20)
+
+
+def test_average_return_is_higher_for_a_better_policy() -> None:
+    """In Pac-Man, with the same ghosts; nobody who goes for food beats the reference option."""
+    reference = reference_options(PACMAN)[FOOD]
+    option = fitted(PACMAN, reference)
+    wrong = replace(option, policy=replace(option.policy, counts=option.policy.counts[:, ::-1]))
+    best = average_return(None, PACMAN, reference)
+    assert average_return(option, PACMAN, reference) == pytest.approx(best, abs=1.0)
+    assert average_return(wrong, PACMAN, reference) < best - 2
+    domain = PacMan('%%%%%\n%P..%\n%%%%%')
+    assert np.isnan(average_return(None, domain, reference_options(domain)[AVOID]))
 
 
 def test_equal_games_are_measured_alike() -> None:

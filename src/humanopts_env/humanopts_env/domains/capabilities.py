@@ -55,6 +55,10 @@ class BatchGames(Protocol):
         """Return games that stand at given states."""
         ...
 
+    def batch_states(self, batch: Any) -> list[Any]:
+        """Return the state of each game."""
+        ...
+
     def batch_take(self, batch: Any, games: Ints) -> Any:
         """Return copies of chosen games, by their indices (M,)."""
         ...

@@ -104,3 +104,8 @@ class TabularReferenceOption:
     def optimal_actions(self, state: Any) -> tuple[int, ...]:
         """Return every action on a shortest path to the end; empty outside the initiation set."""
         return tuple(np.flatnonzero(self.optimal[self.domain.index(state)]).tolist())
+
+    def judge_states(self, states: Sequence[Any]) -> Judgement:
+        """Judge N states at once."""
+        at = [self.domain.index(state) for state in states]
+        return Judgement(self.initiation[at], self.termination[at], self.optimal[at])

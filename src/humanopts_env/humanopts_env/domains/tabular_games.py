@@ -35,6 +35,10 @@ class TabularGames:
         """Return games that stand at given states."""
         return np.array([[self._listed.index(state) for state in states]], dtype=np.int64)
 
+    def batch_states(self, batch: NDArray[np.int64]) -> list[Any]:
+        """Return the state of each game."""
+        return [self._listed.state_at(index) for index in batch[0].tolist()]
+
     def batch_take(self, batch: NDArray[np.int64], games: NDArray[np.intp]) -> NDArray[np.int64]:
         """Return copies of chosen games, by their indices (M,)."""
         return batch[:, games]

@@ -1,5 +1,8 @@
 """
-Policy and classification accuracy: a learned option beside its reference option (section 7.1).
+Accuracy: a learned option beside its reference option (section 7.1).
+
+A policy has two measures: how often it takes a best action, and, as in the paper, the average
+return of its runs. Classification accuracy is that of I and beta.
 
 Over all states where they can be listed, else over a fixed sample of them. Each part is judged
 where it is asked:
@@ -25,18 +28,23 @@ from humanopts_env.domains.reference import (
     TabularReferenceOption,
 )
 from humanopts_env.domains.registry import parameters_json
+from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.rollout import games_of
 import numpy as np
 
 T = TypeVar('T')
 SAMPLE = 2000  # states, where they cannot be listed
+RUNS = 400  # whose returns are averaged, at most
+LONGEST = 100  # steps of such a run
 
 
 @dataclass(frozen=True)
 class _Answers:
     """The right answers, beside the features (., F) of the states in which each part is judged."""
 
+    starts: list[Any]  # (at most RUNS) of those in which the option acts
     acting: Rows  # (N, F)
     optimal: Flags  # (N, A)
     starting: Rows  # (M, F)
@@ -60,6 +68,44 @@ def policy_accuracy(
         return float('nan')
     action = option.greedy_action(right.acting)
     return float(right.optimal[np.arange(len(action)), action].mean())
+
+
+def average_return(
+    option: LearnedOption | None, domain: Domain[Any], reference: ReferenceOption
+) -> float:
+    """
+    Return the average undiscounted return of the policy, in reward units.
+
+    Runs begin where the reference option can start, from the same states and with the same chance
+    for every option. They end where the reference option ends, where the task is over, or after
+    ``LONGEST`` steps: the learned beta is judged by itself, and one that ends a run too early
+    would spare it the costs of steps.
+
+    :param option: None: the reference option itself, by the first of its optimal actions.
+    :return: NaN where the reference can start nowhere.
+    :raises OptionError: the option was not learned in this domain.
+    """
+    if option is not None:
+        option.check_domain(domain)
+    games = TabularGames(domain) if is_enumerable(domain) else games_of(domain)
+    starts = _answers(domain, reference).starts
+    if not starts:
+        return float('nan')
+    rngs = [generator(0, 'accuracy', 'return', domain.name, run) for run in range(len(starts))]
+    total, going, batch = np.zeros(len(starts)), np.arange(len(starts)), games.batch_of(starts)
+    for _ in range(LONGEST):
+        if option is None:
+            said = judge_states(reference, games.batch_states(batch), len(domain.actions))
+            action = said.optimal.argmax(axis=1)
+        else:
+            action = option.greedy_action(games.batch_features(batch))
+        total[going] += games.batch_step_each(batch, action, [rngs[run] for run in going.tolist()])
+        said = judge_states(reference, games.batch_states(batch), len(domain.actions))
+        on = np.flatnonzero(~said.termination & ~games.batch_over(batch))
+        going, batch = going[on], games.batch_take(batch, on)
+        if not going.size:
+            break
+    return float(total.mean())
 
 
 def classification_accuracy(
@@ -93,7 +139,10 @@ def _of_all_states(domain: EnumerableDomain[Any], reference: TabularReferenceOpt
     can_be[table.successor[ways]] = True
     acts, starts, ends = reference.initiation & going, reference.judged & going, reference.judged
     ends = ends & can_be
+    begun = np.flatnonzero(acts)
+    begun = begun[np.linspace(0, len(begun), min(len(begun), RUNS), False, dtype=np.intp)]
     return _Answers(
+        [domain.state_at(index) for index in begun.tolist()],
         rows[acts],
         reference.optimal[acts],
         rows[starts],
@@ -134,6 +183,7 @@ def _of_a_sample(game: _Keyed[Domain[Any]], meaning: _Keyed[ReferenceOption]) ->
     left = ~then.initiation
     ends = [state for state, is_out in zip(after, left) if is_out]
     return _Answers(
+        [states[number] for number in np.flatnonzero(acts)[:RUNS]],
         rows[acts],
         said.optimal[acts],
         rows,

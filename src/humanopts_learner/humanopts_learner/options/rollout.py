@@ -6,7 +6,7 @@ from typing import Any, TypeGuard
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain, is_enumerable
-from humanopts_env.domains.capabilities import feature_rows, HasBatchGames
+from humanopts_env.domains.capabilities import BatchGames, feature_rows, HasBatchGames
 from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, Mode, TabularOption, tabulate
@@ -93,7 +93,7 @@ def _step_by_step(
     """
     total, steps = np.zeros(len(starts)), np.zeros(len(starts), dtype=np.int64)
     reached, over = np.zeros(len(starts), dtype=np.bool_), np.zeros(len(starts), dtype=np.bool_)
-    games = domain.batch_games() if isinstance(domain, HasBatchGames) else _StateGames(domain)
+    games = games_of(domain)
     going, batch = np.arange(len(starts)), games.batch_of(starts)
     if games.batch_over(batch).any():
         raise DomainError('the task is over in a start state, so no step can be taken')
@@ -120,7 +120,12 @@ def _step_by_step(
     return Rollouts(total, steps, reached, over)
 
 
-class _StateGames:
+def games_of(domain: Domain[Any]) -> 'BatchGames | StateGames':
+    """Return what plays many games of a domain: at once where it can, else one by one."""
+    return domain.batch_games() if isinstance(domain, HasBatchGames) else StateGames(domain)
+
+
+class StateGames:
     """The methods of ``BatchGames`` that rollouts need, in any domain; a batch lists states."""
 
     def __init__(self, domain: Domain[Any]) -> None:
@@ -128,6 +133,9 @@ class _StateGames:
 
     def batch_of(self, states: Sequence[Any]) -> list[Any]:
         return list(states)
+
+    def batch_states(self, batch: list[Any]) -> list[Any]:
+        return batch
 
     def batch_take(self, batch: list[Any], games: Ints) -> list[Any]:
         return [batch[game] for game in games]

@@ -95,6 +95,10 @@ class PacManGames:
         """Return games that stand at given states."""
         return PacManBatch.from_states(self._rules, states)
 
+    def batch_states(self, batch: PacManBatch) -> list[PacManState]:
+        """Return the state of each game."""
+        return batch.states()
+
     def batch_take(self, batch: PacManBatch, games: Ints) -> PacManBatch:
         """Return copies of chosen games, by their indices (M,)."""
         return batch.take(games)
