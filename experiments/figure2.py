@@ -1,28 +1,36 @@
 """
 Figure 2: accuracy of learned options against the number of demonstrations (section 7.1).
 
-*Policy accuracy* is here the share of states in the option's initiation set in which the learned
-policy takes one of the best actions; the paper compares returns. *Classification accuracy* of I
-and beta is the share of states that are classified as the reference option does.
+A policy has two measures. *Average return* is the paper's: that of runs from states in the
+option's initiation set. *Policy accuracy* is the share of these states in which the learned policy
+takes one of the best actions. *Classification accuracy* of I and beta is the share of states that
+are classified as the reference option does.
+
+Pac-Man is taught with both lists of its features: directions hand the policy over, and positions
+are what the paper names.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
+import json
 import math
 from pathlib import Path
 import re
 from typing import Any
 
-from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.domains.registry import domain_from_json, reference_options
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.intervals import all_hold, any_holds, Interval
+from humanopts_learner.options.accuracy import average_return, LONGEST
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.evaluation.measures import accuracies
+from humanopts_teach.evaluation.measures import accuracies, finite
 from humanopts_teach.lesson.in_process import SECONDS, teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.report.figures import Drawing
@@ -59,22 +67,61 @@ from experiments.trials import code_version, Trial
 
 NAME = 'fig2'
 TITLE = 'Figure 2: accuracy against demonstrations'
-SHOWN = {'taxi': 60, 'pacman': 40}  # demonstrations of an option by one person
-ASKED = 6  # most start states for each of those demonstrations, "not here" answers included
-GROUPS = {'taxi': (CAREFUL, VARIED), 'pacman': (VARIED,)}
+ASKED = 6  # most start states for each demonstration, "not here" answers included
 PEOPLE = 'people'  # the group of those in bags
+
+
+@dataclass(frozen=True)
+class TaughtGame:
+    """What is taught of one game, with one list of features."""
+
+    domain: str
+    features: str  # name of the list
+    parameters: str  # of the domain, JSON object
+    shown: int  # demonstrations of an option by one person
+    groups: tuple[str, ...]  # of people
+    strategies: tuple[str, ...]  # of start states
+    note: str = ''  # on the features, for captions
+
+
+DIRECTIONS, POSITIONS = 'directions', 'positions (features=paper)'  # names of lists of features
+GAMES = (
+    TaughtGame('taxi', 'all', '{}', 60, (CAREFUL, VARIED), STRATEGIES),
+    TaughtGame(
+        'pacman',
+        DIRECTIONS,
+        '{}',
+        40,
+        (VARIED,),
+        STRATEGIES,
+        'These features are first moves of shortest paths: they hand the policy over.',
+    ),
+    TaughtGame(
+        'pacman',
+        POSITIONS,
+        '{"features": "paper"}',
+        60,
+        (VARIED,),
+        ('random',),
+        'These features are positions only, as in the list of the paper.',
+    ),
+)
 COSTS = {  # of a trial by domain and strategy; others: 1
-    ('pacman', 'random'): 4.0,
+    ('pacman', 'random'): 6.0,
     ('pacman', 'coverage'): 20.0,
     ('pacman', 'failures'): 12.0,
 }
-CASE = ['domain', 'option', 'people', 'start states by']  # columns that tell curves apart
-MEASURES = {  # of accuracy, with the titles of their plots
-    'policy': 'policy',
+CASE = ['domain', 'features', 'option', 'people', 'start states by']  # what tells curves apart
+RETURN = 'return'
+MEASURES = {  # with the titles of their plots; all but the return are shares of states
+    RETURN: 'policy: average return',
+    'policy': 'policy: best actions',
     'initiation': 'I (may it start?)',
     'termination': 'β (does it end?)',
 }
 LEVELS = (0.95, 1.0)  # of policy accuracy; the report says how many demonstrations they take
+REACHED, HELD = 'first', 'for good'  # crossings of a level: the first, and the last
+CROSSINGS = tuple(f'{level:.0%}, {crossing}' for level in LEVELS for crossing in (REACHED, HELD))
 GOALS = {('failures', 0.95): 15, ('failures', 1.0): 30}  # demonstrations at most, careful, Taxi
 ROUNDING = 1e-9  # of an accuracy
 NEAR = 10  # demonstrations by which "about 40" may be missed
@@ -96,20 +143,21 @@ def trials(study: Study) -> list[Trial]:
         Trial(
             NAME,
             {
-                'domain': domain,
+                'domain': game.domain,
+                'domain_parameters': game.parameters,
                 'option': option,
                 'strategy': strategy,
-                'demonstrations': SHOWN[domain],
+                'demonstrations': game.shown,
                 'person': asdict(person),
             },
             learn_from_simulated,
-            COSTS.get((domain, strategy), 1.0),
+            COSTS.get((game.domain, strategy), 1.0),
         )
-        for domain, options in paper.TAUGHT.items()
-        for group in GROUPS[domain]
+        for game in GAMES
+        for group in game.groups
         for person in participants(group, study.participants, study.seed)
-        for option in options
-        for strategy in STRATEGIES
+        for option in paper.TAUGHT[game.domain]
+        for strategy in game.strategies
     ]
 
 
@@ -117,23 +165,29 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """
     Have a simulated participant teach an option, and measure it after every demonstration.
 
-    :return: points [demonstrations, "not here" answers, policy accuracy, that of I, that of beta],
+    :return: points [demonstrations, "not here" answers, average return, policy accuracy, that of
+        I, that of beta], the average return of the reference option (best return; None: unknown),
         the person's seconds, and why the lesson was cut short (empty: it was not).
     """
     person = Participant(**parameters['person'])
-    domain = make_domain(parameters['domain'])
+    domain = domain_from_json(parameters['domain'], parameters['domain_parameters'])
     name, wanted = parameters['option'], parameters['demonstrations']
     reference, points = reference_options(domain)[name], []
 
     def measure(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
-        points.append(_point(option, accuracies(option, domain, reference)))
+        points.append(_point(option, domain, reference))
         return bool(option.n_demonstrations >= wanted)
 
     rules = LessonRules(
         parameters['strategy'], ASKED * wanted, person.seed, until_no_failures=False
     )
     taught = teach(domain, person.teaching(name), rules, measure)
-    return {'points': points, 'seconds': taught.seconds, 'cut_short': taught.cut_short}
+    return {
+        'points': points,
+        'best_return': finite(average_return(None, domain, reference)),
+        'seconds': taught.seconds,
+        'cut_short': taught.cut_short,
+    }
 
 
 def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -146,13 +200,21 @@ def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
     for count in range(1, len(demos) + 1):
         if any(demo.kind is Kind.TRAJECTORY for demo in demos[:count]):
             option = learn_option(demos[:count], domain, lesson.seed)
-            points.append(_point(option, accuracies(option, domain, reference)))
-    seconds = sum(demo.seconds for demo in demos)
-    return {'points': points, 'seconds': seconds, 'cut_short': ''}
+            points.append(_point(option, domain, reference))
+    return {
+        'points': points,
+        'best_return': finite(average_return(None, domain, reference)) if reference else None,
+        'seconds': sum(demo.seconds for demo in demos),
+        'cut_short': '',
+    }
 
 
-def _point(option: LearnedOption, measured: Sequence[float | None]) -> list[float | None]:
-    return [option.n_demonstrations, option.n_not_here, *measured]
+def _point(
+    option: LearnedOption, domain: Domain[Any], reference: ReferenceOption | None
+) -> list[float | None]:
+    measured = accuracies(option, domain, reference)
+    returns = finite(average_return(option, domain, reference)) if reference else None
+    return [option.n_demonstrations, option.n_not_here, returns, *measured]
 
 
 def accuracy_table(done: Done) -> pd.DataFrame:
@@ -161,36 +223,59 @@ def accuracy_table(done: Done) -> pd.DataFrame:
 
     Options that have no reference to compare with are left out.
 
-    :return: ``CASE``, person, demonstrations, not here (answers so far), accuracies by
-        ``MEASURES``, and of the whole lesson: minutes, cut short (why; empty: it was not).
+    :return: ``CASE``, person, demonstrations, not here (answers so far), ``MEASURES``, and of the
+        whole lesson: best return (of the reference option), minutes, cut short (why; empty: it was
+        not).
     """
     counts = ['demonstrations', 'not here']
-    columns = [*CASE, 'person', *counts, *MEASURES, 'minutes', 'cut short']
+    columns = [*CASE, 'person', *counts, *MEASURES, 'best return', 'minutes', 'cut short']
     rows = [
         [
-            *(parameters[name] for name in ('domain', 'option')),
+            parameters['domain'],
+            _features(parameters),
+            parameters['option'],
             parameters['person']['group'] if 'person' in parameters else PEOPLE,
             parameters['strategy'],
             parameters['person']['code'] if 'person' in parameters else parameters['participant'],
             *point,
+            result['best_return'],
             result['seconds'] / 60,
             result['cut_short'],
         ]
         for parameters, result in done
         for point in result['points']
-        if any(known[2] is not None for known in result['points'])
+        if any(known[3] is not None for known in result['points'])
     ]
-    points = pd.DataFrame(rows, columns=columns).astype(dict.fromkeys(MEASURES, float))
+    numbers = dict.fromkeys([*MEASURES, 'best return'], float)
+    points = pd.DataFrame(rows, columns=columns).astype(numbers)
     # a "not here" answer changes the point of the demonstrations so far
     return points.drop_duplicates([*CASE, 'person', 'demonstrations'], keep='last')
 
 
+def _features(parameters: Mapping[str, Any]) -> str:
+    """Return the name of the list of features that a trial has."""
+    named = json.loads(parameters['domain_parameters']).get('features')
+    mine = [game for game in GAMES if game.domain == parameters['domain']]
+    known = {json.loads(game.parameters).get('features'): game.features for game in mine}
+    return known.get(named, 'all')
+
+
 def curve_table(points: pd.DataFrame) -> pd.DataFrame:
-    """Return mean accuracies and their intervals over people: the numbers that are drawn."""
-    long = points.melt([*CASE, 'person', 'demonstrations'], list(MEASURES), 'measure', 'accuracy')
-    by = [*CASE, 'measure', 'demonstrations']
-    curves = mean_intervals(long, by, 'accuracy', 0.0, 1.0)
-    return _case_by_case(curves)
+    """
+    Return the numbers that are drawn: means and their intervals over people.
+
+    :return: ``CASE``, measure, demonstrations, count, mean, low, high, best (of the measure).
+    """
+    best = points.groupby(CASE, sort=False)['best return'].mean().rename('best').reset_index()
+    parts = []
+    for measure in MEASURES:
+        is_return = measure == RETURN
+        limits = () if is_return else (0.0, 1.0)
+        by = [*CASE, 'measure', 'demonstrations']
+        found = mean_intervals(points.assign(measure=measure), by, measure, *limits)
+        found = found.merge(best, on=CASE, how='left')
+        parts.append(found if is_return else found.assign(best=1.0))
+    return _case_by_case(pd.concat(parts, ignore_index=True))
 
 
 def person_table(points: pd.DataFrame) -> pd.DataFrame:
@@ -198,20 +283,29 @@ def person_table(points: pd.DataFrame) -> pd.DataFrame:
     Return a row for each person.
 
     :return: ``CASE``, person, for each of ``LEVELS`` the demonstrations and start states ("not
-        here" answers included) until it was first reached, the last accuracies, shown (all
+        here" answers included) until it was first reached, and until it was reached for good: it
+        held after every later demonstration; the last measures, best return, shown (all
         demonstrations), minutes, cut short.
     """
     keys = [*CASE, 'person']
     people = points.groupby(keys, sort=False).tail(1).set_index(keys)
-    people = people.rename(columns={name: f'last accuracy of {name}' for name in MEASURES})
+    people = people.rename(columns={name: f'last {name}' for name in MEASURES})
     people['shown'] = people.pop('demonstrations')
     people = people.drop(columns='not here')
     reached = {}
     for level in LEVELS:
-        first = points[points['policy'] >= level - 1e-12].groupby(keys, sort=False).first()
-        asked = first['demonstrations'] + first['not here']
-        for name, values in (('demonstrations', first['demonstrations']), ('start states', asked)):
-            reached[f'{name} for {level:.0%}'] = values.reindex(people.index).astype('Int64')
+        reaches = points['policy'] >= level - 1e-12
+        later = reaches[::-1].astype(int).groupby([points[key] for key in keys]).cummin()
+        holds = later[::-1] == 1
+        for crossing, there in ((REACHED, reaches), (HELD, holds)):
+            first = points[there].groupby(keys, sort=False).first()
+            asked = first['demonstrations'] + first['not here']
+            for name, values in (
+                ('demonstrations', first['demonstrations']),
+                ('start states', asked),
+            ):
+                column = f'{name} for {level:.0%}, {crossing}'
+                reached[column] = values.reindex(people.index).astype('Int64')
     return _case_by_case(pd.concat([pd.DataFrame(reached), people], axis=1).reset_index())
 
 
@@ -225,25 +319,36 @@ def needed_table(people: pd.DataFrame) -> pd.DataFrame:
     """
     Return the demonstrations that people needed for ``LEVELS`` of policy accuracy.
 
-    Where somebody did not, the mean is at least that with all demonstrations that were shown.
+    A level that was reached can be lost again by a demonstration that misleads, so that there are
+    two numbers: until it was reached first, and for good. Where somebody did not, the mean is at
+    least that with all demonstrations that were shown.
     """
     rows = []
     for key, members in grouped(people, CASE):
         row = {**dict(zip(CASE, key)), 'count': len(members)}
-        for level in LEVELS:
-            demonstrations = members[f'demonstrations for {level:.0%}']
-            asked = members[f'start states for {level:.0%}']
+        for case in CROSSINGS:
+            demonstrations = members[f'demonstrations for {case}']
+            asked = members[f'start states for {case}']
             reached, longest = int(demonstrations.notna().sum()), members['shown'].max()
             mean = float(demonstrations.fillna(longest).mean())
             text = f'{mean:.1f}'
             if reached < len(members):
                 text = f'over {text} ({reached} of {len(members)} people)'
-            row[f'demonstrations for {level:.0%}'] = text if reached else f'not within {longest}'
-            row[f'people who reached {level:.0%}'] = reached
+            row[f'demonstrations for {case}'] = text if reached else f'not within {longest}'
             complete = reached == len(members)
-            row[f'start states for {level:.0%}'] = round(asked.mean(), 1) if complete else None
+            row[f'start states for {case}'] = round(asked.mean(), 1) if complete else None
         rows.append({**row, 'minutes': round(members['minutes'].mean(), 2)})
     return pd.DataFrame(rows)
+
+
+def last_table(curves: pd.DataFrame) -> pd.DataFrame:
+    """Return what each measure came to in the end, with the average return of the reference."""
+    last = curves.groupby([*CASE, 'measure'], sort=False).tail(1)
+    wide = last.pivot(index=[*CASE, 'demonstrations'], columns='measure', values='mean')
+    cases = last[last['measure'] == RETURN].set_index([*CASE, 'demonstrations'])['best']
+    wide = wide.reindex(cases.index).assign(**{'best return': cases})
+    wide = wide.reindex(columns=[RETURN, 'best return', *list(MEASURES)[1:]]).round(3)
+    return _case_by_case(wide.rename_axis(columns=None).reset_index())
 
 
 def present(done: Done) -> Section:
@@ -251,7 +356,7 @@ def present(done: Done) -> Section:
     points = accuracy_table(done)
     curves, people = curve_table(points), person_table(points)
     needed = needed_table(people)
-    hidden = ['shown', *(f'start states for {level:.0%}' for level in LEVELS)]
+    hidden = ['shown', *(f'start states for {case}' for case in CROSSINGS)]
     return Section(
         NAME,
         TITLE,
@@ -259,10 +364,16 @@ def present(done: Done) -> Section:
         _pictures(curves),
         [
             Table('fig2-needed', 'Demonstrations needed for a policy accuracy', needed),
+            Table('fig2-last', 'After the last demonstration', last_table(curves)),
             Table('fig2-curves', 'The curves', curves, shown=False),
             Table('fig2-people', 'Each person', people.drop(columns=hidden), shown=False),
         ],
-        {'code': code_version(), 'shown': SHOWN, 'pace': PACE},
+        {
+            'code': code_version(),
+            'shown': {f'{game.domain}, {game.features}': game.shown for game in GAMES},
+            'pace': PACE,
+            'longest': LONGEST,
+        },
     )
 
 
@@ -271,9 +382,9 @@ def _compare_cases(
 ) -> list[Comparison]:
     found = []
     for key, members in grouped(people, CASE):
-        domain, option, group, strategy = key
+        domain, features, option, group, strategy = key
         row = needed[(needed[CASE] == list(key)).all(axis=1)].iloc[0]
-        case = f'{domain}, “{option}”, start states by {strategy}'
+        case = f'{_game(domain, features)}, “{option}”, start states by {strategy}'
         if _as_in_paper(group, strategy) and paper.FIGURE_2_OPTIONS.get(domain) == option:
             mine = points[(points[CASE] == list(key)).all(axis=1)]
             found += _compare_accuracies(case, mine, row)
@@ -283,13 +394,19 @@ def _compare_cases(
 
 
 def _compare_accuracies(case: str, points: pd.DataFrame, row: pd.Series) -> list[Comparison]:
-    """Compare how accuracy rises, within each person, and where it comes to in the end."""
-    policy = points.pivot(index='person', columns='demonstrations', values='policy')
-    last = min(paper.DEMONSTRATIONS, int(policy.columns.max()))
-    # a person who began with "not here" answers alone, or showed fewer, has no pair
-    pairs = policy.reindex(columns=[1, last]).dropna().to_numpy()
-    first, then = pairs[:, 0], pairs[:, -1]
-    gain = Interval.of_difference(then, first)
+    """Compare how return and best actions rise, within each person, and what I and beta come to."""
+    last = min(paper.DEMONSTRATIONS, int(points['demonstrations'].max()))
+    gains, found = {}, {}
+    for measure, style in ((RETURN, '.2f'), ('policy', '.1%')):
+        values = points.pivot(index='person', columns='demonstrations', values=measure)
+        # a person who began with "not here" answers alone, or showed fewer, has no pair
+        pairs = values.reindex(columns=[1, last]).dropna().to_numpy()
+        first, then = pairs[:, 0], pairs[:, -1]
+        gains[measure] = Interval.of_difference(then, first)
+        found[measure] = (
+            f'{first.mean():{style}} after 1, {then.mean():{style}} after {last}, '
+            f'gain within a person {written(gains[measure], style)}'
+        )
     ends = points.groupby('person', sort=False).last()
     errors = {part: Interval.of(1 - ends[part].dropna()) for part in ('initiation', 'termination')}
     shown = points['demonstrations'].max()
@@ -300,10 +417,10 @@ def _compare_accuracies(case: str, points: pd.DataFrame, row: pd.Series) -> list
     return [
         compared(
             paper.FIGURE_2['rises'],
-            f'{case}: policy accuracy {first.mean():.1%} after 1, {then.mean():.1%} '
-            f'after {last}; gain within a person {written(gain, ".1%")}; '
-            f'95% after: {row["demonstrations for 95%"]}',
-            gain.above(),
+            f'{case}: average return {found[RETURN]} (reference option '
+            f'{points["best return"].mean():.2f}); best actions: {found["policy"]}; '
+            f'95% after: {_needed(row, LEVELS[0])}',
+            all_hold(gain.above() for gain in gains.values()),
         ),
         compared(
             paper.FIGURE_2['imperfect'],
@@ -319,15 +436,16 @@ def _compare_needed(
     """
     Compare the demonstrations that careful people needed with the paper's and our goals.
 
-    Who did not reach the level counts with all that were shown, so that their number can only
-    be too low then: it may refute that few are needed, and never shows it.
+    Those count after which the level held for good. Who did not reach it counts with all that
+    were shown, so that their number can only be too low then: it may refute that few are needed,
+    and never shows it.
     """
     found = []
     for level in LEVELS:
-        demonstrations = members[f'demonstrations for {level:.0%}']
+        demonstrations = members[f'demonstrations for {level:.0%}, {HELD}']
         complete = bool(demonstrations.notna().all())
         needed = Interval.of(demonstrations.fillna(members['shown']).astype(float))
-        text = f'{case}, people without errors: {row[f"demonstrations for {level:.0%}"]}'
+        text = f'{case}, people without errors: {_needed(row, level)}'
         if complete and not math.isnan(needed.low):
             text += f' ({needed.low:.1f} to {needed.high:.1f})'
         most = GOALS.get((strategy, level))
@@ -348,22 +466,32 @@ def _within(needed: Interval, complete: bool, least: float, most: float) -> bool
     return all_hold([needed.at_least(least), needed.at_most(most)])
 
 
+def _needed(row: pd.Series, level: float) -> str:
+    reached, held = (row[f'demonstrations for {level:.0%}, {name}'] for name in (REACHED, HELD))
+    return str(reached) if reached == held else f'{reached} first, {held} for good'
+
+
+def _game(domain: str, features: str) -> str:
+    """Return the name of a game, with its list of features where it has several."""
+    return domain if features == 'all' else f'{domain} with {features}'
+
+
 def _compare_minutes(people: pd.DataFrame) -> list[Comparison]:
     """Compare the time that people took for all that they showed."""
     found = []
-    for domain, most in paper.MINUTES.items():
-        mine = people[people['domain'] == domain]
-        mine = mine[[_as_in_paper(*key) for key in mine[CASE[2:]].itertuples(index=False)]]
-        if len(mine):
-            lessons = mine.groupby(['person', 'start states by'])['minutes'].sum()
+    like = [_as_in_paper(*key) for key in people[CASE[3:]].itertuples(index=False)]
+    mine = people[pd.Series(like, index=people.index, dtype=bool)]
+    for (domain, features), members in grouped(mine, CASE[:2]):
+        if domain in paper.MINUTES:
+            lessons = members.groupby(['person', 'start states by'])['minutes'].sum()
             taken = Interval.of(lessons.groupby('person').mean())
-            real = bool((mine['people'] == PEOPLE).all())
-            text = f'{domain}: {written(taken, ".1f")} min, ' + (
+            real = bool((members['people'] == PEOPLE).all())
+            text = f'{_game(domain, features)}: {written(taken, ".1f")} min, ' + (
                 'by the clock' if real else 'at an assumed pace'
             )
             said = paper.FIGURE_2[f'minutes in {domain}']
             found.append(
-                compared(said, text, taken.at_most(most))
+                compared(said, text, taken.at_most(paper.MINUTES[domain]))
                 if real
                 else Comparison(said.text, said.where, text, Mark.NOT_COMPARABLE)
             )
@@ -377,28 +505,37 @@ def _as_in_paper(group: str, strategy: str) -> bool:
 
 def _pictures(curves: pd.DataFrame) -> list[Picture]:
     """Return one figure for each option and group, with a line for each strategy."""
+    notes = {(game.domain, game.features): game.note for game in GAMES}
     return [
         Picture(
-            re.sub(r'[^a-z0-9]+', '-', f'fig2-{domain}-{option}-{group}'.lower()),
-            f'Accuracy of {option} in {domain} by demonstrations, {group} people',
-            (10.0, 2.9),
+            re.sub(r'[^a-z0-9]+', '-', f'fig2-{domain}-{known}{option}-{group}'.lower()),
+            f'Accuracy of {option} in {_game(domain, features)} by demonstrations, {group} people',
+            (13.0, 2.9),
             partial(_draw, shown),
-            f'{domain}: “{option}”, {GROUP_NAMES[group]}'
-            + (' (figure 2)' if paper.FIGURE_2_OPTIONS.get(domain) == option else ''),
+            f'{_game(domain, features)}: “{option}”, {GROUP_NAMES[group]}'
+            + (' (figure 2)' if paper.FIGURE_2_OPTIONS.get(domain) == option else '')
+            + f'. {notes.get((domain, features), "")}'.rstrip(),
         )
-        for (domain, option, group), shown in grouped(curves, CASE[:3])
+        for (domain, features, option, group), shown in grouped(curves, CASE[:4])
+        for known in ['positions-' if features == POSITIONS else '']
     ]
 
 
 def _draw(shown: pd.DataFrame, work: Drawing) -> None:
-    plots = work.figure.subplots(1, 3, sharey=True)
+    plots = work.figure.subplots(1, len(MEASURES))
+    muted = matplotlib.rcParams['axes.edgecolor']
     for axes, (measure, title) in zip(plots, MEASURES.items()):
         mine = shown[shown['measure'] == measure]
         draw_curves(axes, mine, 'start states by', 'demonstrations', STYLES, lw=1.5)
-        muted = matplotlib.rcParams['axes.edgecolor']
         axes.axvline(paper.DEMONSTRATIONS, color=muted, ls=':', lw=1)
-        axes.set(title=title, xlabel='demonstrations', ylim=(None, 1.02))
+        axes.set(title=title, xlabel='demonstrations')
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
+        if measure == RETURN:
+            axes.axhline(mine['best'].mean(), color=muted, lw=1, label='reference')
+            continue
+        axes.set(ylim=(None, 1.02))
+        axes.sharey(plots[1])
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    plots[0].set_ylabel('share of states')
+    plots[0].set_ylabel('reward units')
+    plots[1].set_ylabel('share of states')
     plots[0].legend(loc='lower right')

@@ -87,7 +87,7 @@ def average_return(
     """
     if option is not None:
         option.check_domain(domain)
-    games = TabularGames(domain) if is_enumerable(domain) else games_of(domain)
+    games: Any = TabularGames(domain) if is_enumerable(domain) else games_of(domain)
     starts = _answers(domain, reference).starts
     if not starts:
         return float('nan')
