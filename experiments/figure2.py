@@ -289,7 +289,8 @@ def person_table(points: pd.DataFrame) -> pd.DataFrame:
     """
     keys = [*CASE, 'person']
     people = points.groupby(keys, sort=False).tail(1).set_index(keys)
-    people = people.rename(columns={name: f'last {name}' for name in MEASURES})
+    accuracies = {name: f'last accuracy of {name}' for name in MEASURES}
+    people = people.rename(columns={**accuracies, RETURN: 'last return'})
     people['shown'] = people.pop('demonstrations')
     people = people.drop(columns='not here')
     reached = {}
@@ -394,7 +395,7 @@ def _compare_cases(
 
 
 def _compare_accuracies(case: str, points: pd.DataFrame, row: pd.Series) -> list[Comparison]:
-    """Compare how return and best actions rise, within each person, and what I and beta come to."""
+    """Compare how return and best actions rise, within each person, and what I and beta are."""
     last = min(paper.DEMONSTRATIONS, int(points['demonstrations'].max()))
     gains, found = {}, {}
     for measure, style in ((RETURN, '.2f'), ('policy', '.1%')):

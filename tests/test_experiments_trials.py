@@ -48,7 +48,8 @@ class Work:
 def tiny(*strategies: str) -> list[Trial]:
     """Return real trials of figure 2 that take no time."""
     person = asdict(participants(CAREFUL, 1, seed=3)[0])
-    known = {'domain': 'taxi', 'option': PICKUP, 'demonstrations': 2, 'person': person}
+    known = {'domain': 'taxi', 'domain_parameters': '{}', 'option': PICKUP, 'person': person}
+    known['demonstrations'] = 2
     return [
         Trial('fig2', {**known, 'strategy': name}, figure2.learn_from_simulated)
         for name in strategies
@@ -161,7 +162,8 @@ def test_more_participants_leave_the_first_as_they_are() -> None:
 
 def test_trials_of_a_study_differ() -> None:
     keys = [trial.key for trial in figure2.trials(Study(participants=2))]
-    assert len(set(keys)) == len(keys) == 2 * (2 * 2 + 3) * 3  # people, options, strategies
+    # people; options, groups and strategies of Taxi, of Pac-Man, and of it with positions
+    assert len(set(keys)) == len(keys) == 2 * (2 * 2 * 3 + 3 * 3 + 3)
 
 
 def test_without_dask_it_is_said_what_is_missing(tmp_path: Path) -> None:
