@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import partial
-import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -12,7 +11,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.planning.request import batch_games
 import numpy as np
 
-from benchmarks.measure import compare, in_turns, OnMeasured, Row
+from benchmarks.measure import clocks, compare, in_turns, OnMeasured, Row, since, Timed
 
 QUICK = (2, 50, 2)
 BATCH = 4096  # games
@@ -28,9 +27,9 @@ def measure(
 
     :param batch_steps: steps of all games that one sample takes.
     :param single_steps: steps of one game that one sample of the yardstick takes.
-    :param repeats: samples behind each median.
+    :param repeats: turns of each form.
     """
-    forms: list[tuple[str, Domain[Any], Callable[..., float], bool, float | None]] = [
+    forms: list[tuple[str, Domain[Any], Callable[..., Timed], bool, float | None]] = [
         ('Pac-Man: rules', PacMan(), _many_pacman, False, RULES_TARGET),
         ('Pac-Man: rules and every feature', PacMan(), _many_pacman, True, FEATURES_TARGET),
         ('Taxi: rules', Taxi(), _many_taxi, False, None),
@@ -53,22 +52,22 @@ def measure(
     return rows
 
 
-def _many_pacman(domain: PacMan, steps: int, *, features: bool) -> float:
-    """Return the seconds of one step of one game among many."""
+def _many_pacman(domain: PacMan, steps: int, *, features: bool) -> Timed:
+    """Return the time of one step of one game among many."""
     games, rng = batch_games(domain), generator(SEED, 'benchmark', 'games')
     moves = rng.integers(len(domain.actions), size=(steps, BATCH))
     batch = games.batch_reset(BATCH, rng)
-    began = time.perf_counter()
+    began = clocks()
     for move in moves:
         games.batch_step(batch, move, rng)
         if features:
             games.batch_features(batch)
         batch.restart(np.flatnonzero(batch.over))
-    return (time.perf_counter() - began) / (steps * BATCH)
+    return since(began).per(steps * BATCH)
 
 
-def _many_taxi(domain: Taxi, steps: int, *, features: bool) -> float:
-    """Return the seconds of one step of one game among many, by the tables of the rules."""
+def _many_taxi(domain: Taxi, steps: int, *, features: bool) -> Timed:
+    """Return the time of one step of one game among many, by the tables of the rules."""
     rng, rules = generator(SEED, 'benchmark', 'games'), domain.transitions()
     successor, reward, ends = (
         part[:, :, 0] for part in (rules.successor, rules.reward, rules.terminated)
@@ -76,7 +75,7 @@ def _many_taxi(domain: Taxi, steps: int, *, features: bool) -> float:
     table = domain.feature_table()
     actions = rng.integers(len(domain.actions), size=(steps, BATCH))
     state, total = rng.choice(domain.start_states(), BATCH), np.zeros(BATCH)
-    began = time.perf_counter()
+    began = clocks()
     for action in actions:
         total += reward[state, action]
         over = np.flatnonzero(ends[state, action])
@@ -84,18 +83,18 @@ def _many_taxi(domain: Taxi, steps: int, *, features: bool) -> float:
         if features:
             table[state]
         state[over] = rng.choice(domain.start_states(), len(over))
-    return (time.perf_counter() - began) / (steps * BATCH)
+    return since(began).per(steps * BATCH)
 
 
-def _one(domain: Domain[Any], steps: int, *, features: bool) -> float:
-    """Return the seconds of one step of the only game."""
+def _one(domain: Domain[Any], steps: int, *, features: bool) -> Timed:
+    """Return the time of one step of the only game."""
     rng = generator(SEED, 'benchmark', 'game')
     actions = rng.integers(len(domain.actions), size=steps).tolist()
     state = domain.reset(rng)
-    began = time.perf_counter()
+    began = clocks()
     for action in actions:
         outcome = domain.step(state, action, rng)
         if features:
             domain.feature_values(outcome.state)
         state = domain.reset(rng) if outcome.terminated else outcome.state
-    return (time.perf_counter() - began) / steps
+    return since(began).per(steps)

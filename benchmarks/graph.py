@@ -4,10 +4,8 @@ How long the graph takes for a step and for an option, beside bare rclpy.
 Game and option_server are measured from this process, in turns with a bare peer, by the same code.
 """
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import closing, ExitStack
-import time
 from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
@@ -24,7 +22,7 @@ from humanopts_teach.launching.processes import processes, Setup
 import numpy as np
 from rclpy.action.client import ActionClient
 
-from benchmarks.measure import compare, OnMeasured, Row
+from benchmarks.measure import compare, OnMeasured, Row, Timed, Turns
 from benchmarks.planning import TaxiCase
 from benchmarks.processes import bench_spec, Client, launched, NAMESPACE, own_place
 
@@ -68,26 +66,27 @@ def measure(
     return latencies(found[1:])
 
 
-def latencies(rounds: Sequence[Mapping[str, Sequence[float]]]) -> list[Row]:
+def latencies(rounds: Sequence[Mapping[str, Sequence[Timed]]]) -> list[Row]:
     """
     Set each kind of latency beside its bare form.
 
-    :param rounds: samples, s, by the name of the measurement: ``step``, ``service K`` and
+    :param rounds: samples by the name of the measurement: ``step``, ``service K`` and
         ``action K`` of K steps, and the same after ``bare``.
     """
-    samples: dict[str, list[float]] = defaultdict(list)
-    for found in rounds:
-        for name, seconds in found.items():
-            samples[name] += seconds
-    bare_step = samples['bare step']
-    rows = [compare('a command, to the next state', samples['step'], BARE_STEP, bare_step)]
+
+    def turns(name: str, parts: int = 1) -> Turns:
+        return [[sample.per(parts) for sample in found[name]] for found in rounds]
+
+    bare_step = turns('bare step')
+    rows = [compare('a command, to the next state', turns('step'), BARE_STEP, bare_step)]
     for via, name in NAMES.items():
         for k in LENGTHS:
-            own, facts = samples[f'{via} {k}'], {'steps': k}
+            own, facts = f'{via} {k}', {'steps': k}
             what = f'{name}, {k} step' + 's' * (k > 1)
-            rows.append(compare(what, own, BARE[via], samples[f'bare {via}'], facts=facts))
+            bare = turns(f'bare {via}')
+            rows.append(compare(what, turns(own), BARE[via], bare, facts=facts))
             if k > 1:
-                each = (np.array(own) / k).tolist()
+                each = turns(own, k)
                 rows.append(compare(f'{what}: a step', each, BARE_STEP, bare_step, facts=facts))
     return rows
 
@@ -139,8 +138,8 @@ class _Measured:
         for client in (self._reset, self._game, self._echo, *both):
             client.close()
 
-    def take(self, steps: int, calls: int) -> dict[str, list[float]]:
-        """Take one round of samples, s, by the name of the measurement."""
+    def take(self, steps: int, calls: int) -> dict[str, list[Timed]]:
+        """Take one round of samples by the name of the measurement."""
         episode = self._begin(LENGTHS[0])
         found = {
             'step': self._game.steps(episode, steps),
@@ -152,17 +151,17 @@ class _Measured:
                 found[f'{via} {length}'] = [self._run(via, length) for _ in range(calls)]
         return found
 
-    def _run(self, via: str, length: int) -> float:
+    def _run(self, via: str, length: int) -> Timed:
         """
-        Run an option for so many steps; return the seconds.
+        Run an option for so many steps; return the time.
 
         :raises LaunchError: it takes other steps.
         """
         episode = self._begin(length)
-        seconds, result = self._runs[via].run(option_name=self._option, episode=episode)
+        timed, result = self._runs[via].run(option_name=self._option, episode=episode)
         if (result.status, result.step_count) != (OptionResult.STATUS_REACHED, length):
             raise LaunchError(f'a run of {length} steps ended otherwise: {result.detail}')
-        return seconds
+        return timed
 
     def _begin(self, length: int) -> int:
         """
@@ -193,11 +192,11 @@ class _Stepper(Client):
     def _keep(self, state: GameState) -> None:
         self.at = (state.episode, state.step)
 
-    def steps(self, episode: int, count: int) -> list[float]:
-        """Take steps from the first state of an episode; return the seconds of each."""
+    def steps(self, episode: int, count: int) -> list[Timed]:
+        """Take steps from the first state of an episode; return the time of each."""
         return [self._step(episode, step) for step in range(count)]
 
-    def _step(self, episode: int, step: int) -> float:
+    def _step(self, episode: int, step: int) -> Timed:
         command = ActionCommand(
             publisher_id=f'{NAMESPACE}/{self.node.get_name()}#00000000',
             sequence=step + 1,
@@ -206,10 +205,10 @@ class _Stepper(Client):
             step=step,
             action=_MOVES[step % len(_MOVES)],
         )
-        began = time.perf_counter()
+        began = self.clocks()
         self._commands.publish(command)
         self.until(lambda: self.at == (episode, step + 1), f'the answer to step {step}')
-        return time.perf_counter() - began
+        return self.since(began)
 
 
 class _Caller(Client):
@@ -220,12 +219,12 @@ class _Caller(Client):
         self._client = self.node.create_client(RunOption, f'{prefix}run_option')
         self.until(self._client.service_is_ready, f'{prefix}run_option')
 
-    def run(self, **request: Any) -> tuple[float, OptionResult]:
-        """Call; return the seconds and the result."""
+    def run(self, **request: Any) -> tuple[Timed, OptionResult]:
+        """Call; return the time and the result."""
         asked = RunOption.Request(**request)
-        began = time.perf_counter()
+        began = self.clocks()
         reply = self.ask(self._client.call_async(asked), 'run_option')
-        return time.perf_counter() - began, reply.result
+        return self.since(began), reply.result
 
 
 class _Actor(Client):
@@ -236,10 +235,10 @@ class _Actor(Client):
         self._client = ActionClient(self.node, ExecuteOption, f'{prefix}execute_option')
         self.until(self._client.server_is_ready, f'{prefix}execute_option')
 
-    def run(self, **goal: Any) -> tuple[float, OptionResult]:
-        """Send a goal; return the seconds until its result is here, and the result."""
+    def run(self, **goal: Any) -> tuple[Timed, OptionResult]:
+        """Send a goal; return the time until its result is here, and the result."""
         wanted = ExecuteOption.Goal(**goal)
-        began = time.perf_counter()
+        began = self.clocks()
         handle = self.ask(self._client.send_goal_async(wanted), 'the goal to be accepted')
         reply = self.ask(handle.get_result_async(), 'the result')
-        return time.perf_counter() - began, reply.result.result
+        return self.since(began), reply.result.result

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import partial
-import time
 from typing import Any
 
 from humanopts_env.domains.reference import TabularReferenceOption
@@ -15,7 +14,7 @@ from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.learn import learn_option, make_dataset
 import numpy as np
 
-from benchmarks.measure import compare, in_turns, OnMeasured, Row
+from benchmarks.measure import clocks, compare, in_turns, OnMeasured, Row, since, Timed
 from benchmarks.planning import OPTIONS
 
 COUNTS = (10, 20, 40)
@@ -29,7 +28,7 @@ def measure(progress: OnMeasured, counts: Sequence[int] = COUNTS, repeats: int =
     Learn an option of Taxi after some demonstrations, and judge it by the three criteria.
 
     :param counts: demonstrations, as many as each row is of.
-    :param repeats: samples behind each median.
+    :param repeats: turns of each work.
     """
     domain, rows = Taxi(), []
     shown = demonstrations(domain, reference_options(domain)[OPTIONS[0]], max(counts))
@@ -86,7 +85,7 @@ def _rows(shown: Sequence[Demonstration], domain: Taxi, repeats: int) -> list[Ro
         'the criteria judged': partial(judge, shown, domain, Thresholds(), SEED, option),
         YARDSTICK: lambda: DecisionTreeClassifier(random_state=SEED).fit(X, y),
     }
-    *ours, yardstick = in_turns([partial(_seconds, work) for work in works.values()], repeats)
+    *ours, yardstick = in_turns([partial(_timed, work) for work in works.values()], repeats)
     facts = {'demonstrations': len(shown), 'rows': len(X)}
     return [
         compare(
@@ -96,7 +95,7 @@ def _rows(shown: Sequence[Demonstration], domain: Taxi, repeats: int) -> list[Ro
     ]
 
 
-def _seconds(work: Any) -> float:
-    began = time.perf_counter()
+def _timed(work: Any) -> Timed:
+    began = clocks()
     work()
-    return time.perf_counter() - began
+    return since(began)

@@ -1,12 +1,16 @@
 """Samples of times beside those of a yardstick, statistics of both, and facts of the machine."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 import importlib.metadata
+import math
 import os
 from pathlib import Path
 import platform
-from typing import Any
+import time
+from typing import Any, NamedTuple
 
+from humanopts_learner.intervals import Interval
 import numpy as np
 
 OnMeasured = Callable[[float, str], object]  # share that is done, name of the next measurement
@@ -16,27 +20,52 @@ PACKAGES = ('numpy', 'scipy', 'scikit-learn', 'rclpy', 'quantecon')
 _PROCESSOR = 'model name'  # as Linux calls it
 
 
-def in_turns(works: Sequence[Callable[[], float]], repeats: int) -> list[list[float]]:
+class Timed(NamedTuple):
+    """How long something took."""
+
+    seconds: float  # by a clock on the wall, which other programs make longer
+    processor: float  # s of processor time, over all threads and processes that did it
+
+    def per(self, count: int) -> 'Timed':
+        """Return the time of each of several things."""
+        return Timed(self.seconds / count, self.processor / count)
+
+
+Turns = Sequence[Sequence[Timed]]  # samples by turn
+
+
+def since(began: Timed) -> Timed:
+    """Return the time since then."""
+    now = clocks()
+    return Timed(now.seconds - began.seconds, now.processor - began.processor)
+
+
+def clocks() -> Timed:
+    """Return what the clocks of this process show."""
+    return Timed(time.perf_counter(), time.process_time())
+
+
+def in_turns(works: Sequence[Callable[[], Timed]], repeats: int) -> list[Turns]:
     """
     Run several works in turns, so that a busy machine slows all of them alike.
 
-    :param works: each returns the seconds that it measured.
-    :param repeats: samples of each; one more is taken first, and not counted.
+    :param works: each returns the time that it measured.
+    :param repeats: turns of each, of one sample; one more comes first, and is not counted.
     """
-    samples: list[list[float]] = [[] for _ in works]
+    samples: list[list[list[Timed]]] = [[] for _ in works]
     for turn in range(repeats + 1):
         for work, kept in zip(works, samples):
-            seconds = work()
+            timed = work()
             if turn:
-                kept.append(seconds)
-    return samples
+                kept.append([timed])
+    return list(samples)
 
 
 def compare(
     what: str,
-    seconds: Sequence[float],
+    turns: Turns,
     yardstick: str,
-    yardstick_seconds: Sequence[float],
+    yardstick_turns: Turns,
     *,
     target: float | None = None,
     facts: Mapping[str, int] | None = None,
@@ -44,32 +73,62 @@ def compare(
     """
     Return the statistics of a measurement beside its yardstick.
 
-    :param seconds: samples of one thing, at least one, as of the yardstick.
+    :param turns: samples of one thing, at least one a turn.
+    :param yardstick_turns: those of the yardstick, from the same turns.
     :param target: how many a second are wanted; None: nothing was asked.
     :param facts: what was counted, by name.
     :return: medians and, where there are a hundred samples, 99th percentiles (else None) of
-        both; how many there are a second, and the ratio of the medians.
+        both; how many there are a second, and what ``ratios`` returns.
     """
-    (own, slow), (other, other_slow) = _median(seconds), _median(yardstick_seconds)
+    own, other = ([one for turn in every for one in turn] for every in (turns, yardstick_turns))
+    (median, slow), (usual, usual_slow) = _statistics(own), _statistics(other)
     return {
         'what': what,
-        'seconds': own,
+        'seconds': median.seconds,
+        'processor_seconds': median.processor,
         'slow_seconds': slow,
-        'samples': len(seconds),
+        'samples': len(own),
         'yardstick': yardstick,
-        'yardstick_seconds': other,
-        'yardstick_slow_seconds': other_slow,
-        'yardstick_samples': len(yardstick_seconds),
+        'yardstick_seconds': usual.seconds,
+        'yardstick_processor_seconds': usual.processor,
+        'yardstick_slow_seconds': usual_slow,
+        'yardstick_samples': len(other),
         'target': target,
         'facts': dict(facts or {}),
-        'per_second': 1.0 / own,
-        'ratio': own / other,
+        'per_second': 1.0 / median.seconds,
+        'ratio': median.seconds / usual.seconds,
+        **ratios([_middle(turn) for turn in turns], [_middle(turn) for turn in yardstick_turns]),
     }
 
 
-def _median(samples: Sequence[float]) -> tuple[float, float | None]:
-    slow = float(np.percentile(samples, SLOW)) if len(samples) > SLOW else None
-    return float(np.median(samples)), slow
+def ratios(own: Sequence[Timed], yardstick: Sequence[Timed]) -> Row:
+    """
+    Return the intervals of the ratios to the yardstick, over turns that both had.
+
+    :param own: one for each turn, as of the yardstick.
+    :return: the geometric mean of the turns' ratios and its 95 % interval (None: of one turn),
+        by the clock on the wall and in processor time.
+    """
+    return {
+        name: {
+            limit: value if math.isfinite(value) else None
+            for limit, value in asdict(Interval.of_ratio(first, second)).items()
+        }
+        for name, first, second in zip(
+            ('wall_ratio', 'processor_ratio'), zip(*own), zip(*yardstick), strict=True
+        )
+    }
+
+
+def _middle(turn: Sequence[Timed]) -> Timed:
+    return _statistics(turn)[0]
+
+
+def _statistics(samples: Sequence[Timed]) -> tuple[Timed, float | None]:
+    """Return the medians, and the 99th percentile of the seconds."""
+    seconds, processor = zip(*samples)
+    slow = float(np.percentile(seconds, SLOW)) if len(samples) > SLOW else None
+    return Timed(float(np.median(seconds)), float(np.median(processor))), slow
 
 
 def machine_facts() -> dict[str, str | int]:

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, csr_matrix
 
-from benchmarks.measure import OnMeasured, Row
+from benchmarks.measure import clocks, OnMeasured, ratios, Row, since, Timed
 
 SIDES = (5, 25, 50, 100)
 QUICK = ((5, 10), 1)
@@ -69,10 +69,10 @@ class TaxiCase:
         self.domain = domain = PricedTaxi(side, side)
         rows, going = domain.feature_table(), ~domain.over()
         domain.transitions()
-        began = time.perf_counter()
-        every = reference_options(domain)
-        self.optimal_seconds = time.perf_counter() - began  # for the shortest paths of all six
-        known = [every[name] for name in OPTIONS]
+        began = clocks()
+        used = reference_options(domain, OPTIONS)
+        self.optimal_time = since(began)  # for the shortest paths of both
+        known = [used[name] for name in OPTIONS]
         self.optimal = [TabularOption.of_reference(option, domain.n_states) for option in known]
         self.learned = [
             option_from_table(
@@ -85,7 +85,7 @@ class TaxiCase:
             )
             for option, table in zip(known, self.optimal)
         ]
-        self.learned_seconds = time.perf_counter() - began  # for the paths, and for fitting
+        self.learned_time = since(began)  # for the paths, and for fitting
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Solver:
     name: str
     obtained: str  # what the solver needs besides the transitions, and its origin
     solve: Callable[[TaxiCase], Solved]
-    cost: Callable[[TaxiCase], float] = lambda case: 0.0  # seconds to obtain that
+    cost: Callable[[TaxiCase], Timed] = lambda case: Timed(0.0, 0.0)  # to obtain that
 
 
 def _planned(
@@ -248,14 +248,14 @@ def quantecon(case: TaxiCase) -> Solved:
     return Solved(np.asarray(result.v), 0.0, built - began, swept, int(result.num_iter))
 
 
-GIVEN, OPTIMAL = 'shortest ways, as tables', attrgetter('optimal_seconds')
+GIVEN, OPTIMAL = 'shortest ways, as tables', attrgetter('optimal_time')
 SOLVERS = (
     Solver('options by composition', GIVEN, composed, OPTIMAL),
     Solver(
         'options by composition, trees evaluated',
         'trees fitted to the shortest ways from every state',
         composed_from_trees,
-        attrgetter('learned_seconds'),
+        attrgetter('learned_time'),
     ),
     Solver('options by iterated models', GIVEN, iterated, OPTIMAL),
     Solver('primitive value iteration', 'nothing', primitive),
@@ -280,22 +280,29 @@ def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
 
     The true values are those of the breadth-first search, which sums up no series of roundings.
 
-    :param repeats: runs behind each median; one more is made first, and not counted.
+    :param repeats: turns of every solver; one more comes first, and is not counted.
     :raises DomainError: a side is not from 4 to 1000.
     """
     rows, total, done = [], sum(side * side for side in sides), 0
     for side in sides:
         case, chosen = TaxiCase(side), solvers()
         runs: dict[str, list[Solved]] = {solver.name: [] for solver in chosen}
+        times: dict[str, list[Timed]] = {solver.name: [] for solver in chosen}
         for turn in range(repeats + 1):
             for solver in chosen:
                 share = turn / (repeats + 1) * side * side
                 progress((done + share) / total, f'taxi {side} x {side}: {solver.name}')
-                runs[solver.name].append(solver.solve(case))
+                began = clocks()
+                solved = solver.solve(case)
+                processor = since(began).processor
+                if turn:
+                    runs[solver.name].append(solved)
+                    times[solver.name].append(Timed(solved.seconds, processor))
         truth = runs['breadth-first search backwards'][0].values
-        yardstick = _median('seconds', runs[YARDSTICK][1:])
+        yardstick = _median('seconds', runs[YARDSTICK])
+        processor_yardstick = _median('processor', times[YARDSTICK])
         for solver in chosen:
-            timed = runs[solver.name][1:]
+            timed, cost = runs[solver.name], solver.cost(case)
             seconds = {name: _median(name, timed) for name in SECONDS}
             rows.append(
                 {
@@ -303,18 +310,23 @@ def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
                     'n_states': len(truth),
                     'solver': solver.name,
                     'obtained': solver.obtained,
-                    'obtained_seconds': solver.cost(case),  # to get that, once, before all runs
+                    'obtained_seconds': cost.seconds,  # to get that, once, before all runs
+                    'obtained_processor_seconds': cost.processor,
                     **seconds,
+                    'processor_seconds': _median('processor', times[solver.name]),
                     'sweeps': timed[0].sweeps,
                     'error': float(np.abs(timed[0].values - truth).max()),  # reward units
                     'yardstick': YARDSTICK,
                     'yardstick_seconds': yardstick,
+                    'yardstick_processor_seconds': processor_yardstick,
+                    'samples': repeats,
                     'ratio': seconds['seconds'] / yardstick,
+                    **ratios(times[solver.name], times[YARDSTICK]),
                 }
             )
         done += side * side
     return rows
 
 
-def _median(field: str, runs: Sequence[Solved]) -> float:
+def _median(field: str, runs: Sequence[Solved] | Sequence[Timed]) -> float:
     return float(statistics.median(getattr(run, field) for run in runs))

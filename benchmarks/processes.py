@@ -20,11 +20,14 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
+from benchmarks.measure import Timed
+
 # Domains whose UDP ports lie above those that Linux hands out to other programs.
 DOMAIN_IDS = range(215, 232)
 _FIRST_PORT, _PORTS, _DISCOVERY = 7400, 250, 10  # DDSI-RTPS 2.2, section 9.6.1.1
 _LOOK_PERIOD = 0.1  # s between looks whether all processes are alive
 _PATIENCE = 20.0  # s for anything that is waited for
+_SCHEDULED = 2  # kind of the clock: the time that the scheduler gave
 NAMESPACE = f'/bench_{os.getpid()}'
 
 
@@ -99,6 +102,17 @@ def launched(specs: Sequence[ProcessSpec], folder: Path) -> Iterator[Launcher]:
             print(f'humanopts bench: {problem}', file=sys.stderr)
 
 
+def processor_time(pid: int) -> float:
+    """
+    Return the processor time of all threads of a process, s.
+
+    Linux makes the number of its clock from that of the process: clock_getcpuclockid(3).
+
+    :raises OSError: there is no such process.
+    """
+    return time.clock_gettime(~pid << 3 | _SCHEDULED)
+
+
 class Client:
     """
     A node of this process that does one thing, and waits for the answer.
@@ -111,6 +125,15 @@ class Client:
         self._launcher = launcher
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
+
+    def clocks(self) -> Timed:
+        """Return a clock on the wall, and the processor time of this process and all launched."""
+        pids = [os.getpid(), *map(self._launcher.pid, self._launcher.node_names)]
+        return Timed(time.perf_counter(), sum(map(processor_time, pids)))
+
+    def since(self, began: Timed) -> Timed:
+        """Return the time since ``clocks`` returned that."""
+        return Timed(*(now - then for now, then in zip(self.clocks(), began)))
 
     def until(self, done: Callable[[], Any], what: str, seconds: float = _PATIENCE) -> None:
         """

@@ -29,8 +29,15 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import serialize_message
 
 from benchmarks.bench_reader import KINDS
-from benchmarks.measure import OnMeasured, Row
-from benchmarks.processes import bench_spec, Client, launched, NAMESPACE, own_place
+from benchmarks.measure import OnMeasured, ratios, Row, Timed
+from benchmarks.processes import (
+    bench_spec,
+    Client,
+    launched,
+    NAMESPACE,
+    own_place,
+    processor_time,
+)
 
 _PATIENCE = 60.0  # s for a reader that takes nothing
 _PERIOD = 0.002  # s between looks at the clock
@@ -84,6 +91,7 @@ class Run:
     memory: int  # the most that it had at once, bytes
     grown: int  # by how much its memory grew in the second half, bytes
     waited: float  # longest time that a message waited for the reader, s
+    processor_seconds: float  # of the reader meanwhile
 
 
 def measure(progress: OnMeasured, loads: Sequence[Load] = LOADS) -> list[Row]:
@@ -154,7 +162,9 @@ def _send(load: Load, reader: ProcessSpec, folder: Path, on_sent: OnSent) -> dic
             launcher.check()
 
         with closing(_Sender(launcher, load, reader.name)) as sender:
+            began = processor_time(launcher.pid(reader.name))
             size, seconds = sender.send(watch)
+            used = processor_time(launcher.pid(reader.name)) - began
     first, middle, last = looks[0], looks[len(looks) // 2], looks[-1]
     return {
         'bytes': size,
@@ -162,6 +172,7 @@ def _send(load: Load, reader: ProcessSpec, folder: Path, on_sent: OnSent) -> dic
         'processor': (last.cpu - first.cpu) / (last.time - first.time),
         'memory': last.peak,
         'grown': last.memory - middle.memory,
+        'processor_seconds': used,
     }
 
 
@@ -265,10 +276,11 @@ def _fill(message: Any) -> None:
 
 def recording(load: Load, runs: Mapping[str, Sequence[Run]]) -> list[Row]:
     """Return the results of all readers for one load, beside the yardstick."""
-    yardstick = _seconds(runs[YARDSTICK])
+    each = {name: [_each(run) for run in found] for name, found in runs.items()}
+    yardstick = _median(each[YARDSTICK])
     rows = []
     for name, found in runs.items():
-        sent, seconds = sum(run.sent for run in found), _seconds(found)
+        sent, (seconds, processor_seconds) = sum(run.sent for run in found), _median(each[name])
         rows.append(
             {
                 'load': load.name,
@@ -279,20 +291,29 @@ def recording(load: Load, runs: Mapping[str, Sequence[Run]]) -> list[Row]:
                 'lost': sum(run.lost for run in found),
                 'message_bytes': sum(run.bytes for run in found) / sent,
                 'seconds': seconds,  # for each message, the median of the turns
+                'processor_seconds': processor_seconds,  # of the reader, as ``seconds``
                 'yardstick': YARDSTICK,
-                'yardstick_seconds': yardstick,
+                'yardstick_seconds': yardstick.seconds,
+                'yardstick_processor_seconds': yardstick.processor,
                 'target': load.rate or None,  # a second; None: as many as are taken
                 'processor': statistics.median(run.processor for run in found),
                 'memory': max(run.memory for run in found),
                 'grown': max(run.grown for run in found),
                 'waited': max(run.waited for run in found),
                 'per_second': 1.0 / seconds,
-                'ratio': seconds / yardstick,
-                'throughput': yardstick / seconds,  # share of the yardstick's messages a second
+                'ratio': seconds / yardstick.seconds,
+                **ratios(each[name], each[YARDSTICK]),
+                # share of the yardstick's messages a second
+                'throughput': yardstick.seconds / seconds,
             }
         )
     return rows
 
 
-def _seconds(runs: Sequence[Run]) -> float:
-    return statistics.median(run.seconds / run.sent for run in runs)
+def _each(run: Run) -> Timed:
+    """Return the time of each message of a turn."""
+    return Timed(run.seconds, run.processor_seconds).per(run.sent)
+
+
+def _median(times: Sequence[Timed]) -> Timed:
+    return Timed(*map(statistics.median, zip(*times)))

@@ -1,6 +1,6 @@
 """Tables of the measurements, and the figure of planning."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,14 @@ def ratio(value: float) -> str:
     return part if part == '1' else f'1/{part}'
 
 
+def ratio_interval(found: Mapping[str, float | None]) -> str:
+    """Return a ratio with the limits of its interval; of one turn, the ratio alone."""
+    mean, low, high = (found[name] for name in ('mean', 'low', 'high'))
+    if mean is None or low is None or high is None:
+        return '' if mean is None else ratio(mean)
+    return f'{ratio(mean)} ({ratio(low)} to {ratio(high)})'
+
+
 def _rate(value: float) -> str:
     return f'{float(f"{value:.3g}"):,.0f}' if value >= 10 else f'{value:.1f}'
 
@@ -63,16 +71,22 @@ class _Column:
     text: Callable[[Any], str] | None = None  # None: it is text; else a number, to the right
 
 
+_RATIOS = (
+    _Column('ratio on the wall', 'wall_ratio', ratio_interval),
+    _Column('ratio of processor', 'processor_ratio', ratio_interval),
+)
 _COMPARISON = (
     _Column('what', 'what'),
     _Column('median', 'seconds', duration),
+    _Column('processor', 'processor_seconds', duration),
     _Column('99 %', 'slow_seconds', duration),
     _Column('a second', 'per_second', _rate),
     _Column('wanted', 'target', _rate),
     _Column('yardstick', 'yardstick'),
     _Column('median', 'yardstick_seconds', duration),
+    _Column('processor', 'yardstick_processor_seconds', duration),
     _Column('99 %', 'yardstick_slow_seconds', duration),
-    _Column('ratio', 'ratio', ratio),
+    *_RATIOS,
 )
 _COLUMNS = {
     'planning': (
@@ -84,9 +98,10 @@ _COLUMNS = {
         _Column('models', 'model_seconds', duration),
         _Column('sweeping', 'sweep_seconds', duration),
         _Column('all', 'seconds', duration),
+        _Column('processor', 'processor_seconds', duration),
         _Column('sweeps', 'sweeps', str),
         _Column('error', 'error', lambda error: f'{error:.0e}' if error else '0'),
-        _Column('ratio', 'ratio', ratio),
+        *_RATIOS,
     ),
     'learning': _COMPARISON,
     'games': _COMPARISON,
@@ -102,6 +117,7 @@ _COLUMNS = {
         _Column('memory', 'memory', _megabytes),
         _Column('grown', 'grown', _megabytes),
         _Column('waited', 'waited', duration),
+        *_RATIOS,
     ),
 }
 _TITLES = {

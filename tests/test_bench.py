@@ -22,8 +22,8 @@ def run(*arguments: Any) -> int:
 def test_help_names_every_option_and_section(capsys: pytest.CaptureFixture[str]) -> None:
     assert run('--help') == 0
     shown = ' '.join(capsys.readouterr().out.split())
-    options = ('--json', '--figure', '--only', '--quick', 'yardstick')
-    assert [word for word in (*options[:4], *SECTIONS) if word not in shown] == []
+    words = ('--json', '--figure', '--only', '--quick', 'yardstick', 'processor', 'interval')
+    assert [word for word in (*words, *SECTIONS) if word not in shown] == []
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,13 @@
 """Tables, figures and arithmetic of ``humanopts bench``, without the graph."""
 
+from dataclasses import asdict
 import importlib.util
 import json
 import os
 from pathlib import Path
 import platform
 import socket
+import subprocess
 import time
 from typing import Any
 
@@ -14,6 +16,7 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import check_demonstration
+from humanopts_learner.intervals import Interval
 from humanopts_teach.launching.usage import look
 import numpy as np
 import pytest
@@ -23,9 +26,9 @@ from benchmarks import games, learning, planning
 from benchmarks.games import BATCH
 from benchmarks.graph import latencies, LENGTHS, SIDE, start_of
 from benchmarks.learning import demonstrations
-from benchmarks.measure import compare, in_turns, machine_facts
+from benchmarks.measure import compare, in_turns, machine_facts, Timed
 from benchmarks.planning import OPTIONS, solvers, TaxiCase
-from benchmarks.processes import DOMAIN_IDS, own_domain
+from benchmarks.processes import DOMAIN_IDS, own_domain, processor_time
 from benchmarks.recording import Load, READERS, RECORDER, recording, Run
 from benchmarks.show import duration, ratio, section_table, SUFFIXES, write_figure
 
@@ -50,7 +53,10 @@ def planned() -> list[dict[str, Any]]:
             'seconds': 3e-3 * factor * side,
             'sweeps': 7,
             'error': 1e-9,
+            'processor_seconds': 4e-3 * factor * side,
             'ratio': factor / 2,
+            'wall_ratio': {'mean': factor / 2, 'low': factor / 4, 'high': factor / 1},
+            'processor_ratio': {'mean': factor / 2, 'low': factor / 4, 'high': factor / 1},
         }
         for side in (5, 10)
         for factor, solver in enumerate(SOLVERS, start=1)
@@ -78,10 +84,14 @@ def test_timed_runs_take_the_steps_of_their_names(steps: int) -> None:
 
 
 def test_each_latency_stands_beside_its_own_bare_form() -> None:
-    samples = {'step': [3.0, 3.0], 'bare step': [1.0], 'bare service': [2.0], 'bare action': [4.0]}
+    known = {'step': [3.0, 3.0], 'bare step': [1.0], 'bare service': [2.0], 'bare action': [4.0]}
     for k in LENGTHS:
-        samples |= {f'service {k}': [8.0 * k], f'action {k}': [16.0 * k]}
-    rows = {row['what']: row for row in latencies([samples, samples])}
+        known |= {f'service {k}': [8.0 * k], f'action {k}': [16.0 * k]}
+    first, second = (
+        {name: [Timed(busy * s, s / 10) for s in found] for name, found in known.items()}
+        for busy in (1.0, 5.0)
+    )
+    rows = {row['what']: row for row in latencies([first, second])}
     long = LENGTHS[-1]
     assert {what: row['ratio'] for what, row in rows.items()} == {
         'a command, to the next state': 3.0,
@@ -92,13 +102,17 @@ def test_each_latency_stands_beside_its_own_bare_form() -> None:
         f'execute_option, goal to result, {long} steps': 4.0 * long,
         f'execute_option, goal to result, {long} steps: a step': 16.0,
     }
-    assert rows['a command, to the next state']['samples'] == 4
+    step = rows['a command, to the next state']
+    assert step['samples'] == 4
+    assert (step['processor_seconds'], step['yardstick_processor_seconds']) == (0.3, 0.1)
+    for name in ('wall_ratio', 'processor_ratio'):  # a busy round is so for both
+        assert list(step[name].values()) == pytest.approx([3.0, 3.0, 3.0])
 
 
 def run(taken: int, seconds: float, memory: int = 10**7) -> Run:
     """A turn with 100 messages, of which the last are lost."""
     lost = 100 - taken
-    return Run(100, taken, lost, 20_000, seconds, 0.25, memory, memory // 10, 0.005)
+    return Run(100, taken, lost, 20_000, seconds, 0.25, memory, memory // 10, 0.005, seconds / 4)
 
 
 def test_what_the_recorder_lost_and_cost_stands_beside_readers_that_write_nothing() -> None:
@@ -113,8 +127,13 @@ def test_what_the_recorder_lost_and_cost_stands_beside_readers_that_write_nothin
     assert counts == [200, 198, 2, 25.0]
     sizes = [row[name] for name in ('memory', 'grown', 'message_bytes')]
     assert sizes == [2 * 10**7, 2 * 10**6, 200.0]
+    assert (row['processor_seconds'], row['yardstick_processor_seconds']) == (0.01, 0.005)
+    assert row['processor_ratio'] == pytest.approx({'mean': 2.0, 'low': 2.0, 'high': 2.0})
     (line,) = [line for line in shown('recording', rows) if RECORDER in line]
-    assert '  '.join(line.split()[-11:]) == '200  2  25  0.50  25%  20.0  MB  2.0  MB  5  ms'
+    table = '200  2  25  0.50  25%  20.0  MB  2.0  MB  5  ms  2  (2  to  2)  2  (2  to  2)'
+    assert '  '.join(line.split()[-19:]) == table
+    (once, *_) = recording(Load(100, 0, 1), {name: [run(100, 1.0)] for name in READERS})
+    assert once['wall_ratio'] == pytest.approx({'mean': 1.0, 'low': None, 'high': None})
 
 
 def test_processor_time_and_memory_of_a_process_are_seen() -> None:
@@ -125,6 +144,17 @@ def test_processor_time_and_memory_of_a_process_are_seen() -> None:
     assert after.cpu > before.cpu
     assert after.time > before.time
     assert 10**6 < before.memory <= after.peak
+
+
+def test_processor_time_of_another_process_is_its_own() -> None:
+    with subprocess.Popen(['sleep', '60']) as other:
+        first = processor_time(os.getpid())
+        idle = processor_time(other.pid)
+        while processor_time(os.getpid()) < first + 0.03:
+            sum(range(1000))
+        assert processor_time(os.getpid()) == pytest.approx(time.process_time(), abs=0.01)
+        assert processor_time(other.pid) - idle < 0.02
+        other.kill()
 
 
 def test_domain_in_use_is_left_alone_and_the_environment_is_put_back(
@@ -177,7 +207,8 @@ def test_ratio_below_one_reads_as_a_part(value: float, text: str) -> None:
 
 def test_planning_is_shown_beside_primitive_value_iteration() -> None:
     lines = shown('planning', planned())
-    assert sum(line.split()[-1:] == ['1/2'] for line in lines) == 2
+    shares = '1/2 (1/4 to 1)'
+    assert sum(line.split('  ')[-1].strip() == shares for line in lines) == 2
     assert sum(line.split()[:1] == ['2,000'] for line in lines) == 2
 
 
@@ -194,25 +225,48 @@ def test_figure_is_drawn(tmp_path: Path, suffix: str) -> None:
 
 
 def test_ratio_is_of_the_medians() -> None:
-    row = compare('a', [0.5, 9.0, 0.1], 'b', [0.25, 0.25])
+    row = compare('a', one_a_turn(0.5, 9.0, 0.1), 'b', one_a_turn(0.25, 0.5, 0.25))
     assert (row['seconds'], row['samples'], row['per_second']) == (0.5, 3, 2.0)
-    assert (row['yardstick_seconds'], row['yardstick_samples'], row['ratio']) == (0.25, 2, 2.0)
+    assert (row['yardstick_seconds'], row['yardstick_samples'], row['ratio']) == (0.25, 3, 2.0)
+    assert (row['processor_seconds'], row['yardstick_processor_seconds']) == (0.25, 0.125)
 
 
-@pytest.mark.parametrize(('count', 'slow'), [(99, None), (101, 0.99)])
+def one_a_turn(*seconds: float) -> list[list[Timed]]:
+    """Return a sample a turn, with half of it as processor time."""
+    return [[Timed(each, each / 2)] for each in seconds]
+
+
+def test_intervals_of_ratios_are_those_of_the_turns() -> None:
+    """A busy machine makes both longer within a turn, and the ratio stays."""
+    busy = [1.0, 4.0, 30.0, 2.0]
+    own, other = [2.0, 2.2, 1.9, 2.1], [1.0, 1.0, 1.1, 0.9]
+    row = compare(
+        *('a', [[Timed(load * each, each)] for load, each in zip(busy, own)]),
+        *('b', [[Timed(load * each, each)] for load, each in zip(busy, other)]),
+    )
+    known = asdict(Interval.of_ratio(own, other))
+    assert known['low'] < 2.0 < known['high']
+    assert row['wall_ratio'] == pytest.approx(known)
+    assert row['processor_ratio'] == pytest.approx(known)
+
+
+@pytest.mark.parametrize(('count', 'slow'), [(99, None), (101, 1.0)])
 def test_percentile_needs_a_hundred_samples(count: int, slow: float | None) -> None:
-    row = compare('a', [n / 100 for n in range(count)], 'b', [1.0])
-    assert (row['slow_seconds'], row['yardstick_slow_seconds']) == (slow, None)
+    turns = one_a_turn(*((number + 1) / 100 for number in range(count)))
+    row = compare('a', turns, 'b', turns)
+    assert (row['slow_seconds'], row['yardstick_slow_seconds']) == (slow, slow)
 
 
 def test_works_take_turns_and_the_first_turn_is_not_counted() -> None:
     calls: list[str] = []
 
-    def work(name: str) -> float:
+    def work(name: str) -> Timed:
         calls.append(name)
-        return float(len(calls))
+        return Timed(float(len(calls)), 0.0)
 
-    assert in_turns([lambda: work('a'), lambda: work('b')], 2) == [[3.0, 5.0], [4.0, 6.0]]
+    found = in_turns([lambda: work('a'), lambda: work('b')], 2)
+    seconds = [[timed.seconds for (timed,) in turns] for turns in found]
+    assert seconds == [[3.0, 5.0], [4.0, 6.0]]
     assert ''.join(calls) == 'ababab'
 
 
@@ -250,7 +304,13 @@ def test_games_are_counted_in_steps_of_single_games() -> None:
     assert [row['facts']['yardstick_steps'] for row in rows] == [20] * 4
     names = {PacMan().name, Taxi().name}
     assert {row['what'].partition(':')[0].lower().replace('-', '') for row in rows} == names
-    assert all(row['seconds'] > 0 and row['yardstick_seconds'] > 0 for row in rows)
+    assert all(min(times(row)) > 0 for row in rows)
+
+
+def times(row: dict[str, Any]) -> list[float]:
+    """Return the times of a row by both clocks, and of its yardstick."""
+    names = ('seconds', 'processor_seconds')
+    return [row[prefix + name] for prefix in ('', 'yardstick_') for name in names]
 
 
 @pytest.mark.parametrize('side', [4, 5, 9])
@@ -274,12 +334,21 @@ def test_the_trees_act_as_the_shortest_ways_do() -> None:
 
 def test_every_solver_has_a_row_on_every_grid() -> None:
     heard: list[float] = []
-    rows = planning.measure(lambda share, text: heard.append(share), [4, 5], repeats=1)
+    turns: list[str] = []
+
+    def progress(share: float, text: str) -> None:
+        heard.append(share)
+        turns.append(text.partition(': ')[2])
+
+    rows = planning.measure(progress, [4, 5], repeats=2)
+    assert turns == [solver.name for solver in solvers()] * 2 * 3  # one turn more on each grid
     assert [(row['side'], row['n_states'], row['solver']) for row in rows] == [
         (side, 20 * side * side, solver.name) for side in (4, 5) for solver in solvers()
     ]
     for row in rows:
-        assert row['seconds'] > 0
+        assert min(times(row)) > 0
+        assert row['samples'] == 2
+        assert row['processor_ratio']['low'] <= row['processor_ratio']['mean']
         assert row['error'] < 1e-9
         assert row['ratio'] == row['seconds'] / row['yardstick_seconds']
         assert (row['obtained_seconds'] > 0) == row['solver'].startswith('options')

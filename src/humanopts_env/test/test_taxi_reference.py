@@ -22,6 +22,12 @@ def test_they_are_the_buttons_of_table_1() -> None:
     assert list(OPTIONS) == [PICKUP, DROPOFF, PASSENGER, DESTINATION, EITHER, AWAY]
 
 
+def test_only_those_that_are_asked_for_are_made() -> None:
+    few = reference_options(DOMAIN, (DROPOFF, PICKUP))
+    assert list(few) == [PICKUP, DROPOFF]
+    assert all(np.array_equal(few[name].distance, OPTIONS[name].distance) for name in few)
+
+
 @pytest.mark.parametrize(
     ('name', 'state', 'distance', 'actions'),
     [

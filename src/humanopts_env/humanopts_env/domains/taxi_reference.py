@@ -6,6 +6,7 @@ initiation set to its goal, and ends wherever it has left that set. States in wh
 over are in no initiation set.
 """
 
+from collections.abc import Container
 from dataclasses import dataclass
 
 from humanopts_env.domains.base import EnumerableDomain, feature_columns
@@ -30,9 +31,15 @@ class _Button:
     ends_episode: bool = False  # whether one of them can
 
 
-def reference_options(domain: Taxi) -> dict[str, TabularReferenceOption]:
-    """Return every Taxi option of the paper's table 1 by name."""
-    return {button.name: _build(domain, button) for button in _buttons(domain)}
+def reference_options(
+    domain: Taxi, names: Container[str] | None = None
+) -> dict[str, TabularReferenceOption]:
+    """Return the Taxi options of the paper's table 1 by name; ``names``: only these of them."""
+    return {
+        button.name: _build(domain, button)
+        for button in _buttons(domain)
+        if names is None or button.name in names
+    }
 
 
 def _buttons(domain: Taxi) -> list[_Button]:
