@@ -128,7 +128,7 @@ class Client:
 
     def clocks(self) -> Timed:
         """Return a clock on the wall, and the processor time of this process and all launched."""
-        pids = [os.getpid(), *map(self._launcher.pid, self._launcher.node_names)]
+        pids = [os.getpid(), *self._launcher.pids]
         return Timed(time.perf_counter(), sum(map(processor_time, pids)))
 
     def since(self, began: Timed) -> Timed:

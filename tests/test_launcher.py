@@ -94,6 +94,7 @@ def test_the_recorder_is_stopped_when_the_others_are_gone(
         spec('game', GAME, expect_recorder=True),
     )
     live.ready('/game')
+    assert sorted(launcher.pids) == sorted(map(launcher.pid, ('game', 'recorder')))
     assert launcher.stop() == []
     bag = open_bag(tmp_path / 'bag')
     assert bag.damage == ''

@@ -82,6 +82,11 @@ class Launcher:
         prefix = self._namespace.rstrip('/')
         return [f'{prefix}/{running.spec.name}' for running in self._running]
 
+    @property
+    def pids(self) -> list[int]:
+        """All processes that run."""
+        return [running.process.pid for running in self._running]
+
     def pid(self, name: str) -> int:
         """Return the process of a node that runs."""
         return next(entry.process.pid for entry in self._running if entry.spec.name == name)
