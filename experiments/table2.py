@@ -35,10 +35,12 @@ from humanopts_learner.planning.request import (
 )
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_teach.evaluation.games import carried_over
+from humanopts_teach.evaluation.measures import finite
 import numpy as np
 from numpy.typing import NDArray
 
 from experiments import paper
+from experiments.chance import play_games_by_chance, play_states_by_chance
 from experiments.people import (
     CLOCK,
     MACHINE,
@@ -84,6 +86,7 @@ class Variant:
     action_set: str
     execution: Execution = Execution.RUN_TO_END
     of_section_7: bool = False  # only options that the paper's participants taught
+    by_chance: bool = False  # nothing is planned: any option that can start, each alike
 
 
 TAXI = ComparedGame('Taxi', 'taxi', exact=True)
@@ -94,6 +97,7 @@ CHASE = ComparedGame(
 GAMES = (TAXI, UNIFORM, CHASE)
 
 TO_END = Variant('human', PERSON, HUMAN)
+BY_CHANCE = Variant('random choice among human options', PERSON, HUMAN, by_chance=True)
 VARIANTS = (
     Variant('primitive', NOBODY, PRIMITIVE),
     TO_END,
@@ -104,6 +108,7 @@ VARIANTS = (
     Variant('human, interrupted', PERSON, HUMAN, Execution.INTERRUPTED),
     Variant('human, modular (greatest mass)', PERSON, HUMAN, Execution.MODULAR_MASS),
     Variant('human, modular (strongest)', PERSON, HUMAN, Execution.MODULAR_STRONGEST),
+    BY_CHANCE,
 )
 INTERRUPTING = tuple(v for v in VARIANTS if v.execution is not Execution.RUN_TO_END)
 
@@ -182,7 +187,9 @@ def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, An
         seed = owner_seed(parameters, NAME, game.name)
         for variant, owner in owned:
             options = _in_game(owner.options, domain)
-            if is_enumerable(domain):
+            if variant.by_chance:
+                tables = {'plans': choose_by_chance(domain, variant, options, plans, effort, seed)}
+            elif is_enumerable(domain):
                 tables = plan_exactly(domain, variant, options, plans)
             else:
                 tables = plan_from_samples(domain, variant, options, plans, effort, seed)
@@ -223,25 +230,60 @@ def _options_by_variant(parameters: Mapping[str, Any]) -> list[tuple[Variant, Ow
     ]
 
 
-def _record(budget: int, plan: AnyPlan, returns: Returns, done: NDArray[Any]) -> dict[str, Any]:
+def _record(
+    budget: int, plan: AnyPlan | None, returns: Returns, done: NDArray[Any]
+) -> dict[str, Any]:
     """
     Return seconds, sizes and means of a plan and the games that it was judged in, as JSON data.
 
     :param budget: sweeps at most, or game steps.
+    :param plan: None: nothing was planned.
     :param done: (E,) which games did what there is to do.
     """
     return {
         'budget': budget,
-        **{name: getattr(plan, name) for name in SECONDS},
-        'sweeps': plan.solution.sweeps,
-        'states': len(plan.solution.values),
-        'game_steps': plan.game_steps,
+        **{name: getattr(plan, name) if plan else 0.0 for name in SECONDS},
+        'sweeps': plan.solution.sweeps if plan else 0,
+        'states': len(plan.solution.values) if plan else 0,
+        'game_steps': plan.game_steps if plan else 0,
         'mean': float(returns.total.mean()),
-        'discounted': float(returns.discounted.mean()),
+        'discounted': finite(returns.discounted.mean()),
         'done': float(done.mean()),
         'fallbacks': float(returns.fallbacks.mean()),
         'games': len(returns.total),
     }
+
+
+def choose_by_chance(
+    domain: Domain[Any],
+    variant: Variant,
+    options: Sequence[LearnedOption],
+    plans: int,
+    effort: Effort,
+    seed: int,
+) -> list[dict[str, Any]]:
+    """
+    Play as plans do, with random choice among the same options.
+
+    :param plans: how often, with chance of its own each time.
+    :return: rows as those of plans.
+    """
+    rows = []
+    for number in range(plans):
+        if is_enumerable(domain):
+            rng = generator(seed, 'table 2', 'chance', number)
+            returns = play_states_by_chance(domain, options, rng)
+            done = returns.successes
+        else:
+            games = _draw(seed, 'games', number)
+            returns = play_games_by_chance(domain, options, games, effort.games)
+            done = returns.outcomes['cleared']
+        rows.append({'action set': variant.name, **_record(0, None, returns, done)})
+    return rows
+
+
+def _draw(seed: int, purpose: str, number: int = 0) -> int:
+    return int(generator(seed, 'table 2', purpose, number).integers(2**31))
 
 
 def plan_exactly(
@@ -350,9 +392,6 @@ def plan_from_samples(
     named = {'action set': variant.name}
     few, most = effort.steps(variant)
 
-    def draw(purpose: str, number: int = 0) -> int:
-        return int(generator(seed, 'table 2', purpose, number).integers(2**31))
-
     def make(setting: Setting, budget: int, seed: int) -> SampledPlan:
         request = PlanRequest(
             variant.action_set,
@@ -364,7 +403,7 @@ def plan_from_samples(
         )
         return make_sampled_plan(domain, options, request, clock=CLOCK)
 
-    settings, search = settings_to_try(domain.gamma, effort.tried), draw('search')
+    settings, search = settings_to_try(domain.gamma, effort.tried), _draw(seed, 'search')
     tried = [
         float(make(one, few, search).play(search, effort.search_games).total.mean())
         for one in settings
@@ -372,13 +411,13 @@ def plan_from_samples(
     best = settings[int(np.argmax(tried))]
 
     def judge(budget: int, number: int) -> tuple[SampledPlan, Returns, dict[str, Any]]:
-        plan = make(best, budget, draw('plan', number))
-        returns = plan.play(draw('games', number), effort.games, None)
+        plan = make(best, budget, _draw(seed, 'plan', number))
+        returns = plan.play(_draw(seed, 'games', number), effort.games, None)
         return plan, returns, _record(budget, plan, returns, returns.outcomes['cleared'])
 
     def gain(number: int, execution: Execution) -> float:
         plan, returns, _ = judged[number]
-        other = plan.play(draw('games', number), effort.games, execution)
+        other = plan.play(_draw(seed, 'games', number), effort.games, execution)
         return float(other.total.mean() - returns.total.mean())
 
     curve = [judge(budget, 0) for budget in effort.budgets(variant)]

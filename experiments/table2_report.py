@@ -29,12 +29,14 @@ from experiments.report import (
 )
 from experiments.table2 import (
     AS_IN_PAPER,
+    BY_CHANCE,
     CHASE,
     ComparedGame,
     GAMES,
     INTERRUPTING,
     SECONDS,
     TAXI,
+    TO_END,
     UNIFORM,
     VARIANTS,
 )
@@ -70,6 +72,7 @@ STYLES = {  # colour, line, marker by variant
     'human, interrupted': ('C3', '-', 'P'),
     'human, modular (greatest mass)': ('C4', '-.', '<'),
     'human, modular (strongest)': ('C5', '-.', '>'),
+    BY_CHANCE.name: ('C6', ':', '*'),
 }
 
 
@@ -219,6 +222,7 @@ def present(done: Done) -> Section:
         TITLE,
         [
             *_comparisons(members, points, curves),
+            *_compare_with_chance(members),
             *_compare_goals(members),
             *_compare_gains(gains),
         ],
@@ -280,6 +284,23 @@ def _comparisons(
             text += f'; {_returns(rows, options)}; human less automatic {_written(more)}'
             verdict = all_hold([faster, more.above(ROUNDING)])
             found.append(compared(paper.TABLE_2_SAID['efficient'], text, verdict))
+    return found
+
+
+def _compare_with_chance(members: pd.DataFrame) -> list[Comparison]:
+    """Compare plans with human options with random choice among the same options."""
+    found = []
+    said = 'Planning with human options returns more than random choice among them.'
+    for game in GAMES:
+        rows = _in_game(members, game)
+        if {TO_END.name, BY_CHANCE.name} <= set(rows):
+            gain = _more(rows, TO_END.name, BY_CHANCE.name)
+            text = f'{game.name}, {_returns(rows, [TO_END.name, BY_CHANCE.name])}; '
+            text += f'gain by planning {_written(gain)}'
+            planned, by_chance = (rows[v.name]['mean'].mean() for v in (TO_END, BY_CHANCE))
+            if planned > 0:
+                text += f'; random choice has {by_chance / planned:.0%} of the return of the plan'
+            found.append(goal(said, text, gain.above(ROUNDING)))
     return found
 
 

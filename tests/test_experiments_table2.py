@@ -7,16 +7,22 @@ import math
 from typing import Any
 
 from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.registry import reference_options
+from humanopts_env.domains.taxi import Taxi
+from humanopts_env.seeding import generator
 from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import find_options, to_learned_options
+from humanopts_learner.options.option import options_from_references
 from humanopts_teach.report.figures import Drawing
 import numpy as np
 import pytest
 
-from experiments import table2
+from experiments import paper, table2
+from experiments.chance import play_states_by_chance
 from experiments.people import BagLesson, Study
 from experiments.report import Comparison, Done, Mark, Section
 from experiments.table2 import (
+    BY_CHANCE,
     CHASE,
     Effort,
     GAMES,
@@ -104,6 +110,9 @@ def test_person_plans_taxi_as_well_as_primitive_actions_do() -> None:
         assert plans[0]['done'] == best['done'] == 1.0
         assert plans[0]['mean'] == pytest.approx(best['mean'], abs=0.5)
         assert curve[-1]['mean'] == plans[0]['mean']
+    (by_chance, _) = [row for row in human['plans'] if row['action set'] == BY_CHANCE.name]
+    assert by_chance['mean'] == pytest.approx(best['mean'], abs=0.5)  # one option can start
+    assert sum(by_chance[name] for name in SECONDS) == by_chance['states'] == 0
     gains = {row['carried out as']: row for row in human['gains']}
     assert gains['human, interrupted']['least'] > -1e-9
     assert gains['human, modular (strongest)']['least'] > -1e-9
@@ -137,10 +146,46 @@ def test_gains_are_of_every_plan_that_runs_to_the_end() -> None:
         plan_from_samples(domain, variant, options, 2, TINY, seed=1)
         for variant in (TO_END, INTERRUPTING[0])
     )
+    by_chance = [table2.choose_by_chance(domain, BY_CHANCE, options, 2, TINY, 1) for _ in range(2)]
+    assert by_chance[0] == by_chance[1]
+    assert [row['games'] for row in by_chance[0]] == [TINY.games] * 2
     assert [row['action set'] for row in found['plans']] == ['human'] * 2
     gains = [row['carried out as'] for row in found['gains']]
     assert gains == [variant.name for variant in INTERRUPTING for _ in range(2)]
     assert other['gains'] == []
+
+
+def test_random_choice_among_options_is_that_of_choices_by_hand() -> None:
+    """
+    With the two options that participants taught there is nothing to choose: -10.07 as the best.
+
+    With no option every decision is a random move, and hardly any passenger is delivered.
+    """
+    taxi, rng = Taxi(), generator(3, 'by chance')
+    references = reference_options(taxi)
+    taught = options_from_references(taxi, [references[name] for name in paper.TAUGHT['taxi']])
+    played = play_states_by_chance(taxi, taught, rng)
+    assert played.total.mean() == pytest.approx(-10.07)
+    assert played.successes.all()
+    assert set(played.decisions.tolist()) == {2}
+    assert not played.fallbacks.any()
+    moves = play_states_by_chance(taxi, [], rng)
+    assert np.array_equal(moves.fallbacks, moves.decisions)
+    assert moves.successes.mean() < 0.5
+    assert set(moves.steps[~moves.successes].tolist()) == {taxi.max_steps}
+    assert moves.total.mean() < -100
+
+
+@pytest.mark.parametrize(
+    ('chance', 'mark'), [(1260.0, Mark.MET), (1400.0, Mark.MISSED), (1500.0, Mark.MISSED)]
+)
+def test_what_planning_gains_over_random_choice_is_said(chance: float, mark: Mark) -> None:
+    section = section_of({**GOOD, BY_CHANCE.name: (0.0, chance)})
+    found = about(section, 'than random choice')
+    assert [c.mark for c in found] == [mark] * 3
+    assert f'random choice has {chance / 1400:.0%} of the return' in found[0].found
+    tables = [table for table in section.tables if table.title in [game.name for game in GAMES]]
+    assert all(BY_CHANCE.name in table.frame['action set'].tolist() for table in tables)
 
 
 def plan(mean: float, seconds: float, budget: int) -> dict[str, Any]:

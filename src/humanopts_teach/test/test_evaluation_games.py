@@ -238,6 +238,12 @@ def test_the_gain_over_random_choice_is_that_within_games(
     assert (found.good, words in found.text) == (good, True), found.text
 
 
+def test_the_share_of_random_choice_in_the_score_is_said(games: GamesEvaluation) -> None:
+    """Of 0, 1000, .. points, a ninth more is planned: what was chosen at random is 90 % of it."""
+    (found, *_) = judged(games, Interval(0.0, 0.0, 0.0), 1000.0 * np.arange(GAMES) / 9)
+    assert 'Random choice has 90% of the score of the plan.' in found.text
+
+
 def judged(games: GamesEvaluation, score: Interval, gain: NDArray[np.float64]) -> list[Finding]:
     """Return the findings of the first setting, with a score and gain of four options."""
     first, luck = games.settings[0], 1000.0 * np.arange(GAMES)

@@ -12,6 +12,7 @@ from humanopts_teach.evaluation.games import (
     Curve,
     GamesEvaluation,
     PLAN,
+    RANDOM,
     Setting,
     TENFOLD,
 )
@@ -210,10 +211,18 @@ def _scores(games: GamesEvaluation, setting: Setting) -> Finding:
     text = (
         f'{where}“{planned.name}” scores {_limits(planned.score)} in {games.games:,} games, '
         f'{words[gain.above()]} random choice among the same options: the difference is '
-        f'{_limits(gain)}.{_best(setting, planned)}'
+        f'{_limits(gain)}.{_share(setting)}{_best(setting, planned)}'
     )
     judged = bool(games.targets) and setting.name == games.curve_setting
     return Finding(gain.at_least(MARGIN) if judged else None, text)
+
+
+def _share(setting: Setting) -> str:
+    """Return how much of the score of the plan the options bring by themselves."""
+    planned, chosen = (setting.largest(kind).scores.mean() for kind in (PLAN, RANDOM))
+    if planned <= 0 or chosen < 0:
+        return ''
+    return f' Random choice has {chosen / planned:.0%} of the score of the plan.'
 
 
 def _best(setting: Setting, planned: ComparisonRow) -> str:
