@@ -177,7 +177,7 @@ class OptionServerNode(NodeBase):
         self, request: QueryOption.Request, response: QueryOption.Response
     ) -> QueryOption.Response:
         await self.provided()
-        library, current = self._runner.library, self._runner.state
+        library, current = self._runner.library, self._runner.newest_state()
         text = request.state or (current.state if current is not None else '')
         try:
             if library is None or not text:

@@ -29,7 +29,8 @@ from humanopts_learner.planning.request import Execution, MODULAR, PlanError
 from humanopts_learner.ros.convert import end_to_message
 from humanopts_learner.ros.policy_subscriber import PolicySubscriber
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import CURRENT, STREAM
+from humanopts_ros.polled import PolledValue
+from humanopts_ros.qos import STREAM
 from rclpy.task import Future
 
 _STOPS = 'option_server stops'
@@ -85,7 +86,6 @@ class Runner:
     interrupted; silence of the game ends it after a deadline.
 
     :ivar library: the options that can be run; None: the game is not known yet.
-    :ivar state: the newest state of the game; None: none received yet.
     """
 
     def __init__(self, node: NodeBase, mode: Mode, seed: int, patience: float) -> None:
@@ -98,21 +98,28 @@ class Runner:
         self._node, self._mode, self._seed, self._patience = node, mode, seed, patience
         self._policy = PolicySubscriber(node)
         self.library: OptionLibrary | None = None
-        self.state: GameState | None = None
+        self._state: GameState | None = None
         self._taken_by = ''  # the option or execution of the request; empty: the runner is free
         self._active: _Active | None = None  # set from the first command on
         self._stopping = False
         self._actions = node.stamped_publisher(ActionCommand, 'action')
         self._goals = node.stamped_publisher(OptionGoal, 'option_goals')
-        node.create_subscription(GameState, 'current_state', self._on_state, CURRENT)
         node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
+        # What game published before it was heard on the stream.
+        self._current = PolledValue(node, GameState, 'current_state')
         node.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
-        node.create_timer(_CHECK_PERIOD, self._check_deadline)
+        node.create_timer(_CHECK_PERIOD, self._check)
 
     @property
     def busy(self) -> bool:
         """Whether there is a run, or a request that waits for its first state."""
         return bool(self._taken_by)
+
+    def newest_state(self) -> GameState | None:
+        """Return the newest state of the game; None: none was published yet."""
+        if (message := self._current.take()) is not None:
+            self._on_state(message)
+        return self._state
 
     def stop(self) -> None:
         """End the current run, or the wait for its first state, because the node ends."""
@@ -193,14 +200,14 @@ class Runner:
 
         :raises RunCanceled: the client has canceled.
         """
-        before, wanted = self.state, (request.goal.episode, request.goal.step)
+        before, wanted = self.newest_state(), (request.goal.episode, request.goal.step)
 
         def is_here() -> bool:
-            state = self.state
+            state = self._state
             return state is not None and wanted == (state.episode, state.step)
 
         def is_past() -> bool:  # a game that was restarted counts from 1
-            state = self.state
+            state = self._state
             if state is None:
                 return False
             newer = state.episode == wanted[0] or state is not before
@@ -209,11 +216,11 @@ class Runner:
         if not wanted[0]:
             return before if before is not None and before.episode else None
         await self._wait(request, lambda: is_here() or is_past())
-        return self.state if is_here() else None
+        return self._state if is_here() else None
 
     def _missing(self, request: RunRequest) -> str:
         """Return in words which state is missing."""
-        goal, state = request.goal, self.state
+        goal, state = request.goal, self._state
         if state is None or not goal.episode:
             return 'no state came from game'
         return (
@@ -269,11 +276,11 @@ class Runner:
 
     def _on_state(self, message: GameState) -> None:
         """Handle the next state; ``current_state`` repeats those of ``game_state``."""
-        known, position = self.state, (message.episode, message.step)
+        known, position = self._state, (message.episode, message.step)
         same_game = known is not None and known.publisher_id == message.publisher_id
         if known is not None and same_game and position <= (known.episode, known.step):
             return
-        self.state = message
+        self._state = message
         self._node.waiting.look()
         active = self._active
         if active is None:
@@ -337,7 +344,9 @@ class Runner:
         status = RunStatus.INTERRUPTED if message.reason in interrupted else RunStatus.FAILED
         self._finish(active.run.end(status, message.detail))
 
-    def _check_deadline(self) -> None:
+    def _check(self) -> None:
+        """Handle a state that the stream did not bring, or the silence of game."""
+        self.newest_state()
         active = self._active
         if active is not None and self._node.monotonic() > active.deadline:
             self._finish(active.run.end(RunStatus.NO_PROGRESS, f'{self._patience:g} s'))

@@ -11,6 +11,7 @@ from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase
+from humanopts_ros.polled import PolledValue
 from humanopts_ros.qos import CURRENT, LATCHED_ALL
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import RECORDER, Value
@@ -68,7 +69,6 @@ class GraphClient(NodeBase):
         self._fine = time.monotonic()  # when no node was paused last
         self.create_subscription(msg.NodeStatus, 'node_status', self._keep_status, LATCHED_ALL)
         for kind, topic, name in (
-            (msg.GameState, 'current_state', 'state'),
             (msg.DomainInfo, 'domain_info', 'domain'),
             (msg.LessonState, 'lesson_state', 'lesson'),
             (msg.LearningStatus, 'learning_status', 'learning'),
@@ -76,6 +76,7 @@ class GraphClient(NodeBase):
             (msg.RecorderStatus, 'recorder_status', 'recorder'),
         ):
             self.create_subscription(kind, topic, partial(setattr, self, name), CURRENT)
+        self._current_state = PolledValue(self, msg.GameState, 'current_state')
         self._plan_client = ActionClient(self, Plan, 'plan')
         self._policy_client = ActionClient(self, RunPolicy, 'run_policy')
         self._executor = SingleThreadedExecutor()
@@ -110,6 +111,7 @@ class GraphClient(NodeBase):
             now = time.monotonic()
             if now - looked > 0.05:
                 looked = now
+                self.state = self._current_state.take() or self.state
                 self._watch()
                 self._check_statuses()
             if (newest := progress()) != last:

@@ -90,13 +90,15 @@ class LessonClient:
             kind: node.recorded_client(*service) for kind, service in self._services.items()
         }
         self._action = node.stamped_publisher(msg.ActionCommand, 'action')
-        for message, topic, callback, qos in (
-            (msg.DomainInfo, 'domain_info', self._on_domain, CURRENT),
-            (msg.GameState, 'current_state', self._on_game, CURRENT),
-            (msg.LessonState, 'lesson_state', self._on_lesson, CURRENT),
-            (msg.ActionRefusal, 'action_refused', self._on_refusal, DISPLAY),
-        ):
+        self._subscriptions = [
             node.create_subscription(message, topic, callback, qos)
+            for message, topic, callback, qos in (
+                (msg.DomainInfo, 'domain_info', self._on_domain, CURRENT),
+                (msg.GameState, 'current_state', self._on_game, CURRENT),
+                (msg.LessonState, 'lesson_state', self._on_lesson, CURRENT),
+                (msg.ActionRefusal, 'action_refused', self._on_refusal, DISPLAY),
+            )
+        ]
 
     @property
     def domain(self) -> Domain[Any] | None:
@@ -168,6 +170,12 @@ class LessonClient:
         if not self.is_ready(request):
             return False
         return await self._node.waiting.until(self.send(request).done, _GIVE_BACK)
+
+    def unsubscribe(self) -> None:
+        """Stop following the lesson and the game: nothing more will be asked."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions.clear()
 
     async def until(self, condition: Callable[[], bool], what: str) -> None:
         """

@@ -7,8 +7,8 @@ from operator import attrgetter
 import time
 from typing import Any, NamedTuple
 
+from humanopts_ros.polled import never_called, Polled
 from humanopts_ros.recording import Selection
-from rclpy.callback_groups import CallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -42,27 +42,11 @@ class TopicSubscription:
     publishers: int  # on the graph, when the QoS was last compared
 
 
-class Polled(CallbackGroup):
-    """Keeps its subscriptions from every executor: their queues are emptied in one go instead."""
-
-    def can_execute(self, entity: Any) -> bool:
-        """Refuse."""
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Refuse."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Do nothing: nothing begins."""
-
-
 class RawSubscriber:
     """
     The subscriptions of a recorder.
 
-    Executors take one message at a time and look at every entity for each of them; to take all
-    queued messages every few milliseconds costs a twentieth of that.
+    To take all queued messages every few milliseconds costs a twentieth of what an executor does.
     """
 
     def __init__(self, node: Node, selection: Selection) -> None:
@@ -147,7 +131,7 @@ class RawSubscriber:
             durability=durability,
         )
         return self._node.create_subscription(
-            kind, topic, _never_called, profile, callback_group=self._group, raw=True
+            kind, topic, never_called, profile, callback_group=self._group, raw=True
         )
 
 
@@ -211,7 +195,3 @@ def _common(offers: Collection[TopicEndpointInfo]) -> tuple[bool, bool]:
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
     latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
     return reliable, latched
-
-
-def _never_called(message: bytes) -> None:
-    """Do nothing; rclpy asks for a callback."""

@@ -103,6 +103,7 @@ class SimulatedTeacherNode(NodeBase):
             cause = str(error)
         if not await self._client.give_back():
             cause = cause or 'game does not take control back'
+        self._client.unsubscribe()
         state = NodeStatus.STATE_PAUSED if cause else NodeStatus.STATE_READY
         self.set_status(state, cause or FINISHED)
 

@@ -1,0 +1,49 @@
+"""Subscriptions that no executor serves: who wants the messages takes them."""
+
+from typing import Any, Generic, TypeVar
+
+from humanopts_ros.qos import CURRENT
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+
+T = TypeVar('T')
+
+
+class Polled(CallbackGroup):
+    """
+    Keeps its subscriptions from every executor: their queues are emptied when somebody looks.
+
+    An executor takes one message at a time and looks at every entity for each of them.
+    """
+
+    def can_execute(self, entity: Any) -> bool:
+        """Refuse."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Refuse."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Do nothing: nothing begins."""
+
+
+class PolledValue(Generic[T]):
+    """The newest message of a latched topic that changes more often than somebody looks at it."""
+
+    def __init__(self, node: Node, kind: type[T], topic: str) -> None:
+        self._kind = kind
+        self._subscription = node.create_subscription(
+            kind, topic, never_called, CURRENT, callback_group=Polled()
+        )
+
+    def take(self) -> T | None:
+        """Return the newest message since the last call; None: there is none."""
+        handle = self._subscription.handle
+        with handle:
+            taken = handle.take_message(self._kind, False)
+        return taken[0] if taken is not None else None
+
+
+def never_called(message: Any) -> None:
+    """Do nothing; rclpy asks for a callback."""
