@@ -46,7 +46,7 @@ class RawSubscriber:
     """
     The subscriptions of a recorder.
 
-    To take all queued messages every few milliseconds costs a twentieth of what an executor does.
+    To take all queued messages every few milliseconds costs less than a twentieth of what an executor does.
     """
 
     def __init__(self, node: Node, selection: Selection) -> None:

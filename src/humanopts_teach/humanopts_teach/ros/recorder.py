@@ -26,8 +26,7 @@ from humanopts_teach.launching.usage import look
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
 
 _NS = 10**9
-_BUSY_PERIOD = 4 * 10**6  # ns between takes while messages come
-_IDLE_PERIOD = 20 * 10**6  # ns between takes while none come
+_PERIOD = 0.02  # s between takes
 _DISCOVERY_PERIOD = 0.05  # s between looks at the graph while it is not all matched
 _SKIPPED_LOOKS = 4  # looks that are left out while it is
 _FLUSH_PERIOD = 0.25  # s; what a killed recorder loses at most
@@ -104,7 +103,7 @@ class Recorder(NodeBase):
         self._published: tuple[object, ...] = ()  # what matters of the last status
         self._published_at = 0.0
         self._publisher = self.stamped_publisher(RecorderStatus, 'recorder_status', LATCHED)
-        self._take_timer = self.create_timer(_BUSY_PERIOD / _NS, self._take)
+        self.create_timer(_PERIOD, self._take)
         self.create_timer(_DISCOVERY_PERIOD, self._discover)
         self.create_timer(_FLUSH_PERIOD, lambda: self._attempt(self._bag.flush))
 
@@ -120,7 +119,7 @@ class Recorder(NodeBase):
         while time.monotonic() < min(quiet, end):
             if self._record(self._subscriber.take()):
                 quiet = time.monotonic() + _QUIET
-            time.sleep(_BUSY_PERIOD / _NS)
+            time.sleep(_PERIOD)
         for finish in (self._attach, self._bag.close):
             try:
                 finish()
@@ -189,7 +188,7 @@ class Recorder(NodeBase):
             self._numbered[added.topic] = is_stamped(schema)
 
     def _take(self) -> None:
-        """Record what has arrived, and come again sooner where there was something."""
+        """Record what has arrived."""
         batch = self._subscriber.take()
         waited = (time.time_ns() - batch[0].received) / _NS if batch else 0.0
         self._pace.took(time.monotonic(), waited)
@@ -197,9 +196,6 @@ class Recorder(NodeBase):
         if busy and self._unflushed:  # so that the bag opens, however soon the recorder is killed
             self._unflushed = False
             self._attempt(self._bag.flush)
-        period = _BUSY_PERIOD if busy else _IDLE_PERIOD
-        if self._take_timer.timer_period_ns != period:
-            self._take_timer.timer_period_ns = period
 
     def _record(self, batch: list[Taken]) -> int:
         """Write messages; return how many there were."""
