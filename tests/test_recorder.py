@@ -330,6 +330,9 @@ def test_a_recording_goes_on_in_other_files_and_loses_nothing(recording: Recordi
         )
         if step % 100 == 99:
             recording.holds('/game_state', step + 1)
+    recording.graph.until(
+        lambda: recording.status.files == len(list(recording.path.glob('*.mcap'))), 'the status'
+    )
     bag = recording.stop()
     assert len(bag.files) > 2
     assert recording.status.files in (len(bag.files), len(bag.files) - 1)
