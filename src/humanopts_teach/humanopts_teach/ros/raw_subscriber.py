@@ -46,7 +46,8 @@ class RawSubscriber:
     """
     The subscriptions of a recorder.
 
-    To take all queued messages every few milliseconds costs less than a twentieth of what an executor does.
+    All queued messages are taken every few milliseconds, which costs less than a twentieth of what
+    an executor does with them.
     """
 
     def __init__(self, node: Node, selection: Selection) -> None:
