@@ -12,6 +12,7 @@ from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.criteria import (
     Criterion,
     FEWEST,
+    fit_leave_fold_out,
     fold_of,
     INITIATION,
     judge,
@@ -20,6 +21,7 @@ from humanopts_learner.options.criteria import (
     TERMINATION,
     Thresholds,
 )
+from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -133,6 +135,23 @@ def test_folds_are_even_and_never_split_a_demonstration(
     sizes = np.bincount(folds)
     assert len(sizes) == min(10, count)
     assert sizes.max() - sizes.min() <= 1
+
+
+@pytest.mark.parametrize('picked', [('taxi_row', 'taxi_col'), ('passenger_in_taxi',)])
+def test_what_is_held_out_has_no_part_in_what_is_learned(
+    fetching: Shown, picked: tuple[str, ...]
+) -> None:
+    """Though some begin where only a held-out one ends, and one alone can start again there."""
+    again = replace(fetching[0], can_start_at_end=True)
+    shown = [
+        replace(demo, chosen_features=picked, terminated=demo.number % 2 == 0)
+        for demo in (again, *fetching[1:])
+    ]
+    data = make_dataset(shown, TAXI)
+    folds = fold_of(data, 0)
+    for fold, found in enumerate(fit_leave_fold_out(data, folds, TAXI, 0)):
+        others = [demo for demo, at in zip(data.demonstrations, folds) if at != fold]
+        assert option_to_json(found, []) == option_to_json(learn_option(others, TAXI, 0), [])
 
 
 def test_not_here_answers_leave_every_fold_something_to_learn_from(

@@ -199,7 +199,7 @@ def fit_leave_fold_out(
     data: Dataset, folds: Ints, domain: Domain[Any], seed: int
 ) -> list[LearnedOption]:
     """Return what is learned without fold 0, 1, ...; there must be two trajectories or more."""
-    return [fit_option(data, domain, seed, folds != fold) for fold in range(folds.max() + 1)]
+    return [fit_option(data.of(folds != fold), domain, seed) for fold in range(folds.max() + 1)]
 
 
 def held_out_shortfall(

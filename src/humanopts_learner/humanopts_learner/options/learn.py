@@ -9,6 +9,7 @@ start (Sutton, Precup and Singh 1999, section 2), and negative in the other stat
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 from humanopts_env.arrays import Flags, Rows
@@ -43,9 +44,9 @@ class Examples:
     source: NDArray[np.int64]  # (N,) index of the demonstration
 
     def of(self, chosen: Flags) -> 'Examples':
-        """Return the examples of chosen demonstrations (D,)."""
-        kept = chosen[self.source]
-        return Examples(self.rows[kept], self.labels[kept], self.source[kept])
+        """Return the examples of chosen demonstrations (D,), which are numbered anew."""
+        kept, number = chosen[self.source], np.cumsum(chosen) - 1
+        return Examples(self.rows[kept], self.labels[kept], number[self.source[kept]])
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,18 @@ class Dataset:
         return [demo for demo in self.demonstrations if demo.kind is Kind.TRAJECTORY]
 
     def of(self, chosen: Flags) -> 'Dataset':
-        """Return the data set with the examples of chosen demonstrations (D,) alone."""
+        """
+        Return the data set of chosen demonstrations (D,); the features stay.
+
+        Where a label depends on other demonstrations, it depends on chosen ones only.
+        """
+        demos = tuple(compress(self.demonstrations, chosen))
         return replace(
             self,
+            demonstrations=demos,
             policy=self.policy.of(chosen),
-            initiation=self.initiation.of(chosen),
-            termination=self.termination.of(chosen),
+            initiation=_initiation_examples(demos),
+            termination=_termination_examples(demos, self.encoding),
         )
 
 
@@ -96,20 +103,13 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: Domain[Any]) -
     chosen = set(demos[-1].chosen_features)
     features = tuple(f.name for f in domain.features if f.name in chosen)
     encoding = feature_encoding(domain, demos[-1].chosen_features)
-    again = any(demo.can_start_at_end for demo in demos)
-    picked = sorted({encoded.index for encoded in encoding})
-    ends = {
-        tuple(demo.features[-1][index] for index in picked)
-        for demo in demos
-        if demo.kind is Kind.TRAJECTORY
-    }
     return Dataset(
         tuple(demos),
         features,
         encoding,
         _examples(demos, [_policy_labels(demo, domain) for demo in demos]),
-        _examples(demos, [_initiation_labels(demo, again) for demo in demos]),
-        _examples(demos, [_termination_labels(demo, picked, ends) for demo in demos]),
+        _initiation_examples(demos),
+        _termination_examples(demos, encoding),
     )
 
 
@@ -125,16 +125,8 @@ def learn_option(
     return fit_option(make_dataset(demonstrations, domain), domain, seed)
 
 
-def fit_option(
-    data: Dataset, domain: Domain[Any], seed: int, used: Flags | None = None
-) -> LearnedOption:
-    """
-    Fit the three trees to the examples of a data set.
-
-    :param used: (D,) the demonstrations whose examples are used, a trajectory among them; None:
-        all. ``LearnedOption.uuids`` lists all of them.
-    """
-    examples = data if used is None else data.of(used)
+def fit_option(data: Dataset, domain: Domain[Any], seed: int) -> LearnedOption:
+    """Fit the three trees to the examples of a data set with a trajectory or more."""
     first, trajectories = data.demonstrations[0], len(data.trajectories)
     return LearnedOption(
         name=first.option_name,
@@ -144,9 +136,9 @@ def fit_option(
         actions=tuple(action.name for action in domain.actions),
         features=data.features,
         encoding=data.encoding,
-        policy=_fit(data, examples.policy, range(len(domain.actions)), seed),
-        initiation=_fit(data, examples.initiation, MEMBERSHIP, seed),
-        termination=_fit(data, examples.termination, MEMBERSHIP, seed),
+        policy=_fit(data, data.policy, range(len(domain.actions)), seed),
+        initiation=_fit(data, data.initiation, MEMBERSHIP, seed),
+        termination=_fit(data, data.termination, MEMBERSHIP, seed),
         n_demonstrations=trajectories,
         n_not_here=len(data.demonstrations) - trajectories,
         max_steps=domain.max_steps or MAX_STEPS,
@@ -168,6 +160,23 @@ def _examples(
     rows = np.concatenate([rows for rows, _ in labels])
     source = np.repeat(np.arange(len(demos)), [len(values) for _, values in labels])
     return Examples(rows, np.array([v for _, vs in labels for v in vs], dtype=np.int64), source)
+
+
+def _initiation_examples(demos: Sequence[Demonstration]) -> Examples:
+    again = any(demo.can_start_at_end for demo in demos)
+    return _examples(demos, [_initiation_labels(demo, again) for demo in demos])
+
+
+def _termination_examples(
+    demos: Sequence[Demonstration], encoding: Sequence[EncodedFeature]
+) -> Examples:
+    picked = sorted({encoded.index for encoded in encoding})
+    ends = {
+        tuple(demo.features[-1][index] for index in picked)
+        for demo in demos
+        if demo.kind is Kind.TRAJECTORY
+    }
+    return _examples(demos, [_termination_labels(demo, picked, ends) for demo in demos])
 
 
 def _policy_labels(demo: Demonstration, domain: Domain[Any]) -> tuple[Rows, list[int]]:
