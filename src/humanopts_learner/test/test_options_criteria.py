@@ -2,11 +2,16 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+import math
 import random
 import time
 from typing import Any
 
+from graph_support.scripted import show
+from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.domains.rooms import RoomsState
 from humanopts_env.domains.taxi import Taxi, TaxiState
+from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.criteria import (
@@ -23,6 +28,7 @@ from humanopts_learner.options.criteria import (
 )
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
+from humanopts_learner.options.rollout import rollouts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -94,27 +100,48 @@ def test_coming_to_another_end_counts_as_not_coming_to_the_end(person: Callable[
     assert value == pytest.approx((8 - 2) / 10)  # twice the 4 steps at -1, though it ended after 2
 
 
-def test_a_domain_that_cannot_be_enumerated_is_judged_alike_but_for_luck(
+def test_the_limit_is_that_of_differences_paired_by_demonstration(
     fetching: Shown, plain_taxi: Any
 ) -> None:
-    stepwise = judge(fetching[:12], plain_taxi, Thresholds(), 0)
+    """Of 12 of them, with Student's t of 11 degrees of freedom; without chance, there is none."""
+    data = make_dataset(fetching[:12], TAXI)
+    folds, differences = fold_of(data, 0), []
+    for demo, fold in zip(data.demonstrations, folds):
+        others = [other for other, at in zip(data.demonstrations, folds) if at != fold]
+        start, limit = TAXI.decode(demo.states[0]), 2 * len(demo.actions)
+        run = rollouts(learn_option(others, TAXI, 0), TAXI, [start], max_steps=limit)
+        differences.append(demo.total_reward - run.total_reward[0])
+    mean, error = np.mean(differences), np.std(differences, ddof=1) / math.sqrt(12)
     exact = judge(fetching[:12], TAXI, Thresholds(), 0)
+    assert (exact.criteria[0].value, exact.criteria[0].high) == (pytest.approx(mean),) * 2
+    stepwise = judge(fetching[:12], plain_taxi, Thresholds(), 0)
+    assert stepwise.criteria[0].value == pytest.approx(mean)
+    assert stepwise.criteria[0].high == pytest.approx(mean + 1.7959 * error, rel=1e-4)
     assert stepwise.criteria[1:] == exact.criteria[1:]
     assert stepwise.mean_return_policy == exact.mean_return_policy
     assert stepwise.conflicts == exact.conflicts
-    assert values(fetching[:12])[RETURN] == exact.criteria[0].value
-    assert (stepwise.criteria[0].value or 0.0) < (exact.criteria[0].value or 0.0)
 
 
-def test_luck_explains_no_shortfall_that_every_demonstration_has(
-    fetching: Shown, plain_taxi: Any
-) -> None:
-    one = fetching[0]
-    alike = [replace(one, uuid=f'{number:032x}', number=number + 1) for number in range(12)]
-    better = [replace(demo, rewards=(*one.rewards[:-1], 5.0)) for demo in alike]
-    assert judge(alike, plain_taxi, Thresholds(), 0).criteria[0].value == 0.0
-    shortfall = judge(better, plain_taxi, Thresholds(), 0).criteria[0].value
-    assert shortfall == pytest.approx(5.0 - one.rewards[-1])
+def test_a_run_has_the_luck_of_its_demonstration_as_long_as_it_does_the_same() -> None:
+    """In a room where some slip out by the wrong doorway, and get no reward at the goal."""
+    rooms = make_domain('rooms')
+    reference = reference_options(rooms)['north-east room to east doorway']
+    rng, start = generator(1, 'test'), RoomsState(2, 6)  # beside the wrong doorway
+
+    def choose(taken: int, here: RoomsState) -> str | None:
+        done = taken and reference.ends(here)
+        return None if done else rooms.actions[reference.optimal_actions(here)[0]].name
+
+    chosen = {'option_name': reference.name, 'chosen_features': ('row', 'col', 'room')}
+    shown = [show(rooms, start, choose, rng, number=n + 1, **chosen) for n in range(40)]
+    folds = fold_of(make_dataset(shown, rooms), 0)
+    assert 0 < sum(not demo.terminated for demo in shown) < 20
+    places = [{*demo.states} for demo in shown]
+    known = [set[str]().union(*(p for p, at in zip(places, folds) if at != f)) for f in folds]
+    alone = sum(not own <= others for own, others in zip(places, known))
+    value = judge(shown, rooms, Thresholds(), 0).criteria[0].value
+    assert value is not None
+    assert abs(value) <= alone / 40 < 0.2  # a run differs only after a cell that no other shows
 
 
 def test_order_of_arrival_does_not_matter(fetching: Shown) -> None:
@@ -183,10 +210,19 @@ def test_senseless_thresholds_are_refused(wrong: dict[str, float]) -> None:
     ('value', 'expected'), [(1.0, 0), (2.0, 10), (1.01, 1), (None, -1), (5.0, 40)]
 )
 def test_twice_the_threshold_needs_about_as_many_again(value: float | None, expected: int) -> None:
-    assert (
-        more_needed([Criterion(RETURN, value, 1.0), Criterion(INITIATION, 0.0, 0.1)], 10)
-        == expected
-    )
+    criteria = [Criterion.of(RETURN, value, 1.0), Criterion.of(INITIATION, 0.0, 0.1)]
+    assert more_needed(criteria, 10) == expected
+
+
+@pytest.mark.parametrize(('value', 'high'), [(0.5, 3.0), (-2.0, 9.0), (0.0, 1.5), (2.5, 4.0)])
+def test_a_criterion_is_met_when_its_limit_is_low_enough(value: float, high: float) -> None:
+    """Until then it takes so many more that the limit falls to it, by 1 / n and 1 / sqrt(n)."""
+    criterion = Criterion.of(RETURN, value, 1.0, high)
+    assert (criterion.met, criterion.undecided) == (False, value <= 1.0)
+    assert Criterion.of(RETURN, value, high, high).met
+    share = 10 / (10 + more_needed([criterion], 10) - np.arange(2))  # with so many, with one less
+    limit = np.maximum(value, 0.0) * share + min(value, 0.0) + (high - value) * np.sqrt(share)
+    assert limit[0] <= 1.0 < limit[1]
 
 
 def test_judging_thirty_demonstrations_is_quick(fetching: Shown) -> None:

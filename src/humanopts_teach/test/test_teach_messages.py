@@ -114,6 +114,7 @@ def test_a_verdict_that_does_not_exist_is_none() -> None:
 def test_what_the_learner_says_of_an_option_is_read_from_its_status() -> None:
     criteria = [
         Criterion(name='return', value=0.5, threshold=1.0, measurable=True, met=True),
+        Criterion(name='return', value=0.5, threshold=1.0, measurable=True, met=False),
         Criterion(name='initiation', value=math.nan, threshold=0.05),
     ]
     message = msg.OptionStatus(
@@ -128,9 +129,10 @@ def test_what_the_learner_says_of_an_option_is_read_from_its_status() -> None:
     found = option_status_from_message(message)
     assert (found.participant, found.option_name, found.features) == ('p1', 'go', ('row',))
     assert (found.last_uuid, found.criteria_met, found.more_needed) == ('u', True, -1)
-    assert [(c.name, c.value, c.met) for c in found.criteria] == [
-        ('return', 0.5, True),
-        ('initiation', None, False),
+    assert [(c.name, c.value, c.met, c.undecided) for c in found.criteria] == [
+        ('return', 0.5, True, False),
+        ('return', 0.5, False, True),
+        ('initiation', None, False, False),
     ]
 
 

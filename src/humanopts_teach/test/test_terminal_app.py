@@ -362,7 +362,7 @@ def criteria(values: Iterable[tuple[str, float | None, float]]) -> OptionStatus:
         'p1',
         CHOSEN,
         FEWEST,
-        criteria=tuple(Criterion(*value) for value in values),
+        criteria=tuple(Criterion.of(*value) for value in values),
         more_needed=6,
     )
 
@@ -386,6 +386,15 @@ def test_each_criterion_shows_value_target_and_whether_it_can_be_measured(
         r'·  termination  not yet measurable  ≤ 5.0 % wrong',
         'About 6 more are needed (an estimate).',
     ):
+        assert line in screen
+
+
+def test_a_criterion_whose_limit_is_too_large_is_not_yet_known(shower: Person) -> None:
+    progress = criteria([('return', 0.25, 1.0)])
+    few = (Criterion('return', 0.25, 1.0, met=False),)
+    shower.world.progress = [replace(progress, criteria=few)]
+    screen = shower.sees()
+    for line in ('·  return  0.25 worse, not yet known  ≤ 1.00 worse', 'About 6 more are needed'):
         assert line in screen
 
 

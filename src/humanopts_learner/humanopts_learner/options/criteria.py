@@ -5,8 +5,8 @@ The paper (section 6) compares the return of the learned policy with that of the
 and takes the cross-validation error of I and beta. Here the folds are grouped by demonstration,
 because rows of one trajectory on both sides would make the errors look like nothing, and the
 return is held out as well: each option runs from the start of the demonstrations that it did not
-see. Where chance plays a part, returns differ by luck: a shortfall counts as far as luck does not
-explain it.
+see. Where chance plays a part, returns differ by luck: the criterion is met when the upper
+confidence limit of the shortfall is small enough, so few or noisy demonstrations do not meet it.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,19 +15,21 @@ import math
 from typing import Any
 
 from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import action_index, Domain
 from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.intervals import Interval
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.learn import Dataset, Examples, fit_option, make_dataset
 from humanopts_learner.options.option import LearnedOption, MEMBER
 from humanopts_learner.options.rollout import is_deterministic, rollouts
 import numpy as np
+from numpy.typing import NDArray
 
 FOLDS = 10
 FEWEST = FOLDS  # trajectories without which nothing is measurable
-LUCK = 1.645  # standard errors; chance alone makes a larger shortfall in 5 of 100 cases
+LEVEL = 0.9  # two-sided: the shortfall is above the upper limit in 5 of 100 cases
 CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstration
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 
@@ -36,7 +38,7 @@ RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 class Thresholds:
     """The largest values with which the criteria are met."""
 
-    return_delta: float = 2.0  # mean held-out shortfall, less what luck explains, reward units
+    return_delta: float = 2.0  # upper limit of the mean held-out shortfall, reward units
     initiation_error: float = 0.05  # balanced error, 0..1
     termination_error: float = 0.05  # balanced error, 0..1
 
@@ -61,6 +63,20 @@ class Criterion:
     name: str  # RETURN, INITIATION or TERMINATION
     value: float | None  # None: not measurable yet
     threshold: float
+    met: bool
+    high: float | None = None  # upper confidence limit of the value, where there is one
+
+    @classmethod
+    def of(
+        cls, name: str, value: float | None, threshold: float, high: float | None = None
+    ) -> 'Criterion':
+        """
+        Return a criterion, which is met when the upper limit is at most the threshold.
+
+        :param high: None: the value is taken as it is.
+        """
+        decides = value if high is None else high
+        return cls(name, value, threshold, decides is not None and decides <= threshold, high)
 
     @property
     def measurable(self) -> bool:
@@ -68,9 +84,9 @@ class Criterion:
         return self.value is not None
 
     @property
-    def met(self) -> bool:
-        """Whether it is measurable and the value is at most the threshold."""
-        return self.value is not None and self.value <= self.threshold
+    def undecided(self) -> bool:
+        """Whether the value would do, but is not known well enough to say that it is met."""
+        return self.value is not None and self.value <= self.threshold and not self.met
 
 
 def usual_thresholds(domain: Domain[Any]) -> Thresholds:
@@ -137,39 +153,52 @@ def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
     Estimate how many more demonstrations it takes to meet all criteria.
 
     What is wrong in held-out demonstrations is what they hold that no other one showed, and its
-    share falls about as 1 / n: a value that is twice its threshold needs about n more.
+    share falls about as 1 / n: a value that is twice its threshold needs about n more. The
+    distance from the value to its upper limit falls as 1 / sqrt(n).
 
     :return: 0: none; -1: unknown, because a criterion is not measurable or its
-        threshold is 0 or less.
+        threshold is not above what the value comes to.
     """
-    missed = [criterion for criterion in criteria if not criterion.met]
-    ratios = [
-        criterion.value / criterion.threshold
-        for criterion in missed
-        if criterion.value is not None and criterion.threshold > 0
-    ]
-    if len(ratios) < len(missed):
+    times = [_times_needed(criterion) for criterion in criteria if not criterion.met]
+    if math.inf in times:
         return -1
-    return max([0, *(math.ceil(n_demonstrations * (ratio - 1)) for ratio in ratios)])
+    return max([0, *(math.ceil(round(n_demonstrations * (each - 1), 6)) for each in times)])
+
+
+def _times_needed(criterion: Criterion) -> float:
+    """Return how many times as many demonstrations a criterion takes; infinity: unknown."""
+    if criterion.value is None:
+        return math.inf
+    width = (criterion.value if criterion.high is None else criterion.high) - criterion.value
+    falling, staying = max(criterion.value, 0.0), min(criterion.value, 0.0)
+    room = criterion.threshold - staying
+    if room <= 0:
+        return math.inf
+    # With x = 1 / sqrt(times), falling * x**2 + width * x = room.
+    return ((width + math.sqrt(width**2 + 4 * falling * room)) / (2 * room)) ** 2
 
 
 def _criteria(
     data: Dataset, domain: Domain[Any], thresholds: Thresholds, seed: int
 ) -> tuple[Criterion, ...]:
-    values: tuple[float | None, ...] = (None, None, None)
-    if len(data.trajectories) >= FEWEST:
+    if len(data.trajectories) < FEWEST:
+        shortfall, initiation_error, termination_error = None, None, None
+    else:
         folds = fold_of(data, seed)
         options = fit_leave_fold_out(data, folds, domain, seed)
         initiation = [option.can_start for option in options]
         termination = [option.ends for option in options]
-        values = (
-            held_out_shortfall(data, domain, options, folds, seed),
-            balanced_error(data.initiation, initiation, folds, starts_anywhere(data)),
-            balanced_error(data.termination, termination, folds),
+        shortfall = held_out_shortfall(data, domain, options, folds, seed)
+        initiation_error = balanced_error(
+            data.initiation, initiation, folds, starts_anywhere(data)
         )
-    limits = thresholds.return_delta, thresholds.initiation_error, thresholds.termination_error
-    names = RETURN, INITIATION, TERMINATION
-    return tuple(Criterion(n, v, limit) for n, v, limit in zip(names, values, limits))
+        termination_error = balanced_error(data.termination, termination, folds)
+    mean, high = (shortfall.mean, shortfall.high) if shortfall else (None, None)
+    return (
+        Criterion.of(RETURN, mean, thresholds.return_delta, high),
+        Criterion.of(INITIATION, initiation_error, thresholds.initiation_error),
+        Criterion.of(TERMINATION, termination_error, thresholds.termination_error),
+    )
 
 
 def starts_anywhere(data: Dataset) -> bool:
@@ -208,29 +237,71 @@ def held_out_shortfall(
     options: Sequence[LearnedOption],
     folds: Ints,
     seed: int,
-) -> float:
+) -> Interval:
     """
     Return the mean of demonstrated return - return of the policy that did not see it.
 
     A run that ends with the task over where the demonstration did not, or the other way round, has
     come to another end: the steps that it has left then cost what the demonstration's worst did.
-    In domains with chance, ``LUCK`` standard errors of the mean are taken off.
+
+    As long as a run takes the actions that were demonstrated, chance gives it the same outcomes
+    (common random numbers), so that luck makes no difference between steps that are the same: it
+    goes its own way from where the option first acts or ends otherwise. The limits are those of
+    the mean over demonstrations by Student's t. Without chance nothing is left to luck, and they
+    are the mean itself.
     """
     demos = data.trajectories
     fold = folds[[demo.kind is Kind.TRAJECTORY for demo in data.demonstrations]]
-    limit = np.array([min(options[0].max_steps, CUT_OFF * len(demo.actions)) for demo in demos])
-    starts = [domain.decode(demo.states[0]) for demo in demos]
-    keys = [f'held-out {demo.uuid}' for demo in demos]
     held_out = [options[f] for f in fold.tolist()]
-    runs = rollouts(held_out, domain, starts, seed, keys, max_steps=limit)
-    other_end = runs.reached & (runs.over != np.array([demo.terminated for demo in demos]))
+    lengths = np.array([len(demo.actions) for demo in demos])
+    limit = np.minimum(options[0].max_steps, CUT_OFF * lengths)
+    steps, reached = _follow(held_out, demos, domain)
+    over = reached & (steps == lengths) & [demo.terminated for demo in demos]
+    returns = np.array([math.fsum(demo.rewards[:n]) for demo, n in zip(demos, steps.tolist())])
+    on = np.flatnonzero(~reached & (steps < limit))
+    if on.size:
+        runs = rollouts(
+            [held_out[run] for run in on],
+            domain,
+            [domain.decode(demos[run].states[steps[run]]) for run in on],
+            seed,
+            [f'held-out {demos[run].uuid}' for run in on],
+            max_steps=(limit - steps)[on],
+        )
+        returns[on] += runs.total_reward
+        steps[on] += runs.steps
+        reached[on], over[on] = runs.reached, runs.over
+    other_end = reached & (over != np.array([demo.terminated for demo in demos]))
     worst = np.array([min(0.0, *demo.rewards) for demo in demos])
-    returns = runs.total_reward + other_end * (limit - runs.steps) * worst
-    missing = [demo.total_reward for demo in demos] - returns
-    luck = (
-        0.0 if is_deterministic(domain) else LUCK * missing.std(ddof=1) / math.sqrt(len(missing))
+    missing = [demo.total_reward for demo in demos] - (
+        returns + other_end * (limit - steps) * worst
     )
-    return float(missing.mean() - luck)
+    if is_deterministic(domain):
+        return Interval(*[float(missing.mean())] * 3)
+    return Interval.of(missing, LEVEL)
+
+
+def _follow(
+    options: Sequence[LearnedOption], demos: Sequence[Demonstration], domain: Domain[Any]
+) -> tuple[NDArray[np.int64], Flags]:
+    """
+    Let options do what was demonstrated as long as they would have done the same.
+
+    :param options: (N,) one for each demonstration.
+    :return: steps (N,) until the option acts or ends otherwise, or the demonstration ends; and
+        whether the option ends there, (N,).
+    """
+    steps, ended = np.zeros(len(demos), dtype=np.int64), np.zeros(len(demos), dtype=np.bool_)
+    for index, (option, demo) in enumerate(zip(options, demos, strict=True)):
+        rows = demo.feature_rows
+        shown = [action_index(domain, action) for action in demo.actions]
+        acts_otherwise = np.append(option.greedy_action(rows[:-1]) != shown, True)
+        ends = option.ends(rows)
+        ends[0] = False  # not asked before the first step
+        ends[-1] |= demo.terminated
+        steps[index] = (acts_otherwise | ends).argmax()
+        ended[index] = ends[steps[index]]
+    return steps, ended
 
 
 def balanced_error(

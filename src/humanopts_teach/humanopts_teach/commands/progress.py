@@ -5,6 +5,9 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.ros.convert import domain_from_info
+from humanopts_learner.options.criteria import Criterion
+from humanopts_teach.lesson.requests import OptionStatus
+from humanopts_teach.ros.convert import option_status_from_message
 from humanopts_teach.ros.graph_client import GraphClient
 from humanopts_teach.terminal.drawing import board_text
 from rich.console import Console, Group
@@ -83,7 +86,8 @@ class DemoProgress:
         for option in graph.learning.options if graph.learning else ():
             tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY
             key = f'{option.option_name} {tens} {option.criteria_met}'
-            self._say(f'{option.option_name}: {_criteria_words(option)}', key)
+            words = _criteria_words(option_status_from_message(option))
+            self._say(f'{option.option_name}: {words}', key)
 
     def _say(self, text: str, key: str = '') -> None:
         if (key or text) not in self._said:
@@ -96,7 +100,8 @@ def _criteria_table(learning: Any) -> Table:
     table.add_column('option')
     for name in ('shown', 'not here', 'return', 'initiation', 'termination'):
         table.add_column(name, justify='right')
-    for option in learning.options:
+    for message in learning.options:
+        option = option_status_from_message(message)
         cells = [_criterion(criterion) for criterion in option.criteria]
         table.add_row(
             option.option_name, str(option.n_demonstrations), str(option.n_not_here), *cells
@@ -104,17 +109,21 @@ def _criteria_table(learning: Any) -> Table:
     return table
 
 
-def _criterion(criterion: Any) -> Text:
+def _criterion(criterion: Criterion) -> Text:
     if not criterion.measurable:
         return Text('not yet', style='dim')
-    mark, style = ('met', 'green') if criterion.met else ('>', 'yellow')
-    sign = '' if criterion.met else f' {mark} {criterion.threshold:g}'
-    return Text(f'{criterion.value:.3g}{sign}', style=style)
+    if criterion.met:
+        return Text(f'{criterion.value:.3g}', style='green')
+    why = ', not yet known' if criterion.undecided else f' > {criterion.threshold:g}'
+    return Text(f'{criterion.value:.3g}{why}', style='yellow')
 
 
-def _criteria_words(option: Any) -> str:
+def _criteria_words(option: OptionStatus) -> str:
     measured = [
-        f'{c.name} {c.value:.3g} (target {c.threshold:g})' for c in option.criteria if c.measurable
+        f'{c.name} {c.value:.3g} (target {c.threshold:g}'
+        f'{", not yet known" if c.undecided else ""})'
+        for c in option.criteria
+        if c.measurable
     ]
     met = 'criteria met' if option.criteria_met else 'criteria not met yet'
     shown = f'{option.n_demonstrations} shown, {option.n_not_here} not here'

@@ -81,7 +81,12 @@ class CurvePoint:
             'n_not_here': self.option.n_not_here,
             'seconds': self.seconds,
             'criteria': {
-                c.name: {'value': finite(c.value), 'threshold': c.threshold, 'met': c.met}
+                c.name: {
+                    'value': finite(c.value),
+                    'high': finite(c.high),
+                    'threshold': c.threshold,
+                    'met': c.met,
+                }
                 for c in self.judgement.criteria
             },
         }

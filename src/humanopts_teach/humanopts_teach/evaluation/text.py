@@ -125,13 +125,24 @@ def _option(option: OptionEvaluation) -> list[str]:
         f'mean return: demonstrations {number(block.mean_return_demonstrations)}, '
         f'learned policy {number(block.mean_return_policy)}',
         *(f'not met: {_unmet(c)}' for c in judgement.criteria if not c.met),
+        *_more(judgement.more_needed),
         *table(CURVE_HEAD, rows),
     ]
 
 
 def _unmet(criterion: Criterion) -> str:
     value = 'not yet measurable' if criterion.value is None else number(criterion.value)
+    if criterion.undecided:
+        value = (
+            f'not yet known: about {value}, with 95 % confidence below {number(criterion.high)}'
+        )
     return f'{criterion.name} is {value}, needs {number(criterion.threshold)} or less'
+
+
+def _more(demonstrations: int) -> list[str]:
+    if demonstrations <= 0:
+        return []
+    return [f'about {demonstrations} more demonstrations are needed (an estimate)']
 
 
 def _plan(name: str, row: PlanningRow) -> list[str]:

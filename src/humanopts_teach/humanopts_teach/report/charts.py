@@ -122,7 +122,10 @@ def _criterion_curve(
         values = {n: c.value for n, c in known.items()}
         style: dict[str, Any] = {'color': SERIES[0], 'marker': 'o', 'ms': 3.5}
         measured = _curve(work, values, label='held out', **style)
-        _draw_threshold(work, list(known.values())[-1].threshold, measured)
+        limits = {n: c.high for n, c in known.items() if c.high != c.value}
+        dotted: dict[str, Any] = {'color': SERIES[0], 'ls': ':', 'lw': 1.1}
+        drawn = measured + _curve(work, limits, label='upper limit', **dotted)
+        _draw_threshold(work, list(known.values())[-1].threshold, drawn)
         if not measured:
             middle = work.axes.transAxes
             work.axes.text(0.5, 0.7, 'not yet measurable', transform=middle, ha='center')

@@ -99,9 +99,11 @@ def _criteria(options: Sequence[OptionEvaluation]) -> Finding:
 
 def _unmet(option: OptionEvaluation) -> str:
     return ', '.join(
-        f'{c.name} {number(c.value)}, needs {c.threshold:g}'
-        if c.measurable
-        else f'{c.name} not yet measurable'
+        f'{c.name} not yet measurable'
+        if not c.measurable
+        else f'{c.name} not yet known: upper limit {number(c.high)}, needs {c.threshold:g}'
+        if c.undecided
+        else f'{c.name} {number(c.value)}, needs {c.threshold:g}'
         for c in option.last.judgement.criteria
         if not c.met
     )

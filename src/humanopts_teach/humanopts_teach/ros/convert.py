@@ -83,7 +83,9 @@ def _enum_value(name: str, message: Any) -> Enum | None:
 def option_status_from_message(message: msg.OptionStatus) -> OptionStatus:
     """Decode how far an option is learned."""
     criteria = tuple(
-        Criterion(found.name, found.value if found.measurable else None, found.threshold)
+        Criterion(
+            found.name, found.value if found.measurable else None, found.threshold, found.met
+        )
         for found in message.criteria
     )
     return replace(decode(OptionStatus, message), criteria=criteria)

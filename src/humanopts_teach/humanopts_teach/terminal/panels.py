@@ -174,6 +174,8 @@ def _criterion(criterion: Criterion) -> list[Text]:
 
     style = 'green' if criterion.met else 'yellow'
     now = 'not yet measurable' if criterion.value is None else number(criterion.value)
+    if criterion.undecided:
+        now += ', not yet known'
     return [
         Text('✓' if criterion.met else '·', style),
         Text(criterion.name),
