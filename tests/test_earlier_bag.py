@@ -11,7 +11,8 @@ import pytest
 
 EARLIER = Path(__file__).parent / 'data' / 'earlier'
 BAG = EARLIER / 'bag'  # a short lesson on Taxi, two plans and two episodes
-# What version 0.1.0 said, without paths and the seconds that planning took.
+# What version 0.1.0 said, with the intervals and limits of now, without paths and the seconds that
+# planning took.
 EXPECTED = json.loads((EARLIER / 'expected.json').read_text('utf-8'))
 
 

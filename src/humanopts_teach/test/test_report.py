@@ -8,12 +8,13 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.criteria import Thresholds
+from humanopts_learner.options.criteria import Criterion, Thresholds
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
 from humanopts_teach.evaluation.measures import Settings
 from humanopts_teach.evaluation.summary import Execution, Live, SummaryError
+from humanopts_teach.evaluation.text import evaluation_text
 from humanopts_teach.report import charts
 from humanopts_teach.report.boards import board_of
 from humanopts_teach.report.charts import learning_curves, sweep_report
@@ -115,6 +116,26 @@ def test_every_criterion_is_drawn_with_its_own_threshold(evaluation: BagEvaluati
     for figure, threshold in zip(figures, ('2.25', '0.0625', '0.125')):
         assert f'met at or below {threshold}' in figure
         assert 'demonstrations' in figure
+
+
+def test_a_criterion_that_is_not_yet_known_is_called_so(brief: BagEvaluation) -> None:
+    option = brief.options[0]
+    judgement = option.last.judgement
+    unsure = Criterion.of('return', 1.25, 2.25, 3.5)
+    point = replace(
+        option.last,
+        judgement=replace(judgement, criteria=(unsure, *judgement.criteria[1:]), more_needed=7),
+        block=replace(option.last.block, criteria_met=False),
+    )
+    found = replace(brief, options=(replace(option, curve=(point,)),))
+    text = evaluation_text(found)
+    assert 'return is not yet known: about 1.25, at most 3.5 with 95 % confidence' in text
+    assert 'about 7 more demonstrations are needed (an estimate)' in text
+    told = [finding.text for finding in findings(found) if 'Not yet' in finding.text]
+    assert any('return not yet known: at most 3.5, needs 2.25' in each for each in told)
+    assert 'not yet known</td>' in render_report(ReportData('Taxi', found))
+    figure, *_ = learning_curves(found.options[0].curve, 'curve', 'x')
+    assert 'upper limit' in figure
 
 
 def test_an_option_that_nothing_is_known_of_is_drawn_without_accuracy(

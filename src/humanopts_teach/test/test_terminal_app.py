@@ -393,9 +393,10 @@ def test_a_criterion_whose_limit_is_too_large_is_not_yet_known(shower: Person) -
     progress = criteria([('return', 0.25, 1.0)])
     few = (Criterion('return', 0.25, 1.0, met=False),)
     shower.world.progress = [replace(progress, criteria=few)]
-    screen = shower.sees()
-    for line in ('·  return  0.25 worse, not yet known  ≤ 1.00 worse', 'About 6 more are needed'):
-        assert line in screen
+    assert '?  return   0.25 worse  ≤ 1.00 worse' in shower.sees()
+    assert shower.sees_words(
+        'About 6 more are needed (an estimate): return is not yet known well enough.'
+    )
 
 
 def test_an_estimate_that_cannot_be_made_is_not_made(shower: Person) -> None:

@@ -134,7 +134,7 @@ def _unmet(criterion: Criterion) -> str:
     value = 'not yet measurable' if criterion.value is None else number(criterion.value)
     if criterion.undecided:
         value = (
-            f'not yet known: about {value}, with 95 % confidence below {number(criterion.high)}'
+            f'not yet known: about {value}, at most {number(criterion.high)} with 95 % confidence'
         )
     return f'{criterion.name} is {value}, needs {number(criterion.threshold)} or less'
 

@@ -101,7 +101,7 @@ def _unmet(option: OptionEvaluation) -> str:
     return ', '.join(
         f'{c.name} not yet measurable'
         if not c.measurable
-        else f'{c.name} not yet known: upper limit {number(c.high)}, needs {c.threshold:g}'
+        else f'{c.name} not yet known: at most {number(c.high)}, needs {c.threshold:g}'
         if c.undecided
         else f'{c.name} {number(c.value)}, needs {c.threshold:g}'
         for c in option.last.judgement.criteria

@@ -174,10 +174,8 @@ def _criterion(criterion: Criterion) -> list[Text]:
 
     style = 'green' if criterion.met else 'yellow'
     now = 'not yet measurable' if criterion.value is None else number(criterion.value)
-    if criterion.undecided:
-        now += ', not yet known'
     return [
-        Text('✓' if criterion.met else '·', style),
+        Text('✓' if criterion.met else '?' if criterion.undecided else '·', style),
         Text(criterion.name),
         Text(now, style),
         Text(f'≤ {number(criterion.threshold)}', 'dim'),
@@ -193,9 +191,11 @@ def _estimate(lesson: LessonView, progress: OptionStatus) -> Text:
         return Text(f'All criteria hold{but}', 'bold green')
     if progress.n_demonstrations < FEWEST:
         return Text(f'Measured from {FEWEST} demonstrations on.')
+    undecided = [c.name for c in progress.criteria if c.undecided]
+    why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
     if more < 0:
-        return Text('How many more it takes cannot be told yet.')
-    return Text(f'About {more} more {"is" if more == 1 else "are"} needed (an estimate).')
+        return Text(f'How many more it takes cannot be told yet{why}.')
+    return Text(f'About {more} more {"is" if more == 1 else "are"} needed (an estimate){why}.')
 
 
 def _conflicts(progress: OptionStatus, key: str) -> list[RenderableType]:
