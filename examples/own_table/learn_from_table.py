@@ -42,7 +42,8 @@ def learn_options(
         judgement = judge(shown, domain, Thresholds(), seed=1, option=option)
         for criterion in judgement.criteria:
             value = f'{criterion.value:.3f}' if criterion.measurable else 'not measurable yet'
-            print(f'{name}: {criterion.name} {value} (at most {criterion.threshold})')
+            met = 'met' if criterion.met else 'not yet known' if criterion.undecided else 'not met'
+            print(f'{name}: {criterion.name} {value} (at most {criterion.threshold}): {met}')
         options.append(option)
     return options
 
