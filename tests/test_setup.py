@@ -1,5 +1,6 @@
 """Setting up: what is missing is named in one line; the lock file and the targets are whole."""
 
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import re
@@ -209,3 +210,7 @@ def test_the_python_of_the_set_up_finds_the_packages_with_nothing_sourced(tmp_pa
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, '')
+
+
+def test_no_plugin_tries_a_failed_test_again() -> None:
+    assert find_spec('pytest_rerunfailures') is None
