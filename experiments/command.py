@@ -9,6 +9,7 @@ import sys
 import time
 from typing import Annotated, Literal
 
+from humanopts_env.domains.pacman.maze import load_maze, MazeError
 from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import PLAIN, SeveralValues, whole
@@ -18,7 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 import typer
 
-from experiments import figure2, figure3, figure4, table2, table2_report
+from experiments import figure2, figure3, figure4, table2, table2_report, transfer
 from experiments.people import BagLesson, Participant, read_bag_lessons, Study
 from experiments.report import Done, PAGE, Reproduction, Section, write_reproduction
 from experiments.trials import ClusterError, LIBRARIES, Outcome, run_trials, Trial
@@ -33,14 +34,20 @@ EXPERIMENTS: dict[str, tuple[Callable[[Study], list[Trial]], Callable[[Done], Se
     figure3.NAME: (figure3.trials, figure3.present),
     figure4.NAME: (figure4.trials, figure4.present),
     table2.NAME: (table2.trials, table2_report.present),
+    transfer.NAME: (transfer.trials, transfer.present),
 }
+ALL = [name for name in EXPERIMENTS if name != transfer.NAME]  # of the paper
 
 
 @app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
 def reproduce(
     what: Annotated[
-        Literal['fig2', 'fig3', 'fig4', 'table2', 'all'],
-        typer.Argument(metavar='WHAT', help='a figure or table: fig2, fig3, fig4, table2; or all'),
+        Literal['fig2', 'fig3', 'fig4', 'table2', 'all', 'transfer'],
+        typer.Argument(
+            metavar='WHAT',
+            help='a figure or table: fig2, fig3, fig4, table2; or all of them; or, past the '
+            'paper, transfer: options of one maze in others',
+        ),
     ],
     out: Annotated[
         Path,
@@ -75,10 +82,17 @@ def reproduce(
             metavar='BAG...', help='recorded lessons of people, in place of simulated ones'
         ),
     ] = [],  # noqa: B006
+    mazes: Annotated[
+        list[str],
+        typer.Option(
+            metavar='MAZE...',
+            help="files in Berkeley's notation, to transfer to in place of mazes that are drawn",
+        ),
+    ] = [],  # noqa: B006
 ) -> int:
     """Compute the missing trials, and write the report; return the exit status."""
-    study = Study(participants, seeds, seed, _read_bags(bags))
-    wanted = list(EXPERIMENTS) if what == 'all' else [what]
+    study = Study(participants, seeds, seed, _read_bags(bags), _read_mazes(mazes))
+    wanted = ALL if what == 'all' else [what]
     trials = {name: EXPERIMENTS[name][0](study) for name in wanted}
     every = [trial for name in wanted for trial in trials[name]]
     jobs = jobs or len(os.sched_getaffinity(0))
@@ -121,6 +135,13 @@ def _read_bags(paths: Sequence[Path]) -> tuple[BagLesson, ...]:
     try:
         return tuple(lesson for path in paths for lesson in read_bag_lessons(path))
     except BagError as error:
+        raise CommandError(str(error)) from error
+
+
+def _read_mazes(sources: Sequence[str]) -> tuple[str, ...]:
+    try:
+        return tuple(load_maze(source).text for source in sources)
+    except MazeError as error:
         raise CommandError(str(error)) from error
 
 

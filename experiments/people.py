@@ -105,6 +105,7 @@ class Study:
     seeds: int = 10  # runs of each method that depends on chance
     seed: int = 1  # of every random draw
     bags: tuple[BagLesson, ...] = ()  # lessons of real people; none: people are simulated
+    mazes: tuple[str, ...] = ()  # texts of a user's own, for ``transfer``; none: they are drawn
 
 
 def read_bag_lessons(path: Path) -> list[BagLesson]:

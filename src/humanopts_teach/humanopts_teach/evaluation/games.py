@@ -342,7 +342,7 @@ def evaluate_games(
     plays = [
         (name, baseline)
         for name, variant in variants.items()
-        for baseline in _baselines(variant, options, game_steps)
+        for baseline in every_baseline(variant, options, game_steps)
     ]
     first, variant = next(iter(variants.items()))
     names = [*(f'{name}: {each.name}' if name else each.name for name, each in plays), CURVES]
@@ -388,8 +388,14 @@ def _curves(
     return human, planning_curve(domain, of_actions, limits, seed, games)
 
 
-def _baselines(domain: Domain[Any], options: Options, steps: int) -> list[Baseline]:
-    """Return everything that plays in one variant of the game."""
+def every_baseline(domain: Domain[Any], options: Options, steps: int) -> list[Baseline]:
+    """
+    Return everything that plays in one variant of the game.
+
+    :param options: learned in ``domain`` or in a variant of it.
+    :param steps: game steps that a plan is made from.
+    :raises PlanError: the options are of another game.
+    """
     usual = baselines_of(domain)
     moved = [carried_over(option, domain) for option in options]
     sets = option_sets(moved, usual.fewer_options)

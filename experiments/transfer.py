@@ -1,0 +1,209 @@
+"""
+Transfer: options that were taught in one maze, in mazes that nobody has tuned anything on.
+
+The mazes are drawn by seed, or are a user's own. One trial is one maze: the options of one person,
+taught in the usual maze, plan and play there in every variant of the game, beside every baseline
+of ``humanopts demo``. The settings of the plans are those that were found in the usual maze. Mazes
+are the independent units, so differences are paired by maze.
+"""
+
+from collections.abc import Mapping
+from functools import cache, partial
+import json
+from typing import Any
+
+from humanopts_env.domains.pacman.random_mazes import random_maze
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.seeding import generator
+from humanopts_learner.intervals import Interval
+from humanopts_teach.evaluation.games import (
+    baselines_of,
+    every_baseline,
+    HEURISTIC,
+    PLAN,
+    play_baseline,
+    RANDOM,
+)
+from humanopts_teach.report.figures import Drawing
+from humanopts_teach.report.pages import counted
+import pandas as pd
+
+from experiments import paper
+from experiments.people import options_of, OwnedOptions, owners, PERSON, Study
+from experiments.report import (
+    Comparison,
+    Done,
+    goal,
+    grouped,
+    mean_intervals,
+    Picture,
+    Section,
+    Table,
+    written,
+)
+from experiments.trials import code_version, Trial
+
+NAME, DOMAIN = 'transfer', 'pacman'
+TITLE = 'Transfer: options of one maze in others'
+MAZES = 2  # for each seed of the study
+STEPS, GAMES = 100_000, 150  # game steps of a plan; games that each way to play is judged by
+COST = 60.0
+KEYS = ['game', 'way to play']
+SIZE = (7.6, 3.8)  # inches
+INTERRUPTED = 'interrupted'  # ends the name of the plan with options alone that interrupts them
+
+
+def trials(study: Study) -> list[Trial]:
+    """Return one trial for each maze; people take turns."""
+    people = owners(study, DOMAIN)[PERSON]
+    if not people:
+        return []
+    mazes = study.mazes or [
+        random_maze(generator(study.seed, NAME, 'maze', number)).text
+        for number in range(1, MAZES * study.seeds + 1)
+    ]
+    return [
+        Trial(
+            NAME,
+            {
+                'maze': maze,
+                'number': number,
+                'steps': STEPS,
+                'games': GAMES,
+                'seed': study.seed,
+                **people[number % len(people)],
+            },
+            play_in_maze,
+            COST,
+        )
+        for number, maze in enumerate(mazes, start=1)
+    ]
+
+
+def play_in_maze(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return a row for each variant of the game and way to play: means over the games."""
+    options = _taught(json.dumps(parameters['teacher'])).options
+    maze = make_domain(DOMAIN, {'maze': parameters['maze']})
+    seed = int(generator(parameters['seed'], NAME, parameters['number']).integers(2**31))
+    rows = []
+    for name, changed in baselines_of(maze).variants.items():
+        domain = make_domain(DOMAIN, {**maze.parameters, **changed})
+        for baseline in every_baseline(domain, options, parameters['steps']):
+            found = play_baseline(domain, baseline, seed, parameters['games'])
+            rows.append(
+                {
+                    'game': name,
+                    'way to play': found.name,
+                    'kind': found.kind,
+                    'score': found.score.mean,
+                    **{outcome: of.mean for outcome, of in found.outcomes.items()},
+                    'fallbacks': found.fallbacks,
+                    'seconds': found.seconds,
+                }
+            )
+    return rows
+
+
+@cache
+def _taught(teacher: str) -> OwnedOptions:
+    """Return what a person, JSON data, taught in the usual maze; once in each process."""
+    names = (*paper.TAUGHT[DOMAIN], *paper.ALSO_NAMED[DOMAIN])
+    return options_of({'teacher': json.loads(teacher)}, make_domain(DOMAIN), names)
+
+
+def score_table(done: Done) -> pd.DataFrame:
+    """
+    Return a row for each maze, variant of the game and way to play.
+
+    :return: maze (its number), game, way to play, kind, score (mean of the games), cleared (share)
+        and the other outcomes, fallbacks (of a game), seconds (of planning).
+    """
+    rows = [{'maze': p['number'], **row} for p, result in done for row in result]
+    return pd.DataFrame(rows, columns=None if rows else ['maze', *KEYS, 'kind', 'score'])
+
+
+def summary_table(scores: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each variant and way to play: means over the mazes, score with limits."""
+    found = mean_intervals(scores, KEYS, 'score').rename(
+        columns={'count': 'mazes', 'mean': 'score'}
+    )
+    others = [name for name in ('cleared', 'fallbacks', 'seconds') if name in scores]
+    means = scores.groupby(KEYS, sort=False)[others].mean()
+    return found.join(means, on=KEYS)
+
+
+def present(done: Done) -> Section:
+    """Return the section of the report."""
+    scores = score_table(done)
+    return Section(
+        NAME,
+        TITLE,
+        _comparisons(scores),
+        _pictures(scores),
+        [
+            Table('transfer-summary', 'Mean scores over the mazes', summary_table(scores)),
+            Table('transfer-scores', 'Scores by maze', scores, shown=False),
+            Table('transfer-mazes', 'The mazes', _maze_table(done), shown=False),
+        ],
+        {'code': code_version(), 'steps': STEPS, 'games': GAMES},
+    )
+
+
+def _maze_table(done: Done) -> pd.DataFrame:
+    return pd.DataFrame([(p['number'], p['maze']) for p, _ in done], columns=['maze', 'text'])
+
+
+def _by_maze(rows: pd.DataFrame) -> dict[str, pd.Series]:
+    """Return the scores (mazes,) of each way to play in one game, in the order of the rows."""
+    return {name: mine.set_index('maze')['score'] for (name,), mine in grouped(rows, KEYS[1:])}
+
+
+def _comparisons(scores: pd.DataFrame) -> list[Comparison]:
+    """Compare the plan with all options, interrupted, with each baseline."""
+    found = []
+    for (game,), rows in grouped(scores, ['game']):
+        by_way = _by_maze(rows)
+        kinds = dict(zip(rows['way to play'], rows['kind']))
+        plan = next((n for n in by_way if kinds[n] == PLAN and _is_interrupted(n)), None)
+        if plan is None:
+            continue
+        mazes = counted(len(by_way[plan]), 'maze')
+        for other in by_way:
+            if kinds[other] in (RANDOM, HEURISTIC) or other.startswith('primitive'):
+                more = Interval.of_difference(by_way[plan], by_way[other])
+                ways = {name: written(Interval.of(by_way[name]), ',.0f') for name in (plan, other)}
+                text = '; '.join(f'{name} {value}' for name, value in ways.items())
+                text = f'{game}, {mazes}: {text}; more {written(more, ",.0f")}'
+                said = f'Options that are planned with and interrupted score more than: {other}.'
+                found.append(goal(said, text, more.above()))
+    return found
+
+
+def _is_interrupted(name: str) -> bool:
+    return name.startswith('human,') and name.endswith(INTERRUPTED)
+
+
+def _pictures(scores: pd.DataFrame) -> list[Picture]:
+    return [
+        Picture(
+            f'transfer-{game.rpartition("=")[2]}',
+            f'Scores by maze of every way to play Pac-Man, {game}',
+            SIZE,
+            partial(_draw, _by_maze(rows), game),
+            f'{game}: the dots are mazes, the bars means over the mazes with 95 % intervals.',
+        )
+        for (game,), rows in grouped(scores, ['game'])
+    ]
+
+
+def _draw(by_way: Mapping[str, pd.Series], game: str, work: Drawing) -> None:
+    axes = work.axes
+    for place, values in enumerate(by_way.values()):
+        mean = Interval.of(values)
+        axes.plot([mean.low, mean.high], [place, place], color='C1', lw=2)
+        axes.plot(mean.mean, place, '|', color='C1', ms=12)
+        axes.plot(values, [place] * len(values), 'o', ms=3.5, alpha=0.5, color='C0')
+    axes.set_yticks(range(len(by_way)), list(by_way))
+    axes.invert_yaxis()
+    axes.set(title=game, xlabel='mean score of a maze')
+    axes.grid(axis='x')

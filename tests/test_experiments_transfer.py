@@ -1,0 +1,108 @@
+"""Transfer to other mazes: a real trial of small numbers, and what is said of known results."""
+
+import json
+from typing import Any
+
+from graph_support.scripted import by_reference, show
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.pacman.maze import load_maze
+from humanopts_env.domains.registry import reference_options
+from humanopts_env.seeding import generator
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption
+import pytest
+
+from experiments import transfer
+from experiments.people import BagLesson, OwnedOptions, Study
+from experiments.report import Mark
+
+PLAN, RULE = 'human, 4 options, interrupted', 'hand-written rule, at every step'
+
+
+def learned(domain: PacMan, name: str) -> LearnedOption:
+    """Learn one option from few demonstrations of an expert."""
+    rng = generator(1, 'transfer', name)
+    shown = [
+        show(
+            domain,
+            start,
+            by_reference(name, domain),
+            rng,
+            participant='p1',
+            option_name=name,
+            number=number,
+            chosen_features=reference_options(domain)[name].features,
+        )
+        for number, start in enumerate(domain.sample_states(rng, 12), start=1)
+    ]
+    return learn_option(shown, domain, 1)
+
+
+def test_there_are_two_mazes_for_each_seed_and_people_take_turns() -> None:
+    trials = transfer.trials(Study(participants=3, seeds=4, seed=2))
+    mazes = [trial.parameters['maze'] for trial in trials]
+    assert len(set(mazes)) == len(mazes) == 8
+    assert mazes == [t.parameters['maze'] for t in transfer.trials(Study(1, 4, 2))]
+    people = [trial.parameters['teacher']['person']['code'] for trial in trials]
+    assert sorted({people.count(code) for code in people}) == [2, 3]
+
+
+def test_a_users_mazes_stand_in_and_without_options_of_the_game_there_is_nothing() -> None:
+    own = load_maze('yard').text
+    (trial,) = transfer.trials(Study(mazes=(own,)))
+    assert trial.parameters['maze'] == own
+    lesson = BagLesson('/bag', 'p1', 'go', 'taxi', '{}', 'failures', 1, 'x')
+    assert transfer.trials(Study(bags=(lesson,))) == []
+    assert transfer.present([]).comparisons == []
+
+
+def test_every_way_plays_in_a_maze_that_was_not_taught_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    def taught(owner: object, domain: PacMan, names: tuple[str, ...]) -> OwnedOptions:
+        return OwnedOptions(tuple(learned(domain, name) for name in names))
+
+    monkeypatch.setattr(transfer, 'options_of', taught)
+    trial, *_ = transfer.trials(Study(participants=1, seeds=1))
+    small = {**trial.parameters, 'steps': 800, 'games': 4}
+    rows = trial.compute(small)
+    assert json.loads(json.dumps(rows)) == rows
+    ways = [row['way to play'] for row in rows if row['game'] == 'ghosts=chase']
+    assert {PLAN, RULE, 'primitive', 'random choice, 4 options'} <= set(ways)
+    assert ways == [row['way to play'] for row in rows if row['game'] == 'ghosts=random']
+    scores = {(row['game'], row['way to play']): row['score'] for row in rows}
+    assert scores['ghosts=random', 'random choice, 4 options'] > 500
+
+
+def done(*differences: float) -> list[tuple[dict[str, Any], list[dict[str, Any]]]]:
+    """Return results in which the plan has so much more than the rule, by maze."""
+    mazes = []
+    for number, more in enumerate(differences, start=1):
+        points = 1000.0 * number  # mazes differ much more than ways to play
+        rows = [
+            {'game': 'ghosts=random', 'way to play': name, 'kind': kind, 'score': score}
+            for name, kind, score in ((PLAN, 'plan', points + more), (RULE, 'rule', points))
+        ]
+        mazes.append(({'number': number, 'maze': f'maze {number}'}, rows))
+    return mazes
+
+
+@pytest.mark.parametrize(
+    ('differences', 'mark'),
+    [
+        ((10.0, 12.0, 11.0), Mark.MET),
+        ((-10.0, -12.0, -11.0), Mark.MISSED),
+        ((10.0, -12.0, 11.0), Mark.UNDECIDED),
+        ((10.0,), Mark.UNDECIDED),
+    ],
+)
+def test_differences_are_paired_by_maze(differences: tuple[float, ...], mark: Mark) -> None:
+    (found,) = transfer.present(done(*differences)).comparisons
+    assert found.mark is mark
+    mazes = {1: '1 maze', 3: '3 mazes'}[len(differences)]
+    assert f'ghosts=random, {mazes}: {PLAN}' in found.found
+
+
+def test_the_tables_hold_every_maze() -> None:
+    summary, scores, mazes = transfer.present(done(10.0, 20.0)).tables
+    assert summary.rows[0]['score'] == 1515.0
+    assert [row['score'] for row in scores.rows] == [1010.0, 1000.0, 2020.0, 2000.0]
+    assert mazes.rows == [{'maze': n, 'text': f'maze {n}'} for n in (1, 2)]
