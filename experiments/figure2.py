@@ -7,7 +7,8 @@ takes one of the best actions. *Classification accuracy* of I and beta is the sh
 are classified as the reference option does.
 
 Pac-Man is taught with both lists of its features: directions hand the policy over, and positions
-are what the paper names.
+are what the paper names. From random start states other classifiers learn from the same
+demonstrations.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,6 +40,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 import pandas as pd
 
 from experiments import paper
+from experiments.learners import cloned_accuracies, FOREST, NEIGHBOUR
 from experiments.people import (
     BagLesson,
     CAREFUL,
@@ -67,6 +69,7 @@ from experiments.trials import code_version, Trial
 
 NAME = 'fig2'
 TITLE = 'Figure 2: accuracy against demonstrations'
+EVERY = 10  # demonstrations, after each of which other classifiers learn
 ASKED = 6  # most start states for each demonstration, "not here" answers included
 PEOPLE = 'people'  # the group of those in bags
 
@@ -167,15 +170,19 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
     :return: points [demonstrations, "not here" answers, average return, policy accuracy, that of
         I, that of beta], the average return of the reference option (best return; None: unknown),
-        the person's seconds, and why the lesson was cut short (empty: it was not).
+        others (rows of demonstrations and the policy accuracy of each other classifier; where
+        start states are random), the person's seconds, and why the lesson was cut short (empty:
+        it was not).
     """
     person = Participant(**parameters['person'])
     domain = domain_from_json(parameters['domain'], parameters['domain_parameters'])
     name, wanted = parameters['option'], parameters['demonstrations']
-    reference, points = reference_options(domain)[name], []
+    reference, points, others = reference_options(domain)[name], [], []
 
     def measure(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
         points.append(_point(option, domain, reference))
+        if parameters['strategy'] == 'random' and shown[-1].kind is Kind.TRAJECTORY:
+            others.extend(_others(option, shown, domain, reference, person.seed))
         return bool(option.n_demonstrations >= wanted)
 
     rules = LessonRules(
@@ -185,6 +192,7 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
     return {
         'points': points,
         'best_return': finite(average_return(None, domain, reference)),
+        'others': others,
         'seconds': taught.seconds,
         'cut_short': taught.cut_short,
     }
@@ -196,14 +204,17 @@ def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
     bag = open_bag(Path(lesson.bag))
     domain = read_domain(bag)
     demos = taught_in(bag, domain)[lesson.participant, lesson.option]
-    reference, points = reference_options(domain).get(lesson.option), []
+    reference, points, others = reference_options(domain).get(lesson.option), [], []
     for count in range(1, len(demos) + 1):
         if any(demo.kind is Kind.TRAJECTORY for demo in demos[:count]):
             option = learn_option(demos[:count], domain, lesson.seed)
             points.append(_point(option, domain, reference))
+            if reference and demos[count - 1].kind is Kind.TRAJECTORY:
+                others += _others(option, demos[:count], domain, reference, lesson.seed)
     return {
         'points': points,
         'best_return': finite(average_return(None, domain, reference)) if reference else None,
+        'others': others,
         'seconds': sum(demo.seconds for demo in demos),
         'cut_short': '',
     }
@@ -215,6 +226,20 @@ def _point(
     measured = accuracies(option, domain, reference)
     returns = finite(average_return(option, domain, reference)) if reference else None
     return [option.n_demonstrations, option.n_not_here, returns, *measured]
+
+
+def _others(
+    option: LearnedOption,
+    shown: Sequence[Demonstration],
+    domain: Domain[Any],
+    reference: ReferenceOption,
+    seed: int,
+) -> list[dict[str, float]]:
+    """Return a row of other classifiers' policy accuracies after every tenth demonstration."""
+    if option.n_demonstrations % EVERY:
+        return []
+    found = cloned_accuracies(shown, domain, reference, seed)
+    return [{'demonstrations': option.n_demonstrations, **found}]
 
 
 def accuracy_table(done: Done) -> pd.DataFrame:
@@ -231,12 +256,8 @@ def accuracy_table(done: Done) -> pd.DataFrame:
     columns = [*CASE, 'person', *counts, *MEASURES, 'best return', 'minutes', 'cut short']
     rows = [
         [
-            parameters['domain'],
-            _features(parameters),
-            parameters['option'],
-            parameters['person']['group'] if 'person' in parameters else PEOPLE,
-            parameters['strategy'],
-            parameters['person']['code'] if 'person' in parameters else parameters['participant'],
+            *_case(parameters),
+            _code(parameters),
             *point,
             result['best_return'],
             result['seconds'] / 60,
@@ -250,6 +271,19 @@ def accuracy_table(done: Done) -> pd.DataFrame:
     points = pd.DataFrame(rows, columns=columns).astype(numbers)
     # a "not here" answer changes the point of the demonstrations so far
     return points.drop_duplicates([*CASE, 'person', 'demonstrations'], keep='last')
+
+
+def _case(parameters: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the values of ``CASE`` of a trial."""
+    group = parameters['person']['group'] if 'person' in parameters else PEOPLE
+    domain, features = parameters['domain'], _features(parameters)
+    return domain, features, parameters['option'], group, parameters['strategy']
+
+
+def _code(parameters: Mapping[str, Any]) -> str:
+    """Return the code of the person of a trial."""
+    person = parameters.get('person', {'code': parameters.get('participant')})
+    return str(person['code'])
 
 
 def _features(parameters: Mapping[str, Any]) -> str:
@@ -352,6 +386,31 @@ def last_table(curves: pd.DataFrame) -> pd.DataFrame:
     return _case_by_case(wide.rename_axis(columns=None).reset_index())
 
 
+def learner_table(done: Done, points: pd.DataFrame) -> pd.DataFrame:
+    """
+    Return the policy accuracies of the tree and of other classifiers, means over people.
+
+    :return: ``CASE``, demonstrations, count (of people), tree, each other classifier, and the forest's
+        less the tree's, with its interval, paired by person.
+    """
+    keys = [*CASE, 'person', 'demonstrations']
+    rows = [
+        dict(zip(keys, [*_case(parameters), _code(parameters)])) | row
+        for parameters, result in done
+        for row in result['others']
+    ]
+    if not rows:
+        return pd.DataFrame(columns=[*CASE, 'demonstrations'])
+    each = pd.DataFrame(rows).merge(points[[*keys, 'policy']], on=keys)
+    each['more'] = each[FOREST] - each['policy']
+    by = [*CASE, 'demonstrations']
+    found = each.groupby(by, sort=False)[['policy', NEIGHBOUR, FOREST]].mean()
+    found.insert(0, 'count', each.groupby(by, sort=False)['person'].nunique())
+    gain = mean_intervals(each, by, 'more').set_index(by)[['mean', 'low', 'high']]
+    gain.columns = ['forest less tree', 'low', 'high']
+    return found.rename(columns={'policy': 'tree'}).join(gain).round(3).reset_index()
+
+
 def present(done: Done) -> Section:
     """Return the section of the report."""
     points = accuracy_table(done)
@@ -366,6 +425,11 @@ def present(done: Done) -> Section:
         [
             Table('fig2-needed', 'Demonstrations needed for a policy accuracy', needed),
             Table('fig2-last', 'After the last demonstration', last_table(curves)),
+            Table(
+                'fig2-learners',
+                'Best actions of other classifiers from the same demonstrations',
+                learner_table(done, points),
+            ),
             Table('fig2-curves', 'The curves', curves, shown=False),
             Table('fig2-people', 'Each person', people.drop(columns=hidden), shown=False),
         ],

@@ -8,7 +8,9 @@ from pathlib import Path
 import re
 from typing import Any
 
-from humanopts_env.domains.registry import domain_from_json, make_domain
+from graph_support.scripted import by_reference, show
+from humanopts_env.domains.registry import domain_from_json, make_domain, reference_options
+from humanopts_env.seeding import generator
 from humanopts_teach.cli import main
 from humanopts_teach.report.figures import Drawing
 import numpy as np
@@ -16,6 +18,7 @@ import pandas as pd
 import pytest
 
 from experiments import figure2, figure3, figure4, paper, table2_report
+from experiments.learners import cloned_accuracies, FOREST, NEIGHBOUR
 from experiments.people import BagLesson, CAREFUL, participants, Study, VARIED
 from experiments.report import (
     Comparison,
@@ -98,7 +101,13 @@ def lesson_of(*policy: float, not_here: int = 0) -> dict[str, Any]:
     points = [
         [n, not_here, 10 * value - 20, value, 1.0, 0.5] for n, value in enumerate(policy, start=1)
     ]
-    return {'points': points, 'best_return': -10.0, 'seconds': 90.0, 'cut_short': ''}
+    return {
+        'points': points,
+        'best_return': -10.0,
+        'others': [],
+        'seconds': 90.0,
+        'cut_short': '',
+    }
 
 
 def as_wished(parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -188,6 +197,45 @@ def test_lesson_of_a_trial_has_the_demonstrations_asked_for() -> None:
     assert all(0 <= value <= 1 for point in found['points'] for value in point[3:])
     assert all(-100 <= point[2] <= found['best_return'] for point in found['points'])
     assert figure2.learn_from_simulated(parameters) == found
+
+
+def test_other_classifiers_are_as_good_as_the_tree_where_they_saw_every_state() -> None:
+    domain, name = make_domain('taxi'), PICKUP
+    reference, rng = reference_options(domain)[name], generator(1, 'learners')
+    starts = [state for state in domain.sample_states(rng, 400) if reference.can_start(state)]
+    shown = [
+        show(
+            domain,
+            start,
+            by_reference(name, domain),
+            rng,
+            option_name=name,
+            number=number,
+            chosen_features=reference.features,
+        )
+        for number, start in enumerate(starts, start=1)
+    ]
+    few, many = (cloned_accuracies(shown[:n], domain, reference, 1) for n in (1, len(shown)))
+    assert set(many) == {NEIGHBOUR, FOREST}
+    assert min(many.values()) > 0.98
+    assert max(few.values()) < 0.8
+    assert cloned_accuracies(shown[:1], domain, reference, 1) == few
+
+
+def test_other_classifiers_are_compared_with_the_tree_within_people() -> None:
+    def result(parameters: Mapping[str, Any]) -> dict[str, Any]:
+        tree = 0.5 if parameters['person']['code'].endswith('1') else 0.7
+        if parameters['strategy'] != 'random':
+            return lesson_of(*[tree] * 10)
+        others = [{'demonstrations': 10, NEIGHBOUR: tree - 0.1, FOREST: tree + 0.1}]
+        return {**lesson_of(*[tree] * 10), 'others': others}
+
+    (table,) = [t for t in figure_2(result).tables if t.name == 'fig2-learners']
+    assert {row['start states by'] for row in table.rows} == {'random'}
+    for row in table.rows:
+        assert (row['demonstrations'], row['count']) == (10, 2)
+        assert (row['tree'], row[NEIGHBOUR], row[FOREST]) == (0.6, 0.5, 0.7)
+        assert (row['forest less tree'], row['low'], row['high']) == (0.1, 0.1, 0.1)
 
 
 def test_goals_that_are_reached_are_met_and_the_papers_forty_agrees(section: Section) -> None:

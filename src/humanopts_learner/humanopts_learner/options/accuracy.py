@@ -14,12 +14,12 @@ where it is asked:
   enters is no error.
 """
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
-from humanopts_env.arrays import Flags, Rows
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.reference import (
@@ -63,10 +63,22 @@ def policy_accuracy(
     :raises OptionError: the option was not learned in this domain.
     """
     option.check_domain(domain)
+    return action_accuracy(option.greedy_action, domain, reference)
+
+
+def action_accuracy(
+    choose: Callable[[Rows], Ints], domain: Domain[Any], reference: ReferenceOption
+) -> float:
+    """
+    Return the share of states in which a policy takes one of the optimal actions.
+
+    :param choose: returns the actions (N,) in states with features (N, F).
+    :return: 0..1; NaN where the reference can start nowhere.
+    """
     right = _answers(domain, reference)
     if not len(right.acting):
         return float('nan')
-    action = option.greedy_action(right.acting)
+    action = choose(right.acting)
     return float(right.optimal[np.arange(len(action)), action].mean())
 
 
