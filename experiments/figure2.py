@@ -390,8 +390,8 @@ def learner_table(done: Done, points: pd.DataFrame) -> pd.DataFrame:
     """
     Return the policy accuracies of the tree and of other classifiers, means over people.
 
-    :return: ``CASE``, demonstrations, count (of people), tree, each other classifier, and the forest's
-        less the tree's, with its interval, paired by person.
+    :return: ``CASE``, demonstrations, count (of people), tree, each other classifier, and the
+        forest's less the tree's, with its interval, paired by person.
     """
     keys = [*CASE, 'person', 'demonstrations']
     rows = [
