@@ -46,8 +46,8 @@ class RawSubscriber:
     """
     The subscriptions of a recorder.
 
-    All queued messages are taken every few milliseconds, which costs less than a twentieth of what
-    an executor does with them.
+    All queued messages are taken together, many times a second, which costs less than a twentieth
+    of what an executor does with them.
     """
 
     def __init__(self, node: Node, selection: Selection) -> None:
