@@ -8,9 +8,8 @@ from pathlib import Path
 import re
 from typing import Any
 
-from graph_support.scripted import by_reference, show
+from graph_support.scripted import expert
 from humanopts_env.domains.registry import domain_from_json, make_domain, reference_options
-from humanopts_env.seeding import generator
 from humanopts_teach.cli import main
 from humanopts_teach.report.figures import Drawing
 import numpy as np
@@ -200,21 +199,9 @@ def test_lesson_of_a_trial_has_the_demonstrations_asked_for() -> None:
 
 
 def test_other_classifiers_are_as_good_as_the_tree_where_they_saw_every_state() -> None:
-    domain, name = make_domain('taxi'), PICKUP
-    reference, rng = reference_options(domain)[name], generator(1, 'learners')
-    starts = [state for state in domain.sample_states(rng, 400) if reference.can_start(state)]
-    shown = [
-        show(
-            domain,
-            start,
-            by_reference(name, domain),
-            rng,
-            option_name=name,
-            number=number,
-            chosen_features=reference.features,
-        )
-        for number, start in enumerate(starts, start=1)
-    ]
+    domain = make_domain('taxi')
+    reference = reference_options(domain)[PICKUP]
+    shown = [demo for demo in expert(PICKUP, 400) if demo.actions]
     few, many = (cloned_accuracies(shown[:n], domain, reference, 1) for n in (1, len(shown)))
     assert set(many) == {NEIGHBOUR, FOREST}
     assert min(many.values()) > 0.98

@@ -3,13 +3,10 @@
 import json
 from typing import Any
 
-from graph_support.scripted import by_reference, show
+from graph_support.scripted import expert
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.maze import load_maze
-from humanopts_env.domains.registry import reference_options
-from humanopts_env.seeding import generator
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
 from humanopts_teach.evaluation.games import Baseline, every_baseline
 import pytest
 
@@ -18,25 +15,6 @@ from experiments.people import BagLesson, OwnedOptions, Study
 from experiments.report import Mark
 
 PLAN, RULE = 'human, 4 options, interrupted', 'hand-written rule, at every step'
-
-
-def learned(domain: PacMan, name: str) -> LearnedOption:
-    """Learn one option from few demonstrations of an expert."""
-    rng = generator(1, 'transfer', name)
-    shown = [
-        show(
-            domain,
-            start,
-            by_reference(name, domain),
-            rng,
-            participant='p1',
-            option_name=name,
-            number=number,
-            chosen_features=reference_options(domain)[name].features,
-        )
-        for number, start in enumerate(domain.sample_states(rng, 12), start=1)
-    ]
-    return learn_option(shown, domain, 1)
 
 
 def test_there_are_two_mazes_for_each_seed_and_people_take_turns() -> None:
@@ -59,7 +37,9 @@ def test_a_users_mazes_stand_in_and_without_options_of_the_game_there_is_nothing
 
 def test_options_play_in_a_maze_that_was_not_taught_in(monkeypatch: pytest.MonkeyPatch) -> None:
     def taught(owner: object, domain: PacMan, names: tuple[str, ...]) -> OwnedOptions:
-        return OwnedOptions(tuple(learned(domain, name) for name in names))
+        return OwnedOptions(
+            tuple(learn_option(expert(name, 40, domain), domain, 1) for name in names)
+        )
 
     def some(*game: Any) -> list[Baseline]:
         return [baseline for baseline in every_baseline(*game) if baseline.name in ways]
