@@ -34,7 +34,7 @@ def test_games_agree_with_the_single_form_step_by_step(
     """States, points, ends and features of long games, played at random or mostly for food."""
     domain, rng = PacMan(maze, ghosts, lives), generator(seed, 'agree')
     rules = domain.rules
-    batch, read = PacManBatch(rules, 8), FeatureReader(rules)
+    batch, read = PacManBatch.begin(rules, 8), FeatureReader(rules)
     towards_food = read.names.index('food_direction')
     states = [rules.start()] * 8
     for step in range(150):
@@ -57,7 +57,7 @@ def test_games_agree_with_the_single_form_step_by_step(
 
 def test_agreement_is_tested_on_everything_that_can_happen() -> None:
     """Such games lose lives, clear the maze, and eat pills, fruit and ghosts."""
-    batch = PacManBatch(PacMan().rules, 30)
+    batch = PacManBatch.begin(PacMan().rules, 30)
     read, rng = FeatureReader(batch.rules), generator(0, 'everything')
     towards_food, ate = read.names.index('food_direction'), 0
     for _ in range(400):
@@ -82,7 +82,7 @@ def test_states_go_into_a_batch_and_come_out(maze: str) -> None:
 def test_games_that_are_over_stay_as_they_are() -> None:
     """And earn nothing."""
     rules = PacMan('yard', lives=1).rules
-    batch, rng = PacManBatch(rules, 50), generator(0, 'over')
+    batch, rng = PacManBatch.begin(rules, 50), generator(0, 'over')
     for _ in range(300):
         over, before = batch.over, batch.states()
         points = batch.step(rng.integers(4, size=50), batch.draws(rng))
@@ -108,7 +108,7 @@ def test_chosen_games_are_copied_put_and_begun_again() -> None:
 
 def test_draws_are_all_alike_and_depend_on_the_generator_alone() -> None:
     """One below 60 for each ghost and game."""
-    batch = PacManBatch(PacMan().rules, 30_000)
+    batch = PacManBatch.begin(PacMan().rules, 30_000)
     draws = batch.draws(generator(3, 'draws'))
     assert draws.shape == (2, 30_000)
     counts = np.bincount(draws.ravel(), minlength=DRAWS)

@@ -118,7 +118,7 @@ def random_choice(
 
 def random_moves(domain: PacMan, games: int) -> Ints:
     """Return the scores of games with random moves."""
-    batch, rng = PacManBatch(domain.rules, games), generator(1, 'random moves')
+    batch, rng = PacManBatch.begin(domain.rules, games), generator(1, 'random moves')
     while not batch.over.all():
         batch.step(rng.integers(len(domain.actions), size=games), batch.draws(rng))
     return batch.score

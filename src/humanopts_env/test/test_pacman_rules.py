@@ -278,3 +278,18 @@ def test_moves_are_named_as_on_a_map() -> None:
     assert [(a.name, a.key) for a in PacMan().actions] == list(
         zip(MOVES, ('up', 'left', 'right', 'down'))
     )
+
+
+def test_a_step_depends_on_the_state_alone_whatever_was_played_before() -> None:
+    """Not on whether the state is the result of the latest step, or was built anew."""
+    rules, rng = PacMan(ghosts='chase').rules, generator(0, 'branches')
+    state = rules.start()
+    for _ in range(60):
+        draws = rules.draws(rng)
+        after = [rules.advance(state, move, draws) for move in range(4)]
+        new = Rules(rules.maze, 'chase')
+        assert after == [new.advance(replace(state), move, draws) for move in range(4)]
+        assert rules.game_at(after[-1]).states() == [after[-1]]
+        state = after[int(rng.integers(4))]
+        if rules.is_over(state):
+            break

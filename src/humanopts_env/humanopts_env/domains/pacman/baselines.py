@@ -121,7 +121,7 @@ def play_options(
     """
     rng = generator(seed, 'baseline', 'options')
     running = np.full(games, -1, dtype=np.intp)
-    batch, each = PacManBatch(options[0].rules, games), np.arange(games)
+    batch, each = PacManBatch.begin(options[0].rules, games), np.arange(games)
     for _ in range(max_steps):
         if batch.over.all():
             break

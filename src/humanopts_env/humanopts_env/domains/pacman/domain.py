@@ -152,8 +152,7 @@ class PacMan:
 
     def feature_values(self, state: PacManState) -> NDArray[np.int32]:
         """Return the value of every feature, (F,), indices into ``Feature.values``."""
-        batch = PacManBatch.from_states(self.rules, [state])
-        values: NDArray[np.int32] = self.read_features(batch)[0]
+        values: NDArray[np.int32] = self.read_features(self.rules.game_at(state))[0]
         return values
 
     def read_features(self, batch: PacManBatch) -> NDArray[np.int32]:

@@ -37,6 +37,7 @@ THINGS = {  # prefix of feature names: what it is to a person
     'danger': 'the nearest dangerous ghost',
     'prey': 'the nearest scared ghost',
 }
+DANGEROUS_AND_SCARED = read_only(np.array([[False], [True]]))
 
 
 def in_paper(name: str) -> bool:
@@ -142,9 +143,11 @@ class FeatureReader:
         steps[:, :count] = paths.distance
         way = np.stack((first, steps), axis=2)
         place = np.broadcast_to(self._place, (count, count + 1, 2))
-        self._way = way.reshape(-1, 2)  # (C * (C + 1), 2)
-        self._place_and_way = np.concatenate((place, way), axis=2).reshape(-1, 4)
-        self._items = [self._nearest(items) for items in (maze.food, maze.pills)]
+        self._place_and_way = np.concatenate((place, way), axis=2).reshape(
+            -1, 4
+        )  # (C * (C + 1), 4)
+        self._food, self._pills = self._nearest(maze.food), self._nearest(maze.pills)
+        self._distance = paths.distance.ravel()
         self._legal = paths.legal.astype(np.int32)
 
     @cached_property
@@ -164,44 +167,38 @@ class FeatureReader:
         if out is None:
             out = np.empty((len(batch), len(self.names)), dtype=np.int32)
         groups, here = len(batch.ghosts), batch.pacman
+        seen = self._look(batch)
         out[:, :2] = self._place[here]
         column = 2
-        for g in range(groups):
-            self._write(out[:, column : column + 4], here, batch.ghosts[g])
-            out[:, column + 4] = batch.scared[g]
+        for thing in range(groups):
+            out[:, column : column + 4] = seen[thing]
+            out[:, column + 4] = batch.scared[thing]
             column += 5
-        for items, taken in zip(self._items, (batch.food_taken, batch.pills_taken)):
-            self._write(out[:, column : column + 4], here, self._find(items, here, taken))
+        for thing in range(groups, groups + 3):
+            out[:, column : column + 4] = seen[thing]
             column += 4
-        fruit = np.where(batch.fruit > 0, batch.fruit_at, len(self._place) - 1)
-        self._write(out[:, column : column + 4], here, fruit)
-        column += 4
-        for scared in (False, True):
-            out[:, column : column + 2] = self._way_to(here, self._ghost(batch, scared=scared))
+        for thing in range(groups + 3, groups + 5):
+            out[:, column : column + 2] = seen[thing, :, 2:]
             column += 2
         out[:, column] = batch.ate
         out[:, column + 1] = self._legal[here]
         return out
 
     def directions(self, batch: PacManBatch) -> dict[str, NDArray[np.int32]]:
-        """Return the directions of the nearest food, pill and prey alone, (N,) by name."""
-        here, (food, pills) = batch.pacman, self._items
-        cells = {
-            'food': self._find(food, here, batch.food_taken),
-            'pill': self._find(pills, here, batch.pills_taken),
-            'prey': self._ghost(batch, scared=True),
-        }
-        return {name: self._way_to(here, at)[:, 0] for name, at in cells.items()}
+        """Return the directions of the nearest thing of each kind, (N,) by their prefixes."""
+        return dict(zip(THINGS, self._look(batch)[len(batch.ghosts) :, :, 2]))
 
-    def _write(
-        self, out: NDArray[np.int32], here: NDArray[np.intp], cells: NDArray[np.intp]
-    ) -> None:
-        """Write row, column, direction and distance of a cell in each game."""
-        out[:] = self._place_and_way[here * len(self._place) + cells]
-
-    def _way_to(self, here: NDArray[np.intp], cells: NDArray[np.intp]) -> NDArray[np.int32]:
-        way: NDArray[np.int32] = self._way[here * len(self._place) + cells]
-        return way
+    def _look(self, batch: PacManBatch) -> NDArray[np.int32]:
+        """Return row, column, direction and distance of ghosts and THINGS, (G + 5, N, 4)."""
+        groups, here, none = len(batch.ghosts), batch.pacman, len(self._place) - 1
+        cells = np.empty((groups + len(THINGS), len(batch)), dtype=np.intp)
+        cells[:groups] = batch.ghosts
+        cells[groups] = self._find(self._food, here, batch.food_taken)
+        cells[groups + 1] = self._find(self._pills, here, batch.pills_taken)
+        cells[groups + 2] = np.where(batch.fruit > 0, batch.fruit_at, none)
+        cells[groups + 3 :] = self._nearest_ghosts(batch)
+        seen: NDArray[np.int32] = self._place_and_way[here * len(self._place) + cells]
+        return seen
 
     def _find(
         self, items: _Nearest, here: NDArray[np.intp], taken: NDArray[np.unsignedinteger]
@@ -212,16 +209,17 @@ class FeatureReader:
         found: NDArray[np.intp] = items.cells[distance.argmin(axis=1)]
         return found
 
-    def _ghost(self, batch: PacManBatch, *, scared: bool) -> NDArray[np.intp]:
-        """Return the cell of the nearest dangerous or scared ghost; C where there is none."""
+    def _nearest_ghosts(self, batch: PacManBatch) -> NDArray[np.intp]:
+        """Return the cells of the nearest dangerous and scared ghost, (2, N); C: there is none."""
         none = len(self._place) - 1
-        best = np.full(len(batch), none, dtype=np.intp)
-        least = np.full(len(batch), self.far, dtype=self.rules.paths.distance.dtype)
-        for cells, steps in zip(batch.ghosts, batch.scared):
-            distance = self.rules.paths.distance.ravel()[batch.pacman * none + cells]
-            nearer = ((steps > 0) == scared) & (distance < least)
+        best = np.full((2, len(batch)), none, dtype=np.intp)
+        least = np.full((2, len(batch)), self.far, dtype=self._distance.dtype)
+        distance = self._distance[batch.pacman * none + batch.ghosts]
+        scared = batch.scared > 0
+        for ghost, cells in enumerate(batch.ghosts):
+            nearer = (scared[ghost] == DANGEROUS_AND_SCARED) & (distance[ghost] < least)
             np.copyto(best, cells, where=nearer)
-            np.copyto(least, distance, where=nearer)
+            np.copyto(least, distance[ghost], where=nearer)
         return best
 
     def _nearest(self, items: Sequence[int]) -> _Nearest:

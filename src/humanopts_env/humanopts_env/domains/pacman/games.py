@@ -89,7 +89,7 @@ class PacManGames:
 
     def batch_reset(self, count: int, rng: np.random.Generator) -> PacManBatch:
         """Begin games."""
-        return PacManBatch(self._rules, count)
+        return PacManBatch.begin(self._rules, count)
 
     def batch_of(self, states: Sequence[PacManState]) -> PacManBatch:
         """Return games that stand at given states."""
@@ -297,7 +297,8 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
 
     :param count: number of states, N.
     """
-    batch, drawn, read = PacManBatch(rules, count), PacManBatch(rules, count), FeatureReader(rules)
+    batch, drawn = PacManBatch.begin(rules, count), PacManBatch.begin(rules, count)
+    read = FeatureReader(rules)
     playing = np.arange(count)  # those that ``batch`` holds
     length = rng.integers(LONGEST, size=count)
     want = rng.integers(len(WANTS), size=count)

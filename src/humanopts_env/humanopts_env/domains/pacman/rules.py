@@ -53,7 +53,7 @@ ATE_FOOD, ATE_PILL, ATE_FRUIT, ATE_GHOST = 1, 2, 4, 8  # bits of PacManState.ate
 FRUIT_AFTER = (30, 65)  # food eaten
 DRAWS, CHASE_DRAWS = 60, 48  # 48 / 60 = 0.8; both, and their difference, divide by 1 to 4
 GHOST_RULES = ('random', 'chase')
-OF_GHOSTS = ('ghosts', 'headings', 'scared')  # arrays of a batch with one row for each ghost
+ONE_GAME = np.zeros(1, dtype=np.intp)
 
 
 def _picks() -> NDArray[np.uint8]:
@@ -79,26 +79,32 @@ class Tables:
     towards: NDArray[np.uint8]  # (C * 5 * C,) and by Pac-Man's cell
     away: NDArray[np.uint8]
     picks: NDArray[np.intp]  # (16 * DRAWS,) move of a draw from a mask
-    food_at: Ints  # (C,) index of the food in a cell; K: none
-    pill_at: Ints  # (C,) index of the pill in a cell; P: none
+    item_at: Ints  # (C,) index in ``PacManBatch.taken`` of the food or pill in a cell; K: none
+    is_food: Flags  # (C,) whether there is food in a cell
+    lays_fruit: Flags  # (K + 1,) whether fruit is laid when so much food is left
+    all_taken: Taken  # (K + P + 2,) marks of one game in which nothing is left
     homes: Ints  # (G, 1)
 
 
 def _tables(maze: Maze, paths: Paths) -> Tables:
     """Lay the maze out for steps of many games."""
-    places = []
-    for items in (maze.food, maze.pills):
-        at = np.full(len(maze.cells), len(items), dtype=np.intp)
-        at[list(items)] = range(len(items))
-        places.append(read_only(at))
+    food, pills = len(maze.food), len(maze.pills)
+    item_at = np.full(len(maze.cells), food, dtype=np.intp)
+    item_at[list(maze.food)] = range(food)
+    item_at[list(maze.pills)] = range(food + 1, food + 1 + pills)
+    all_taken = np.full(food + pills + 2, paths.far, dtype=paths.distance.dtype)
+    all_taken[[food, -1]] = paths.far - 1
+    left = np.arange(food + 1)
     return Tables(
         step=paths.step.ravel(),
         allowed=paths.allowed.ravel(),
         towards=paths.towards.ravel(),
         away=paths.away.ravel(),
         picks=read_only(PICKS.astype(np.intp).ravel()),
-        food_at=places[0],
-        pill_at=places[1],
+        item_at=read_only(item_at),
+        is_food=read_only(item_at < food),
+        lays_fruit=read_only(np.isin(food - left, FRUIT_AFTER) & (left > 0)),
+        all_taken=read_only(all_taken),
         homes=read_only(np.array(maze.homes, dtype=np.intp).reshape(-1, 1)),
     )
 
@@ -128,7 +134,18 @@ class Rules:
 
     def start(self) -> PacManState:
         """Return the first state of every game."""
-        return PacManBatch(self).states()[0]
+        maze = self.maze
+        return PacManState(
+            pacman=maze.start,
+            ghosts=tuple(Ghost(home) for home in maze.homes),
+            food=(1 << len(maze.food)) - 1,
+            pills=(1 << len(maze.pills)) - 1,
+            fruit=0,
+            fruit_at=NO_CELL,
+            lives=self.lives,
+            score=0,
+            ate=0,
+        )
 
     def is_over(self, state: PacManState) -> bool:
         """Return whether the food is all eaten, or the last life lost."""
@@ -136,8 +153,7 @@ class Rules:
 
     def draws(self, rng: np.random.Generator) -> list[int]:
         """Draw the chance of one step of one game, (G,)."""
-        numbers: list[int] = rng.integers(DRAWS, size=len(self.maze.homes)).tolist()
-        return numbers
+        return [int(rng.integers(DRAWS)) for _ in self.maze.homes]
 
     def advance(self, state: PacManState, move: int, draws: Sequence[int]) -> PacManState:
         """
@@ -145,13 +161,27 @@ class Rules:
 
         :param draws: (G,) one number below DRAWS for each ghost.
         """
-        batch = PacManBatch.from_states(self, [state])
-        batch.step(np.array([move]), np.array([draws], dtype=np.intp).T)
-        return batch.states()[0]
+        game = self.game_at(state).take(ONE_GAME)
+        game.step(np.array([move]), np.array([draws], dtype=np.intp).T)
+        after = game.states()[0]
+        self._latest[:] = [(after, game)]
+        return after
+
+    def game_at(self, state: PacManState) -> 'PacManBatch':
+        """Return a batch of one game that stands at a state, which must not be changed."""
+        for after, game in self._latest:
+            if after is state:
+                return game
+        return PacManBatch.from_states(self, [state])
+
+    @cached_property
+    def _latest(self) -> list[tuple[PacManState, 'PacManBatch']]:
+        """The result of the latest ``advance``: to build its batch anew takes as long as a step."""
+        return []
 
     def can_follow(self, state: PacManState, move: int, successor: PacManState) -> bool:
         """Return whether some draws lead from a state that is not over to another."""
-        now = PacManBatch.from_states(self, [state])
+        now = self.game_at(state)
         probe = now.take(np.zeros(DRAWS, dtype=np.intp))
         every = np.broadcast_to(np.arange(DRAWS), probe.ghosts.shape)
         probe.move_ghosts(probe.pacman, np.ones(DRAWS, dtype=np.bool_), every)
@@ -170,14 +200,17 @@ class PacManBatch:
     N games of the same rules.
 
     Food and pills that are taken are marked with ``Paths.far``, others with 0, so that a bitwise
-    or with distances keeps the distances of those that are left. Both arrays have one more entry
-    for cells with nothing to take, marked with ``far - 1``: nearer than all that is taken, and
+    or with distances keeps the distances of those that are left. Both have one more entry for
+    cells with nothing to take, marked with ``far - 1``: nearer than all that is taken, and
     farther than all that is left.
+
+    All arrays are rows and columns of two, ``numbers`` and ``taken``, and change in place.
 
     :ivar pacman: (N,) cells.
     :ivar ghosts: (G, N) cells.
     :ivar headings: (G, N) last moves; STAY: none.
     :ivar scared: (G, N) steps for which each ghost is still scared.
+    :ivar timers: (G + 1, N) ``scared`` and ``fruit``: what goes down by one in a step.
     :ivar food_taken: (N, K + 1).
     :ivar pills_taken: (N, P + 1).
     :ivar food_left: (N,) number of food left.
@@ -188,60 +221,54 @@ class PacManBatch:
     :ivar ate: (N,) masks of the last step's meals.
     """
 
-    pacman: Ints
-    ghosts: Ints
-    headings: Ints
-    scared: Ints
-    food_taken: Taken
-    pills_taken: Taken
-    food_left: Ints
-    fruit: Ints
-    fruit_at: Ints
-    lives: Ints
-    score: Ints
-    ate: Ints
+    def __init__(self, rules: Rules, numbers: Ints, taken: Taken) -> None:
+        """
+        Take the arrays of games, which are changed from now on.
 
-    def __init__(self, rules: Rules, count: int = 1) -> None:
+        :param numbers: (7 + 3 * G, N) pacman, food_left, fruit_at, lives, score, ate; then G rows
+            each of ghosts, headings and scared; then fruit.
+        :param taken: (N, K + P + 2) ``food_taken``, then ``pills_taken``.
+        """
+        self.rules, self.tables = rules, rules.tables
+        self.numbers, self.taken = numbers, taken
+        groups, food = len(rules.maze.homes), len(rules.maze.food)
+        self.pacman, self.food_left, self.fruit_at, self.lives, self.score, self.ate = numbers[:6]
+        self.ghosts = numbers[6 : 6 + groups]
+        self.headings = numbers[6 + groups : 6 + 2 * groups]
+        self.timers = numbers[6 + 2 * groups :]
+        self.scared, self.fruit = self.timers[:groups], self.timers[groups]
+        self.food_taken, self.pills_taken = taken[:, : food + 1], taken[:, food + 1 :]
+
+    @classmethod
+    def begin(cls, rules: Rules, count: int = 1) -> 'PacManBatch':
         """
         Begin games.
 
         :param count: number of games, N.
         """
-        maze, groups = rules.maze, len(rules.maze.homes)
-        self.rules = rules
-        self.tables = rules.tables
-        far = rules.paths.far
-        self.pacman = np.full(count, maze.start, dtype=np.intp)
-        self.ghosts = np.repeat(self.tables.homes, count, axis=1)
-        self.headings = np.full((groups, count), STAY, dtype=np.intp)
-        self.scared = np.zeros((groups, count), dtype=np.intp)
-        for name, items in (('food_taken', maze.food), ('pills_taken', maze.pills)):
-            taken = np.zeros((count, len(items) + 1), dtype=rules.paths.distance.dtype)
-            taken[:, -1] = far - 1
-            setattr(self, name, taken)
-        self.food_left = np.full(count, len(maze.food), dtype=np.intp)
-        self.fruit = np.zeros(count, dtype=np.intp)
-        self.fruit_at = np.full(count, NO_CELL, dtype=np.intp)
-        self.lives = np.full(count, rules.lives, dtype=np.intp)
-        self.score = np.zeros(count, dtype=np.intp)
-        self.ate = np.zeros(count, dtype=np.intp)
+        return cls.from_states(rules, [rules.start()]).take(np.zeros(count, dtype=np.intp))
 
     @classmethod
     def from_states(cls, rules: Rules, states: Sequence[PacManState]) -> 'PacManBatch':
         """Return games that stand at given states."""
-        batch = cls.__new__(cls)
-        batch.rules, batch.tables = rules, rules.tables
-        numbers = [(s.pacman, s.fruit, s.fruit_at, s.lives, s.score, s.ate) for s in states]
-        columns = np.array(numbers, dtype=np.intp).reshape(-1, 6).T.copy()
-        batch.pacman, batch.fruit, batch.fruit_at, batch.lives, batch.score, batch.ate = columns
-        ghosts = [[(g.cell, g.heading, g.scared) for g in state.ghosts] for state in states]
-        shape = len(states), len(rules.maze.homes), 3
-        each = np.array(ghosts, dtype=np.intp).reshape(shape).transpose(2, 1, 0).copy()
-        batch.ghosts, batch.headings, batch.scared = each
-        batch.food_taken = _taken(rules, len(rules.maze.food), [state.food for state in states])
-        batch.pills_taken = _taken(rules, len(rules.maze.pills), [state.pills for state in states])
-        batch.food_left = (batch.food_taken == 0).sum(axis=1)
-        return batch
+        count, food = len(states), len(rules.maze.food)
+        rows = [
+            (
+                *(s.pacman, s.food.bit_count(), s.fruit_at, s.lives, s.score, s.ate),
+                *[ghost.cell for ghost in s.ghosts],
+                *[ghost.heading for ghost in s.ghosts],
+                *[ghost.scared for ghost in s.ghosts],
+                s.fruit,
+            )
+            for s in states
+        ]
+        numbers = np.array(rows, dtype=np.intp).reshape(count, 7 + 3 * len(rules.maze.homes))
+        all_taken = rules.tables.all_taken
+        width = (len(all_taken) + 7) // 8
+        masks = [(s.food | s.pills << food + 1).to_bytes(width, 'little') for s in states]
+        packed = np.frombuffer(b''.join(masks), dtype=np.uint8).reshape(count, width)
+        left = np.unpackbits(packed, axis=1, count=len(all_taken), bitorder='little')
+        return cls(rules, numbers.T.copy(), np.where(left, all_taken.dtype.type(0), all_taken))
 
     def __len__(self) -> int:
         """Return the number of games."""
@@ -250,44 +277,46 @@ class PacManBatch:
     @property
     def over(self) -> Flags:
         """(N,) whether each game is over."""
-        done: Flags = (self.food_left == 0) | (self.lives == 0)
+        done: Flags = ~np.logical_and(self.food_left, self.lives)
         return done
 
     def states(self) -> list[PacManState]:
         """Return the state of every game."""
-        ghosts = np.stack((self.ghosts, self.headings, self.scared), axis=2).swapaxes(0, 1)
-        fruit_at = np.where(self.fruit > 0, self.fruit_at, NO_CELL)
-        parts = (self.fruit, fruit_at, self.lives, self.score, self.ate)
-        return [
-            PacManState(pacman, tuple(Ghost(*ghost) for ghost in row), food, pills, *rest)
-            for pacman, row, food, pills, rest in zip(
-                self.pacman.tolist(),
-                ghosts.tolist(),
-                _get_bits(self.food_taken),
-                _get_bits(self.pills_taken),
-                zip(*(part.tolist() for part in parts)),
+        groups, food = self.ghosts.shape[0], len(self.rules.maze.food)
+        packed = np.packbits(self.taken == 0, axis=1, bitorder='little')
+        states = []
+        for row, bits in zip(self.numbers.T.tolist(), packed):
+            pacman, _, fruit_at, lives, score, ate, *ghosts, fruit = row
+            each = zip(ghosts[:groups], ghosts[groups : 2 * groups], ghosts[2 * groups :])
+            left = int.from_bytes(bits.tobytes(), 'little')
+            states.append(
+                PacManState(
+                    pacman=pacman,
+                    ghosts=tuple(Ghost(*ghost) for ghost in each),
+                    food=left & (1 << food) - 1,
+                    pills=left >> food + 1,
+                    fruit=fruit,
+                    fruit_at=fruit_at if fruit else NO_CELL,
+                    lives=lives,
+                    score=score,
+                    ate=ate,
+                )
             )
-        ]
+        return states
 
     def take(self, games: NDArray[Any]) -> 'PacManBatch':
         """Return copies of chosen games: their indices (M,), in any order and number."""
-        chosen = PacManBatch.__new__(PacManBatch)
-        chosen.rules, chosen.tables = self.rules, self.tables
-        for name in PacManBatch.__annotations__:
-            value = getattr(self, name)
-            setattr(chosen, name, value[:, games] if name in OF_GHOSTS else value[games])
-        return chosen
+        return PacManBatch(self.rules, self.numbers.take(games, axis=1), self.taken[games])
 
     def put(self, games: NDArray[Any], source: 'PacManBatch') -> None:
         """Set chosen games, by their indices (M,), each once, to the M games of another batch."""
-        for name in PacManBatch.__annotations__:
-            at = (slice(None), games) if name in OF_GHOSTS else games
-            getattr(self, name)[at] = getattr(source, name)
+        self.numbers[:, games] = source.numbers
+        self.taken[games] = source.taken
 
     def restart(self, games: NDArray[Any]) -> None:
         """Begin chosen games again, by their indices (M,)."""
         if len(games):
-            self.put(games, PacManBatch(self.rules, len(games)))
+            self.put(games, PacManBatch.begin(self.rules, len(games)))
 
     def draws(self, rng: np.random.Generator) -> Ints:
         """Return the random draws of one step, (G, N)."""
@@ -301,25 +330,25 @@ class PacManBatch:
         :param draws: (G, N) from ``draws``.
         :return: (N,) points earned.
         """
-        live, before = ~self.over, self.score.copy()
-        pacman, ghosts = self.pacman, self.ghosts
-        self.pacman = self.tables.step[pacman * 5 + np.where(live, moves, STAY)]
+        live = ~self.over
+        score, pacman, ghosts = self.score.copy(), self.pacman.copy(), self.ghosts.copy()
+        np.copyto(self.pacman, self.tables.step[pacman * 5 + moves], where=live)
         self.move_ghosts(pacman, live, draws)
-        self.ate *= ~live
+        np.copyto(self.ate, 0, where=live)
         self._eat(live)
         met: Flags = self.ghosts == self.pacman
         met |= (self.ghosts == pacman) & (ghosts == self.pacman)
         met &= live
         self._meet(met)
-        self.scared -= (self.scared > 0) & live
-        self.fruit -= (self.fruit > 0) & live
-        return self.score - before
+        self.timers -= (self.timers > 0) & live
+        points: Ints = self.score - score
+        return points
 
     def _meet(self, met: Flags) -> None:
         """Eat scared ghosts among those that Pac-Man meets (G, N); take lives for others."""
-        games = np.flatnonzero(met.any(axis=0))
-        if not games.size:
+        if not met.any():
             return
+        games = np.flatnonzero(met.any(axis=0))
         met = met[:, games]
         prey = met & (self.scared[:, games] > 0)
         caught = (met & ~prey).any(axis=0) & (self.food_left[games] > 0)
@@ -340,25 +369,26 @@ class PacManBatch:
 
     def _eat(self, live: Flags) -> None:
         """Eat the food, pill or fruit in Pac-Man's cell."""
-        at_fruit: Flags = (self.pacman == self.fruit_at) & (self.fruit > 0) & live
-        if at_fruit.any():
-            self._eat_fruit(at_fruit.nonzero()[0])
-        fed = self._take(self.food_taken, self.tables.food_at, live)
-        self.food_left -= fed
-        self.score += FOOD_POINTS * fed
-        self.ate |= ATE_FOOD * fed
-        for after in FRUIT_AFTER:
-            left = len(self.rules.maze.food) - after
-            reached: Flags = fed & (self.food_left == left)
-            if left > 0 and reached.any():
-                self._lay_fruit(reached.nonzero()[0])
-        games = self._take(self.pills_taken, self.tables.pill_at, live).nonzero()[0]
-        if not games.size:
-            return
-        self.score[games] += PILL_POINTS
-        self.ate[games] |= ATE_PILL
-        self.scared[:, games] = SCARED_STEPS + 1
-        self.headings[:, games] = STAY
+        at_fruit = ((self.pacman == self.fruit_at) & (self.fruit > 0) & live).nonzero()[0]
+        if at_fruit.size:
+            self._eat_fruit(at_fruit)
+        item = self.tables.item_at[self.pacman]
+        item += np.arange(0, self.taken.size, self.taken.shape[1])
+        taken = self.taken.reshape(-1)
+        games = ((taken[item] == 0) & live).nonzero()[0]
+        if games.size:
+            taken[item[games]] = self.rules.paths.far
+            food = self.tables.is_food[self.pacman[games]]
+            self._eat_food(games[food])
+            self._eat_pill(games[~food])
+
+    def _eat_food(self, games: Ints) -> None:
+        self.food_left[games] -= 1
+        self.score[games] += FOOD_POINTS
+        self.ate[games] |= ATE_FOOD
+        reached = games[self.tables.lays_fruit[self.food_left[games]]]
+        if reached.size:
+            self._lay_fruit(reached)
 
     def _lay_fruit(self, games: Ints) -> None:
         """Lay fruit on the food that is left nearest to the middle."""
@@ -373,43 +403,26 @@ class PacManBatch:
         self.score[games] += FRUIT_POINTS
         self.ate[games] |= ATE_FRUIT
 
-    def _take(self, taken: Taken, number_at: Ints, live: Flags) -> Flags:
-        """Take the food or pill in Pac-Man's cell; return (N,) whether there was one."""
-        width = taken.shape[1]
-        place = number_at[self.pacman]
-        place += np.arange(0, taken.size, width)
-        flat = taken.reshape(-1)
-        found: Flags = (flat[place] == 0) & live
-        flat[place[found]] = self.rules.paths.far
-        return found
+    def _eat_pill(self, games: Ints) -> None:
+        self.score[games] += PILL_POINTS
+        self.ate[games] |= ATE_PILL
+        self.scared[:, games] = SCARED_STEPS + 1
+        self.headings[:, games] = STAY
 
     def move_ghosts(self, pacman: Ints, live: Flags, draws: NDArray[np.integer]) -> None:
         """Move the ghosts in reaction to Pac-Man's cell before the step."""
         tables, count = self.tables, len(self.rules.maze.cells)
-        where = self.ghosts * 5 + self.headings
+        cells = self.ghosts * 5
+        where = cells + self.headings
         masks = tables.allowed[where]
         if self.rules.chase_draws:
             ghost, game = (draws < self.rules.chase_draws).nonzero()
             masks[ghost, game] = tables.towards[where[ghost, game] * count + pacman[game]]
         ghost, game = self.scared.nonzero()
+        moving = live
         if ghost.size:
             masks[ghost, game] = tables.away[where[ghost, game] * count + pacman[game]]
+            moving = live & (self.scared & 1 == 0)
         move = tables.picks[masks * np.intp(DRAWS) + draws]
-        moving = live & (self.scared & 1 == 0)
         np.copyto(self.headings, move, where=moving)
-        self.ghosts = tables.step[self.ghosts * 5 + np.where(moving, move, STAY)]
-
-
-def _taken(rules: Rules, count: int, masks: Sequence[int]) -> Taken:
-    """Return (N, count + 1): the marks of taken things, from the masks of those that are left."""
-    far, width = rules.paths.far, (count + 7) // 8
-    packed = np.frombuffer(b''.join(m.to_bytes(width, 'little') for m in masks), dtype=np.uint8)
-    bits = np.unpackbits(packed.reshape(len(masks), width), axis=1, bitorder='little')
-    taken = np.full((len(masks), count + 1), far - 1, dtype=rules.paths.distance.dtype)
-    taken[:, :count] = np.where(bits[:, :count], 0, far)
-    return taken
-
-
-def _get_bits(taken: Taken) -> list[int]:
-    packed = np.packbits(taken[:, :-1] == 0, axis=1, bitorder='little')
-    return [int.from_bytes(row.tobytes(), 'little') for row in packed]
+        np.copyto(self.ghosts, tables.step[cells + move], where=moving)
