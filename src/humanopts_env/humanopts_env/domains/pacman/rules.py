@@ -176,7 +176,7 @@ class Rules:
 
     @cached_property
     def _latest(self) -> list[tuple[PacManState, 'PacManBatch']]:
-        """The result of the latest ``advance``: to build its batch anew takes as long as a step."""
+        """The result of the latest ``advance``: building its batch takes as long as a step."""
         return []
 
     def can_follow(self, state: PacManState, move: int, successor: PacManState) -> bool:
