@@ -11,6 +11,7 @@ from typing import Annotated
 
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import PLAIN
+import psutil
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 import typer
@@ -23,7 +24,7 @@ FORMAT, VERSION = 'humanopts-bench', 1  # of the JSON file
 # measured are imported, since the last two need ROS.
 SECTIONS = ('planning', 'learning', 'games', 'graph', 'recording')
 _LEAST_WIDTH = 160  # of tables; narrower ones would leave numbers out
-_FILE_WIDTH = 200
+_FILE_WIDTH = 220
 app = typer.Typer(**PLAIN)
 
 
@@ -64,6 +65,16 @@ def bench(
         bool,
         typer.Option('--quick', help='small sizes, to see that it works; times mean little'),
     ] = False,
+    largest: Annotated[
+        int | None,
+        typer.Option(
+            metavar='SIDE',
+            min=101,
+            max=1000,
+            show_default=False,
+            help='side of the largest grid in planning, up to 1000; default: 100',
+        ),
+    ] = None,
 ) -> int:
     """
     Measure the chosen sections, and show and write what was found.
@@ -72,11 +83,12 @@ def bench(
     """
     chosen = _sections(only)
     _check(chosen, json, figure)
+    larger = _larger_sides(chosen, quick, largest)
     measured: dict[str, list[Row]] = {}
     with _progress() as show:
         for name in chosen:
             section = import_module(f'benchmarks.{name}')
-            sizes = section.QUICK if quick else ()
+            sizes = section.QUICK if quick else larger.get(name, ())
             measured[name] = section.measure(partial(show, name), *sizes)
             show(name, 1.0, 'done')
     machine = machine_facts()
@@ -110,6 +122,27 @@ def _check(chosen: Sequence[str], json: Path | None, figure: Path | None) -> Non
             path.open('ab').close()
             if new:
                 path.unlink()
+
+
+def _larger_sides(
+    chosen: Sequence[str], quick: bool, largest: int | None
+) -> dict[str, tuple[Sequence[int]]]:
+    """Return the sizes of planning up to the largest side, which must fit into the memory."""
+    if largest is None:
+        return {}
+    if 'planning' not in chosen:
+        raise CommandError('--largest is a size of planning, which --only leaves out')
+    if quick:
+        raise CommandError('--largest and --quick exclude each other')
+    from benchmarks.planning import memory_needed, sides_up_to
+
+    needed, free = memory_needed(largest), psutil.virtual_memory().available
+    if needed > free:
+        raise CommandError(
+            f'--largest {largest} needs about {needed / 1e9:.1f} GB of memory, '
+            f'and {free / 1e9:.1f} GB are free'
+        )
+    return {'planning': (sides_up_to(largest),)}
 
 
 @contextmanager

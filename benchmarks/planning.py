@@ -7,42 +7,55 @@ driving. Here a pickup costs 1 as every other step does, so the best policy deli
 state, and the two options of the paper lose nothing.
 
 Solvers stand from the one that knows least of a grid to the one that knows most. Each is given
-the exact transitions, and returns the values of all states and where the time went.
+the exact transitions, and returns the values of all states and where the time went. A sweep over
+all actions is also timed alone: it is memory traffic, so it stands beside a copy of the bytes that
+it has to move.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 import importlib.util
 from operator import attrgetter
+import resource
 import statistics
 import time
+import tracemalloc
+from typing import Any, TypeVar
 
 from humanopts_env.domains.base import Transitions
-from humanopts_env.domains.tabular import read_only
-from humanopts_env.domains.taxi import Taxi
+from humanopts_env.domains.tabular import distance_to, read_only
+from humanopts_env.domains.taxi import LARGEST, Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.options.option import (
     option_from_table,
     TabularOption,
     tabulate,
 )
-from humanopts_learner.planning.exact import make_exact_plan
+from humanopts_learner.planning.exact import build_model, make_exact_plan
 from humanopts_learner.planning.request import HUMAN, PlanRequest, PRIMITIVE
 from humanopts_learner.planning.smdp import MultiTimeModel
-from humanopts_learner.planning.value_iteration import solve_smdp
+from humanopts_learner.planning.value_iteration import compiled_sweep, solve_smdp
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, csr_matrix
+from scipy.sparse import csr_matrix
 
-from benchmarks.measure import clocks, OnMeasured, ratios, Row, since, Timed
+from benchmarks.measure import clocks, compare, in_turns, OnMeasured, ratios, Row, since, Timed
 
 SIDES = (5, 25, 50, 100)
+LARGER = (200, 500)  # measured too where one still larger is asked for
 QUICK = ((5, 10), 1)
-YARDSTICK = 'primitive value iteration'
+YARDSTICK, SWEEP = 'primitive value iteration', 'one sweep over all actions'
 GAMMA, TOLERANCE, MAX_SWEEPS = 0.99, 1e-6, 100_000
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds', 'seconds')  # the last: of sums
+TRAFFIC_FROM = 10_000  # states; smaller tables are in a cache next to the processor
+LEAST_SWEEPS, SWEPT_STATES = 10, 1_000_000  # sweeps of a turn, or states of all its sweeps
+SWEEP_BYTES = 6 * (4 + 8) + 8 + 8  # a state: 6 successors and rewards, its value before and after
+COPIED = 2**28  # bytes that a copy moves: it reads half of them and writes half
+SOLVING = 0.9  # about the share of the time before single sweeps
+PROCESS_BYTES, BYTES_A_STATE = 2**30, 600  # of this process, and beside it for each state
 Values = NDArray[np.float64]
+Result = TypeVar('Result')
 OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 
 
@@ -67,14 +80,14 @@ class TaxiCase:
         """
         importlib.import_module('sklearn.tree')  # which the first fit would, on the clock
         self.domain = domain = PricedTaxi(side, side)
+        _, self.table_bytes, _ = traced(lambda: (domain.transitions(), domain.over()))
         rows, going = domain.feature_table(), ~domain.over()
-        domain.transitions()
         began = clocks()
         used = reference_options(domain, OPTIONS)
         self.optimal_time = since(began)  # for the shortest paths of both
         known = [used[name] for name in OPTIONS]
         self.optimal = [TabularOption.of_reference(option, domain.n_states) for option in known]
-        self.learned = [
+        self.learned = [  # none on large grids: the trees would have millions of rows
             option_from_table(
                 domain,
                 table,
@@ -84,6 +97,7 @@ class TaxiCase:
                 participant='every state',
             )
             for option, table in zip(known, self.optimal)
+            if side <= SIDES[-1]
         ]
         self.learned_time = since(began)  # for the paths, and for fitting
 
@@ -111,6 +125,7 @@ class Solver:
     name: str
     obtained: str  # what the solver needs besides the transitions, and its origin
     solve: Callable[[TaxiCase], Solved]
+    largest: int = LARGEST  # side of a grid
     cost: Callable[[TaxiCase], Timed] = lambda case: Timed(0.0, 0.0)  # to obtain that
 
 
@@ -190,74 +205,58 @@ def backwards(case: TaxiCase) -> Solved:
     """
     began = time.perf_counter()
     rules, over = case.domain.transitions(), case.domain.over()
-    successor = rules.successor[:, :, 0]
-    state, action = np.nonzero(~(rules.terminated[:, :, 0] | over[:, None]))
-    arrow = csr_array(
-        (np.ones(len(state), dtype=np.bool_), (successor[state, action], state)),
-        shape=(len(over), len(over)),
-    )
-    frontier = np.flatnonzero((rules.terminated[:, :, 0] & ~over[:, None]).any(axis=1))
-    built = time.perf_counter()
-    steps = np.zeros(len(over), dtype=np.int64)  # to the delivery; 0: not known
-    level = 0
-    while len(frontier):
-        level += 1
-        steps[frontier] = level
-        before = arrow.indices[_ranges(arrow.indptr, frontier)]
-        before = before[(steps[before] == 0) & ~over[before]]
-        frontier = np.unique(before)
+    steps, _ = distance_to(rules, rules.terminated[:, :, 0], ~over)
     way = GAMMA ** np.maximum(steps - 1, 0)
     values = np.where(steps > 0, -(1 - way) / (1 - GAMMA) + way, 0.0)
-    return Solved(values, 0.0, built - began, time.perf_counter() - built, level)
-
-
-def _ranges(pointers: NDArray[np.integer], rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the places of all entries of some rows of a sparse array."""
-    first, count = pointers[rows], pointers[rows + 1] - pointers[rows]
-    skipped = np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count)
-    return skipped + np.arange(int(count.sum()))
+    return Solved(values, 0.0, 0.0, time.perf_counter() - began, int(steps.max()))
 
 
 def quantecon(case: TaxiCase) -> Solved:
     """Value iteration of the library quantecon, over sparse pairs of state and action."""
+    began = time.perf_counter()
+    problem = _discrete_dp(case)
+    built = time.perf_counter()
+    # its tolerance is epsilon * (1 - beta) / (2 * beta) between two sweeps
+    epsilon = TOLERANCE * 2 * GAMMA / (1 - GAMMA)
+    start = np.zeros(case.domain.n_states)
+    result = problem.solve('value_iteration', start, epsilon, MAX_SWEEPS)
+    swept = time.perf_counter() - built
+    return Solved(np.asarray(result.v), 0.0, built - began, swept, int(result.num_iter))
+
+
+def _discrete_dp(case: TaxiCase) -> Any:
     from quantecon.markov import DiscreteDP
 
-    began = time.perf_counter()
     rules, over = case.domain.transitions(), case.domain.over()
     n_states, n_actions = rules.successor.shape[:2]
     successor = rules.successor[:, :, 0].copy()
-    states = np.arange(n_states)
+    states = np.arange(n_states, dtype=np.int32)
     successor[over] = states[over, None]  # a task that is over stays so, and nothing follows
     reward = np.where(over[:, None], 0.0, rules.reward[:, :, 0])
     pairs = n_states * n_actions
     rows = csr_matrix(
         (np.ones(pairs), successor.ravel(), np.arange(pairs + 1)), shape=(pairs, n_states)
     )
-    problem = DiscreteDP(
+    return DiscreteDP(
         reward.ravel(),
         rows,
         GAMMA,
         np.repeat(states, n_actions),
-        np.tile(np.arange(n_actions), n_states),
+        np.tile(np.arange(n_actions, dtype=np.int32), n_states),
     )
-    built = time.perf_counter()
-    # its tolerance is epsilon * (1 - beta) / (2 * beta) between two sweeps
-    epsilon = TOLERANCE * 2 * GAMMA / (1 - GAMMA)
-    result = problem.solve('value_iteration', np.zeros(n_states), epsilon, MAX_SWEEPS)
-    swept = time.perf_counter() - built
-    return Solved(np.asarray(result.v), 0.0, built - began, swept, int(result.num_iter))
 
 
 GIVEN, OPTIMAL = 'shortest ways, as tables', attrgetter('optimal_time')
 SOLVERS = (
-    Solver('options by composition', GIVEN, composed, OPTIMAL),
+    Solver('options by composition', GIVEN, composed, cost=OPTIMAL),
     Solver(
         'options by composition, trees evaluated',
         'trees fitted to the shortest ways from every state',
         composed_from_trees,
+        SIDES[-1],
         attrgetter('learned_time'),
     ),
-    Solver('options by iterated models', GIVEN, iterated, OPTIMAL),
+    Solver('options by iterated models', GIVEN, iterated, SIDES[-1], OPTIMAL),
     Solver('primitive value iteration', 'nothing', primitive),
     Solver(
         'breadth-first search backwards',
@@ -267,11 +266,23 @@ SOLVERS = (
 )
 
 
-def solvers() -> tuple[Solver, ...]:
-    """Return all solvers that can run here: quantecon's where it is installed."""
-    if importlib.util.find_spec('quantecon') is None:
-        return SOLVERS
-    return (*SOLVERS, Solver("quantecon's value iteration", 'nothing', quantecon))
+def solvers(side: int = SIDES[0]) -> list[Solver]:
+    """Return the solvers of a grid that can run here: quantecon's where it is installed."""
+    found = [*SOLVERS]
+    if importlib.util.find_spec('quantecon') is not None:
+        name = "quantecon's value iteration"
+        found.append(Solver(name, 'nothing', quantecon, SIDES[-1]))
+    return [solver for solver in found if side <= solver.largest]
+
+
+def sides_up_to(largest: int) -> tuple[int, ...]:
+    """Return the sides of the grids that are measured, of which the last is this one."""
+    return (*(side for side in SIDES + LARGER if side < largest), largest)
+
+
+def memory_needed(side: int) -> int:
+    """Return how many bytes of memory this process takes to measure a grid, about."""
+    return PROCESS_BYTES + BYTES_A_STATE * 20 * side * side
 
 
 def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5) -> list[Row]:
@@ -279,53 +290,146 @@ def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
     Solve Taxi grids by every solver, in turns, so that a busy machine slows all of them alike.
 
     The true values are those of the breadth-first search, which sums up no series of roundings.
+    Sides above those of ``SIDES`` are solved once by each solver that is left.
 
     :param repeats: turns of every solver; one more comes first, and is not counted.
     :raises DomainError: a side is not from 4 to 1000.
     """
+    compiled_sweep()  # once, so that no solver's time has it
     rows, total, done = [], sum(side * side for side in sides), 0
     for side in sides:
-        case, chosen = TaxiCase(side), solvers()
-        runs: dict[str, list[Solved]] = {solver.name: [] for solver in chosen}
-        times: dict[str, list[Timed]] = {solver.name: [] for solver in chosen}
-        for turn in range(repeats + 1):
-            for solver in chosen:
-                share = turn / (repeats + 1) * side * side
-                progress((done + share) / total, f'taxi {side} x {side}: {solver.name}')
-                began = clocks()
-                solved = solver.solve(case)
-                processor = since(began).processor
-                if turn:
-                    runs[solver.name].append(solved)
-                    times[solver.name].append(Timed(solved.seconds, processor))
-        truth = runs['breadth-first search backwards'][0].values
-        yardstick = _median('seconds', runs[YARDSTICK])
-        processor_yardstick = _median('processor', times[YARDSTICK])
-        for solver in chosen:
-            timed, cost = runs[solver.name], solver.cost(case)
-            seconds = {name: _median(name, timed) for name in SECONDS}
-            rows.append(
-                {
-                    'side': side,
-                    'n_states': len(truth),
-                    'solver': solver.name,
-                    'obtained': solver.obtained,
-                    'obtained_seconds': cost.seconds,  # to get that, once, before all runs
-                    'obtained_processor_seconds': cost.processor,
-                    **seconds,
-                    'processor_seconds': _median('processor', times[solver.name]),
-                    'sweeps': timed[0].sweeps,
-                    'error': float(np.abs(timed[0].values - truth).max()),  # reward units
-                    'yardstick': YARDSTICK,
-                    'yardstick_seconds': yardstick,
-                    'yardstick_processor_seconds': processor_yardstick,
-                    'samples': repeats,
-                    'ratio': seconds['seconds'] / yardstick,
-                    **ratios(times[solver.name], times[YARDSTICK]),
-                }
-            )
+        share, before = side * side / total, done / total
+        rows += _grid_rows(partial(_show, progress, side, before, share), side, repeats)
         done += side * side
     return rows
+
+
+def _show(
+    progress: OnMeasured, side: int, before: float, part: float, share: float, text: str
+) -> None:
+    progress(before + share * part, f'taxi {side} x {side}: {text}')
+
+
+def _grid_rows(progress: OnMeasured, side: int, repeats: int) -> list[Row]:
+    case = TaxiCase(side)
+    rows = _solver_rows(progress, case, side, 1 if side > SIDES[-1] else repeats + 1)
+    if case.domain.n_states >= TRAFFIC_FROM:
+        progress(SOLVING, 'single sweeps')
+        rows += sweep_rows(case, side, repeats)
+    return rows
+
+
+def _solver_rows(progress: OnMeasured, case: TaxiCase, side: int, turns: int) -> list[Row]:
+    """Return a row for each solver; the first of several turns is not counted."""
+    chosen = solvers(side)
+    runs: dict[str, list[Solved]] = {solver.name: [] for solver in chosen}
+    times: dict[str, list[Timed]] = {solver.name: [] for solver in chosen}
+    memory: dict[str, int] = {}
+    for turn in range(turns):
+        for number, solver in enumerate(chosen):
+            done = (turn + number / len(chosen)) / turns
+            progress(SOLVING * done, solver.name)
+            work = partial(_timed, solver, case)
+            if turn == 0:
+                (solved, timed), _, memory[solver.name] = traced(work)
+            else:
+                solved, timed = work()
+            if turn or turns == 1:
+                runs[solver.name].append(solved)
+                times[solver.name].append(timed)
+    truth = runs['breadth-first search backwards'][0].values
+    yardstick = _median('seconds', runs[YARDSTICK])
+    processor_yardstick = _median('processor', times[YARDSTICK])
+    rows = []
+    for solver in chosen:
+        found, cost = runs[solver.name], solver.cost(case)
+        seconds = {name: _median(name, found) for name in SECONDS}
+        rows.append(
+            {
+                'side': side,
+                'n_states': len(truth),
+                'solver': solver.name,
+                'obtained': solver.obtained,
+                'obtained_seconds': cost.seconds,  # to get that, once, before all runs
+                'obtained_processor_seconds': cost.processor,
+                **seconds,
+                'processor_seconds': _median('processor', times[solver.name]),
+                'sweeps': found[0].sweeps,
+                'error': float(np.abs(found[0].values - truth).max()),  # reward units
+                'yardstick': YARDSTICK,
+                'yardstick_seconds': yardstick,
+                'yardstick_processor_seconds': processor_yardstick,
+                'samples': len(found),
+                'ratio': seconds['seconds'] / yardstick,
+                **ratios(times[solver.name], times[YARDSTICK]),
+                'table_bytes': case.table_bytes,
+                'memory_bytes': memory[solver.name],
+                'bytes_a_state': (case.table_bytes + memory[solver.name]) / len(truth),
+                'process_bytes': 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+            }
+        )
+    return rows
+
+
+def sweep_rows(case: TaxiCase, side: int, repeats: int = 5) -> list[Row]:
+    """
+    Time single sweeps over all actions, ours beside a copy and quantecon's beside ours, in turns.
+
+    A sweep has to read one successor and one reward of each action of each state and the old
+    value, and to write the new one. The copy reads and writes as many bytes in all, in arrays
+    that no cache holds.
+
+    :param repeats: turns of each; one more comes first, and is not counted.
+    """
+    n_states = case.domain.n_states
+    sweeps = max(LEAST_SWEEPS, SWEPT_STATES // n_states)
+    model = build_model(case.domain, PRIMITIVE, (), GAMMA)
+    size = SWEEP_BYTES * n_states
+    origin, target = np.ones(COPIED // 16), np.empty(COPIED // 16)
+
+    def copied() -> Timed:
+        began = clocks()
+        np.copyto(target, origin)
+        seconds, processor = since(began)
+        return Timed(seconds * size / COPIED, processor * size / COPIED)
+
+    def swept() -> Timed:
+        times: list[Timed] = []
+        solve_smdp(model, 0.0, sweeps + 1, lambda sweep, residual: times.append(clocks()))
+        (began, began_processor), (ended, ended_processor) = times[0], times[-1]
+        done = len(times) - 1
+        return Timed(ended - began, ended_processor - began_processor).per(done)
+
+    works = [swept, copied]
+    if importlib.util.find_spec('quantecon') is not None:
+        problem = _discrete_dp(case)
+
+        def theirs() -> Timed:
+            began, values = clocks(), np.zeros(n_states)
+            done = problem.operator_iteration(problem.bellman_operator, values, sweeps, 0.0)
+            return since(began).per(done)
+
+        works.append(theirs)
+    own, copy, *others = in_turns(works, repeats)
+    found = [compare(f'{SWEEP}, beside a copy', own, 'a copy of as many bytes', copy)]
+    found += [compare("quantecon's sweep, beside ours", other, SWEEP, own) for other in others]
+    shared = {'side': side, 'n_states': n_states, 'sweep_bytes': size}
+    return [{**shared, 'solver': row.pop('what'), **row} for row in found]
+
+
+def traced(work: Callable[[], Result]) -> tuple[Result, int, int]:
+    """Return what the work returns, the bytes that it kept, and the most that it had at once."""
+    tracemalloc.start()
+    try:
+        return work(), *tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+
+
+def _timed(solver: Solver, case: TaxiCase) -> tuple[Solved, Timed]:
+    began = clocks()
+    solved = solver.solve(case)
+    return solved, Timed(solved.seconds, since(began).processor)
 
 
 def _median(field: str, runs: Sequence[Solved] | Sequence[Timed]) -> float:

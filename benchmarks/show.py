@@ -101,6 +101,7 @@ _COLUMNS = {
         _Column('processor', 'processor_seconds', duration),
         _Column('sweeps', 'sweeps', str),
         _Column('error', 'error', lambda error: f'{error:.0e}' if error else '0'),
+        _Column('bytes a state', 'bytes_a_state', lambda size: f'{size:,.0f}'),
         *_RATIOS,
     ),
     'learning': _COMPARISON,
@@ -142,7 +143,7 @@ def section_table(name: str, rows: Sequence[Row]) -> Table:
             table.add_column(column.title, justify='right', no_wrap=True)
     parts = [row.get(_PARTS.get(name, '')) for row in rows]
     for row, part, following in zip(rows, parts, [*parts[1:], None]):
-        cells = [(column.text or str, row[column.key]) for column in columns]
+        cells = [(column.text or str, row.get(column.key)) for column in columns]
         texts = ['' if value is None else text(value) for text, value in cells]
         table.add_row(*texts, end_section=part != following)
     return table
@@ -155,7 +156,7 @@ def write_figure(path: Path, rows: Sequence[Row]) -> None:
     :param path: ends in one of ``SUFFIXES``.
     :raises OSError: it cannot be written.
     """
-    frame = pd.DataFrame(rows)
+    frame = pd.DataFrame(rows).dropna(subset='sweeps')  # single sweeps are no solvers
     with matplotlib.rc_context({**file_settings('bench'), 'svg.fonttype': 'none'}):
         figure = Figure(figsize=(6.5, 5.0), layout='constrained')
         axes = figure.add_subplot()

@@ -53,6 +53,7 @@ def planned() -> list[dict[str, Any]]:
             'seconds': 3e-3 * factor * side,
             'sweeps': 7,
             'error': 1e-9,
+            'bytes_a_state': 300.0,
             'processor_seconds': 4e-3 * factor * side,
             'ratio': factor / 2,
             'wall_ratio': {'mean': factor / 2, 'low': factor / 4, 'high': factor / 1},

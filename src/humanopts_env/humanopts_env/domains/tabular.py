@@ -6,6 +6,7 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain, Transitions
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 Scalar = TypeVar('Scalar', bound=np.generic)
 
@@ -28,9 +29,8 @@ def reachable(domain: EnumerableDomain[Any]) -> NDArray[np.bool_]:
     while frontier.size:
         found[frontier] = True
         going = frontier[~over[frontier]]
-        fresh = np.zeros_like(found)
-        fresh[transitions.successor[going][transitions.probability[going] > 0]] = True
-        frontier = np.flatnonzero(fresh & ~found).astype(np.int32)
+        there = transitions.successor[going][transitions.probability[going] > 0]
+        frontier = np.unique(there[~found[there]])
     return found
 
 
@@ -50,18 +50,29 @@ def distance_to(
     if not transitions.deterministic:
         raise ValueError('shortest ways need transitions with one outcome for each action')
     successor = transitions.successor[:, :, 0]
-    optimal = goal & allowed[:, None]
-    distance = np.where(optimal.any(axis=1), 1, -1).astype(np.int32)
-    waiting = np.flatnonzero(allowed & (distance < 0))
-    for steps in range(2, len(distance) + 2):
-        nearer = distance[successor[waiting]] == steps - 1
-        found = nearer.any(axis=1)
-        if not found.any():
+    n_states, n_actions = successor.shape
+    reaching = (goal & allowed[:, None]).any(axis=1)
+    distance = np.where(reaching, 1, -1).astype(np.int32)
+    origin = np.repeat(np.arange(n_states, dtype=np.int32), n_actions)
+    step = np.ones(origin.size, dtype=np.bool_), (successor.ravel(), origin)
+    before = csr_array(step, shape=(n_states, n_states))  # row: a state, columns: its predecessors
+    frontier = np.flatnonzero(reaching)
+    for steps in range(2, n_states + 2):
+        previous = np.unique(before.indices[_entries(before.indptr, frontier)])
+        frontier = previous[allowed[previous] & (distance[previous] < 0)]
+        if not frontier.size:
             break
-        distance[waiting[found]] = steps
-        optimal[waiting[found]] = nearer[found]
-        waiting = waiting[~found]
+        distance[frontier] = steps
+    optimal = (distance[successor] == distance[:, None] - 1) & (distance > 1)[:, None]
+    optimal |= goal & (distance == 1)[:, None]
     return distance, optimal
+
+
+def _entries(pointers: NDArray[np.integer], rows: Ints) -> Ints:
+    """Return the places of all entries of some rows of a sparse array."""
+    first, count = pointers[rows], pointers[rows + 1] - pointers[rows]
+    skipped = np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count)
+    return skipped + np.arange(int(count.sum()))
 
 
 ROUNDING = 1e-9  # how far the probabilities of one action may be from 1 in sum

@@ -104,7 +104,7 @@ def transition_table(rows: int, cols: int) -> Transitions:
     reward[picked, PICKUP] = 0.0
     return Transitions(
         successor=read_only(successor[:, :, None]),
-        probability=read_only(np.ones((*successor.shape, 1))),
+        probability=np.broadcast_to(1.0, (*successor.shape, 1)),
         reward=read_only(reward[:, :, None]),
         terminated=read_only(terminated[:, :, None]),
     )

@@ -98,7 +98,9 @@ def make_exact_plan(
     asked = request.in_force(domain, options, sampled=False)
     used = () if asked.action_set == PRIMITIVE else tuple(options)
     # What is built once for all plans is no part of the time of this one.
-    domain.feature_table(), domain.transitions(), domain.over()
+    domain.transitions(), domain.over()
+    if any(isinstance(option, LearnedOption) for option in used):
+        domain.feature_table()
     began = clock()
     tabled = []
     for done, option in enumerate(used):

@@ -39,8 +39,8 @@ class MultiTimeModel:
     Rewards and successors of running option o from state s, with one successor each.
 
     An option takes k primitive steps; its reward is sum of gamma**i * r[i], i = 0..k-1. Entries
-    of pairs that are not available are ignored, but must be valid numbers. Planning reads the
-    arrays options-major, so transposed (O, S) arrays are used without a copy.
+    of pairs that are not available are ignored, but must be valid numbers. Arrays may be shared
+    and read-only, and of any strides.
 
     :raises PlanError: shapes disagree, a number is not finite, or an entry is out of range.
     """
@@ -84,7 +84,7 @@ class MultiTimeModel:
         value 0.
         """
         successor = np.ascontiguousarray(self.successor.T, dtype=np.intp)
-        discount = np.where(self.available.T, self.discount.T, 0.0)
+        discount = np.ascontiguousarray(np.where(self.available.T, self.discount.T, 0.0))
         common, nothing = float(discount.max()), discount == 0.0
         alike = bool((nothing | (discount == common)).all())
         if alike:
@@ -180,14 +180,13 @@ def primitive_model(
     """
     if not transitions.deterministic:
         return _primitive_rows(transitions, over, gamma, names)
-    reward = np.ascontiguousarray(transitions.reward[:, :, 0].T)
-    ended = transitions.terminated[:, :, 0].T
+    reward = transitions.reward[:, :, 0]
     return MultiTimeModel(
         names=tuple(names),
-        reward=reward.T,
-        available=np.broadcast_to(~over, reward.shape).T,
-        successor=np.ascontiguousarray(transitions.successor[:, :, 0].T).T,
-        discount=np.where(ended, 0.0, gamma).T,
+        reward=reward,
+        available=np.broadcast_to(~over, reward.T.shape).T,
+        successor=transitions.successor[:, :, 0],
+        discount=np.where(transitions.terminated[:, :, 0], 0.0, gamma),
     )
 
 

@@ -3,6 +3,8 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
 from typing import TypeVar
 
 from humanopts_env.arrays import Flags, Floats, Ints
@@ -15,6 +17,11 @@ from scipy.sparse import csr_array
 Number = TypeVar('Number', bound=np.generic)
 OnSweep = Callable[[int, float], bool | None]
 OnValues = Callable[[Floats], object]
+COMPILED_FROM = (
+    1_000_000  # pairs of state and option; sweeps over fewer end before Numba is loaded
+)
+_FLOATS, _TABLE = 'float64[::1]', 'float64[:, ::1]'
+_SIGNATURE = f'float64(uint32[:, ::1], {_TABLE}, {_TABLE}, float64, {_FLOATS}, {_FLOATS})'
 
 
 @dataclass(frozen=True)
@@ -82,7 +89,8 @@ class _DenseBackup(_Backup):
     def __init__(self, model: MultiTimeModel) -> None:
         super().__init__(model)
         self._expected = model.expectation()
-        self._rewards = np.where(model.available.T, model.reward.T, -np.inf)
+        self._rewards = np.array(model.reward.T, order='C')
+        self._rewards[~model.available.T] = -np.inf
         self._rewards[0, self._dead] = 0.0  # nothing follows there, so their value stays 0
 
     def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
@@ -127,6 +135,93 @@ class _SparseBackup(_Backup):
             begin = end
 
 
+class _CompiledBackup(_Backup):
+    """The arithmetic of ``_DenseBackup`` in machine code, which reads each number once."""
+
+    def __init__(self, model: MultiTimeModel, compiled: Callable[..., float]) -> None:
+        super().__init__(model)
+        discount = np.where(model.available, model.discount, 0.0)
+        nothing, self._common = discount == 0.0, float(discount.max())
+        alike = bool((nothing | (discount == self._common)).all())
+        self._discount = np.empty((0, 0)) if alike else np.ascontiguousarray(discount)
+        del discount  # large
+        self._successor = np.array(model.successor, dtype=np.uint32, order='C')
+        self._successor[nothing] = model.n_states  # the end of the task
+        self._rewards = np.array(model.reward, order='C')
+        self._rewards[~model.available] = -np.inf
+        self._rewards[self._dead, 0] = 0.0  # nothing follows there, so their value stays 0
+        self._compiled = compiled
+
+    def sweep(self, old: Floats, new: Floats) -> float:
+        """Write the next values to ``new``; return the largest change."""
+        tables = self._successor, self._rewards, self._discount
+        return self._compiled(*tables, self._common, old, new)
+
+    def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
+        padded = np.append(values, 0.0)
+        for option, reward in enumerate(self._rewards.T):
+            discount = self._discount[:, option] if self._discount.size else self._common
+            yield option, discount * padded[self._successor[:, option]] + reward
+
+
+def _sweep_states(
+    successor: NDArray[np.uint32],
+    reward: Floats,
+    discount: Floats,
+    common: float,
+    old: Floats,
+    new: Floats,
+) -> float:
+    """
+    Sweep over states in order; ``compiled_sweep`` makes machine code of it.
+
+    :param successor: (S, O), S: the end of the task. Unsigned numbers need no check of their sign.
+    :param reward: (S, O), -inf: the option is not available.
+    :param discount: (S, O); of size 0 where all options are discounted by ``common``.
+    """
+    residual = 0.0
+    for state in range(len(old)):
+        best = -np.inf
+        for option in range(successor.shape[1]):
+            end = successor[state, option]
+            value = old[end] if end < len(old) else 0.0
+            value *= discount[state, option] if discount.size else common
+            value += reward[state, option]
+            if value > best:
+                best = value
+        new[state] = best
+        residual = max(residual, abs(best - old[state]))
+    return residual
+
+
+@cache
+def compiled_sweep() -> Callable[..., float] | None:
+    """
+    Return ``_sweep_states`` as machine code, or None where Numba is not installed.
+
+    The first call on a machine compiles it, for some seconds, and keeps it on disk; the first call
+    of a process loads it, in less than a second.
+    """
+    if find_spec('numba') is None:
+        return None
+    from numba import njit
+
+    try:
+        compiled: Callable[..., float] = njit(_SIGNATURE, cache=True)(_sweep_states)
+    except RuntimeError:  # there is no folder to keep it in
+        compiled = njit(_SIGNATURE)(_sweep_states)
+    return compiled
+
+
+def _backup(model: Model) -> _Backup:
+    """Return the backup that suits a model: compiled where that is loaded, or pays for loading."""
+    if not isinstance(model, MultiTimeModel):
+        return _SparseBackup(model)
+    loaded = compiled_sweep.cache_info().currsize > 0
+    compiled = compiled_sweep() if loaded or model.reward.size >= COMPILED_FROM else None
+    return _CompiledBackup(model, compiled) if compiled else _DenseBackup(model)
+
+
 def solve_smdp(
     model: Model,
     tol: float = 1e-8,
@@ -145,7 +240,7 @@ def solve_smdp(
     :raises PlanError: tol is negative or no number, or max_sweeps is below 1.
     """
     check_limits(tol, max_sweeps)
-    backup = _DenseBackup(model) if isinstance(model, MultiTimeModel) else _SparseBackup(model)
+    backup = _backup(model)
     old, new = np.zeros(model.n_states), np.empty(model.n_states)
     for sweeps in range(1, max_sweeps + 1):
         residual = backup.sweep(old, new)
