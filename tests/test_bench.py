@@ -9,7 +9,7 @@ from graph_support.command import Command
 from humanopts_teach.cli import main
 import pytest
 
-from benchmarks import graph
+from benchmarks import graph, planning
 from benchmarks.command import SECTIONS
 from benchmarks.recording import QUICK, READERS, RECORDER
 
@@ -22,7 +22,16 @@ def run(*arguments: Any) -> int:
 def test_help_names_every_option_and_section(capsys: pytest.CaptureFixture[str]) -> None:
     assert run('--help') == 0
     shown = ' '.join(capsys.readouterr().out.split())
-    words = ('--json', '--figure', '--only', '--quick', 'yardstick', 'processor', 'interval')
+    words = (
+        '--json',
+        '--figure',
+        '--only',
+        '--quick',
+        '--largest',
+        'yardstick',
+        'processor',
+        'interval',
+    )
     assert [word for word in (*words, *SECTIONS) if word not in shown] == []
 
 
@@ -39,6 +48,10 @@ def test_help_names_every_option_and_section(capsys: pytest.CaptureFixture[str])
         (('--only', 'planning', '--json', '.'), 'cannot write .: Is a directory'),
         (('--only', 'planning', '--figure', 'b.jpeg'), '.svg or .png'),
         (('--only', 'games', '--figure', 'b.svg'), '--figure draws planning'),
+        (('--only', 'games', '--largest', '300'), '--largest is a size of planning'),
+        (('--only', 'planning', '--quick', '--largest', '300'), 'exclude each other'),
+        (('--only', 'planning', '--largest', '100'), "'--largest'"),
+        (('--only', 'planning', '--largest', '1001'), "'--largest'"),
     ],
     ids=lambda value: value if isinstance(value, str) else ' '.join(value),
 )
@@ -57,6 +70,19 @@ def test_bad_input_is_refused_in_one_line_before_anything_is_measured(
     assert err.count('\n') == 1
     assert words in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_grid_that_does_not_fit_into_memory_is_refused_before_anything_is_measured(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planning, 'BYTES_A_STATE', 10**9)
+    assert run('--only', 'planning', '--largest', '300') == 2
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert err.count('\n') == 1
+    needed = 20 * 300 * 300 + planning.PROCESS_BYTES / 1e9
+    assert f'--largest 300 needs about {needed:.1f} GB of memory, and ' in err
+    assert err.endswith(' GB are free\n')
 
 
 def test_chosen_sections_are_measured_shown_and_written(

@@ -358,6 +358,43 @@ def test_every_solver_has_a_row_on_every_grid() -> None:
     assert heard[-1] < 1
 
 
+def test_single_sweeps_stand_beside_a_copy_and_quantecons_beside_ours() -> None:
+    side, names = 23, ['a copy of as many bytes', 'one sweep over all actions']
+    rows = planning.sweep_rows(TaxiCase(side), side, repeats=2)
+    installed = importlib.util.find_spec('quantecon') is not None
+    assert [row['yardstick'] for row in rows] == names[: 1 + installed]
+    for row in rows:
+        assert (row['side'], row['n_states']) == (side, 20 * side * side)
+        # six successors of 4 bytes, six rewards of 8, and two values of 8
+        assert row['sweep_bytes'] == row['n_states'] * (6 * 4 + 6 * 8 + 2 * 8)
+        assert min(times(row)) > 0
+        assert row['wall_ratio']['low'] <= row['wall_ratio']['mean']
+    assert sum('one sweep' in line for line in shown('planning', planned() + rows)) == 1
+
+
+def test_memory_is_what_arrays_take_at_once_and_keep() -> None:
+    kept, bytes_kept, most = planning.traced(lambda: np.ones(10**6) + np.ones(10**6))
+    assert kept.nbytes == 8 * 10**6
+    assert bytes_kept == pytest.approx(8 * 10**6, rel=0.01)
+    assert 16 * 10**6 <= most < 25 * 10**6
+
+
+def test_a_plan_takes_more_memory_than_one_sweep_reads() -> None:
+    rows = {row['solver']: row for row in planning.measure(no_progress, [20], repeats=1)}
+    row = rows[planning.YARDSTICK]
+    assert row['bytes_a_state'] == (row['table_bytes'] + row['memory_bytes']) / row['n_states']
+    assert planning.SWEEP_BYTES < row['bytes_a_state'] < 500
+    assert row['process_bytes'] > row['table_bytes'] + row['memory_bytes']
+
+
+def test_larger_grids_come_after_the_usual_ones() -> None:
+    assert planning.sides_up_to(300) == (5, 25, 50, 100, 200, 300)
+    assert planning.sides_up_to(1000) == (5, 25, 50, 100, 200, 500, 1000)
+    names = [solver.name for solver in solvers(1000)]
+    assert names == [*SOLVERS, 'breadth-first search backwards']
+    assert planning.memory_needed(1000) < 16e9
+
+
 def test_quantecon_is_a_solver_where_it_is_installed() -> None:
     installed = importlib.util.find_spec('quantecon') is not None
     assert any('quantecon' in solver.name for solver in solvers()) == installed

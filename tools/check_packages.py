@@ -27,7 +27,13 @@ KEYS = {
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }
-OPTIONAL = {'distributed', 'minari', 'pyarrow', 'quantecon'}  # used where they are installed
+OPTIONAL = {
+    'distributed',
+    'minari',
+    'numba',
+    'pyarrow',
+    'quantecon',
+}  # used where they are installed
 UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # fields of messages; launch files
 
 

@@ -11,6 +11,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
     ],
+    extras_require={'numba': ['numba']},  # faster planning with many states
     entry_points={
         'console_scripts': [
             'learner = humanopts_learner.ros.learner_node:main',

@@ -1,9 +1,12 @@
 """Reachability and shortest ways in chains small enough to check by hand."""
 
+import math
 from typing import Any, cast
 
 from humanopts_env.domains.base import EnumerableDomain, Transitions
 from humanopts_env.domains.tabular import distance_to, reachable
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
@@ -86,6 +89,38 @@ def test_two_equal_ways_are_both_optimal() -> None:
     goal = np.array([[True, True], [False, False]])
     _, optimal = distance_to(table((1, 1), (1, 1)), goal, np.array([True, False]))
     assert optimal.tolist() == [[True, True], [False, False]]
+
+
+@settings(deadline=None, max_examples=100)
+@given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 30), n_actions=st.integers(1, 4))
+def test_distances_are_those_of_relaxing_every_step_until_nothing_changes(
+    seed: int, n_states: int, n_actions: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    pairs = n_states, n_actions
+    transitions = table(*map(tuple, rng.integers(0, n_states, pairs).tolist()))
+    goal, allowed = rng.random(pairs) < 0.1, rng.random(n_states) < 0.8
+    length = [math.inf] * n_states
+    steps = [
+        (state, action, 0 if goal[state, action] else int(transitions.successor[state, action, 0]))
+        for state, action in np.ndindex(pairs)
+        if allowed[state]
+    ]
+
+    def by(state: int, action: int, then: int) -> float:
+        return 1 if goal[state, action] else 1 + length[then]
+
+    for _ in range(n_states):
+        for state, action, then in steps:
+            length[state] = min(length[state], by(state, action, then))
+    distance, optimal = distance_to(transitions, goal, allowed)
+    assert distance.tolist() == [-1 if math.isinf(steps) else steps for steps in length]
+    best = {
+        (state, action)
+        for state, action, then in steps
+        if by(state, action, then) == length[state] < math.inf
+    }
+    assert set(zip(*(axis.tolist() for axis in np.nonzero(optimal)))) == best
 
 
 def test_chance_is_refused() -> None:

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 import itertools
 import tracemalloc
 
+from humanopts_learner.planning import value_iteration
 from humanopts_learner.planning.request import PlanCanceled, PlanError
 from humanopts_learner.planning.smdp import (
     concatenate,
@@ -12,7 +14,7 @@ from humanopts_learner.planning.smdp import (
     primitive_model,
     SparseMultiTimeModel,
 )
-from humanopts_learner.planning.value_iteration import solve_smdp
+from humanopts_learner.planning.value_iteration import compiled_sweep, Solution, solve_smdp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -179,6 +181,62 @@ def test_a_callback_sees_every_sweep_and_can_stop_the_work() -> None:
 
     with pytest.raises(PlanCanceled):
         solve_smdp(model, on_sweep=cancel)
+
+
+def solved_with(compiled: object, model: MultiTimeModel) -> tuple[Solution, list[float]]:
+    """Return a solution and its residuals, by compiled sweeps or, with None, by those of NumPy."""
+    residuals: list[float] = []
+    with pytest.MonkeyPatch.context() as patch:
+        loaded = cache(lambda: compiled)
+        loaded()
+        patch.setattr(value_iteration, 'compiled_sweep', loaded)
+        solution = solve_smdp(model, on_sweep=lambda _, residual: residuals.append(residual))
+    return solution, residuals
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_states=st.integers(1, 60),
+    n_options=st.integers(1, 5),
+    one_step=st.booleans(),
+)
+def test_compiled_sweeps_have_the_bits_of_those_of_numpy(
+    seed: int, n_states: int, n_options: int, one_step: bool
+) -> None:
+    pytest.importorskip('numba')
+    model = random_model(seed, n_states, n_options)
+    if one_step:  # all discounted alike, but for the end of the task
+        model = replace(model, discount=np.where(model.discount > 0, 0.95, 0.0))
+    model = replace(model, reward=np.asfortranarray(model.reward))
+    (by_numpy, before), (compiled, after) = (
+        solved_with(sweep, model) for sweep in (None, compiled_sweep())
+    )
+    assert before == after
+    assert compiled.values.tobytes() == by_numpy.values.tobytes()
+    assert compiled.best.tolist() == by_numpy.best.tolist()
+    assert compiled.values == pytest.approx(policy_iteration(model), abs=1e-6)
+
+
+def test_only_large_models_are_worth_loading_a_compiled_sweep() -> None:
+    class LoadedError(Exception):
+        pass
+
+    @cache
+    def load() -> None:
+        raise LoadedError
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(value_iteration, 'compiled_sweep', load)
+        patch.setattr(value_iteration, 'COMPILED_FROM', 60)
+        assert solve_smdp(random_model(1, 19, 3)).converged
+        with pytest.raises(LoadedError):
+            solve_smdp(random_model(1, 20, 3))
+
+
+def test_without_numba_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(value_iteration, 'find_spec', lambda name: None)
+    assert compiled_sweep.__wrapped__() is None
 
 
 def test_sweeps_allocate_nothing() -> None:
