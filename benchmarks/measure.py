@@ -16,7 +16,7 @@ import numpy as np
 OnMeasured = Callable[[float, str], object]  # share that is done, name of the next measurement
 Row = dict[str, Any]  # JSON data
 SLOW = 99  # percentile
-PACKAGES = ('numpy', 'scipy', 'scikit-learn', 'rclpy', 'quantecon')
+PACKAGES = ('numpy', 'scipy', 'scikit-learn', 'rclpy', 'quantecon', 'numba')
 _PROCESSOR = 'model name'  # as Linux calls it
 
 

@@ -295,12 +295,16 @@ def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
     :param repeats: turns of every solver; one more comes first, and is not counted.
     :raises DomainError: a side is not from 4 to 1000.
     """
+    began = clocks()
     compiled_sweep()  # once, so that no solver's time has it
+    compiling = since(began).seconds
     rows, total, done = [], sum(side * side for side in sides), 0
     for side in sides:
         share, before = side * side / total, done / total
         rows += _grid_rows(partial(_show, progress, side, before, share), side, repeats)
         done += side * side
+    for row in rows:
+        row['compile_seconds'] = compiling if row['solver'] == YARDSTICK else None
     return rows
 
 

@@ -101,6 +101,7 @@ _COLUMNS = {
         _Column('processor', 'processor_seconds', duration),
         _Column('sweeps', 'sweeps', str),
         _Column('error', 'error', lambda error: f'{error:.0e}' if error else '0'),
+        _Column('compiling', 'compile_seconds', duration),
         _Column('bytes a state', 'bytes_a_state', lambda size: f'{size:,.0f}'),
         *_RATIOS,
     ),

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 import itertools
+import sys
 import tracemalloc
 
 from humanopts_learner.planning import value_iteration
@@ -235,7 +236,7 @@ def test_only_large_models_are_worth_loading_a_compiled_sweep() -> None:
 
 
 def test_without_numba_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(value_iteration, 'find_spec', lambda name: None)
+    monkeypatch.setitem(sys.modules, 'numba', None)  # so that its import fails
     assert compiled_sweep.__wrapped__() is None
 
 

@@ -4,7 +4,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 from typing import TypeVar
 
 from humanopts_env.arrays import Flags, Floats, Ints
@@ -197,15 +196,15 @@ def _sweep_states(
 @cache
 def compiled_sweep() -> Callable[..., float] | None:
     """
-    Return ``_sweep_states`` as machine code, or None where Numba is not installed.
+    Return ``_sweep_states`` as machine code, or None where Numba cannot be imported.
 
     The first call on a machine compiles it, for some seconds, and keeps it on disk; the first call
     of a process loads it, in less than a second.
     """
-    if find_spec('numba') is None:
+    try:
+        from numba import njit
+    except ImportError:  # also where the two libraries' versions do not fit
         return None
-    from numba import njit
-
     try:
         compiled: Callable[..., float] = njit(_SIGNATURE, cache=True)(_sweep_states)
     except RuntimeError:  # there is no folder to keep it in
