@@ -369,7 +369,7 @@ def _solver_rows(progress: OnMeasured, case: TaxiCase, side: int, turns: int) ->
                 'table_bytes': case.table_bytes,
                 'memory_bytes': memory[solver.name],
                 'bytes_a_state': (case.table_bytes + memory[solver.name]) / len(truth),
-                'process_bytes': 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+                'process_bytes': _process_bytes(),
             }
         )
     return rows
@@ -417,7 +417,8 @@ def sweep_rows(case: TaxiCase, side: int, repeats: int = 5) -> list[Row]:
     own, copy, *others = in_turns(works, repeats)
     found = [compare(f'{SWEEP}, beside a copy', own, 'a copy of as many bytes', copy)]
     found += [compare("quantecon's sweep, beside ours", other, SWEEP, own) for other in others]
-    shared = {'side': side, 'n_states': n_states, 'sweep_bytes': size}
+    facts = {'sweep_bytes': size, 'process_bytes': _process_bytes()}
+    shared = {'side': side, 'n_states': n_states, **facts}
     return [{**shared, 'solver': row.pop('what'), **row} for row in found]
 
 
@@ -428,6 +429,11 @@ def traced(work: Callable[[], Result]) -> tuple[Result, int, int]:
         return work(), *tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
+
+
+def _process_bytes() -> int:
+    """Return the most memory that this process had at once until now."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _timed(solver: Solver, case: TaxiCase) -> tuple[Solved, Timed]:
