@@ -50,7 +50,12 @@ class _Backup(ABC):
         self._dead: Flags = ~np.asarray(model.available.any(axis=1))
 
     def sweep(self, old: Floats, new: Floats) -> float:
-        """Write the next values to ``new`` and the changes to ``old``; return the largest."""
+        """
+        Write the next values to ``new``, and return the largest change; ``old`` is lost.
+
+        :param old: (S + 1,), the last is the end of the task, 0; as ``new``.
+        """
+        old, new = old[:-1], new[:-1]
         layers = self._layers(old)
         np.copyto(new, next(layers)[1])
         for _, choice in layers:
@@ -145,14 +150,14 @@ class _CompiledBackup(_Backup):
         self._discount = np.empty((0, 0)) if alike else np.ascontiguousarray(discount)
         del discount  # large
         self._successor = np.array(model.successor, dtype=np.uint32, order='C')
-        self._successor[nothing] = model.n_states  # the end of the task
+        np.copyto(self._successor, model.n_states, where=nothing)  # the end of the task
         self._rewards = np.array(model.reward, order='C')
-        self._rewards[~model.available] = -np.inf
+        np.copyto(self._rewards, -np.inf, where=~model.available)
         self._rewards[self._dead, 0] = 0.0  # nothing follows there, so their value stays 0
         self._compiled = compiled
 
     def sweep(self, old: Floats, new: Floats) -> float:
-        """Write the next values to ``new``; return the largest change."""
+        """Write the next values to ``new``, and return the largest change; as ``_Backup``."""
         tables = self._successor, self._rewards, self._discount
         return self._compiled(*tables, self._common, old, new)
 
@@ -177,13 +182,13 @@ def _sweep_states(
     :param successor: (S, O), S: the end of the task. Unsigned numbers need no check of their sign.
     :param reward: (S, O), -inf: the option is not available.
     :param discount: (S, O); of size 0 where all options are discounted by ``common``.
+    :param old: (S + 1,), the last is the end of the task, 0; as ``new``.
     """
     residual = 0.0
-    for state in range(len(old)):
+    for state in range(len(successor)):
         best = -np.inf
         for option in range(successor.shape[1]):
-            end = successor[state, option]
-            value = old[end] if end < len(old) else 0.0
+            value = old[successor[state, option]]
             value *= discount[state, option] if discount.size else common
             value += reward[state, option]
             if value > best:
@@ -240,17 +245,17 @@ def solve_smdp(
     """
     check_limits(tol, max_sweeps)
     backup = _backup(model)
-    old, new = np.zeros(model.n_states), np.empty(model.n_states)
+    old, new = np.zeros(model.n_states + 1), np.zeros(model.n_states + 1)
     for sweeps in range(1, max_sweeps + 1):
         residual = backup.sweep(old, new)
         old, new = new, old
         if on_values is not None:
-            on_values(backup.in_order_of_model(old))
+            on_values(backup.in_order_of_model(old[:-1]))
         stop = on_sweep is not None and on_sweep(sweeps, residual)
         if stop or residual <= tol:
             break
-    values = backup.in_order_of_model(old)
-    return Solution(values, backup.best(old), sweeps, residual, residual <= tol)
+    values = backup.in_order_of_model(old[:-1])
+    return Solution(values, backup.best(old[:-1]), sweeps, residual, residual <= tol)
 
 
 @dataclass(frozen=True)
