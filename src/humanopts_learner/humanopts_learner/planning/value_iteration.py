@@ -47,7 +47,7 @@ class _Backup(ABC):
     order: Ints | slice = slice(None)
 
     def __init__(self, model: Model) -> None:
-        self._dead: Flags = ~np.asarray(model.available.any(axis=1))
+        self._dead: Flags = ~np.asarray(model.available.T.any(axis=0))  # by rows in memory
 
     def sweep(self, old: Floats, new: Floats) -> float:
         """
