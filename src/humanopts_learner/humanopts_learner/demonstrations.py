@@ -6,7 +6,7 @@ from enum import Enum
 from functools import cached_property
 import json
 import math
-from typing import Any
+from typing import Any, Final
 import uuid as uuid_module
 
 from humanopts_env.arrays import Rows
@@ -33,6 +33,12 @@ class Kind(Enum):
     NOT_HERE = 'not_here'  # the option makes no sense in its one state
 
 
+TREES: Final = 'trees'
+GOAL: Final = 'goal'
+METHODS = {  # of learning I, beta and policy from demonstrations; what the policy is then
+    TREES: 'learned from the actions that were shown',
+    GOAL: 'planned: best ways to an end like the shown ones',
+}
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
 
 
@@ -74,6 +80,7 @@ class Demonstration:
     can_start_at_end: bool = False
     seconds: float = 0.0
     withdrawn: bool = False  # taken back by the person; nothing is learned from it
+    method: str = TREES  # one of METHODS; that of the newest demonstration counts
 
     @cached_property
     def feature_rows(self) -> Rows:
@@ -89,8 +96,9 @@ class Demonstration:
         """Return the demonstration as one line of JSON."""
         values = asdict(self)
         values['kind'] = self.kind.value
-        if not self.withdrawn:
-            del values['withdrawn']
+        for name, usual in _OPTIONAL.items():
+            if values[name] == usual:
+                del values[name]
         return json.dumps(values, sort_keys=True)
 
     @classmethod
@@ -113,7 +121,7 @@ class Demonstration:
 
         :raises DemonstrationError: a field is missing or has the wrong form.
         """
-        needed = [field.name for field in fields(cls) if field.name != 'withdrawn']
+        needed = [field.name for field in fields(cls) if field.name not in _OPTIONAL]
         missing = [name for name in needed if name not in values]
         if missing:
             raise DemonstrationError(f'the demonstration has no {", ".join(missing)}')
@@ -129,6 +137,9 @@ class Demonstration:
             raise DemonstrationError(f'a field of the demonstration is wrong: {error}') from error
 
 
+_OPTIONAL = {'withdrawn': False, 'method': TREES}  # of the form that is written: left out so
+
+
 def make_demonstration(
     domain: Domain[Any],
     option_name: str,
@@ -138,6 +149,7 @@ def make_demonstration(
     *,
     features: Sequence[str] | None = None,
     can_start_at_end: bool = False,
+    method: str = TREES,
     participant: str = 'anonymous',
     session: str = 'own data',
     number: int = 1,
@@ -152,6 +164,7 @@ def make_demonstration(
     :param rewards: T; None: by the rules, where all states can be listed.
     :param features: names of those that the option depends on; None: all.
     :param can_start_at_end: the option could start again in the last state.
+    :param method: how the option is to be learned, one of METHODS.
     :raises DemonstrationError: it breaks the rules of the domain, or a reward is not known.
     """
     if not states:
@@ -174,6 +187,7 @@ def make_demonstration(
         rewards=tuple(_rewards(domain, states, actions) if rewards is None else rewards),
         terminated=bool(actions) and domain.is_over(states[-1]),
         can_start_at_end=can_start_at_end,
+        method=method,
     )
     named = replace(demo, uuid=str(uuid_module.uuid5(uuid_module.NAMESPACE_OID, demo.to_json())))
     check_demonstration(named, domain)
@@ -207,6 +221,7 @@ def demonstration_from_message(message: Any) -> Demonstration:
     """
     names = (field.name for field in fields(Demonstration))
     values = {name: getattr(message, name) for name in names if hasattr(message, name)}
+    values['method'] = values.get('method') or TREES  # bags of earlier versions have none
     kinds = {number: kind for kind, number in KIND_NUMBERS.items()}
     values['kind'] = kinds.get(message.kind, f'number {message.kind}')
     flat, width = list(message.features), len(message.feature_names) or 1
@@ -235,8 +250,24 @@ def check_demonstration(demonstration: Demonstration, domain: Domain[Any]) -> No
         raise DemonstrationError('it names no option')
     if not demo.chosen_features:
         raise DemonstrationError('it names no feature that the option depends on')
+    check_method(demo.method, domain)
     _check_features(demo, domain)
     _check_steps(demo, domain)
+
+
+def check_method(method: str, domain: Domain[Any]) -> None:
+    """
+    Check that options of a domain can be learned so.
+
+    :raises DemonstrationError: there is no such method, or the states cannot be listed for it.
+    """
+    if method not in METHODS:
+        raise DemonstrationError(f'{method!r} is no way to learn; there is {", ".join(METHODS)}')
+    if method == GOAL and not is_enumerable(domain):
+        raise DemonstrationError(
+            f'the states of {domain.name} cannot be listed, so no way to a goal can be planned; '
+            f'its options are learned by {TREES}'
+        )
 
 
 def each_once(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:

@@ -10,12 +10,11 @@ from functools import cached_property
 from humanopts_env.domains.base import EnumerableDomain, feature_columns, Transitions
 from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.rooms import NOWHERE, ROOM_VALUES, ROOMS, RoomsState
-from humanopts_env.domains.tabular import distance_to, read_only
+from humanopts_env.domains.tabular import best_ways, distance_to, read_only
 import numpy as np
 from numpy.typing import NDArray
 
 FEATURES = ('row', 'col', 'room', 'doorway')
-TIE = 1e-12  # actions whose values differ by less are equally good
 Domain = EnumerableDomain[RoomsState]
 Mask = NDArray[np.bool_]
 
@@ -55,27 +54,6 @@ def reference_options(domain: Domain) -> dict[str, HallwayOption]:
     return {option.name: option for option in options}
 
 
-def best_ways(
-    transitions: Transitions, target: Mask, allowed: Mask, gamma: float
-) -> tuple[NDArray[np.float64], Mask]:
-    """
-    Find the best paths to a target by value iteration until no value changes.
-
-    :param target: (S,), outside ``allowed``.
-    :param allowed: (S,), states that a path may visit between its first and its last step.
-    :return: value (S,), the expected gamma**k at the target, 1 in the target and 0 in other states
-        outside ``allowed``; optimal (S, A), the best first actions, from states outside too.
-    """
-    value = target.astype(np.float64)
-    while True:
-        ahead = (transitions.probability * value[transitions.successor]).sum(axis=2) * gamma
-        better = np.where(allowed, ahead.max(axis=1), value)
-        if np.abs(better - value).max() <= np.finfo(np.float64).eps:
-            break
-        value = better
-    return value, ahead >= ahead.max(axis=1, keepdims=True) - TIE
-
-
 def _pairs(domain: Domain) -> list[tuple[str, str]]:
     """Return room and doorway of each option."""
     room, doorway = (_column(domain, name) for name in ('room', 'doorway'))
@@ -94,7 +72,7 @@ def _build(domain: Domain, room: str, doorway: str) -> HallwayOption:
     around = np.zeros_like(inside)
     around[table.successor[inside]] = True
     walks = inside | (around & ~inside & ~target)  # the room and its other doorway
-    _, optimal = best_ways(table, target, inside, domain.gamma)
+    _, optimal = best_ways(table, target[table.successor], inside, domain.gamma)
     initiation = walks & ~over
     straight = _without_slips(table)
     distance, _ = distance_to(straight, target[straight.successor[:, :, 0]], walks)

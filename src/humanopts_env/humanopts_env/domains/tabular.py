@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 Scalar = TypeVar('Scalar', bound=np.generic)
+TIE = 1e-12  # actions whose values differ by less are equally good
 
 
 def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
@@ -73,6 +74,28 @@ def _entries(pointers: NDArray[np.integer], rows: Ints) -> Ints:
     first, count = pointers[rows], pointers[rows + 1] - pointers[rows]
     skipped = np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count)
     return skipped + np.arange(int(count.sum()))
+
+
+def best_ways(
+    transitions: Transitions, goal: Flags, allowed: Flags, gamma: float
+) -> tuple[Floats, Flags]:
+    """
+    Find the best ways to a goal, with chance or without, by value iteration until nothing changes.
+
+    :param goal: (S, A, B), the outcomes that reach the goal.
+    :param allowed: (S,), the states that a way may visit between its first and its last step.
+    :param gamma: below 1; without chance, the best ways are the shortest.
+    :return: value (S,), the expected gamma**k of reaching the goal by the k-th action, of the best
+        way from each state, allowed or not; optimal (S, A), the first actions of best ways.
+    """
+    value = np.zeros(len(allowed))
+    while True:
+        worth = np.where(goal, 1.0, np.where(allowed, value, 0.0)[transitions.successor])
+        ahead = (transitions.probability * worth).sum(axis=2) * gamma
+        best = ahead.max(axis=1)
+        if np.abs(best - value).max() <= np.finfo(np.float64).eps:
+            return best, ahead >= best[:, None] - TIE
+        value = best
 
 
 ROUNDING = 1e-9  # how far the probabilities of one action may be from 1 in sum

@@ -18,7 +18,7 @@ from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import action_index, Domain
 from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.learn import Dataset, Examples, fit_option, make_dataset
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 FOLDS = 10
 FEWEST = FOLDS  # trajectories without which nothing is measurable
+FEWEST_TO_A_GOAL = 3  # where the policy is planned, and only I, beta and the goal are learned
 LEVEL = 0.9  # two-sided: the shortfall is above the upper limit in 5 of 100 cases
 CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstration
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
@@ -181,7 +182,7 @@ def _times_needed(criterion: Criterion) -> float:
 def _criteria(
     data: Dataset, domain: Domain[Any], thresholds: Thresholds, seed: int
 ) -> tuple[Criterion, ...]:
-    if len(data.trajectories) < FEWEST:
+    if len(data.trajectories) < fewest(data.method):
         shortfall, initiation_error, termination_error = None, None, None
     else:
         folds = fold_of(data, seed)
@@ -199,6 +200,11 @@ def _criteria(
         Criterion.of(INITIATION, initiation_error, thresholds.initiation_error),
         Criterion.of(TERMINATION, termination_error, thresholds.termination_error),
     )
+
+
+def fewest(method: str) -> int:
+    """Return how many trajectories it takes before the criteria are measurable."""
+    return FEWEST_TO_A_GOAL if method == GOAL else FEWEST
 
 
 def starts_anywhere(data: Dataset) -> bool:

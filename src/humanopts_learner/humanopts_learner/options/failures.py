@@ -8,7 +8,7 @@ from humanopts_env.arrays import Flags, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.tabular import distance_to, reachable
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_learner.options.criteria import fit_leave_fold_out, fold_of
 from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.learn import make_dataset
@@ -54,7 +54,8 @@ def find_failures(
     An end counts as shown when a demonstration ended in a state alike in the features: a taxi
     that lets its passenger out at the wrong place has reached an end, but none that was shown.
     If most demonstrations ended with the task over and this one did not, or the other way round,
-    it may be a slip, and counts from the second time on.
+    it may be a slip, and counts from the second time on. A policy that was planned (``goal.py``)
+    goes to the end that looks most like the shown ones, by the best way: every end of its counts.
 
     :param demonstrations: those that the option was learned from.
     :raises OptionError: the option was not learned in this domain.
@@ -62,6 +63,8 @@ def find_failures(
     transitions, over = domain.transitions(), domain.over()
     table = tabulate(option, domain)
     times_shown, known_end = _shown(option, domain, demonstrations)
+    planned = option.method == GOAL
+    known_end |= planned
     states = np.arange(domain.n_states)
     limits = np.full_like(states, option.max_steps)
     runs = tabular_rollouts(domain, [table], np.zeros_like(states), states, limits)
@@ -77,7 +80,11 @@ def find_failures(
     return Failures(
         candidate=candidate,
         stuck=candidate & ~reached,
-        detour=candidate & reached & (runs.steps > distance) & (times_shown < MEANT),
+        detour=candidate
+        & reached
+        & (runs.steps > distance)
+        & (times_shown < MEANT)
+        & (not planned),
         doubt=askable & doubt,
         times_shown=times_shown,
         distance=distance,

@@ -9,7 +9,7 @@ import re
 from typing import Any
 
 from humanopts_learner.append_only_log import sync, unused_name
-from humanopts_learner.demonstrations import Demonstration, DemonstrationError
+from humanopts_learner.demonstrations import Demonstration, DemonstrationError, TREES
 from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
 from humanopts_learner.options.option import LearnedOption, OptionError
 
@@ -19,7 +19,7 @@ SLUG_LENGTH = 48
 NAMES = ('actions', 'features', 'uuids')
 TEXTS = ('name', 'participant', 'domain')
 COUNTS = ('n_demonstrations', 'n_not_here', 'max_steps')
-TREES = ('policy', 'initiation', 'termination')
+PARTS = ('policy', 'initiation', 'termination')
 
 
 class OptionFileError(OptionError):
@@ -32,7 +32,7 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
 
     :param demonstrations: those that it was learned from, or none.
     """
-    trees = {part: getattr(option, part).to_dict() for part in TREES}
+    trees = {part: getattr(option, part).to_dict() for part in PARTS}
     data = {
         'format': FORMAT,
         'version': VERSION,
@@ -41,6 +41,7 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
         **{key: getattr(option, key) for key in COUNTS},
         **{key: list(getattr(option, key)) for key in NAMES},
         'columns': [encoded.to_dict() for encoded in option.encoding],
+        **_planned(option),
         **trees,
         'demonstrations': [json.loads(demo.to_json()) for demo in demonstrations],
     }
@@ -58,8 +59,12 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
         _check_form(data)
         values: dict[str, Any] = {key: data[key] for key in (*TEXTS, *COUNTS)}
         values |= {key: tuple(data[key]) for key in NAMES}
-        values |= {part: Tree.from_dict(data[part]) for part in TREES}
+        values |= {part: Tree.from_dict(data[part]) for part in PARTS}
         values['encoding'] = tuple(map(EncodedFeature.from_dict, data['columns']))
+        values['method'] = data.get('method', TREES)
+        values['policy_encoding'] = tuple(
+            map(EncodedFeature.from_dict, data.get('policy_columns', ()))
+        )
         values['domain_parameters'] = json.dumps(data['domain_parameters'], sort_keys=True)
         option = LearnedOption(**values)
         demonstrations = [Demonstration.from_fields(demo) for demo in data['demonstrations']]
@@ -78,6 +83,14 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     if demonstrations and {demo.uuid for demo in demonstrations} != set(option.uuids):
         raise OptionFileError('its demonstrations are not those that it was learned from')
     return option, demonstrations
+
+
+def _planned(option: LearnedOption) -> dict[str, Any]:
+    """Return what a file says more of an option whose policy was planned."""
+    if option.method == TREES:
+        return {}
+    columns = [encoded.to_dict() for encoded in option.policy_encoding]
+    return {'method': option.method, 'policy_columns': columns}
 
 
 def option_path(directory: Path, participant: str, name: str) -> Path:
@@ -161,7 +174,7 @@ def _check_form(data: Any) -> None:
         raise OptionFileError(f'it is of version {data.get("version")}, and {VERSION} is known')
     wrong = [key for key in TEXTS if not isinstance(data[key], str)]
     wrong += [key for key in COUNTS if type(data[key]) is not int or data[key] < 0]
-    wrong += [key for key in ('domain_parameters', *TREES) if not isinstance(data[key], dict)]
+    wrong += [key for key in ('domain_parameters', *PARTS) if not isinstance(data[key], dict)]
     wrong += [key for key in ('columns', 'demonstrations') if not isinstance(data[key], list)]
     for key in NAMES:
         if not isinstance(data[key], list) or any(not isinstance(n, str) for n in data[key]):

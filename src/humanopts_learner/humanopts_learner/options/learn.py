@@ -13,10 +13,16 @@ from itertools import compress
 from typing import Any
 
 from humanopts_env.arrays import Flags, Rows
-from humanopts_env.domains.base import action_index, Domain
+from humanopts_env.domains.base import action_index, Domain, is_enumerable
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration, group_by_option, Kind
+from humanopts_learner.demonstrations import (
+    Demonstration,
+    GOAL,
+    group_by_option,
+    Kind,
+    TREES,
+)
 from humanopts_learner.options.decision_tree import (
     encode_rows,
     EncodedFeature,
@@ -24,6 +30,7 @@ from humanopts_learner.options.decision_tree import (
     fit_tree,
     Tree,
 )
+from humanopts_learner.options.goal import preferred_actions, ways_to_goal
 from humanopts_learner.options.option import LearnedOption, MEMBERSHIP
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +66,7 @@ class Dataset:
     policy: Examples
     initiation: Examples
     termination: Examples
+    method: str = TREES  # chosen with the newest demonstration
 
     @property
     def trajectories(self) -> list[Demonstration]:
@@ -110,6 +118,7 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: Domain[Any]) -
         _examples(demos, [_policy_labels(demo, domain) for demo in demos]),
         _initiation_examples(demos),
         _termination_examples(demos, encoding),
+        demos[-1].method,
     )
 
 
@@ -126,9 +135,14 @@ def learn_option(
 
 
 def fit_option(data: Dataset, domain: Domain[Any], seed: int) -> LearnedOption:
-    """Fit the three trees to the examples of a data set with a trajectory or more."""
+    """
+    Learn an option from a data set with a trajectory or more.
+
+    All three trees are fitted to its examples; with the method ``goal``, that of the policy to the
+    actions that are planned.
+    """
     first, trajectories = data.demonstrations[0], len(data.trajectories)
-    return LearnedOption(
+    option = LearnedOption(
         name=first.option_name,
         participant=first.participant,
         domain=domain.name,
@@ -144,6 +158,27 @@ def fit_option(data: Dataset, domain: Domain[Any], seed: int) -> LearnedOption:
         max_steps=domain.max_steps or MAX_STEPS,
         uuids=tuple(demo.uuid for demo in data.demonstrations),
     )
+    return option if data.method == TREES else _with_planned_policy(option, data, domain)
+
+
+def _with_planned_policy(
+    option: LearnedOption, data: Dataset, domain: Domain[Any]
+) -> LearnedOption:
+    """
+    Return the option with a policy that goes to an end like the shown ones.
+
+    Its tree looks at all features: nothing is learned by it, it only holds what is planned.
+    """
+    assert is_enumerable(domain)
+    chosen = sorted({encoded.index for encoded in data.encoding})
+    rows = domain.feature_table()
+    ways = ways_to_goal(domain, data.trajectories, chosen, option.ends(rows))
+    actions = preferred_actions(domain, data.trajectories, chosen, ways)
+    known = ways.value > 0  # that there is a way is shown: a demonstration took it
+    encoding = feature_encoding(domain, [feature.name for feature in domain.features])
+    X = encode_rows(encoding, rows[known])
+    policy = fit_tree(X, actions[known], range(len(domain.actions)), 0)
+    return replace(option, policy=policy, method=GOAL, policy_encoding=encoding)
 
 
 def _fit(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -> Tree:

@@ -10,6 +10,7 @@ from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain
 from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOption
 from humanopts_env.domains.registry import parameters_json
+from humanopts_learner.demonstrations import TREES
 from humanopts_learner.options.decision_tree import (
     encode_rows,
     EncodedFeature,
@@ -62,14 +63,19 @@ class LearnedOption:
     n_not_here: int
     max_steps: int
     uuids: tuple[str, ...]  # demonstrations and "not here" answers that it was learned from
+    method: str = TREES  # of learning, one of METHODS
+    policy_encoding: tuple[EncodedFeature, ...] = ()  # for the policy; none: as for I and beta
 
     def __post_init__(self) -> None:
         """Check that the trees fit the actions and the features."""
+        if not self.policy_encoding:
+            object.__setattr__(self, 'policy_encoding', self.encoding)
         if self.policy.classes != tuple(range(len(self.actions))):
             raise OptionError(f'the policy of {self.name!r} does not choose among its actions')
         trees = {'policy': self.policy, 'I': self.initiation, 'beta': self.termination}
         for part, tree in trees.items():
-            if tree.n_features != len(self.encoding):
+            encoding = self.policy_encoding if part == 'policy' else self.encoding
+            if tree.n_features != len(encoding):
                 raise OptionError(f'the tree of {part} of {self.name!r} has other features')
             if part != 'policy' and tree.classes != MEMBERSHIP:
                 raise OptionError(f'the tree of {part} of {self.name!r} is not yes or no')
@@ -88,11 +94,14 @@ class LearnedOption:
                 f'game is {domain.name} {parameters_json(domain)}'
             )
         try:
-            encoding = feature_encoding(domain, [encoded.feature for encoded in self.encoding])
+            known = [
+                feature_encoding(domain, [encoded.feature for encoded in encoding])
+                for encoding in (self.encoding, self.policy_encoding)
+            ]
         except DomainError as error:
             raise OptionError(f'{self.name!r} cannot be used: {error}') from error
         names = tuple(action.name for action in domain.actions)
-        if self.encoding != encoding or self.actions != names:
+        if [self.encoding, self.policy_encoding] != known or self.actions != names:
             raise OptionError(
                 f'the features or actions of {self.name!r} are not those of the game'
             )
@@ -101,9 +110,13 @@ class LearnedOption:
     def _encode(self) -> Encoder:
         return Encoder(self.encoding)
 
+    @cached_property
+    def _encode_for_policy(self) -> Encoder:
+        return Encoder(self.policy_encoding)
+
     def action_probabilities(self, rows: Rows) -> Floats:
         """Return (N, A): pi of every action in each of the N states."""
-        return self.policy.probabilities(self._encode(rows, self.policy.tested))
+        return self.policy.probabilities(self._encode_for_policy(rows, self.policy.tested))
 
     def initiation_probability(self, rows: Rows) -> Floats:
         """Return (N,): the share of members of I among examples like each state."""
@@ -115,7 +128,7 @@ class LearnedOption:
 
     def greedy_action(self, rows: Rows) -> Ints:
         """Return (N,): the likeliest action, the lowest index among equals."""
-        return self.policy.likeliest(self._encode(rows, self.policy.tested))
+        return self.policy.likeliest(self._encode_for_policy(rows, self.policy.tested))
 
     def can_start(self, rows: Rows) -> Flags:
         """Return (N,): whether each state is in the initiation set."""
@@ -182,13 +195,13 @@ def tabulate(
     if isinstance(option, TabularOption):
         return option
     option.check_domain(domain)
-    X = encode_rows(option.encoding, domain.feature_table())
+    rows = domain.feature_table()
     return TabularOption(
         option.name,
         option.max_steps,
-        option.policy.likeliest(X),
-        option.initiation.probability_of(MEMBER, X) >= HALF,
-        option.termination.probability_of(MEMBER, X) >= HALF,
+        option.greedy_action(rows),
+        option.can_start(rows),
+        option.ends(rows),
     )
 
 

@@ -42,6 +42,7 @@ def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
         can_start_at_end=demo.can_start_at_end,
         seconds=demo.seconds,
         withdrawn=demo.withdrawn,
+        method=demo.method,
     )
 
 
@@ -54,6 +55,7 @@ def status_to_message(option: LearnedOption, judgement: Judgement) -> msg.Option
         n_demonstrations=option.n_demonstrations,
         n_not_here=option.n_not_here,
         last_uuid=option.uuids[-1],
+        method=option.method,
         criteria=[
             msg.Criterion(
                 name=criterion.name,
@@ -82,6 +84,7 @@ def not_learnable_status(demos: list[Demonstration]) -> msg.OptionStatus:
         features=list(newest.chosen_features),
         n_not_here=len(demos),
         last_uuid=newest.uuid,
+        method=newest.method,
         mean_return_demonstrations=math.nan,
         mean_return_policy=math.nan,
         more_needed=-1,

@@ -6,6 +6,7 @@ import inspect
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from humanopts_learner.demonstrations import TREES
 from humanopts_ros.recording import MOST_BYTES
 from humanopts_teach.lesson import BUDGET, STRATEGY
 import typer
@@ -95,6 +96,13 @@ class LaunchOptions:
         Literal['random', 'coverage', 'failures'],
         typer.Option(help='how start states are chosen'),
     ] = STRATEGY
+    learn: Annotated[
+        Literal['trees', 'goal'],
+        typer.Option(
+            help='trees: policies are learned from the actions shown; goal: they are planned, to '
+            'an end like those shown, where all states can be listed'
+        ),
+    ] = TREES
     budget: Annotated[
         int,
         typer.Option(parser=whole(1), metavar='N', help='most start states shown for an option'),

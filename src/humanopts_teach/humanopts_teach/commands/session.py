@@ -16,6 +16,7 @@ from typing import Any
 from humanopts_env.domains.base import Parameter
 from humanopts_env.domains.capabilities import THRESHOLDS
 from humanopts_env.domains.registry import make_domain
+from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_ros.recording import Selection
 from humanopts_teach.commands import CommandError, ENDING, interruptible
@@ -46,7 +47,9 @@ def setup_from(
     parameters = domain_parameters(launch)
     given = {name: getattr(launch, name) for name in THRESHOLDS}
     try:
-        usual = usual_thresholds(make_domain(domain, parameters))
+        game = make_domain(domain, parameters)
+        check_method(launch.learn, game)
+        usual = usual_thresholds(game)
         thresholds = replace(usual, **{n: v for n, v in given.items() if v is not None})
     except ValueError as error:
         raise CommandError(str(error)) from error
@@ -61,6 +64,7 @@ def setup_from(
         domain_parameters=parameters,
         seed=launch.seed,
         strategy=launch.strategy,
+        learn=launch.learn,
         budget=launch.budget,
         thresholds=thresholds,
     )

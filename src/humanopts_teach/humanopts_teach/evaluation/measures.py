@@ -69,6 +69,7 @@ class OptionBlock:
 
     name: str
     features: tuple[str, ...]
+    method: str  # of learning, one of ``METHODS``
     n_demonstrations: int
     policy_accuracy: float | None
     mean_return_demonstrations: float | None
@@ -98,6 +99,7 @@ def option_block(
     return OptionBlock(
         name=option.name,
         features=tuple(option.features),
+        method=option.method,
         n_demonstrations=int(option.n_demonstrations),
         policy_accuracy=policy,
         mean_return_demonstrations=finite(judged.mean_return_demonstrations),

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.criteria import Criterion
 from humanopts_teach.bags.info import aligned
@@ -121,9 +122,10 @@ def _option(option: OptionEvaluation) -> list[str]:
     return [
         f'{block.name} (by {option.participant or "-"}): {met}',
         f'features: {", ".join(block.features)}',
+        f'policy: {METHODS[block.method]}',
         *again,
         f'mean return: demonstrations {number(block.mean_return_demonstrations)}, '
-        f'learned policy {number(block.mean_return_policy)}',
+        f'policy {number(block.mean_return_policy)}',
         *(f'not met: {_unmet(c)}' for c in judgement.criteria if not c.met),
         *_more(judgement.more_needed),
         *table(CURVE_HEAD, rows),

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from humanopts_env.domains.base import Parameter
+from humanopts_learner.demonstrations import TREES
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_teach.lesson import BUDGET, STRATEGY
 
@@ -58,6 +59,7 @@ class Setup:
     seed: int = 0
     thresholds: Thresholds = field(default_factory=Thresholds)
     strategy: str = STRATEGY
+    learn: str = TREES  # with which of ``METHODS``, where the person asks for no other
     budget: int = BUDGET
     participant: str = 'p1'
     teach: bool = True  # lesson and learner run
@@ -128,6 +130,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
                 'directory': str(setup.directory / 'demonstrations'),
                 'seed': setup.seed,
                 'strategy': setup.strategy,
+                'method': setup.learn,
                 'budget': setup.budget,
             },
         ),

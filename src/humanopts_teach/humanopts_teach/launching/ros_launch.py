@@ -8,6 +8,7 @@ import time
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain
+from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_teach.launching.processes import Recording, Setup
 
@@ -38,6 +39,7 @@ ARGUMENTS = (
     LaunchArgument('out', 'runs/launch', 'folder of demonstrations, options and bags'),
     LaunchArgument('seed', 1, 'of every random draw: a whole number from 0'),
     LaunchArgument('strategy', Setup.strategy, 'of start states: random, coverage or failures'),
+    LaunchArgument('learn', Setup.learn, 'how options are learned: trees or goal'),
     LaunchArgument('budget', Setup.budget, 'most start states shown for an option'),
     LaunchArgument('teach', Setup.teach, 'whether lesson and learner run: true or false'),
     LaunchArgument(
@@ -85,6 +87,7 @@ def setup_from_launch(texts: Mapping[str, str]) -> Setup:
     recording = ('record_include', 'record_exclude', 'split_bytes', 'split_seconds')
     try:
         domain = make_domain(values['domain'], values['domain_parameters'])
+        check_method(values['learn'], domain)
         thresholds = usual_thresholds(domain)
     except ValueError as error:
         raise LaunchArgumentError(str(error)) from error

@@ -101,6 +101,7 @@ class Attempt:
         option: OptionHistory,
         feature_names: tuple[str, ...],
         *,
+        method: str,
         seconds: float,
         can_start_at_end: bool,
     ) -> Demonstration:
@@ -112,6 +113,7 @@ class Attempt:
 
         :param who: domain, its parameters, participant and session.
         :param feature_names: of all features of the domain.
+        :param method: with which the option is to be learned.
         """
         steps = self.transitions[1:]
         domain, parameters, participant, session = who
@@ -132,6 +134,7 @@ class Attempt:
             rewards=tuple(step.reward for step in steps),
             terminated=self.transitions[-1].terminated,
             can_start_at_end=can_start_at_end,
+            method=method,
         )
         named = replace(draft, uuid=str(uuid.uuid5(_NAMESPACE, draft.to_json())))
         return replace(named, seconds=seconds)

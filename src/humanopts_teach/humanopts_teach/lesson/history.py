@@ -56,6 +56,7 @@ class OptionHistory:
     def __init__(self, name: str, features: Sequence[Feature]) -> None:
         self.name = name
         self.questions = Questions(name, features)
+        self.method = ''  # of learning, that was asked for; empty: none was
         self.demonstrations: list[Demonstration] = []  # those that count
         self.withdrawn: set[str] = set()  # uuids
         self.start_states: list[str] = []  # of what was withdrawn and not shown anew; last first
@@ -112,6 +113,7 @@ class History:
             option.add(entry)
         elif isinstance(entry, OptionDefined):
             self.sessions[entry.session] = name
+            option.method = entry.method or option.method
             if entry.ask_again:
                 option.questions = option.questions.again()
         elif isinstance(entry, FeatureAnswered):

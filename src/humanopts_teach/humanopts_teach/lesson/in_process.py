@@ -173,6 +173,11 @@ class _InProcess:
             self._lesson.update_option(newest.participant, name, option_to_json(option, []))
             enough = self._enough(shown, option)
         self._progress[name] = OptionStatus(
-            name, newest.participant, features, last_uuid=newest.uuid, criteria_met=enough
+            name,
+            newest.participant,
+            features,
+            last_uuid=newest.uuid,
+            method=newest.method,
+            criteria_met=enough,
         )
         self._lesson.update_progress(list(self._progress.values()))

@@ -15,6 +15,7 @@ from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.game import Transition
 from humanopts_learner.demonstrations import (
     check_demonstration,
+    check_method,
     Demonstration,
     DemonstrationError,
     each_once,
@@ -139,7 +140,7 @@ class Lesson:
 
     @property
     def criteria_met(self) -> bool:
-        """Whether the learner reports that they hold, on the features that are chosen now."""
+        """Whether the learner reports that they hold, with the features and method of now."""
         if self._option is None:
             return False
         known = self._learned.get((self._participant, self._option.name))
@@ -147,6 +148,7 @@ class Lesson:
             known is not None
             and known.criteria_met
             and known.last_uuid not in self._option.withdrawn  # the learner still counts that one
+            and known.method == self._method(self._option)
             and set(known.features) == set(self._option.questions.chosen)
         )
 
@@ -173,6 +175,7 @@ class Lesson:
                 questions_total=len(self._domain.features),
                 chosen_features=option.questions.chosen,
                 earlier_features=option.questions.earlier if feature is not None else (),
+                method=self._method(option),
                 n_demonstrations=option.n_trajectories,
                 n_not_here=len(option.demonstrations) - option.n_trajectories,
                 last_uuid=option.newest.uuid if option.newest is not None else '',
@@ -380,11 +383,21 @@ class Lesson:
         name = request.name.strip()
         if fault := _name_fault(name):
             raise RefusalError(RequestStatus.BAD_NAME, fault)
-        resumed = name in self._history.options
-        self._write(OptionDefined(*self._who, name, request.ask_again))
+        known = self._history.options.get(name)
+        before = known.method if known is not None else ''
+        method = request.method or before or self._starts.rules.method
+        try:
+            check_method(method, self._domain)
+        except DemonstrationError as error:
+            raise RefusalError(RequestStatus.BAD_METHOD, str(error)) from error
+        resumed = known is not None
+        self._write(OptionDefined(*self._who, name, request.ask_again, request.method))
         self._turn_to(self._history.options[name])
         text = f'{"going on with" if resumed else "begun"}: {name}'
         return Answer(RequestStatus.OK, text, resumed=resumed)
+
+    def _method(self, option: OptionHistory) -> str:
+        return option.method or self._starts.rules.method
 
     def _turn_to(self, option: OptionHistory | None) -> None:
         if option is not self._option:
@@ -475,6 +488,7 @@ class Lesson:
             tuple(feature.name for feature in self._domain.features),
             seconds=round(self._clock() - attempt.began, 3),
             can_start_at_end=request.can_start_at_end and request.verdict is Verdict.DONE,
+            method=self._method(option),
         )
         try:
             check_demonstration(demo, self._domain)

@@ -14,7 +14,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Transition
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, TREES
 from humanopts_learner.options.criteria import Criterion
 
 
@@ -42,6 +42,7 @@ class RequestStatus(Enum):
     """How a request ended; the names are those of the services' STATUS constants."""
 
     OK = 'ok'
+    BAD_METHOD = 'bad method'
     BAD_NAME = 'bad name'
     BAD_STATE = 'bad state'
     BAD_VERDICT = 'bad verdict'
@@ -74,6 +75,7 @@ class DefineOption:
 
     name: str
     ask_again: bool = False  # ask the feature questions anew
+    method: str = ''  # of learning, from the next demonstration on; empty: as before
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +256,7 @@ class OptionStatus:
     n_demonstrations: int = 0
     n_not_here: int = 0
     last_uuid: str = ''  # newest demonstration that is counted in
+    method: str = TREES  # with which it was learned
     criteria: tuple[Criterion, ...] = ()
     criteria_met: bool = False
     mean_return_demonstrations: float = math.nan
@@ -282,6 +285,7 @@ class LessonView:
     last_uuid: str = ''  # of the newest demonstration; empty: none
     budget: int = 0
     strategy: str = ''
+    method: str = ''  # with which the option is learned from its next demonstration on
     start_state: str = ''
     episode: int = 0
     criteria_met: bool = False

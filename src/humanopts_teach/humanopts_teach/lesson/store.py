@@ -49,6 +49,7 @@ class OptionDefined(_SessionEntry):
 
     option_name: str
     ask_again: bool  # the answers given before count no longer
+    method: str = ''  # of learning, that was asked for; empty: none, as in earlier versions
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +99,12 @@ def entry_from_line(line: str) -> Entry:
             return Demonstration.from_fields(values)
         except DemonstrationError as error:
             raise EntryError(str(error)) from None
+    found: dict[str, Any] = {}
     for field in fields(kind):
-        if type(values.get(field.name)) is not field.type:
+        value = values.get(field.name, field.default)
+        if type(value) is not field.type:
             raise EntryError(f'its field {field.name} is missing or wrong')
-    found: dict[str, Any] = {field.name: values[field.name] for field in fields(kind)}
+        found[field.name] = value
     return kind(**found)
 
 

@@ -28,11 +28,11 @@ class TreeRules:
 def option_rules(option: LearnedOption, domain: Domain[Any]) -> list[TreeRules]:
     """Return the three trees of an option, the policy last."""
     trees = {
-        'initiation': (option.initiation, MEMBERS['initiation']),
-        'termination': (option.termination, MEMBERS['termination']),
-        'policy': (option.policy, option.actions),
+        'initiation': (option.initiation, MEMBERS['initiation'], option.encoding),
+        'termination': (option.termination, MEMBERS['termination'], option.encoding),
+        'policy': (option.policy, option.actions, option.policy_encoding),
     }
-    return [_rules(part, *tree, option.encoding, domain) for part, tree in trees.items()]
+    return [_rules(part, *tree, domain) for part, tree in trees.items()]
 
 
 def _rules(

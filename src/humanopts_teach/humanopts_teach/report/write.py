@@ -7,6 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 import platform
 
+from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_teach.bags.info import summarise, TopicRow
 from humanopts_teach.bags.reader import Bag
@@ -28,7 +29,7 @@ from humanopts_teach.report.rules import option_rules
 MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
     ('n_demonstrations', 'demonstrations', False),
     ('mean_return_demonstrations', 'mean return of the demonstrations', False),
-    ('mean_return_policy', 'mean return of the learned policy, same starts', False),
+    ('mean_return_policy', 'mean return of the policy, same starts', False),
     ('cv_error_initiation', 'initiation: held-out balanced error', False),
     ('cv_error_termination', 'termination: held-out balanced error', False),
     ('policy_accuracy', 'policy accuracy', True),
@@ -100,6 +101,7 @@ def render_report(data: ReportData) -> str:
         ],
         'live': None if live is None else {block.name: block for block in live.options},
         'measures': MEASURES,
+        'methods': METHODS,
         'reproduced': REPRODUCED,
         'boards': board_figures(exact, 'board'),
         'planning': planning,

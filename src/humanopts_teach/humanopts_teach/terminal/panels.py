@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from functools import singledispatch
 import math
 
+from humanopts_learner.demonstrations import METHODS, TREES
 from humanopts_learner.options.conflicts import NO_START
-from humanopts_learner.options.criteria import Criterion, FEWEST
+from humanopts_learner.options.criteria import Criterion, fewest
 from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
 from humanopts_teach.terminal.app import App, Screen
 from humanopts_teach.terminal.driving import EXECUTIONS, PlayScreen, WatchScreen
@@ -95,6 +96,8 @@ def _lesson(screen: LessonScreen, app: App) -> RenderableType:
         return Group(title, *_question(lesson, app))
     progress = app.world.progress_of(lesson.participant, lesson.option_name)
     parts: list[RenderableType] = [title, _where(lesson, app), _features(lesson, app)]
+    if lesson.method != TREES:
+        parts.append(Text(f'policy {METHODS[lesson.method]}', 'dim'))
     parts += _criteria(lesson, progress)
     if progress is not None:
         parts += _conflicts(progress, screen.questions_key(app))
@@ -159,7 +162,8 @@ def _criteria(lesson: LessonView, progress: OptionStatus | None) -> list[Rendera
         yours, learned = progress.mean_return_demonstrations, progress.mean_return_policy
         text = f'mean return from your starts: yours {yours:.2f}, learned {learned:.2f}'
         parts.append(Text(text, 'dim'))
-    if set(progress.features) != set(lesson.chosen_features):
+    now = progress.method, set(progress.features)
+    if now != (lesson.method, set(lesson.chosen_features)):
         parts.append(Text('These are for the earlier answers: show one more.', 'yellow'))
     return parts
 
@@ -189,8 +193,8 @@ def _estimate(lesson: LessonView, progress: OptionStatus) -> Text:
         still = goes_on and set(progress.features) == set(lesson.chosen_features)
         but = ', but from some starts it still fails.' if still else '.'
         return Text(f'All criteria hold{but}', 'bold green')
-    if progress.n_demonstrations < FEWEST:
-        return Text(f'Measured from {FEWEST} demonstrations on.')
+    if progress.n_demonstrations < (least := fewest(lesson.method)):
+        return Text(f'Measured from {least} demonstrations on.')
     undecided = [c.name for c in progress.criteria if c.undecided]
     why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
     if more < 0:
