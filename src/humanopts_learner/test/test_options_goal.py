@@ -8,6 +8,7 @@ from typing import Any
 from graph_support.scripted import expert
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.rooms import Rooms
+from humanopts_env.domains.rooms_reference import reference_options as hallways
 from humanopts_env.domains.tabular import best_ways, distance_to
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
