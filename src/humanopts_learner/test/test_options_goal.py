@@ -103,9 +103,11 @@ def test_of_equal_ways_the_shown_one_is_taken(person: Callable[..., Any]) -> Non
 
 def test_with_chance_the_way_is_the_one_that_best_arrives() -> None:
     """In Rooms moves slip; the reference options know the best ways."""
-    rooms, name = Rooms(), 'south-east room to east doorway'
-    option = learn_option(planned(expert(name, 4, rooms)), rooms, 0)
-    assert policy_accuracy(option, rooms, hallways(rooms)[name]) == 1.0
+    rooms = Rooms()
+    for name, reference in hallways(rooms).items():
+        option = learn_option(planned(expert(name, 16, rooms)), rooms, 0)
+        assert option.n_demonstrations <= 4  # most starts are in other rooms
+        assert policy_accuracy(option, rooms, reference) == 1.0
 
 
 def test_criteria_are_measured_from_three_demonstrations_on(person: Callable[..., Any]) -> None:
