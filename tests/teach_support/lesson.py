@@ -5,6 +5,7 @@ import errno
 import os
 from typing import Any
 
+from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import Demonstration
@@ -60,14 +61,21 @@ def status(participant: str = 'p1', **fields: Any) -> OptionStatus:
 class Table:
     """A lesson with the person, the game and the learner in the hands of the test."""
 
-    def __init__(self, store: DemonstrationStore, *, budget: int = 5, seed: int = 0) -> None:
+    def __init__(
+        self,
+        store: DemonstrationStore,
+        *,
+        budget: int = 5,
+        seed: int = 0,
+        domain: Domain[Any] = TAXI,
+    ) -> None:
         self.store = store
-        self.starts = Starts(TAXI, LessonRules('random', budget, seed))
+        self.starts = Starts(domain, LessonRules('random', budget, seed))
         self.time = 100.0
         self.episode = 0
         self.here: Transition | None = None
         self.lesson = Lesson(
-            TAXI,
+            domain,
             store,
             self.starts,
             clock=lambda: self.time,

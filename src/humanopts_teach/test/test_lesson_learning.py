@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_learner.demonstrations import GOAL, TREES
 from humanopts_teach.lesson.requests import (
     AnswerQuestion,
     BeginDemonstration,
@@ -131,6 +133,35 @@ def test_a_lesson_is_taken_up_after_a_restart_where_it_was_left(
     assert kept is not None
     assert kept.number == 2
     assert [demo.number for demo in resumed.lesson.demonstrations()] == [1, 2]
+
+
+def test_how_an_option_is_learned_is_chosen_and_kept_over_a_restart(
+    store: DemonstrationStore,
+) -> None:
+    table = Table(store).ready()
+    assert table.lesson.view.method == TREES
+    assert table.ask(DefineOption(OPTION, method=GOAL)).ok
+    assert table.lesson.view.method == GOAL
+    resumed = Table(store)
+    resumed.ask(OpenSession('p1', 's1'))
+    resumed.ask(DefineOption(OPTION))
+    kept = resumed.began().drive('west').end().demonstration
+    assert kept is not None
+    assert kept.method == GOAL
+    resumed.learned(met=True)  # by trees, so it says nothing of what is chosen now
+    assert not resumed.lesson.criteria_met
+    resumed.ask(DefineOption(OPTION, method=TREES))
+    assert resumed.lesson.criteria_met
+    assert resumed.ask(DefineOption('another')).ok
+    assert resumed.lesson.view.method == TREES
+
+
+def test_a_way_to_learn_that_is_not_possible_is_refused(store: DemonstrationStore) -> None:
+    for table, method in ((Table(store, domain=PacMan()), GOAL), (Table(store), 'maps')):
+        answer = table.opened().ask(DefineOption(OPTION, method=method))
+        assert answer.status is RequestStatus.BAD_METHOD
+        assert answer.detail
+        assert table.lesson.phase is Phase.NO_OPTION
 
 
 def test_another_session_begins_without_an_option_and_keeps_the_counts(

@@ -1,9 +1,11 @@
 """The lesson's memory survives crashes and full disks."""
 
+from dataclasses import replace
+import json
 import os
 from pathlib import Path
 
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_teach.lesson.store import (
     DemonstrationStore,
     Entry,
@@ -51,6 +53,15 @@ def filled(directory: Path) -> Path:
         for entry in ENTRIES:
             store.append(entry)
     return directory / 'p1.jsonl'
+
+
+def test_an_option_that_was_named_before_there_were_methods_is_read() -> None:
+    defined = OptionDefined(*KEY, 'p1', 's1', 'go', ask_again=False)
+    older = {k: v for k, v in json.loads(entry_to_line(defined)).items() if k != 'method'}
+    assert entry_from_line(json.dumps(older)) == defined
+    assert 'method' not in json.loads(entry_to_line(DEMONSTRATION))
+    planned = replace(DEMONSTRATION, method=GOAL)
+    assert entry_from_line(entry_to_line(planned)) == planned
 
 
 @pytest.mark.parametrize('entry', ENTRIES, ids=lambda entry: type(entry).__name__)

@@ -6,6 +6,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Transition
+from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.options.criteria import Criterion, FEWEST
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -418,6 +419,25 @@ def test_a_person_is_told_when_the_criteria_will_be_measured(shower: Person) -> 
     few = replace(progress, n_demonstrations=FEWEST - 1, more_needed=-1)
     shower.world.progress = [few]
     assert f'Measured from {FEWEST} demonstrations on.' in shower.sees()
+
+
+def test_a_planned_policy_is_named_and_measured_sooner(shower: Person) -> None:
+    shower.lesson(Phase.DEMONSTRATING, method=GOAL)
+    progress = replace(criteria([('return', None, 1.0)]), n_demonstrations=2, more_needed=-1)
+    shower.world.progress = [progress]
+    assert shower.sees_words('These are for the earlier answers: show one more.')
+    shower.world.progress = [replace(progress, method=GOAL)]
+    assert not shower.sees_words('These are for the earlier answers')
+    assert shower.sees_words('policy planned: best ways to an end like the shown ones')
+    assert shower.sees_words('Measured from 3 demonstrations on.')
+
+
+def test_how_an_option_is_learned_can_be_changed_in_the_menu(teacher: Person) -> None:
+    teacher.press('escape', '6')
+    assert teacher.sees_words('From the next demonstration on, change which option?')
+    assert teacher.press('1') == DefineOption(NAME, method=GOAL)
+    teacher.lesson(Phase.READY, method=GOAL)
+    assert teacher.answer(teacher.asked[-1]) is None
 
 
 def test_conflicts_come_with_the_feature_that_would_tell_them_apart(shower: Person) -> None:

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 
+from humanopts_env.domains.base import is_enumerable
+from humanopts_learner.demonstrations import GOAL, METHODS, TREES
 from humanopts_teach.lesson.requests import (
     Answer,
     DefineOption,
@@ -58,8 +60,11 @@ def to_menu(app: App) -> None:
         Item('Run a taught option', 'the machine runs it, you watch', _list_taught),
         Item('Watch the machine play', 'it plans, then plays', _choose_plan),
         Item('Drive freely', 'get to know the game and the keys', _play),
-        Item('Quit', 'everything taught is saved', App.end),
     ]
+    if known and is_enumerable(app.domain):
+        note = 'by trees, or planned to its end'
+        items.append(Item('Change how an option is learned', note, _choose_method))
+    items.append(Item('Quit', 'everything taught is saved', App.end))
     app.show(ListScreen('What next?', items, answered=_listed))
 
 
@@ -101,8 +106,20 @@ def _choose_known(app: App) -> None:
     app.show(ListScreen('Go on with which option?', items, back=to_menu, answered=_defined))
 
 
-def _defining(name: str) -> Callable[[App], None]:
-    return lambda app: app.ask(DefineOption(name))
+def _choose_method(app: App) -> None:
+    items = []
+    for name in app.known_options:
+        progress = app.world.progress_of(app.participant, name)
+        now = progress.method if progress is not None else TREES
+        other = TREES if now == GOAL else GOAL
+        note = f'now {now}; {other}: {METHODS[other]}'
+        items.append(Item(name, note, _defining(name, other)))
+    title = 'From the next demonstration on, change which option?'
+    app.show(ListScreen(title, items, back=to_menu, answered=_defined))
+
+
+def _defining(name: str, method: str = '') -> Callable[[App], None]:
+    return lambda app: app.ask(DefineOption(name, method=method))
 
 
 def _standing(name: str, app: App) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from functools import singledispatch
 import math
 
-from humanopts_learner.demonstrations import METHODS, TREES
+from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.criteria import Criterion, fewest
 from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
@@ -96,8 +96,8 @@ def _lesson(screen: LessonScreen, app: App) -> RenderableType:
         return Group(title, *_question(lesson, app))
     progress = app.world.progress_of(lesson.participant, lesson.option_name)
     parts: list[RenderableType] = [title, _where(lesson, app), _features(lesson, app)]
-    if lesson.method != TREES:
-        parts.append(Text(f'policy {METHODS[lesson.method]}', 'dim'))
+    if lesson.method == GOAL:
+        parts.append(Text(f'policy {METHODS[GOAL]}', 'dim'))
     parts += _criteria(lesson, progress)
     if progress is not None:
         parts += _conflicts(progress, screen.questions_key(app))
@@ -162,8 +162,8 @@ def _criteria(lesson: LessonView, progress: OptionStatus | None) -> list[Rendera
         yours, learned = progress.mean_return_demonstrations, progress.mean_return_policy
         text = f'mean return from your starts: yours {yours:.2f}, learned {learned:.2f}'
         parts.append(Text(text, 'dim'))
-    now = progress.method, set(progress.features)
-    if now != (lesson.method, set(lesson.chosen_features)):
+    changed = (progress.method == GOAL) != (lesson.method == GOAL)
+    if changed or set(progress.features) != set(lesson.chosen_features):
         parts.append(Text('These are for the earlier answers: show one more.', 'yellow'))
     return parts
 
