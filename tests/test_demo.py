@@ -29,6 +29,7 @@ PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
 OPTION = {
     'name': str,
     'features': [str],
+    'method': str,
     'n_demonstrations': int,
     'policy_accuracy': float,
     'mean_return_demonstrations': float,

@@ -6,9 +6,8 @@ import inspect
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from humanopts_learner.demonstrations import TREES
 from humanopts_ros.recording import MOST_BYTES
-from humanopts_teach.lesson import BUDGET, STRATEGY
+from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 import typer
 from typer.core import TyperCommand, TyperGroup
 
@@ -102,7 +101,7 @@ class LaunchOptions:
             help='trees: policies are learned from the actions shown; goal: they are planned, to '
             'an end like those shown, where all states can be listed'
         ),
-    ] = TREES
+    ] = METHOD
     budget: Annotated[
         int,
         typer.Option(parser=whole(1), metavar='N', help='most start states shown for an option'),

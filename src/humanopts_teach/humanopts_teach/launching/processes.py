@@ -6,9 +6,8 @@ import json
 from pathlib import Path
 
 from humanopts_env.domains.base import Parameter
-from humanopts_learner.demonstrations import TREES
 from humanopts_learner.options.criteria import Thresholds
-from humanopts_teach.lesson import BUDGET, STRATEGY
+from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 
 Value = Parameter | list[str]
 RECORDER = 'recorder'
@@ -59,7 +58,7 @@ class Setup:
     seed: int = 0
     thresholds: Thresholds = field(default_factory=Thresholds)
     strategy: str = STRATEGY
-    learn: str = TREES  # with which of ``METHODS``, where the person asks for no other
+    learn: str = METHOD  # of learning, where the person asks for no other
     budget: int = BUDGET
     participant: str = 'p1'
     teach: bool = True  # lesson and learner run

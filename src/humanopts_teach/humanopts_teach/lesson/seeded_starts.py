@@ -5,12 +5,12 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration, TREES
+from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.failures import nothing_fails
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.start_states import choose_start_state
-from humanopts_teach.lesson import BUDGET, STRATEGY
+from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
 
@@ -25,7 +25,7 @@ class LessonRules:
     budget: int = BUDGET  # the most that is asked for one option, "not here" answers included
     seed: int = 0
     until_no_failures: bool = True  # strategy failures: ask on while the learned option fails
-    method: str = TREES  # of learning, one of ``METHODS``, where the person asks for no other
+    method: str = METHOD  # of learning, one of ``METHODS``, where the person asks for no other
 
 
 class SeededStarts:

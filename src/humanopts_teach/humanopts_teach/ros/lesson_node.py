@@ -13,7 +13,7 @@ from humanopts_env.game import transition_from_message
 from humanopts_env.ros.convert import domain_from_info
 from humanopts_interfaces import msg
 from humanopts_interfaces.srv import ResetGame
-from humanopts_learner.demonstrations import Demonstration, METHODS, TREES
+from humanopts_learner.demonstrations import Demonstration, METHODS
 from humanopts_learner.options.option import OptionError
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_learner.ros.convert import demonstration_to_message
@@ -105,7 +105,7 @@ class LessonNode(NodeBase):
         what, usual = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy
         strategy = self.setting('strategy', usual, what, among=STRATEGIES)
         what = 'how options are learned, where the person asks for no other: trees or goal'
-        method = self.setting('method', TREES, what, among=tuple(METHODS))
+        method = self.setting('method', LessonRules().method, what, among=tuple(METHODS))
         return self.settings(
             LessonRules(strategy, method=method),
             {
