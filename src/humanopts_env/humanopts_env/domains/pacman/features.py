@@ -37,6 +37,7 @@ THINGS = {  # prefix of feature names: what it is to a person
     'danger': 'the nearest dangerous ghost',
     'prey': 'the nearest scared ghost',
 }
+SOUGHT = ('food', 'pill', 'prey')  # among them
 DANGEROUS_AND_SCARED = read_only(np.array([[False], [True]]))
 
 
@@ -184,9 +185,24 @@ class FeatureReader:
         out[:, column + 1] = self._legal[here]
         return out
 
-    def directions(self, batch: PacManBatch) -> dict[str, NDArray[np.int32]]:
-        """Return the directions of the nearest thing of each kind, (N,) by their prefixes."""
-        return dict(zip(THINGS, self._look(batch)[len(batch.ghosts) :, :, 2]))
+    def first_moves(
+        self, batch: PacManBatch, sought: NDArray[np.integer]
+    ) -> NDArray[np.int32]:
+        """
+        Return the direction of one thing in each game, (N,).
+
+        :param sought: (N,) indices into ``SOUGHT``; another number: of nothing.
+        """
+        here, food, pill = batch.pacman, np.flatnonzero(sought == 0), np.flatnonzero(sought == 1)
+        cells = np.full(len(batch), len(self._place) - 1, dtype=np.intp)
+        if food.size:
+            cells[food] = self._find(self._food, here[food], batch.food_taken[food])
+        if pill.size:
+            cells[pill] = self._find(self._pills, here[pill], batch.pills_taken[pill])
+        if batch.scared.any():
+            np.copyto(cells, self._nearest_ghosts(batch)[1], where=sought == 2)
+        way: NDArray[np.int32] = self._place_and_way[here * len(self._place) + cells, 2]
+        return way
 
     def _look(self, batch: PacManBatch) -> NDArray[np.int32]:
         """Return row, column, direction and distance of ghosts and THINGS, (G + 5, N, 4)."""

@@ -21,6 +21,7 @@ from humanopts_env.domains.pacman.features import (
     FeatureReader,
     flight,
     look_around,
+    SOUGHT,
     Surroundings,
 )
 from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, Masks, MOVES, Paths, STAY
@@ -40,9 +41,9 @@ N_DIRECTIONS = len(DIRECTIONS)
 NEAR_DANGER, NEAR_SECOND = np.array((2, 3, 4, 5, 7)), np.array((3, 5))
 NEAR_PREY, NEAR_PILL, NEAR_FOOD = np.array((3, 6, 13)), np.array((3, 9)), np.array((2, 3, 5, 9))
 LONGEST = 300  # steps that are played before a state is drawn
-DROPPED = 16  # a game that is drawn is played at most so many steps more
 CHANGES = 0.1  # probability of a new aim at a step
 WANTS = ('food', 'food', 'pill', 'prey', None)  # aims, each equally likely; None: random moves
+_AIMS = np.array([SOUGHT.index(want) if want else len(SOUGHT) for want in WANTS])
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,23 +298,24 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
 
     :param count: number of states, N.
     """
-    batch, drawn = PacManBatch.begin(rules, count), PacManBatch.begin(rules, count)
-    read = FeatureReader(rules)
-    playing = np.arange(count)  # those that ``batch`` holds
+    read, games = _reader(rules), PacManBatch.begin(rules, count)
     length = rng.integers(LONGEST, size=count)
     want = rng.integers(len(WANTS), size=count)
+    order = np.argsort(length, kind='stable')  # of the games: those that are drawn first go first
+    drawn = np.searchsorted(length[order], np.arange(LONGEST), side='right').tolist()
     for step in range(int(length.max(initial=-1)) + 1):
-        ready = np.flatnonzero(length[playing] == step)
-        if ready.size:
-            drawn.put(playing[ready], batch.take(ready))
-        if step % DROPPED == 0:
-            on = np.flatnonzero(length[playing] > step)
-            playing, batch = playing[on], batch.take(on)
-        want = np.where(rng.random(count) < CHANGES, rng.integers(len(WANTS), size=count), want)
-        at_random, draws = rng.integers(len(MOVES), size=count), drawn.draws(rng)
-        ways, nowhere = read.directions(batch), np.full(len(batch), len(MOVES), dtype=np.int32)
-        wanted = np.stack([ways[thing] if thing else nowhere for thing in WANTS])
-        move = wanted[want[playing], np.arange(len(batch))]
+        change, others = rng.random(count) < CHANGES, rng.integers(len(WANTS), size=count)
+        want = np.where(change, others, want)
+        at_random, draws = rng.integers(len(MOVES), size=count), games.draws(rng)
+        batch, playing = games.after(drawn[step]), order[drawn[step] :]
+        move = read.first_moves(batch, _AIMS[want[playing]])
         batch.step(np.where(move < len(MOVES), move, at_random[playing]), draws[:, playing])
-        batch.restart(np.flatnonzero(batch.over))
-    return drawn
+        over = batch.over
+        if over.any():
+            batch.restart(np.flatnonzero(over))
+    return games.take(np.argsort(order))
+
+
+@lru_cache(maxsize=8)
+def _reader(rules: Rules) -> FeatureReader:
+    return FeatureReader(rules)

@@ -308,6 +308,10 @@ class PacManBatch:
         """Return copies of chosen games: their indices (M,), in any order and number."""
         return PacManBatch(self.rules, self.numbers.take(games, axis=1), self.taken[games])
 
+    def after(self, first: int) -> 'PacManBatch':
+        """Return the games from number ``first`` on, which change with these."""
+        return PacManBatch(self.rules, self.numbers[:, first:], self.taken[first:])
+
     def put(self, games: NDArray[Any], source: 'PacManBatch') -> None:
         """Set chosen games, by their indices (M,), each once, to the M games of another batch."""
         self.numbers[:, games] = source.numbers
