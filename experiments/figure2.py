@@ -177,10 +177,11 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
     person = Participant(**parameters['person'])
     domain = domain_from_json(parameters['domain'], parameters['domain_parameters'])
     name, wanted = parameters['option'], parameters['demonstrations']
-    reference, points, others = reference_options(domain)[name], [], []
+    reference, others = reference_options(domain)[name], []
+    learned: dict[int, LearnedOption] = {}  # by demonstrations: later "not here" answers count in
 
     def measure(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
-        points.append(_point(option, domain, reference))
+        learned[option.n_demonstrations] = option
         if parameters['strategy'] == 'random' and shown[-1].kind is Kind.TRAJECTORY:
             others.extend(_others(option, shown, domain, reference, person.seed))
         return bool(option.n_demonstrations >= wanted)
@@ -190,7 +191,7 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
     )
     taught = teach(domain, person.teaching(name), rules, measure)
     return {
-        'points': points,
+        'points': [_point(option, domain, reference) for option in learned.values()],
         'best_return': finite(average_return(None, domain, reference)),
         'others': others,
         'seconds': taught.seconds,
@@ -204,15 +205,16 @@ def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
     bag = open_bag(Path(lesson.bag))
     domain = read_domain(bag)
     demos = taught_in(bag, domain)[lesson.participant, lesson.option]
-    reference, points, others = reference_options(domain).get(lesson.option), [], []
+    reference, others = reference_options(domain).get(lesson.option), []
+    learned: dict[int, LearnedOption] = {}
     for count in range(1, len(demos) + 1):
         if any(demo.kind is Kind.TRAJECTORY for demo in demos[:count]):
             option = learn_option(demos[:count], domain, lesson.seed)
-            points.append(_point(option, domain, reference))
+            learned[option.n_demonstrations] = option
             if reference and demos[count - 1].kind is Kind.TRAJECTORY:
                 others += _others(option, demos[:count], domain, reference, lesson.seed)
     return {
-        'points': points,
+        'points': [_point(option, domain, reference) for option in learned.values()],
         'best_return': finite(average_return(None, domain, reference)) if reference else None,
         'others': others,
         'seconds': sum(demo.seconds for demo in demos),

@@ -63,6 +63,15 @@ class ManyStates(Protocol):
         ...
 
 
+@runtime_checkable
+class ManyGames(Protocol):
+    """A reference option of a domain that plays many games at once: it judges these as they are."""
+
+    def judge_games(self, batch: Any) -> Judgement:
+        """Judge the states of N games."""
+        ...
+
+
 def judge_states(option: ReferenceOption, states: Sequence[Any], n_actions: int) -> Judgement:
     """Judge N states by a reference option: at once where it can, else one by one."""
     if isinstance(option, ManyStates):

@@ -14,24 +14,26 @@ where it is asked:
   enters is no error.
 """
 
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
-from humanopts_env.arrays import Flags, Ints, Rows
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.reference import (
     judge_states,
+    Judgement,
+    ManyGames,
     ReferenceOption,
     TabularReferenceOption,
 )
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.options.rollout import games_of
+from humanopts_learner.options.option import LearnedOption, TabularOption
+from humanopts_learner.options.rollout import games_of, is_deterministic, tabular_rollouts
 import numpy as np
 
 T = TypeVar('T')
@@ -99,25 +101,57 @@ def average_return(
     """
     if option is not None:
         option.check_domain(domain)
-    games: Any = TabularGames(domain) if is_enumerable(domain) else games_of(domain)
     starts = _answers(domain, reference).starts
     if not starts:
         return float('nan')
+    if is_deterministic(domain) and isinstance(reference, TabularReferenceOption):
+        return float(_tabular_returns(option, domain, reference, starts).mean())
+    return float(_played_returns(option, domain, reference, starts).mean())
+
+
+def _tabular_returns(
+    option: LearnedOption | None,
+    domain: EnumerableDomain[Any],
+    reference: TabularReferenceOption,
+    starts: Sequence[Any],
+) -> Floats:
+    """Return the undiscounted return from each start state, where there is no chance."""
+    run = TabularOption.of_reference(reference, LONGEST)
+    if option is not None:
+        run = replace(run, action=option.greedy_action(domain.feature_table()))
+    at = np.array([domain.index(state) for state in starts], dtype=np.intp)
+    limits = np.full_like(at, LONGEST)
+    return tabular_rollouts(domain, [run], np.zeros_like(at), at, limits).total_reward
+
+
+def _played_returns(
+    option: LearnedOption | None,
+    domain: Domain[Any],
+    reference: ReferenceOption,
+    starts: Sequence[Any],
+) -> Floats:
+    """Return the undiscounted return of one run from each start state."""
+    games: Any = TabularGames(domain) if is_enumerable(domain) else games_of(domain)
+
+    def judge(batch: Any) -> Judgement:
+        if isinstance(reference, ManyGames):
+            return reference.judge_games(batch)
+        return judge_states(reference, games.batch_states(batch), len(domain.actions))
+
     rngs = [generator(0, 'accuracy', 'return', domain.name, run) for run in range(len(starts))]
     total, going, batch = np.zeros(len(starts)), np.arange(len(starts)), games.batch_of(starts)
     for _ in range(LONGEST):
         if option is None:
-            said = judge_states(reference, games.batch_states(batch), len(domain.actions))
-            action = said.optimal.argmax(axis=1)
+            action = judge(batch).optimal.argmax(axis=1)
         else:
             action = option.greedy_action(games.batch_features(batch))
         total[going] += games.batch_step_each(batch, action, [rngs[run] for run in going.tolist()])
-        said = judge_states(reference, games.batch_states(batch), len(domain.actions))
-        on = np.flatnonzero(~said.termination & ~games.batch_over(batch))
-        going, batch = going[on], games.batch_take(batch, on)
+        on = np.flatnonzero(~judge(batch).termination & ~games.batch_over(batch))
+        if len(on) < len(going):
+            going, batch = going[on], games.batch_take(batch, on)
         if not going.size:
             break
-    return float(total.mean())
+    return total
 
 
 def classification_accuracy(

@@ -104,7 +104,10 @@ class PacManOption:
 
     def judge_states(self, states: Sequence[PacManState]) -> Judgement:
         """Judge N states at once."""
-        batch = PacManBatch.from_states(self.rules, states)
+        return self.judge_games(PacManBatch.from_states(self.rules, states))
+
+    def judge_games(self, batch: PacManBatch) -> Judgement:
+        """Judge the states of N games."""
         return self.judge(batch, look_around(batch))
 
 
