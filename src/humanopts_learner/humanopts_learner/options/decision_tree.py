@@ -166,16 +166,16 @@ class Tree:
 
     def probabilities(self, X: NDArray[np.float32]) -> Floats:
         """Return (N, K): the share of each class in the leaf of each row of X (N, C)."""
-        return self._shares[self.leaves(X)]
+        return self.shares[self.leaves(X)]
 
     def probability_of(self, number: int, X: NDArray[np.float32]) -> Floats:
         """Return (N,): ``probabilities`` of one class, given by its place among the classes."""
-        share: Floats = self._shares[:, number].take(self.leaves(X))
+        share: Floats = self.shares[:, number].take(self.leaves(X))
         return share
 
     def likeliest(self, X: NDArray[np.float32]) -> Ints:
         """Return (N,): the place of the likeliest class, the first of equals."""
-        best: Ints = self._shares.argmax(axis=1).take(self.leaves(X))
+        best: Ints = self.shares.argmax(axis=1).take(self.leaves(X))
         return best
 
     @cached_property
@@ -204,7 +204,8 @@ class Tree:
         return np.where(leaf, any_tested, self.feature).astype(np.intp), children.astype(np.intp)
 
     @cached_property
-    def _shares(self) -> Floats:
+    def shares(self) -> Floats:
+        """(N, K) share of each class among the examples in a node."""
         shares: Floats = self.counts / self.counts.sum(axis=1, keepdims=True)
         return shares
 

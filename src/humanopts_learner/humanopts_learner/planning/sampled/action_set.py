@@ -14,6 +14,7 @@ from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import BatchGames
 from humanopts_learner.library import PRIMITIVE_PREFIX
+from humanopts_learner.options.lookup import Decisions, decisions
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import batch_games, OPTIONS_ONLY, PlanError, PRIMITIVE
 import numpy as np
@@ -104,6 +105,7 @@ class ActionSet:
         """
         self.options = () if action_set == PRIMITIVE else tuple(options)
         self.action_set, self.n_actions = action_set, len(domain.actions)
+        self._decide = [decisions(option, domain) for option in self.options]
         self.games = batch_games(domain)
         self.abstraction = StateAbstraction(self.games, action_set)
         self.names = (
@@ -128,8 +130,8 @@ class ActionSet:
         """Return (N, O): which options can start in each game, without the fallback ones."""
         if seen.startable is None:
             seen.startable = np.ones((len(seen.rows), self.first_fallback), dtype=np.bool_)
-            for o, option in enumerate(self.options):
-                seen.startable[:, o] = option.can_start(seen.rows)
+            for o, decide in enumerate(self._decide):
+                seen.startable[:, o] = decide.can_start(seen.rows)
         return seen.startable
 
     def fallback(self, rows: Rows) -> Ints:
@@ -146,9 +148,9 @@ class ActionSet:
         chosen: Ints = len(self.options) + (number % np.uint64(self.n_actions)).astype(np.intp)
         return chosen
 
-    def running(self, option: Ints) -> list[tuple[LearnedOption, Ints]]:
-        """Return each option that runs in some games, and the indices of these games."""
-        found = [(one, np.flatnonzero(option == o)) for o, one in enumerate(self.options)]
+    def running(self, option: Ints) -> list[tuple[Decisions, Ints]]:
+        """Return the decisions of each option that runs in some games, and these games' indices."""
+        found = [(one, np.flatnonzero(option == o)) for o, one in enumerate(self._decide)]
         return [(one, games) for one, games in found if games.size]
 
     def actions(self, seen: Observation, option: Ints) -> Ints:

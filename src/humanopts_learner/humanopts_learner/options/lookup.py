@@ -1,0 +1,127 @@
+"""
+The decisions of an option as look-up tables, for plans that ask for them in millions of states.
+
+A tree tests few features, and a test splits the values of one feature in two. So the values of a
+feature fall into a few buckets that the tree does not tell apart, and every leaf is a box of
+buckets. The answer in a state is then one look-up for each feature that is tested, and one in the
+table of all combinations, in place of a walk from the root.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+import math
+from typing import Any
+
+from humanopts_env.arrays import Flags, Ints, Rows
+from humanopts_env.domains.base import Domain
+from humanopts_learner.options.decision_tree import EncodedFeature, LEAF, Tree
+from humanopts_learner.options.option import HALF, LearnedOption, MEMBER
+import numpy as np
+from numpy.typing import NDArray
+
+LARGEST = 2**20  # combinations of buckets; a tree with more of them is walked
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """What ``LearnedOption`` decides in N states, by the rows (N, F) of all features."""
+
+    greedy_action: Callable[[Rows], Ints]
+    can_start: Callable[[Rows], Flags]
+    ends: Callable[[Rows], Flags]
+
+
+def decisions(option: LearnedOption, domain: Domain[Any]) -> Decisions:
+    """Return the decisions of an option in states of a domain whose features it knows."""
+    counts = tuple(len(feature.values) for feature in domain.features)
+    policy = _likeliest(option.policy, option.encoding, counts)
+    initiation = _member(option.initiation, option.encoding, counts)
+    termination = _member(option.termination, option.encoding, counts)
+    return Decisions(
+        policy or option.greedy_action,
+        initiation or option.can_start,
+        termination or option.ends,
+    )
+
+
+@lru_cache(maxsize=32)
+def _likeliest(tree: Tree, *game: Any) -> Callable[[Rows], Ints] | None:
+    """Return what gives the likeliest class; the same for the next plan with the same option."""
+    best = tree.shares.argmax(axis=1)
+    look_up = tree_table(tree, *game, best.astype(np.min_scalar_type(len(tree.classes))))
+    return look_up and (lambda rows: look_up(rows).astype(np.intp))
+
+
+@lru_cache(maxsize=64)
+def _member(tree: Tree, *game: Any) -> Callable[[Rows], Flags] | None:
+    """Return what tells members of I, or ends."""
+    return tree_table(tree, *game, tree.shares[:, MEMBER] >= HALF)
+
+
+def tree_table(
+    tree: Tree, encoding: Sequence[EncodedFeature], counts: Sequence[int], values: NDArray[Any]
+) -> Callable[[Rows], NDArray[Any]] | None:
+    """
+    Return a function of rows (N, F) that gives the value of each row's leaf, (N,).
+
+    :param counts: number of values of each of the F features.
+    :param values: one for each node of the tree.
+    :return: None: there are more than ``LARGEST`` combinations.
+    """
+    tests = _tests(tree, encoding, counts)
+    features = sorted({encoding[column].index for column in tree.tested})
+    buckets, firsts = {}, {}
+    for feature in features:
+        known = [left for node, left in tests.items() if _feature(tree, encoding, node) == feature]
+        _, first, bucket = np.unique(
+            np.array(known), axis=1, return_index=True, return_inverse=True
+        )
+        buckets[feature], firsts[feature] = bucket.ravel().astype(np.intp), first
+    shape = tuple(len(firsts[feature]) for feature in features)
+    if math.prod(shape) > LARGEST:
+        return None
+    table = np.empty(shape, dtype=values.dtype)
+    boxes = {0: tuple(np.ones(size, dtype=np.bool_) for size in shape)}
+    for node in range(len(tree.left)):  # a child comes after its parent
+        box = boxes.pop(node)
+        if tree.left[node] == LEAF:
+            table[np.ix_(*box)] = values[node]
+            continue
+        feature = _feature(tree, encoding, node)
+        axis = features.index(feature)
+        left = tests[node][firsts[feature]]
+        for child, side in ((tree.left[node], left), (tree.right[node], ~left)):
+            boxes[int(child)] = (*box[:axis], box[axis] & side, *box[axis + 1 :])
+    strides = np.cumprod([1, *shape[:0:-1]])[::-1]
+    places = [
+        (feature, buckets[feature] * stride) for feature, stride in zip(features, strides)
+    ]
+    flat = table.ravel()
+
+    def look_up(rows: Rows) -> NDArray[Any]:
+        at = np.zeros(len(rows), dtype=np.intp)
+        for feature, place in places:
+            at += place.take(rows[:, feature])
+        found: NDArray[Any] = flat.take(at)
+        return found
+
+    return look_up
+
+
+def _feature(tree: Tree, encoding: Sequence[EncodedFeature], node: int) -> int:
+    """Return the index of the feature that a node tests."""
+    return encoding[tree.feature[node]].index
+
+
+def _tests(
+    tree: Tree, encoding: Sequence[EncodedFeature], counts: Sequence[int]
+) -> dict[int, Flags]:
+    """Return by node that tests a feature: which of the feature's values (V,) go left."""
+    tests = {}
+    for node in np.flatnonzero(tree.left != LEAF).tolist():
+        encoded = encoding[tree.feature[node]]
+        value = np.arange(counts[encoded.index])
+        seen = value if encoded.value is None else value == encoded.value
+        tests[node] = seen.astype(np.float32) <= tree.threshold[node]
+    return tests
