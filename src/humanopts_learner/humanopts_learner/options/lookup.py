@@ -94,9 +94,7 @@ def tree_table(
         for child, side in ((tree.left[node], left), (tree.right[node], ~left)):
             boxes[int(child)] = (*box[:axis], box[axis] & side, *box[axis + 1 :])
     strides = np.cumprod([1, *shape[:0:-1]])[::-1]
-    places = [
-        (feature, buckets[feature] * stride) for feature, stride in zip(features, strides)
-    ]
+    places = [(feature, buckets[feature] * stride) for feature, stride in zip(features, strides)]
     flat = table.ravel()
 
     def look_up(rows: Rows) -> NDArray[Any]:

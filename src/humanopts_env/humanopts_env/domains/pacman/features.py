@@ -185,9 +185,7 @@ class FeatureReader:
         out[:, column + 1] = self._legal[here]
         return out
 
-    def first_moves(
-        self, batch: PacManBatch, sought: NDArray[np.integer]
-    ) -> NDArray[np.int32]:
+    def first_moves(self, batch: PacManBatch, sought: NDArray[np.integer]) -> NDArray[np.int32]:
         """
         Return the direction of one thing in each game, (N,).
 
