@@ -14,7 +14,7 @@ from humanopts_env.arrays import Ints
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
-from humanopts_learner.automatic.extract import find_options, search_space
+from humanopts_learner.automatic.extract import search_space
 from humanopts_learner.intervals import Interval
 from humanopts_teach.report.boards import Board, board_of, draw_heat
 from humanopts_teach.report.figures import Drawing
@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 from experiments import paper
-from experiments.people import Study
+from experiments.people import extraction, Study
 from experiments.report import compared, Comparison, Done, Picture, Section, Table, written
 from experiments.trials import code_version, Trial
 
@@ -48,7 +48,7 @@ def trials(study: Study) -> list[Trial]:
 
 def extract(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Find the options of a domain; return them in the order of finding, and the cost."""
-    found = find_options(make_domain(parameters['domain']), parameters['seed'])
+    found = extraction(make_domain(parameters['domain']), parameters['seed'])
     reached = found.space.open
     return {
         'options': [

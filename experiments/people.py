@@ -13,15 +13,16 @@ quasirandom sequences: R2).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 import hashlib
 from pathlib import Path
 import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
-from humanopts_env.domains.registry import parameters_json
+from humanopts_env.domains.registry import domain_from_json, parameters_json
 from humanopts_env.seeding import generator
-from humanopts_learner.automatic.extract import find_options, to_learned_options
+from humanopts_learner.automatic.extract import AutomaticOptions, find_options, to_learned_options
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
@@ -215,19 +216,35 @@ def options_of(
     :param names: what a simulated person teaches; empty: what the paper's participants did.
     """
     if 'extraction' in owner:
-        found = find_options(domain, owner['extraction'], clock=CLOCK)
+        found = extraction(domain, owner['extraction'])
         options = found.options if is_enumerable(domain) else to_learned_options(domain, found)
         return OwnedOptions(tuple(options), seconds=found.seconds, game_steps=found.game_steps)
     if 'teacher' not in owner:
         return OwnedOptions()
     if 'person' in owner['teacher']:
         person = Participant(**owner['teacher']['person'])
-        return _from_lesson(person, domain, names or paper.TAUGHT[domain.name])
+        taught = tuple(names or paper.TAUGHT[domain.name])
+        return _from_lesson(person, domain.name, parameters_json(domain), taught)
     return _from_bag(owner['teacher'])
 
 
-def _from_lesson(person: Participant, domain: Domain[Any], names: Sequence[str]) -> OwnedOptions:
-    taught = teach(domain, person.teaching(*names), LessonRules(seed=person.seed))
+def extraction(domain: Domain[Any], seed: int) -> AutomaticOptions:
+    """Return the automatic options of a domain; each process computes them once."""
+    return _extraction(domain.name, parameters_json(domain), seed)
+
+
+@lru_cache(maxsize=64)
+def _extraction(domain: str, parameters: str, seed: int) -> AutomaticOptions:
+    return find_options(domain_from_json(domain, parameters), seed, clock=CLOCK)
+
+
+@lru_cache(maxsize=64)
+def _from_lesson(
+    person: Participant, domain: str, parameters: str, names: tuple[str, ...]
+) -> OwnedOptions:
+    """Return what a simulated person taught; each process has each lesson once."""
+    rules = LessonRules(seed=person.seed)
+    taught = teach(domain_from_json(domain, parameters), person.teaching(*names), rules)
     shown = _trajectories(taught.demonstrations)
     return OwnedOptions(taught.options, shown, taught.seconds / 60)
 

@@ -65,7 +65,7 @@ class ManyStates(Protocol):
 
 @runtime_checkable
 class ManyGames(Protocol):
-    """A reference option of a domain that plays many games at once: it judges these as they are."""
+    """A reference option that judges games of ``BatchGames`` as they are."""
 
     def judge_games(self, batch: Any) -> Judgement:
         """Judge the states of N games."""

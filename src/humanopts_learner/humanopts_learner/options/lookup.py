@@ -46,17 +46,21 @@ def decisions(option: LearnedOption, domain: Domain[Any]) -> Decisions:
 
 
 @lru_cache(maxsize=32)
-def _likeliest(tree: Tree, *game: Any) -> Callable[[Rows], Ints] | None:
-    """Return what gives the likeliest class; the same for the next plan with the same option."""
-    best = tree.shares.argmax(axis=1)
-    look_up = tree_table(tree, *game, best.astype(np.min_scalar_type(len(tree.classes))))
-    return look_up and (lambda rows: look_up(rows).astype(np.intp))
+def _likeliest(
+    tree: Tree, encoding: tuple[EncodedFeature, ...], counts: tuple[int, ...]
+) -> Callable[[Rows], Ints] | None:
+    """Return what gives the likeliest class; the next plan with the same option has it at once."""
+    best = tree.shares.argmax(axis=1).astype(np.min_scalar_type(len(tree.classes)))
+    look_up = tree_table(tree, encoding, counts, best)
+    return None if look_up is None else lambda rows: look_up(rows).astype(np.intp)
 
 
 @lru_cache(maxsize=64)
-def _member(tree: Tree, *game: Any) -> Callable[[Rows], Flags] | None:
+def _member(
+    tree: Tree, encoding: tuple[EncodedFeature, ...], counts: tuple[int, ...]
+) -> Callable[[Rows], Flags] | None:
     """Return what tells members of I, or ends."""
-    return tree_table(tree, *game, tree.shares[:, MEMBER] >= HALF)
+    return tree_table(tree, encoding, counts, tree.shares[:, MEMBER] >= HALF)
 
 
 def tree_table(
@@ -109,7 +113,7 @@ def tree_table(
 
 def _feature(tree: Tree, encoding: Sequence[EncodedFeature], node: int) -> int:
     """Return the index of the feature that a node tests."""
-    return encoding[tree.feature[node]].index
+    return encoding[int(tree.feature[node])].index
 
 
 def _tests(
@@ -118,7 +122,7 @@ def _tests(
     """Return by node that tests a feature: which of the feature's values (V,) go left."""
     tests = {}
     for node in np.flatnonzero(tree.left != LEAF).tolist():
-        encoded = encoding[tree.feature[node]]
+        encoded = encoding[int(tree.feature[node])]
         value = np.arange(counts[encoded.index])
         seen = value if encoded.value is None else value == encoded.value
         tests[node] = seen.astype(np.float32) <= tree.threshold[node]

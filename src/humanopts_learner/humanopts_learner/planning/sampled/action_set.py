@@ -149,7 +149,7 @@ class ActionSet:
         return chosen
 
     def running(self, option: Ints) -> list[tuple[Decisions, Ints]]:
-        """Return the decisions of each option that runs in some games, and these games' indices."""
+        """Return the decisions of each option that runs in some games, and which these are."""
         found = [(one, np.flatnonzero(option == o)) for o, one in enumerate(self._decide)]
         return [(one, games) for one, games in found if games.size]
 
