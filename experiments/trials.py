@@ -24,6 +24,7 @@ from joblib import parallel_config
 
 PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach', 'experiments')
 LIBRARIES = ('numpy', 'scipy', 'scikit-learn')  # that results may depend on to the last digit
+WORKERS_WITHIN = 30.0  # s for the first worker of a Dask cluster to join
 Compute = Callable[[Mapping[str, Any]], Any]  # parameters -> result, both JSON data
 
 
@@ -48,6 +49,11 @@ def code_version() -> str:
     return digest(Path(place) for s in specs if s for place in s.submodule_search_locations or ())
 
 
+def versions() -> dict[str, Any]:
+    """Return what numbers depend on beside parameters: the code and the numeric libraries."""
+    return {'code': code_version(), 'libraries': {name: version(name) for name in LIBRARIES}}
+
+
 @dataclass(frozen=True)
 class Trial:
     """One computation: the same experiment, code and parameters give the same result."""
@@ -62,9 +68,8 @@ class Trial:
         """The values that the result depends on, as JSON data."""
         known = {
             'experiment': self.experiment,
-            'code': code_version(),
             'parameters': dict(self.parameters),
-            'libraries': {name: version(name) for name in LIBRARIES},
+            **versions(),
         }
         plain: dict[str, Any] = json.loads(json.dumps(known))
         return plain
@@ -202,5 +207,29 @@ def _backend(jobs: int, dask: str) -> Iterator[None]:
         client = Client(dask, timeout=10)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise ClusterError(f'no Dask scheduler answers at {dask}: {error}') from error
-    with client, parallel_config(backend='dask', client=client):
-        yield
+    with client:
+        _check_workers(client, dask)
+        with parallel_config(backend='dask', client=client):
+            yield
+
+
+def _check_workers(client: Any, dask: str) -> None:
+    """
+    Check that the workers of a Dask cluster compute what this process would.
+
+    :raises ClusterError: there is no worker, or one has no humanopts or another version of it.
+    """
+    from distributed import TimeoutError as NoWorker
+
+    try:
+        client.wait_for_workers(1, timeout=WORKERS_WITHIN)
+    except (NoWorker, TimeoutError) as error:
+        raise ClusterError(f'no worker has joined the Dask scheduler at {dask}') from error
+    for worker, found in client.run(versions, on_error='return').items():
+        if isinstance(found, Exception):
+            raise ClusterError(f'the worker {worker} cannot import the experiments: {found}')
+        if found != versions():
+            raise ClusterError(
+                f'the worker {worker} has other code or libraries than this machine: {found}, '
+                f'here {versions()}'
+            )
