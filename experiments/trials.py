@@ -61,7 +61,7 @@ class Trial:
     experiment: str  # such as fig2
     parameters: Mapping[str, Any]  # JSON data
     compute: Compute  # a function of a module, so that it can be sent to another process
-    cost: float = 1.0  # expected, relative to other trials; for the estimate of the time left
+    cost: float = 1.0  # about processor seconds; for the order, and the estimate of the time left
 
     @property
     def identity(self) -> dict[str, Any]:

@@ -174,7 +174,7 @@ def test_without_dask_it_is_said_what_is_missing(tmp_path: Path) -> None:
             run_trials(tiny('random'), tmp_path, quiet, 1, 'tcp://127.0.0.1:1')
 
 
-@pytest.fixture
+@pytest.fixture(scope='module')
 def cluster() -> Iterator[str]:
     """A Dask scheduler and two workers on loopback."""
     pytest.importorskip('distributed')
@@ -216,6 +216,14 @@ def test_dask_cluster_computes_what_this_machine_does(tmp_path: Path, cluster: s
     )
     assert there.failures == {}
     assert here.results == there.results
+
+
+def test_worker_with_other_code_is_named(
+    tmp_path: Path, cluster: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiment_trials, 'code_version', lambda: 'other')
+    with pytest.raises(ClusterError, match=r'worker tcp:.* has other code'):
+        run_trials(tiny('random'), tmp_path, quiet, 1, cluster)
 
 
 def test_scheduler_that_does_not_answer_is_named(tmp_path: Path) -> None:
