@@ -73,6 +73,14 @@ def test_a_tree_with_too_many_combinations_is_walked(monkeypatch: pytest.MonkeyP
     _same(option, _rows(8, 500))
 
 
+def test_a_policy_that_looks_at_other_features_has_its_own_table() -> None:
+    one = _option(3, 60)
+    other = feature_encoding(DOMAIN, ('pill_direction', 'pacman_col'))
+    rng = generator(3, 'other')
+    policy = fit_tree(encode_rows(other, _rows(4, 60)), rng.integers(4, size=60), range(4), 1)
+    _same(replace(one, policy=policy, policy_encoding=other), _rows(9, 500))
+
+
 def test_other_trees_have_other_tables() -> None:
     one, other = _option(1, 50), _option(2, 50)
     mixed = replace(one, policy=other.policy)

@@ -35,7 +35,7 @@ class Decisions:
 def decisions(option: LearnedOption, domain: Domain[Any]) -> Decisions:
     """Return the decisions of an option in states of a domain whose features it knows."""
     counts = tuple(len(feature.values) for feature in domain.features)
-    policy = _likeliest(option.policy, option.encoding, counts)
+    policy = _likeliest(option.policy, option.policy_encoding, counts)
     initiation = _member(option.initiation, option.encoding, counts)
     termination = _member(option.termination, option.encoding, counts)
     return Decisions(
