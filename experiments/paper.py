@@ -78,6 +78,9 @@ TAUGHT = {  # section 7: what each participant taught
 ALSO_NAMED = {  # table 1: a button that was named and, in section 7, not taught
     'pacman': ('eat the ghost',),
 }
+NOT_NAMED = {  # buttons that table 1 lacks
+    'pacman': ('go to the fruit',),
+}
 
 
 TABLE_2 = {  # seconds and average reward by domain and action set

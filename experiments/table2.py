@@ -56,6 +56,9 @@ from experiments.trials import Trial
 
 NAME = 'table2'
 AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
+# Options of a person: those that the paper's participants taught, those that it names too, and one
+# more that it does not name.
+SECTION_7, NAMED, ALSO_FRUIT = 'of section 7', 'named in the paper', 'the fruit too'
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')
 REPEATS = 7  # makings of one exact plan, for its seconds
 COSTS = {  # of a trial, about processor seconds, by domain and kind of owner
@@ -85,7 +88,7 @@ class Variant:
     whose: str  # kind of owner of the options
     action_set: str
     execution: Execution = Execution.RUN_TO_END
-    of_section_7: bool = False  # only options that the paper's participants taught
+    options: str = NAMED  # of a person, in Pac-Man
     by_chance: bool = False  # nothing is planned: any option that can start, each alike
 
 
@@ -97,20 +100,27 @@ CHASE = ComparedGame(
 GAMES = (TAXI, UNIFORM, CHASE)
 
 TO_END = Variant('human', PERSON, HUMAN)
+INTERRUPTED_5 = Variant(
+    'human, 5 options, interrupted', PERSON, HUMAN, Execution.INTERRUPTED, options=ALSO_FRUIT
+)
 BY_CHANCE = Variant('random choice among human options', PERSON, HUMAN, by_chance=True)
 VARIANTS = (
     Variant('primitive', NOBODY, PRIMITIVE),
     TO_END,
-    Variant(AS_IN_PAPER, PERSON, HUMAN, of_section_7=True),
+    Variant(AS_IN_PAPER, PERSON, HUMAN, options=SECTION_7),
+    Variant('human, 5 options', PERSON, HUMAN, options=ALSO_FRUIT),
     Variant('automatic', MACHINE, AUTOMATIC),
     Variant('human + primitive', PERSON, HUMAN_AND_PRIMITIVE),
     Variant('automatic + primitive', MACHINE, AUTOMATIC_AND_PRIMITIVE),
     Variant('human, interrupted', PERSON, HUMAN, Execution.INTERRUPTED),
+    INTERRUPTED_5,
     Variant('human, modular (greatest mass)', PERSON, HUMAN, Execution.MODULAR_MASS),
     Variant('human, modular (strongest)', PERSON, HUMAN, Execution.MODULAR_STRONGEST),
     BY_CHANCE,
 )
-INTERRUPTING = tuple(v for v in VARIANTS if v.execution is not Execution.RUN_TO_END)
+INTERRUPTING = tuple(  # other executions of the plan ``TO_END``
+    v for v in VARIANTS if v.execution is not Execution.RUN_TO_END and v.options == NAMED
+)
 
 
 @dataclass(frozen=True)
@@ -216,17 +226,18 @@ def _in_game(options: Sequence[Any], domain: Any) -> list[Any]:
 
 
 def _options_by_variant(parameters: Mapping[str, Any]) -> list[tuple[Variant, OwnedOptions]]:
-    """Return the variants of a trial, each with its options; some have only those of section 7."""
+    """Return the variants of a trial, each with its options, without those that have no more."""
     domain, whose = make_domain(parameters['domain']), parameters['whose']
-    everything = of_section_7 = options_of(parameters, domain)
-    also = paper.ALSO_NAMED.get(domain.name, ())
-    more = bool(also) and 'person' in parameters.get('teacher', {})
-    if more:
-        everything = of_section_7 + options_of(parameters, domain, also)
-    mine = [variant for variant in VARIANTS if variant.whose == whose]
+    owned = {NAMED: options_of(parameters, domain)}
+    if domain.name in paper.ALSO_NAMED and 'person' in parameters.get('teacher', {}):
+        owned[SECTION_7] = owned[NAMED]
+        owned[NAMED] += options_of(parameters, domain, paper.ALSO_NAMED[domain.name])
+        fruit = options_of(parameters, domain, paper.NOT_NAMED[domain.name])
+        owned[ALSO_FRUIT] = owned[NAMED] + fruit
     return [
-        *((variant, everything) for variant in mine if not variant.of_section_7),
-        *((variant, of_section_7) for variant in mine if variant.of_section_7 and more),
+        (variant, owned[variant.options])
+        for variant in VARIANTS
+        if variant.whose == whose and variant.options in owned
     ]
 
 

@@ -73,6 +73,8 @@ STYLES = {  # colour, line, marker by variant
     'human, modular (greatest mass)': ('C4', '-.', '<'),
     'human, modular (strongest)': ('C5', '-.', '>'),
     BY_CHANCE.name: ('C6', ':', '*'),
+    'human, 5 options': ('C7', '-', 'p'),
+    'human, 5 options, interrupted': ('C8', '-', 'h'),
 }
 
 

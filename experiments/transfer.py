@@ -107,7 +107,7 @@ def play_in_maze(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
 @cache
 def _taught(teacher: str) -> OwnedOptions:
     """Return what a person, JSON data, taught in the usual maze; once in each process."""
-    names = (*paper.TAUGHT[DOMAIN], *paper.ALSO_NAMED[DOMAIN])
+    names = (*paper.TAUGHT[DOMAIN], *paper.ALSO_NAMED[DOMAIN], *paper.NOT_NAMED[DOMAIN])
     return options_of({'teacher': json.loads(teacher)}, make_domain(DOMAIN), names)
 
 
@@ -164,9 +164,10 @@ def _comparisons(scores: pd.DataFrame) -> list[Comparison]:
     for (game,), rows in grouped(scores, ['game']):
         by_way = _by_maze(rows)
         kinds = dict(zip(rows['way to play'], rows['kind']))
-        plan = next((n for n in by_way if kinds[n] == PLAN and _is_interrupted(n)), None)
-        if plan is None:
+        plans = [n for n in by_way if kinds[n] == PLAN and _is_interrupted(n)]
+        if not plans:
             continue
+        plan = plans[-1]  # with all options
         mazes = counted(len(by_way[plan]), 'maze')
         for other in by_way:
             if kinds[other] in (RANDOM, HEURISTIC) or other.startswith('primitive'):

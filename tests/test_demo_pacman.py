@@ -1,4 +1,4 @@
-"""The demo of Pac-Man: four options taught, planned from samples, played, and judged in games."""
+"""The demo of Pac-Man: options taught, planned from samples, played, and judged in games."""
 
 import json
 from typing import Any
@@ -77,7 +77,7 @@ def test_the_report_shows_an_episode_by_its_runs_and_no_board_of_values(demo: De
     assert demo.summary['games'] is None
 
 
-RANDOM_CHOICE = 'random choice, 4 options'
+RANDOM_CHOICE = 'random choice, 5 options'
 
 
 @pytest.mark.slow
@@ -96,21 +96,22 @@ def test_whole_demo_compares_every_way_to_play(
         assert {row['games'] for row in setting['rows']} == {1000}
         assert {row['kind'] for row in setting['rows']} == {'plan', 'chance', 'rule'}
     for setting in (random, chase):
-        names = [r['name'] for r in setting['rows'] if len(r['options']) == 4]
+        names = [r['name'] for r in setting['rows'] if len(r['options']) == 5]
         assert names == [
-            'human, 4 options',
-            'human, 4 options, interrupted',
-            'human+primitive, 4 options, interrupted, 4-fold steps',
+            'human, 5 options',
+            'human, 5 options, interrupted',
+            'human, 5 options, interrupted, 4-fold steps',
+            'human+primitive, 5 options, interrupted, 4-fold steps',
             RANDOM_CHOICE,
         ]
-    four = next(r for r in random['rows'] if r['name'] == 'human, 4 options')
-    (free,) = [r for r in random['rows'] if r['kind'] == 'chance' and len(r['options']) == 4]
+    five = next(r for r in random['rows'] if r['name'] == 'human, 5 options')
+    (free,) = [r for r in random['rows'] if r['kind'] == 'chance' and len(r['options']) == 5]
     human, primitive = demo.summary['planning']
     assert human['mean_return_low'] > primitive['mean_return_high']
-    assert four['score']['mean'] == human['mean_return']  # the same plan in the same games
-    assert four['score']['low'] > free['score']['high']
+    assert five['score']['mean'] == human['mean_return']  # the same plan in the same games
+    assert five['score']['low'] > free['score']['high']
     report = (demo.folder / 'report.html').read_text('utf-8')
-    assert f'{four["score"]["mean"]:,.0f}' in report
+    assert f'{five["score"]["mean"]:,.0f}' in report
     options, primitive = games['curves']
     assert options['rows'][0]['budget_steps'] == 12_500
     for reached in primitive['seconds_to_reach']:

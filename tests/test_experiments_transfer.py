@@ -14,7 +14,7 @@ from experiments import transfer
 from experiments.people import BagLesson, OwnedOptions, Study
 from experiments.report import Mark
 
-PLAN, RULE = 'human, 4 options, interrupted', 'hand-written rule, at every step'
+PLAN, RULE = 'human, 5 options, interrupted', 'hand-written rule, at every step'
 
 
 def test_there_are_two_mazes_for_each_seed_and_people_take_turns() -> None:
@@ -44,7 +44,7 @@ def test_options_play_in_a_maze_that_was_not_taught_in(monkeypatch: pytest.Monke
     def some(*game: Any) -> list[Baseline]:
         return [baseline for baseline in every_baseline(*game) if baseline.name in ways]
 
-    ways = [PLAN, 'random choice, 4 options', RULE]
+    ways = [PLAN, 'random choice, 5 options', RULE]
     monkeypatch.setattr(transfer, 'options_of', taught)
     monkeypatch.setattr(transfer, 'every_baseline', some)
     trial, *_ = transfer.trials(Study(participants=1, seeds=1))
@@ -55,7 +55,7 @@ def test_options_play_in_a_maze_that_was_not_taught_in(monkeypatch: pytest.Monke
         (game, way) for game in ('ghosts=random', 'ghosts=chase') for way in ways
     ]
     scores = {(row['game'], row['way to play']): row['score'] for row in rows}
-    assert scores['ghosts=random', 'random choice, 4 options'] > 500
+    assert scores['ghosts=random', 'random choice, 5 options'] > 500
 
 
 def done(*differences: float) -> list[tuple[dict[str, Any], list[dict[str, Any]]]]:

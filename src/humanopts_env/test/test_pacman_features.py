@@ -221,7 +221,8 @@ def test_abstract_features_by_hand() -> None:
         'pill_distance': 2,  # 4 to 6
         'prey_distance': 5,  # none
         'prey_time': 0,  # none
-        'fruit_distance': 1,  # none
+        'danger_to_fruit': 0,  # none
+        'fruit_distance': 3,  # none
         'food_left': 1,  # 6 to 35
         'pills_left': 1,
         'lives': 1,  # 2 or more
@@ -230,6 +231,7 @@ def test_abstract_features_by_hand() -> None:
     assert (later['prey_distance'], later['prey_time']) == (1, 2)  # 2 to 3; 7 - 3 = 4
     assert (later['pill_distance'], later['pills_left']) == (5, 0)  # none
     assert (later['fruit_distance'], later['food_left']) == (0, 0)  # 3; 3
+    assert later['danger_to_fruit'] == 3  # 4 or more
 
 
 @pytest.mark.parametrize(('heading', 'bucket'), [('east', 4), ('west', 3), ('none', 3)])

@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.pacman.baselines import PAPER_OPTIONS
+from humanopts_env.domains.pacman.baselines import NAMED_OPTIONS, PAPER_OPTIONS
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
@@ -90,10 +90,13 @@ def test_plans_of_a_bag_are_sampled_and_judged(evaluation: BagEvaluation) -> Non
 
 
 def test_three_options_are_those_of_the_paper(options: list[LearnedOption]) -> None:
-    three, four = option_sets(options, PAPER_OPTIONS).values()
+    named = [PAPER_OPTIONS, NAMED_OPTIONS]
+    three, four = option_sets(options, named).values()
     assert [option.name for option in three] == list(PAPER_OPTIONS)
     assert [option.name for option in four] == [*PAPER_OPTIONS, 'eat the ghost']
-    assert list(option_sets(three, PAPER_OPTIONS)) == ['3 options']
+    assert list(option_sets(three, named)) == ['3 options']
+    five = [*four, replace(four[0], name='go to the fruit')]
+    assert option_sets(five, named) == {'3 options': three, '4 options': four, '5 options': five}
 
 
 def test_every_action_set_and_baseline_plays_in_both_settings(games: GamesEvaluation) -> None:
@@ -101,7 +104,9 @@ def test_every_action_set_and_baseline_plays_in_both_settings(games: GamesEvalua
     for setting in games.settings:
         kinds = [(row.kind, len(row.options)) for row in setting.rows]
         assert kinds == [
-            *((PLAN, count) for count in (3, 4, 4, 4, 0, 0)),  # two of four interrupted
+            *((PLAN, count) for count in (3, 4)),
+            *((PLAN, count) for count in (3, 4, 4, 4)),  # interrupted
+            *((PLAN, 0), (PLAN, 0)),
             *((RANDOM, count) for count in (0, 3, 4)),
             *((HEURISTIC, 0), (HEURISTIC, 0)),
         ]

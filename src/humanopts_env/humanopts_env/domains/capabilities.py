@@ -199,7 +199,7 @@ class Baselines:
     variants: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
     """Changed parameters of each variant of the game to compare in, by the variant's name."""
     targets: tuple[float, ...] = ()  # mean returns of interest, for these parameters
-    fewer_options: tuple[str, ...] = ()  # names of options for a plan with these alone
+    fewer_options: tuple[tuple[str, ...], ...] = ()  # names, for plans with these options alone
     primitive: PlanSettings | None = None  # for plans with primitive actions
     interrupted: PlanSettings | None = None  # for plans with options that are interrupted
     interrupted_mixture: PlanSettings | None = None  # the same with primitive actions beside them

@@ -299,15 +299,15 @@ class GamesEvaluation:
         return values
 
 
-def option_sets(options: Options, fewer: Sequence[str]) -> dict[str, Options]:
+def option_sets(options: Options, fewer: Sequence[Sequence[str]]) -> dict[str, Options]:
     """
-    Return the sets of options to plan with, by name: all and, where there are more, a few apart.
+    Return the sets of options to plan with, by name: smaller ones that are complete, then all.
 
-    :param fewer: names of the few.
+    :param fewer: names of the options of each smaller set.
     """
-    few = [option for option in options if option.name in fewer]
-    apart = 0 < len(fewer) == len(few) < len(options)
-    return {_counted(each): each for each in ([few, options] if apart else [options])}
+    few = [[option for option in options if option.name in names] for names in fewer]
+    apart = [each for names, each in zip(fewer, few) if 0 < len(names) == len(each) < len(options)]
+    return {_counted(each): each for each in (*apart, options)}
 
 
 def _counted(options: Options) -> str:
@@ -400,16 +400,25 @@ def every_baseline(domain: Domain[Any], options: Options, steps: int) -> list[Ba
     moved = [carried_over(option, domain) for option in options]
     sets = option_sets(moved, usual.fewer_options)
     every = _counted(options)
-    mixture = f'human+primitive, {every}, interrupted, {GENEROUS}-fold steps'
+    fold = f'{GENEROUS}-fold steps'
     found = [_planned(f'human, {name}', HUMAN, chosen, steps) for name, chosen in sets.items()]
-    for name, action_set, fold, settings in (
-        (f'human, {every}, interrupted', HUMAN, 1, usual.interrupted),
-        (mixture, HUMAN_AND_PRIMITIVE, GENEROUS, usual.interrupted_mixture),
+    for name, action_set, chosen, budget, settings in (
+        *(
+            (f'human, {name}, interrupted', HUMAN, chosen, steps, usual.interrupted)
+            for name, chosen in sets.items()
+        ),
+        *(
+            (f'{words}, {every}, interrupted, {fold}', each, moved, GENEROUS * steps, its)
+            for words, each, its in (
+                ('human', HUMAN, usual.interrupted),
+                ('human+primitive', HUMAN_AND_PRIMITIVE, usual.interrupted_mixture),
+            )
+        ),
     ):
         if settings is not None:
-            plan = _planned(name, action_set, moved, fold * steps, settings)
+            plan = _planned(name, action_set, chosen, budget, settings)
             found.append(replace(plan, execution=Execution.INTERRUPTED))
-    many = f'primitive, {GENEROUS}-fold steps'
+    many = f'primitive, {fold}'
     found += [
         _planned('primitive', PRIMITIVE, (), steps, usual.primitive),
         _planned(many, PRIMITIVE, (), GENEROUS * steps, usual.primitive),

@@ -36,8 +36,9 @@ from humanopts_env.domains.pacman.reference import (
     CLOSEST_FOOD,
     EAT_GHOST,
     NEAREST_PILL,
+    TO_FRUIT,
 )
-from humanopts_env.domains.pacman.rules import GHOST_RULES, PacManBatch, Rules
+from humanopts_env.domains.pacman.rules import FRUIT_AFTER, GHOST_RULES, PacManBatch, Rules
 from humanopts_env.domains.pacman.state import PacManState
 from humanopts_env.domains.search_space import plain_cell_name, plain_space, SearchSpace
 import numpy as np
@@ -47,6 +48,7 @@ KEYS = ('up', 'left', 'right', 'down')  # in the order of MOVES
 MOST_LIVES, MOST_STEPS = 9, 1_000_000
 # The options that the participants of the paper taught (section 7), and one more.
 DEMO_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST)
+DEMO_OPTIONS_WITH_FRUIT = (*DEMO_OPTIONS, TO_FRUIT)
 ONE_DOT = 10.0  # points
 
 
@@ -118,7 +120,10 @@ class PacMan:
         self.gamma = 0.97
         self.max_steps = max_steps
         self.glyph_styles: Mapping[str, str] = GLYPH_STYLES
-        self.teaching = TeachingDefaults(DEMO_OPTIONS, {'return_delta': ONE_DOT})
+        all_fruit = len(self.rules.maze.food) > max(FRUIT_AFTER)  # else it is there too seldom
+        self.teaching = TeachingDefaults(
+            DEMO_OPTIONS_WITH_FRUIT if all_fruit else DEMO_OPTIONS, {'return_delta': ONE_DOT}
+        )
 
     def reset(self, rng: np.random.Generator) -> PacManState:
         """Return the only start state: Pac-Man and all ghosts in their first cells."""

@@ -69,7 +69,8 @@ ABSTRACT_FEATURES = (
     Bucketed('pill_distance', (2, 4, 7, 11, AFAR)),
     Bucketed('prey_distance', (2, 4, 7, 11, AFAR)),  # nearest scared ghost
     Bucketed('prey_time', (0, 3, 8)),  # steps scared beyond those to reach it
-    Bucketed('fruit_distance', (10,)),
+    Bucketed('danger_to_fruit', (2, 3, 4)),
+    Bucketed('fruit_distance', (4, 10, AFAR)),
     Bucketed('food_left', (6, 36)),
     Bucketed('pills_left', (1, 2)),
     Bucketed('lives', (2,)),
@@ -221,7 +222,8 @@ def abstract_features(batch: PacManBatch, seen: Surroundings | None = None) -> N
     seen = seen or look_around(batch)
     paths, here = batch.rules.paths, batch.pacman
     prey = _or_afar(seen.prey, seen)
-    fruit = paths.distance[here, np.where(batch.fruit > 0, batch.fruit_at, here)].astype(np.intp)
+    fruit_at = np.where(batch.fruit > 0, batch.fruit_at, here)
+    fruit = paths.distance[here, fruit_at].astype(np.intp)
     numbers = (
         _arrival(batch, here),
         _after(batch, seen.to_food),
@@ -232,6 +234,7 @@ def abstract_features(batch: PacManBatch, seen: Surroundings | None = None) -> N
         _or_afar(seen.pill, seen),
         prey,
         np.where(prey < AFAR, seen.fear - seen.prey, -1),
+        _after(batch, paths.shortest[here, fruit_at]),
         np.where(batch.fruit > 0, fruit, AFAR),
         batch.food_left,
         (batch.pills_taken == 0).sum(axis=1),
