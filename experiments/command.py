@@ -19,7 +19,15 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 import typer
 
-from experiments import figure2, figure3, figure4, table2, table2_report, transfer
+from experiments import (
+    demonstrations,
+    figure2,
+    figure3,
+    figure4,
+    table2,
+    table2_report,
+    transfer,
+)
 from experiments.people import BagLesson, Participant, read_bag_lessons, Study
 from experiments.report import Done, PAGE, Reproduction, Section, write_reproduction
 from experiments.trials import ClusterError, LIBRARIES, Outcome, run_trials, Trial
@@ -35,18 +43,21 @@ EXPERIMENTS: dict[str, tuple[Callable[[Study], list[Trial]], Callable[[Done], Se
     figure4.NAME: (figure4.trials, figure4.present),
     table2.NAME: (table2.trials, table2_report.present),
     transfer.NAME: (transfer.trials, transfer.present),
+    demonstrations.NAME: (demonstrations.trials, demonstrations.present),
 }
-ALL = [name for name in EXPERIMENTS if name != transfer.NAME]  # of the paper
+PAST = (transfer.NAME, demonstrations.NAME)  # past the paper
+ALL = [name for name in EXPERIMENTS if name not in PAST]
 
 
 @app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
 def reproduce(
     what: Annotated[
-        Literal['fig2', 'fig3', 'fig4', 'table2', 'all', 'transfer'],
+        Literal['fig2', 'fig3', 'fig4', 'table2', 'all', 'transfer', 'demonstrations'],
         typer.Argument(
             metavar='WHAT',
             help='a figure or table: fig2, fig3, fig4, table2; or all of them; or, past the '
-            'paper, transfer: options of one maze in others',
+            'paper, transfer: options of one maze in others; or demonstrations: how many an '
+            'option takes, by the way in which it is learned',
         ),
     ],
     out: Annotated[
