@@ -52,7 +52,7 @@ def test_numbers_of_the_report_are_those_of_the_summary(demo: DemoRun, report: s
         for key, words in (
             ('n_demonstrations', 'demonstrations'),
             ('mean_return_demonstrations', 'mean return of the demonstrations'),
-            ('mean_return_policy', 'mean return of the learned policy, same starts'),
+            ('mean_return_policy', 'mean return of the policy, same starts'),
             ('cv_error_initiation', 'initiation: held-out balanced error'),
             ('cv_error_termination', 'termination: held-out balanced error'),
         ):

@@ -55,6 +55,7 @@ def test_every_argument_reaches_a_parameter() -> None:
         'out': '/data/study',
         'seed': '12',
         'strategy': 'coverage',
+        'learn': 'goal',
         'budget': '9',
         'record_include': 'lesson/*; action',
         'record_exclude': 'rosout',
@@ -69,7 +70,8 @@ def test_every_argument_reaches_a_parameter() -> None:
     assert specs['game']['domain_parameters'] == '{"goal": "G2"}'
     assert specs['game']['step_period'] == 2.0
     assert isinstance(specs['game']['step_period'], float)
-    assert (specs['lesson']['strategy'], specs['lesson']['budget']) == ('coverage', 9)
+    asked = [specs['lesson'][name] for name in ('strategy', 'learn', 'budget')]
+    assert asked == ['coverage', 'goal', 9]
     seeded = ('game', 'learner', 'lesson', 'option_server', 'simulated_teacher')
     assert [specs[name]['seed'] for name in seeded] == [12] * len(seeded)
     assert specs['learner']['directory'] == '/data/study/options'

@@ -129,7 +129,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
                 'directory': str(setup.directory / 'demonstrations'),
                 'seed': setup.seed,
                 'strategy': setup.strategy,
-                'method': setup.learn,
+                'learn': setup.learn,
                 'budget': setup.budget,
             },
         ),

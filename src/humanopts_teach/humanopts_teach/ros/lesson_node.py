@@ -105,7 +105,7 @@ class LessonNode(NodeBase):
         what, usual = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy
         strategy = self.setting('strategy', usual, what, among=STRATEGIES)
         what = 'how options are learned, where the person asks for no other: trees or goal'
-        method = self.setting('method', LessonRules().method, what, among=tuple(METHODS))
+        method = self.setting('learn', LessonRules().method, what, among=tuple(METHODS))
         return self.settings(
             LessonRules(strategy, method=method),
             {
