@@ -646,7 +646,7 @@ def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:
     ]
     screen = shower.sees()
     assert 'higher window' not in screen
-    assert shower.sees_words('yours -5.25, learned -6.50')
+    assert shower.sees_words('yours -5.25, the option -6.50')
     assert shower.sees_words('not the end (10x), the end (2x) Add "passenger in taxi" (e)')
 
 

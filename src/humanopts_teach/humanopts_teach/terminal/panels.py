@@ -159,8 +159,8 @@ def _criteria(lesson: LessonView, progress: OptionStatus | None) -> list[Rendera
         table.add_row(*_criterion(criterion))
     parts: list[RenderableType] = [table, _estimate(lesson, progress)]
     if not math.isnan(progress.mean_return_policy):
-        yours, learned = progress.mean_return_demonstrations, progress.mean_return_policy
-        text = f'mean return from your starts: yours {yours:.2f}, learned {learned:.2f}'
+        yours, its = progress.mean_return_demonstrations, progress.mean_return_policy
+        text = f'mean return from your starts: yours {yours:.2f}, the option {its:.2f}'
         parts.append(Text(text, 'dim'))
     changed = (progress.method == GOAL) != (lesson.method == GOAL)
     if changed or set(progress.features) != set(lesson.chosen_features):
