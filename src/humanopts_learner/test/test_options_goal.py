@@ -25,6 +25,7 @@ from humanopts_learner.options.accuracy import policy_accuracy
 from humanopts_learner.options.criteria import FEWEST_TO_A_GOAL, judge, Thresholds
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import OptionError
 from humanopts_learner.options.rollout import rollouts
 import numpy as np
 import pytest
@@ -128,6 +129,26 @@ def test_a_planned_policy_comes_back_from_its_file(person: Callable[..., Any]) -
     option = learn_option(shown, TAXI, 0)
     assert option_from_json(option_to_json(option, shown)) == (option, shown)
     assert option.policy.n_features > option.initiation.n_features
+
+
+def test_features_that_do_not_tell_an_end_still_give_an_option(
+    person: Callable[..., Any],
+) -> None:
+    """It ends nowhere, so its criteria do not hold; nothing breaks."""
+    shown = [
+        replace(demo, chosen_features=('destination_row',))
+        for demo in planned(person(FETCH).show_random(4))
+    ]
+    option = learn_option(shown, TAXI, 0)
+    assert not option.ends(TAXI.feature_table()).any()
+    assert not judge(shown, TAXI, Thresholds(), 0, option).criteria_met
+
+
+def test_a_file_with_an_unknown_method_is_refused(person: Callable[..., Any]) -> None:
+    shown = planned(person(FETCH).show_random(1))
+    text = option_to_json(learn_option(shown, TAXI, 0), shown)
+    with pytest.raises(OptionError, match="learned by 'maps', which is no method"):
+        option_from_json(text.replace('"method": "goal"', '"method": "maps"', 1))
 
 
 def test_a_file_of_an_option_by_trees_is_as_before(person: Callable[..., Any]) -> None:

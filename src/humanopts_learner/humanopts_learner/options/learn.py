@@ -174,7 +174,9 @@ def _with_planned_policy(
     rows = domain.feature_table()
     ways = ways_to_goal(domain, data.trajectories, chosen, option.ends(rows))
     actions = preferred_actions(domain, data.trajectories, chosen, ways)
-    known = ways.value > 0  # that there is a way is shown: a demonstration took it
+    known = ways.value > 0
+    if not known.any():  # the chosen features do not tell the shown ends from other states
+        known = ~known
     encoding = feature_encoding(domain, [feature.name for feature in domain.features])
     X = encode_rows(encoding, rows[known])
     policy = fit_tree(X, actions[known], range(len(domain.actions)), 0)

@@ -10,7 +10,7 @@ from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain
 from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOption
 from humanopts_env.domains.registry import parameters_json
-from humanopts_learner.demonstrations import TREES
+from humanopts_learner.demonstrations import METHODS, TREES
 from humanopts_learner.options.decision_tree import (
     encode_rows,
     EncodedFeature,
@@ -70,6 +70,8 @@ class LearnedOption:
         """Check that the trees fit the actions and the features."""
         if not self.policy_encoding:
             object.__setattr__(self, 'policy_encoding', self.encoding)
+        if self.method not in METHODS:
+            raise OptionError(f'{self.name!r} was learned by {self.method!r}, which is no method')
         if self.policy.classes != tuple(range(len(self.actions))):
             raise OptionError(f'the policy of {self.name!r} does not choose among its actions')
         trees = {'policy': self.policy, 'I': self.initiation, 'beta': self.termination}
