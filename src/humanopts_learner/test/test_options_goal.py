@@ -6,6 +6,7 @@ from itertools import product
 from typing import Any
 
 from graph_support.scripted import expert
+from humanopts_env.arrays import Flags
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options as hallways
@@ -34,6 +35,14 @@ TAXI = Taxi()
 REFERENCES = reference_options(TAXI)
 FETCH, DELIVER = 'go to passenger and pickup', 'go to destination and dropoff'
 Shown = Sequence[Demonstration]
+
+
+class EndlessTaxi(Taxi):
+    """Taxi in which the task is never over, so that there may be no way to an end."""
+
+    def over(self) -> Flags:
+        """Return (S,): False everywhere."""
+        return np.zeros(self.n_states, dtype=np.bool_)
 
 
 def planned(demonstrations: Shown) -> list[Demonstration]:
@@ -134,7 +143,7 @@ def test_a_planned_policy_comes_back_from_its_file(person: Callable[..., Any]) -
 def test_features_that_do_not_tell_an_end_still_give_an_option(
     person: Callable[..., Any],
 ) -> None:
-    """It ends nowhere, so its criteria do not hold; nothing breaks."""
+    """It ends nowhere, so its criteria do not hold; also where no task is ever over."""
     shown = [
         replace(demo, chosen_features=('destination_row',))
         for demo in planned(person(FETCH).show_random(4))
@@ -142,6 +151,7 @@ def test_features_that_do_not_tell_an_end_still_give_an_option(
     option = learn_option(shown, TAXI, 0)
     assert not option.ends(TAXI.feature_table()).any()
     assert not judge(shown, TAXI, Thresholds(), 0, option).criteria_met
+    assert learn_option(shown, EndlessTaxi(), 0).termination == option.termination
 
 
 def test_a_file_with_an_unknown_method_is_refused(person: Callable[..., Any]) -> None:
