@@ -11,7 +11,12 @@ from functools import partial
 import itertools
 
 from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, FeatureKind
-from humanopts_env.domains.capabilities import Baselines, TeachingDefaults
+from humanopts_env.domains.capabilities import (
+    Baselines,
+    move_effect,
+    StepEffect,
+    TeachingDefaults,
+)
 from humanopts_env.domains.search_space import SearchSpace, space_by_features
 from humanopts_env.domains.table_domain import TableDomain
 from humanopts_env.domains.tabular_games import TabularGames
@@ -29,6 +34,8 @@ ACTIONS = (
 STEPS = {0: (-1, 0), 1: (1, 0), 2: (0, -1), 3: (0, 1)}  # rows and columns of each walk
 FILL, POUR = 4, 5
 BEDS = ('tomatoes', 'beans', 'basil')
+NO_TAP = StepEffect('no tap here', changed=False)
+NO_DRY_BED = StepEffect('no dry bed here', changed=False)
 GARDENER, FLOOR, TAP, DRY, WET, UNKNOWN = '☻', '·', 'T', '*', '♣', '?'
 Cell = tuple[int, int]  # row, 0 = north; column, 0 = west
 
@@ -127,6 +134,22 @@ class Greenhouse(TableDomain[GreenhouseState]):
         told = [name for name in seen if name == 'can_full' or (name in ('row', 'col') and not at)]
         facts = [f'{name.replace("_", " ")}: {seen[name]}' for name in told]
         return '\n'.join([*lines, f'{TAP} tap   {DRY} dry   {WET} watered', *facts])
+
+    def step_effect(
+        self, state: GreenhouseState, action: int, successor: GreenhouseState
+    ) -> StepEffect:
+        """Return what a step did."""
+        if action in STEPS:
+            moved = successor != state
+            return move_effect(ACTIONS[action].name, ACTIONS[action].name if moved else '')
+        if action == FILL:
+            if state.full:
+                return StepEffect('the can is full already', changed=False)
+            return StepEffect('filled the can') if successor.full else NO_TAP
+        if not state.full:
+            return StepEffect('the can is empty', changed=False)
+        watered = [bed for bed, was, dry in zip(BEDS, state.dry, successor.dry) if was > dry]
+        return StepEffect(f'watered the {watered[0]}') if watered else NO_DRY_BED
 
     def board_slices(self) -> list[BoardSlice]:
         """Return the layouts with the can empty and full, every bed dry."""

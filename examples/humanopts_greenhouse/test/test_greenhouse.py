@@ -5,6 +5,7 @@ from typing import Any
 
 from humanopts_env.contract import DomainContract
 from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.capabilities import StepEffect
 from humanopts_env.reference_contract import ReferenceContract
 from humanopts_env.seeding import generator
 from humanopts_greenhouse.greenhouse import Greenhouse, GreenhouseState
@@ -144,3 +145,24 @@ def test_a_plan_with_options_plays_like_the_rule_written_by_hand() -> None:
     planned, rule, moves = (play_baseline(HOUSE, each, seed=1, games=60) for each in baselines)
     assert planned.score.mean == pytest.approx(rule.score.mean, abs=2.0)
     assert moves.score.high < rule.score.low
+
+
+@pytest.mark.parametrize(
+    ('before', 'action', 'after', 'text'),
+    [
+        ('1,1 can empty dry beans', 'east', '1,2 can empty dry beans', 'went east'),
+        ('0,1 can empty dry beans', 'north', '0,1 can empty dry beans', 'wall: nothing moved'),
+        ('3,0 can empty dry beans', 'fill', '3,0 can full dry beans', 'filled the can'),
+        ('3,0 can full dry beans', 'fill', '3,0 can full dry beans', 'the can is full already'),
+        ('1,1 can empty dry beans', 'fill', '1,1 can empty dry beans', 'no tap here'),
+        ('0,3 can full dry beans', 'pour', '0,3 can empty dry none', 'watered the beans'),
+        ('0,3 can empty dry beans', 'pour', '0,3 can empty dry beans', 'the can is empty'),
+        ('0,0 can full dry beans', 'pour', '0,0 can full dry beans', 'no dry bed here'),
+    ],
+)
+def test_a_step_says_what_it_did(before: str, action: str, after: str, text: str) -> None:
+    """And that it had no effect where nothing changed."""
+    states = [HOUSE.decode(f'cell {state}') for state in (before, after)]
+    index = [each.name for each in HOUSE.actions].index(action)
+    assert HOUSE.can_follow(states[0], index, states[1])
+    assert HOUSE.step_effect(states[0], index, states[1]) == StepEffect(text, before != after)

@@ -32,7 +32,9 @@ from humanopts_env.domains.capabilities import (
     HasBaselines,
     HasBatchGames,
     HasSearchSpace,
+    HasStepEffects,
     HasTeachingDefaults,
+    step_effect,
     THRESHOLDS,
 )
 from humanopts_env.seeding import generator
@@ -42,6 +44,7 @@ from numpy.typing import NDArray
 STEPS = 300  # of the random walk of the tests
 MANY = 40  # games in a batch of the tests
 DRAWN = 150  # outcomes drawn of one step; that of a batch must be among them
+LONGEST_EFFECT = 50  # characters
 CHECKED = 400  # states and transitions of an enumerable domain compared one by one
 NAME = re.compile(r'[a-z][a-z0-9_]*')
 NAMED_KEYS = {'up', 'down', 'left', 'right'}
@@ -370,6 +373,22 @@ class DomainContract:
             assert set(domain.teaching.thresholds) <= set(THRESHOLDS)
             assert all(math.isfinite(value) for value in domain.teaching.thresholds.values())
             assert len(set(domain.teaching.options)) == len(domain.teaching.options)
+
+    def test_a_step_is_told_in_words(self) -> None:
+        """A few words for each step; a step that changes nothing is said to have no effect."""
+        domain = self.make()
+        if not isinstance(domain, HasStepEffects):
+            return
+        for state, action, outcome in _walk(domain, 7):
+            effect = step_effect(domain, state, action, outcome.state)
+            where = f'{domain.actions[action].name} in {domain.encode(state)}: {effect}'
+            assert effect.text == effect.text.strip(' .\n') != '', where
+            assert len(effect.text.splitlines()) == 1, where
+            assert len(effect.text) <= LONGEST_EFFECT, where
+            assert effect.changed or not outcome.terminated, where
+            assert outcome.state != state or not effect.changed, where
+            again = [domain.decode(domain.encode(each)) for each in (state, outcome.state)]
+            assert step_effect(domain, again[0], action, again[1]) == effect, where
 
     def test_baselines_play_the_same_game(self) -> None:
         """Variants can be made, and a heuristic depends on the seed only."""

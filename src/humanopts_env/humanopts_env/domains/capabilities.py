@@ -7,6 +7,7 @@ A domain has a capability by having the method or attribute; nothing is register
 - ``HasSearchSpace``: it defines where subgoals of automatic options are searched for.
 - ``HasTeachingDefaults``: it names the options to teach and the thresholds of the criteria.
 - ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
+- ``HasStepEffects``: it tells in words what a step did.
 
 ``humanopts_env.contract`` tests each of them in every domain that has it.
 """
@@ -213,3 +214,48 @@ class HasBaselines(Protocol):
     def baselines(self) -> Baselines:
         """Return the baselines in this variant of the game."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class StepEffect:
+    """What one step did, for the person who watches."""
+
+    text: str  # a few words without a full stop, such as "picked the passenger up"
+    changed: bool = True  # False: it had no effect, as far as the person's action goes
+
+
+@runtime_checkable
+class HasStepEffects(Protocol):
+    """A domain that tells in words what a step did."""
+
+    def step_effect(self, state: Any, action: int, successor: Any) -> StepEffect:
+        """Return what a step from ``state`` did that led to ``successor``."""
+        ...
+
+
+def step_effect(domain: Domain[Any], state: Any, action: int, successor: Any) -> StepEffect:
+    """Return what a step did; the name of its action where the domain has no words for it."""
+    if isinstance(domain, HasStepEffects):
+        return domain.step_effect(state, action, successor)
+    return plain_effect(domain, state, action, successor)
+
+
+def plain_effect(domain: Domain[Any], state: Any, action: int, successor: Any) -> StepEffect:
+    """Return the name of the action of a step, or that nothing changed."""
+    if state == successor:
+        return StepEffect('nothing changed', changed=False)
+    return StepEffect(domain.actions[action].name)
+
+
+def move_effect(asked: str, went: str, *, free: bool = False) -> StepEffect:
+    """
+    Return what a move in a grid did.
+
+    :param asked: the direction that was asked for.
+    :param went: the direction of the cell that was entered; empty: none was.
+    :param free: whether a cell could have been entered in the direction that was asked for.
+    """
+    if not went:
+        wall = 'slid into a wall' if free else 'wall'
+        return StepEffect(f'{wall}: nothing moved', changed=False)
+    return StepEffect(f'went {went}' if went == asked else f'slid {went}')

@@ -7,7 +7,7 @@ have.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 import json
 import re
@@ -28,6 +28,7 @@ from humanopts_env.domains.base import (
     FeatureKind,
     StateError,
 )
+from humanopts_env.domains.capabilities import move_effect, plain_effect, StepEffect
 from humanopts_env.domains.table_domain import TableDomain
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,8 @@ WAYS = {
     'right': Action('right', 'right', 'move right'),
     'up': Action('up', 'up', 'move up'),
 }
+DIRECTIONS = {(0, -1): 'left', (1, 0): 'down', (0, 1): 'right', (-1, 0): 'up'}
+ENTERED = {'H': 'fell into a hole', GOAL: 'reached the goal'}
 IN_TAXI = 'in the taxi'
 PASSENGER = (*taxi.LANDMARKS, IN_TAXI)
 
@@ -74,6 +77,7 @@ class View:
     draw: Callable[[int, Mapping[str, str]], str]  # arguments: state, revealed feature -> value
     slices: list[BoardSlice] = field(default_factory=list)
     glyph_styles: Mapping[str, str] = field(default_factory=dict)
+    effect: Callable[[int, int, int], StepEffect] | None = None  # state, action, successor
 
 
 def view_of(env: Any, name: str, table: Sequence[Any], starts: set[int], ends: set[int]) -> View:
@@ -90,7 +94,9 @@ def view_of(env: Any, name: str, table: Sequence[Any], starts: set[int], ends: s
     shape: tuple[int, ...] = getattr(desc, 'shape', getattr(env, 'shape', ()))
     if len(shape) == 2 and np.prod(shape) == count:
         tiles = _tiles(table, starts, ends) if desc is None else np.array(desc).astype(str).ravel()
-        return _grid_view(actions, (int(shape[0]), int(shape[1])), tiles.tolist())
+        size, fell = (int(shape[0]), int(shape[1])), isinstance(env, CliffWalkingEnv)
+        view = _grid_view(actions, size, tiles.tolist())
+        return replace(view, effect=_grid_effect(actions, size, tiles.tolist(), table, fell))
     state = Feature('state', 'which state it is', FeatureKind.NOMINAL, _numbers(count))
     return View((state,), [(number,) for number in range(count)], actions, _drawing(env))
 
@@ -130,6 +136,41 @@ def _grid_view(actions: tuple[Action, ...], shape: tuple[int, int], tiles: list[
     return View(features, values, actions, draw, [BoardSlice('board', cells)], GRID_STYLES)
 
 
+def _grid_effect(
+    actions: tuple[Action, ...],
+    shape: tuple[int, int],
+    tiles: list[str],
+    table: Sequence[Any],
+    has_cliff: bool,
+) -> Callable[[int, int, int], StepEffect]:
+    """
+    Return the function that tells what a step did: from state, action and successor.
+
+    :param has_cliff: a step into a cell that is never entered is a fall that leads to the start.
+    """
+    rows, cols = shape
+    ways = {name: step for step, name in DIRECTIONS.items()}
+
+    def effect(state: int, action: int, successor: int) -> StepEffect:
+        (row, col), (to_row, to_col) = divmod(state, cols), divmod(successor, cols)
+        gains = {gain for share, to, gain, _ in table[state][action] if share and to == successor}
+        if has_cliff and state == successor and len(gains) > 1:
+            return StepEffect('wall or cliff: still at the start', changed=False)
+        went = DIRECTIONS.get((to_row - row, to_col - col), '')
+        asked = actions[action].name
+        down, right = ways.get(asked, (0, 0))
+        free = asked in ways and 0 <= row + down < rows and 0 <= col + right < cols
+        off = free and tiles[(row + down) * cols + col + right] == NEVER
+        if not went and tiles[successor] == START and (state != successor or off):
+            fall = 'fell off the cliff: ' if has_cliff else ''
+            return StepEffect(f'{fall}back at the start', changed=state != successor)
+        moved = move_effect(asked if asked in ways else went, went, free=free)
+        entered = ENTERED.get(tiles[successor], '') if moved.changed else ''
+        return replace(moved, text=f'{moved.text} and {entered}') if entered else moved
+
+    return effect
+
+
 def _tiles(table: Sequence[Any], starts: set[int], ends: set[int]) -> NDArray[np.str_]:
     """Return a character for each state: a start, an end, one that is entered, or never."""
     entered = {to for row in table for entries in row for share, to, _, _ in entries if share > 0}
@@ -157,7 +198,13 @@ def _taxi_view(env: Any, actions: tuple[Action, ...]) -> View:
         BoardSlice(f'passenger {PASSENGER[place]}, destination B', states[:, :, place, 3])
         for place in (0, taxi.ABOARD)
     ]
-    return View(features, values, actions, _draw_taxi, slices, taxi.GLYPH_STYLES)
+
+    def effect(state: int, action: int, successor: int) -> StepEffect:
+        return taxi.taxi_effect(
+            taxi.TaxiState(*values[state]), action, taxi.TaxiState(*values[successor])
+        )
+
+    return View(features, values, actions, _draw_taxi, slices, taxi.GLYPH_STYLES, effect)
 
 
 def _draw_taxi(state: int, seen: Mapping[str, str]) -> str:
@@ -281,6 +328,12 @@ class GymnasiumDomain(TableDomain[int]):
         if not 0 <= state < self.n_states:
             raise StateError(f'{state} is not a state of {self.name}')
         return self._view.draw(state, self.shown_values(state, shown))
+
+    def step_effect(self, state: int, action: int, successor: int) -> StepEffect:
+        """Return what a step did."""
+        if self._view.effect is None:
+            return plain_effect(self, state, action, successor)
+        return self._view.effect(state, action, successor)
 
     def board_slices(self) -> list[BoardSlice]:
         """Return the layout of the grid; empty where the states form no grid."""

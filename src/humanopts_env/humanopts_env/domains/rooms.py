@@ -6,9 +6,10 @@ abstraction in reinforcement learning", section 3, figure 2.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, FeatureKind
+from humanopts_env.domains.capabilities import move_effect, StepEffect
 from humanopts_env.domains.table_domain import TableDomain
 import numpy as np
 
@@ -166,6 +167,16 @@ class Rooms(TableDomain[RoomsState]):
         seen = {'row', 'col'} <= values.keys()  # then all else can be seen, too
         goal = self.goal.row, self.goal.col
         return draw_rooms(goal, (state.row, state.col) if seen else None, {} if seen else values)
+
+    def step_effect(self, state: RoomsState, action: int, successor: RoomsState) -> StepEffect:
+        """Return what a step did: moves slip."""
+        place, after = (state.row, state.col), (successor.row, successor.col)
+        step = after[0] - place[0], after[1] - place[1]
+        went = ACTIONS[STEPS.index(step)].name if step in STEPS else ''
+        effect = move_effect(ACTIONS[action].name, went, free=neighbour(place, action) != place)
+        if self.is_over(successor):
+            effect = replace(effect, text=f'{effect.text} and reached the goal')
+        return effect
 
     def board_slices(self) -> list[BoardSlice]:
         """Return the only layout."""

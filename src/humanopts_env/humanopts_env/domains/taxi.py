@@ -22,7 +22,7 @@ from humanopts_env.domains.base import (
     StateError,
     Transitions,
 )
-from humanopts_env.domains.capabilities import TeachingDefaults
+from humanopts_env.domains.capabilities import move_effect, StepEffect, TeachingDefaults
 from humanopts_env.domains.search_space import plain_cell_name, SearchSpace, space_by_features
 from humanopts_env.domains.table_domain import SharedTables
 from humanopts_env.domains.tabular import read_only
@@ -40,6 +40,7 @@ ACTIONS = (
     Action('dropoff', 'd', 'let the passenger out'),
 )
 PICKUP, DROPOFF = 4, 5
+DIRECTIONS = {(1, 0): 'south', (-1, 0): 'north', (0, 1): 'east', (0, -1): 'west'}
 Cell = tuple[int, int]  # row, 0 = north edge; column, 0 = west edge
 Column = NDArray[np.int32]
 
@@ -283,6 +284,27 @@ class TaxiState:
     destination: int  # index into LANDMARKS
 
 
+def taxi_effect(before: TaxiState, action: int, after: TaxiState) -> StepEffect:
+    """Return what a step did."""
+    if action == PICKUP:
+        if before.passenger == ABOARD:
+            return StepEffect('the passenger is aboard already', changed=False)
+        if after.passenger != ABOARD:
+            return StepEffect('nobody here to pick up', changed=False)
+        return StepEffect('picked the passenger up')
+    if action == DROPOFF:
+        if before.passenger != ABOARD:
+            return StepEffect('nobody aboard to let out', changed=False)
+        if after.passenger == ABOARD:
+            where = f'{", ".join(LANDMARKS[:-1])} and {LANDMARKS[-1]}'
+            return StepEffect(f'passengers get out only at {where}', changed=False)
+        if after.passenger == after.destination:
+            return StepEffect('delivered the passenger')
+        return StepEffect(f'let the passenger out at {LANDMARKS[after.passenger]}')
+    went = DIRECTIONS.get((after.row - before.row, after.col - before.col), '')
+    return move_effect(ACTIONS[action].name, went)
+
+
 class Taxi(SharedTables[TaxiState]):
     """
     Taxi on a grid of any size, an ``EnumerableDomain``.
@@ -385,6 +407,10 @@ class Taxi(SharedTables[TaxiState]):
             raise StateError(f'taxi has no state {index}; it has 0 to {self.n_states - 1}')
         cell, rest = divmod(index, 20)
         return TaxiState(*divmod(cell, self.cols), *divmod(rest, 4))
+
+    def step_effect(self, state: TaxiState, action: int, successor: TaxiState) -> StepEffect:
+        """Return what a step did."""
+        return taxi_effect(state, action, successor)
 
     def board_slices(self) -> list[BoardSlice]:
         """Return the layouts with the passenger waiting at R and aboard, both bound for B."""

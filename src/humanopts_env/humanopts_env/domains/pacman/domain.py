@@ -17,7 +17,12 @@ from humanopts_env.domains.base import (
     Parameter,
     Transitions,
 )
-from humanopts_env.domains.capabilities import Baselines, TeachingDefaults
+from humanopts_env.domains.capabilities import (
+    Baselines,
+    move_effect,
+    StepEffect,
+    TeachingDefaults,
+)
 from humanopts_env.domains.pacman import state as notation
 from humanopts_env.domains.pacman.baselines import pacman_baselines
 from humanopts_env.domains.pacman.board import draw_features, draw_state, GLYPH_STYLES
@@ -39,7 +44,7 @@ from humanopts_env.domains.pacman.reference import (
     TO_FRUIT,
 )
 from humanopts_env.domains.pacman.rules import FRUIT_AFTER, GHOST_RULES, PacManBatch, Rules
-from humanopts_env.domains.pacman.state import PacManState
+from humanopts_env.domains.pacman.state import eaten_names, PacManState
 from humanopts_env.domains.search_space import plain_cell_name, plain_space, SearchSpace
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +55,7 @@ MOST_LIVES, MOST_STEPS = 9, 1_000_000
 DEMO_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST)
 DEMO_OPTIONS_WITH_FRUIT = (*DEMO_OPTIONS, TO_FRUIT)
 ONE_DOT = 10.0  # points
+MEALS = {'food': 'food', 'power pill': 'a power pill', 'fruit': 'the fruit', 'ghost': 'a ghost'}
 
 
 class PacMan:
@@ -192,6 +198,21 @@ class PacMan:
         values = zip(self.features, self.feature_values(state).tolist())
         visible = [(feature, value) for feature, value in values if feature.name in shown]
         return draw_features(self.rules.maze, visible)
+
+    def step_effect(self, state: PacManState, action: int, successor: PacManState) -> StepEffect:
+        """Return what a step did: where Pac-Man went, what he ate, whether he lost a life."""
+        to = int(self.rules.paths.step[state.pacman, action])
+        meals = [f'ate {MEALS[name]}' for name in eaten_names(successor.ate)]
+        if successor.lives < state.lives:
+            left = f'{successor.lives} left' if successor.lives else 'it was the last'
+            return StepEffect(' and '.join([*meals, f'lost a life: {left}']))
+        if not successor.food:
+            meals.append('cleared the maze')
+        if meals:
+            return StepEffect(' and '.join(meals))
+        if to == state.pacman:
+            return StepEffect('wall: Pac-Man stayed', changed=False)
+        return move_effect(MOVES[action], MOVES[action])
 
     def batch_games(self) -> PacManGames:
         """Return the object that plays many games at once."""
