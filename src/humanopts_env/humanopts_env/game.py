@@ -11,6 +11,7 @@ from enum import IntEnum
 from typing import Any
 
 from humanopts_env.domains.base import action_index, Domain, DomainError, StateError
+from humanopts_env.domains.capabilities import step_effect, StepEffect
 from humanopts_env.seeding import generator
 
 
@@ -88,6 +89,16 @@ class Transition:
     def open(self) -> bool:
         """Whether a step can be taken."""
         return self.episode > 0 and not self.terminated and not self.truncated
+
+    def follows(self, other: 'Transition') -> bool:
+        """Return whether it came one step after another."""
+        return (self.episode, self.step) == (other.episode, other.step + 1)
+
+
+def effect_between(domain: Domain[Any], before: Transition, after: Transition) -> StepEffect:
+    """Return what the step did that led from one transition to the next of its episode."""
+    action = action_index(domain, after.previous_action)
+    return step_effect(domain, domain.decode(before.state), action, domain.decode(after.state))
 
 
 def transition_from_message(message: Any) -> Transition:

@@ -41,9 +41,10 @@ def words(replay: Replay) -> str:
 def test_each_step_shows_board_actor_action_and_reward(replay: Replay, taxi: Domain[Any]) -> None:
     first, second, third, last = replay.plain()
     assert taxi.render(taxi.decode(START)) in first
-    assert second.startswith('episode 1 of 2 · step 1 of 3 · fetch: pickup · reward 0, in all 0\n')
-    assert 'action:south: south · reward -1, in all -1' in third
-    assert 'machine: east · reward -1, in all -2 · left here' in last
+    assert second.startswith('episode 1 of 2 · step 1 of 3 · fetch: pickup')
+    assert 'fetch: pickup (picked the passenger up) · reward 0, in all 0\n' in second
+    assert 'action:south: south (went south) · reward -1, in all -1' in third
+    assert 'machine: east (went east) · reward -1, in all -2 · left here' in last
 
 
 def test_it_runs_to_the_last_step_and_stops(replay: Replay) -> None:

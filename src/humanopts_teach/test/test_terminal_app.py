@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
 from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.options.criteria import Criterion, FEWEST
@@ -93,7 +94,7 @@ class Person:
     def game(self, **fields: Any) -> Request | None:
         """Have the game go on; return the next request."""
         assert self.world.game is not None
-        self.world.game = replace(self.world.game, **fields)
+        self.world.see(replace(self.world.game, **fields))
         asked = self.app.waits_for
         if isinstance(asked, Drive):
             self.app.replied(asked, Answer(RequestStatus.OK, ''), self.now)
@@ -240,6 +241,45 @@ def test_the_next_start_begins_by_itself_after_a_verdict(shower: Person) -> None
     shower.lesson(Phase.LEARNING, n_not_here=1)
     assert shower.answer(request) is None
     assert shower.lesson(Phase.READY) == BeginDemonstration()
+
+
+def drives(shower: Person, key: str, action: str, state: str, reward: float = -1.0) -> None:
+    """Press a key, and have the game take the step."""
+    assert shower.world.game is not None
+    shower.press(key)
+    step = shower.world.game.step + 1
+    shower.game(step=step, state=state, previous_action=action, reward=reward)
+
+
+def test_each_step_says_what_it_did(shower: Person) -> None:
+    assert 'reward' not in shower.sees()
+    drives(shower, 'left', 'west', 'taxi 2,2 passenger R destination B')
+    assert shower.sees_words('went west (reward -1)')
+    drives(shower, 'p', 'pickup', 'taxi 2,2 passenger R destination B')
+    assert shower.sees_words('nobody here to pick up (reward -1)')
+
+
+def test_a_step_whose_beginning_was_not_seen_is_named_by_its_action(shower: Person) -> None:
+    shower.game(step=7, previous_action='west', reward=-1.0)
+    assert shower.sees_words('last: west (reward -1)')
+
+
+def test_done_after_a_step_without_effect_asks_once_more(shower: Person) -> None:
+    drives(shower, 'p', 'pickup', START)
+    assert shower.press('enter') is None
+    assert shower.sees_words('The last step had no effect (nobody here to pick up).')
+    assert shower.press('x') is None
+    assert shower.press('enter', 'enter') == EndDemonstration(Verdict.DONE, 2, 1)
+
+
+def test_a_fall_is_told_and_not_called_done(teacher: Person) -> None:
+    lake = make_domain('gymnasium:FrozenLake-v1')
+    teacher.world.domain = lake
+    teacher.game(episode=1, step=0, state='row 1, col 0')
+    teacher.press('escape', '5')
+    teacher.game(step=1, state='row 1, col 1', previous_action='down', terminated=True, reward=0.0)
+    assert teacher.sees_words('slid right and fell into a hole (reward 0) The task is over.')
+    assert 'done' not in teacher.sees()
 
 
 def test_a_refused_verdict_leaves_the_demonstration_as_it_is(shower: Person) -> None:

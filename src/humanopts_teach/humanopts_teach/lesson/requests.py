@@ -13,7 +13,8 @@ import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.game import Transition
+from humanopts_env.domains.capabilities import StepEffect
+from humanopts_env.game import effect_between, Transition
 from humanopts_learner.demonstrations import Demonstration, TREES
 from humanopts_learner.options.criteria import Criterion
 
@@ -299,6 +300,9 @@ class World:
 
     domain: Domain[Any] | None = None
     game: Transition | None = None
+    before: Transition | None = (
+        None  # the state from which the step was taken that led to ``game``
+    )
     lesson: LessonView | None = None
     progress: Sequence[OptionStatus] = ()
     running: str = ''  # what option_server took on last: an option, or action:NAME
@@ -316,6 +320,21 @@ class World:
     def i_drive(self) -> bool:
         """Whether this terminal holds control."""
         return bool(self.me) and self.holder == self.me
+
+    def see(self, game: Transition) -> None:
+        """Keep the newest state of the game, and the one before it where no step is missing."""
+        now = self.game
+        if now is None or (game.episode, game.step) != (now.episode, now.step):
+            self.before = now if now is not None and game.follows(now) else None
+        self.game = game
+
+    @property
+    def last_effect(self) -> StepEffect | None:
+        """What the last step did; None: none was taken, or its beginning was not seen."""
+        domain, game, before = self.domain, self.game, self.before
+        if domain is None or game is None or before is None or not game.previous_action:
+            return None
+        return effect_between(domain, before, game)
 
     def progress_of(self, participant: str, option_name: str) -> OptionStatus | None:
         """Return how far the learner is with one option; None: it has not reported."""

@@ -245,7 +245,8 @@ class LessonClient:
             self._changed()
 
     def _on_game(self, message: msg.GameState) -> None:
-        game = self.world.game = transition_from_message(message)
+        game = transition_from_message(message)
+        self.world.see(game)
         self._answer_driven(
             lambda drive, _: (drive.episode, drive.step) != (game.episode, game.step),
             Answer(RequestStatus.OK, ''),

@@ -5,6 +5,7 @@ import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.game import effect_between
 from humanopts_teach.bags.contents import actor_of, Actors, Episode, source_of
 from humanopts_teach.terminal.drawing import board_text, Colours, fit, key_bar, lines_of
 from humanopts_teach.terminal.keys import END_OF_FILE, ESCAPE, INTERRUPT, SPACE
@@ -132,7 +133,10 @@ class Replay:
         if at.previous_action:
             who = actor_of(at, self._actors) or source_of(at)
             gained = math.fsum(transition.reward for transition in transitions[: self._step + 1])
-            parts.append(f'{who}: {at.previous_action}')
+            before = transitions[max(self._step - 1, 0)]
+            known = at.follows(before)
+            effect = f' ({effect_between(self._domain, before, at).text})' if known else ''
+            parts.append(f'{who}: {at.previous_action}{effect}')
             parts.append(f'reward {at.reward:g}, in all {gained:g}')
         if self._step == self._last:
             parts.append(_ending(episode))

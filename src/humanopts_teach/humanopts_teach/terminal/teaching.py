@@ -144,7 +144,7 @@ class LessonScreen(PlainScreen):
 
         does: dict[Command, Callable[[], None]] = {
             Command.BEGIN: self._begin,
-            Command.DONE: lambda: self._verdict(Verdict.DONE, app),
+            Command.DONE: lambda: self._done(app),
             Command.NOT_HERE: lambda: self._verdict(Verdict.NOT_HERE, app),
             Command.DISCARD: lambda: self._verdict(Verdict.DISCARD, app),
             Command.TAKE_BACK: lambda: self._take_back(lesson, app),
@@ -167,6 +167,20 @@ class LessonScreen(PlainScreen):
 
     def _back(self, app: App) -> None:
         app.show(self)
+
+    def _done(self, app: App) -> None:
+        """Say done; ask once more where the last step had no effect."""
+        effect = app.world.last_effect
+        if effect is None or effect.changed:
+            self._verdict(Verdict.DONE, app)
+            return
+
+        def affirm(app: App) -> None:
+            app.show(self)
+            self._verdict(Verdict.DONE, app)
+
+        question = f'The last step had no effect ({effect.text}). Does the option end here?'
+        app.show(ConfirmScreen(question, affirm, self._back))
 
     def _verdict(self, verdict: Verdict, app: App) -> None:
         if (game := app.world.game) is not None:

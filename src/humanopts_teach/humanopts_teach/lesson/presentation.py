@@ -1,0 +1,217 @@
+"""
+What a screen shows of a lesson, in words and values.
+
+Everything is computed here from the published state; a screen decides only where it stands and how
+it looks. Keys are named by the labels that the screen passes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_learner.demonstrations import GOAL, METHODS
+from humanopts_learner.options.conflicts import NO_START
+from humanopts_learner.options.criteria import Criterion, fewest, RETURN
+from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase, World
+
+
+class Tone(Enum):
+    """What kind of thing a line says."""
+
+    PLAIN = 'plain'
+    QUIET = 'quiet'  # read when it is looked for
+    NEWS = 'news'  # where we are now
+    GOOD = 'good'
+    WARNING = 'warning'
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A sentence or a few words."""
+
+    text: str
+    tone: Tone = Tone.PLAIN
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureShown:
+    """A feature that the option depends on."""
+
+    name: str
+    value: str  # in the state that is shown; empty: no demonstration is under way
+
+
+@dataclass(frozen=True, slots=True)
+class CriterionShown:
+    """A criterion beside what it needs."""
+
+    mark: str
+    name: str
+    now: str
+    needs: str
+    tone: Tone
+
+
+def plain(name: str) -> str:
+    """Return the name of a feature as people read it."""
+    return name.replace('_', ' ')
+
+
+def last_step(world: World) -> Line | None:
+    """Return what the last step did and its reward; None: no step was taken."""
+    game = world.game
+    if game is None or not game.step:
+        return None
+    effect = world.last_effect
+    text = effect.text if effect is not None else f'last: {game.previous_action}'
+    without = effect is not None and not effect.changed
+    return Line(f'{text} (reward {game.reward:g})', Tone.WARNING if without else Tone.PLAIN)
+
+
+def ending(world: World) -> Line | None:
+    """Return how the episode ended; None: it goes on."""
+    game = world.game
+    if game is not None and game.terminated:
+        return Line('The task is over.', Tone.NEWS)
+    if game is not None and game.truncated:
+        return Line('The episode is over: it is at its step limit.', Tone.WARNING)
+    return None
+
+
+def place(world: World, lesson: LessonView) -> Line:
+    """Return where the lesson stands."""
+    game, shown = world.game, lesson.n_demonstrations + lesson.n_not_here
+    where = f'Enter shows start {shown + 1}.'
+    if lesson.phase is Phase.DEMONSTRATING and game is not None:
+        where = f'start {shown + 1}, step {game.step}' if game.step else f'next: start {shown + 1}'
+    elif lesson.phase is Phase.LEARNING:
+        where = 'learning ...'
+    elif lesson.phase is Phase.FINISHED:
+        where = 'This lesson is finished.'
+    elif lesson.paused:
+        where = 'The lesson is paused.'
+    return Line(where, Tone.NEWS)
+
+
+def counts(lesson: LessonView) -> str:
+    """Return how much was shown."""
+    return (
+        f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here; at most {lesson.budget}'
+    )
+
+
+def features(world: World, lesson: LessonView) -> list[FeatureShown]:
+    """Return what the option depends on, with the values of the state that is shown."""
+    domain, game = world.domain, world.game
+    if domain is None:
+        return []
+    values: Sequence[int] = []
+    if game is not None and game.state and lesson.phase is Phase.DEMONSTRATING:
+        values = domain.feature_values(domain.decode(game.state)).tolist()
+    return [
+        FeatureShown(plain(feature.name), feature.values[values[index]] if len(values) else '')
+        for index, feature in enumerate(domain.features)
+        if feature.name in lesson.chosen_features
+    ]
+
+
+def question(domain: Domain[Any], lesson: LessonView) -> list[Line]:
+    """Return the open question, and how many there are."""
+    names = [feature.name for feature in domain.features]
+    number = names.index(lesson.question_feature) + 1 if lesson.question_feature in names else 0
+    yes = ', '.join(map(plain, lesson.chosen_features)) or 'nothing yet'
+    return [
+        Line(lesson.question),
+        Line(f'question {number} of {lesson.questions_total}', Tone.QUIET),
+        Line(f'It depends on: {yes}'),
+    ]
+
+
+def criteria(progress: OptionStatus) -> list[CriterionShown]:
+    """Return what each criterion comes to, and what it needs."""
+    return [_criterion(criterion) for criterion in progress.criteria]
+
+
+def _criterion(criterion: Criterion) -> CriterionShown:
+    error = criterion.name != RETURN
+
+    def number(value: float) -> str:
+        if error:
+            return f'{100 * value:.1f} % wrong'
+        return f'{abs(value):.2f} {"worse" if value >= 0 else "better"}'
+
+    return CriterionShown(
+        '✓' if criterion.met else '?' if criterion.undecided else '·',
+        criterion.name,
+        'not yet measurable' if criterion.value is None else number(criterion.value),
+        f'≤ {number(criterion.threshold)}',
+        Tone.GOOD if criterion.met else Tone.WARNING,
+    )
+
+
+def estimate(lesson: LessonView, progress: OptionStatus) -> Line:
+    """Return how far it is until the criteria hold."""
+    more = progress.more_needed
+    if progress.criteria_met:
+        goes_on = lesson.phase in {Phase.READY, Phase.DEMONSTRATING}
+        still = goes_on and set(progress.features) == set(lesson.chosen_features)
+        but = ', but from some starts it still fails.' if still else '.'
+        return Line(f'All criteria hold{but}', Tone.GOOD)
+    if progress.n_demonstrations < (least := fewest(lesson.method)):
+        return Line(f'Measured from {least} demonstrations on.')
+    undecided = [c.name for c in progress.criteria if c.undecided]
+    why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
+    if more < 0:
+        return Line(f'How many more it takes cannot be told yet{why}.')
+    return Line(f'About {more} more {"is" if more == 1 else "are"} needed (an estimate){why}.')
+
+
+def returns(progress: OptionStatus) -> Line:
+    """Return the mean returns from the starts of the demonstrations."""
+    yours, its = progress.mean_return_demonstrations, progress.mean_return_policy
+    text = f'mean return from your starts: yours {yours:.2f}, the option {its:.2f}'
+    return Line(text, Tone.QUIET)
+
+
+def planned(lesson: LessonView) -> Line | None:
+    """Return what the policy is where it is planned; None: it is learned."""
+    if lesson.method != GOAL:
+        return None
+    return Line(f'policy {METHODS[GOAL]}', Tone.QUIET)
+
+
+def outdated(lesson: LessonView, progress: OptionStatus) -> Line | None:
+    """Return that the criteria are of an option learned otherwise; None: they are not."""
+    changed = (progress.method == GOAL) != (lesson.method == GOAL)
+    if changed or set(progress.features) != set(lesson.chosen_features):
+        return Line('These are for the earlier answers: show one more.', Tone.WARNING)
+    return None
+
+
+def conflicts(progress: OptionStatus, questions_key: str) -> list[Line]:
+    """
+    Return a situation that was answered differently, and what to press about it.
+
+    :param questions_key: asks the questions again; empty: not now.
+    """
+    if not progress.conflicts:
+        return []
+    more = len(progress.conflicts) - 1
+    head = f'Alike, but shown differently{f" (and {more} more)" if more else ""}:'
+    lines = [Line(head, Tone.WARNING), Line(progress.conflicts[0])]
+    if progress.suggested_feature:
+        how = f' ({questions_key})' if questions_key else ''
+        text = f'Add "{plain(progress.suggested_feature)}"{how}: it tells most apart.'
+        lines.append(Line(text, Tone.WARNING))
+    return lines
+
+
+def ends(progress: OptionStatus, again_key: str, undo_key: str) -> Line | None:
+    """Return what may be missing where some say that it can start here, and some not."""
+    if progress.suggested_feature or not any(NO_START in text for text in progress.conflicts):
+        return None  # where a feature is missing, that is why
+    slip = f'If the last one was a slip, press {undo_key}.'
+    text = f'{slip} Where an end can be a start, press {again_key} before done.'
+    return Line(text, Tone.WARNING)
