@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 import itertools
 
+from humanopts_env.colours import BLUE, GREEN, ORANGE, RED
 from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, FeatureKind
 from humanopts_env.domains.capabilities import (
     Baselines,
@@ -59,7 +60,7 @@ class Greenhouse(TableDomain[GreenhouseState]):
     """
 
     teaching = TeachingDefaults(thresholds={'return_delta': 3.0})  # three steps
-    glyph_styles = {GARDENER: 'bold bright_yellow', TAP: 'bold blue', DRY: 'red', WET: 'green'}
+    glyph_styles = {GARDENER: f'bold {ORANGE}', TAP: f'bold {BLUE}', DRY: RED, WET: GREEN}
 
     def __init__(self, size: int = 4) -> None:
         """

@@ -29,6 +29,7 @@ from humanopts_env.domains.base import (
     Outcome,
 )
 from humanopts_env.domains.capabilities import (
+    feature_groups,
     HasBaselines,
     HasBatchGames,
     HasSearchSpace,
@@ -389,6 +390,18 @@ class DomainContract:
             assert outcome.state != state or not effect.changed, where
             again = [domain.decode(domain.encode(each)) for each in (state, outcome.state)]
             assert step_effect(domain, again[0], action, again[1]) == effect, where
+
+    def test_a_feature_is_in_one_group_at_most(self) -> None:
+        """Groups have names of their own, and several features of the domain."""
+        domain = self.make()
+        groups = feature_groups(domain)
+        grouped = [name for group in groups for name in group.features]
+        assert len(set(grouped)) == len(grouped), f'twice in a group: {grouped}'
+        assert set(grouped) <= {feature.name for feature in domain.features}
+        assert all(len(group.features) > 1 for group in groups)
+        words = [group.words for group in groups]
+        assert len(set(words)) == len(words)
+        assert all(each == each.strip(' .?') != '' for each in words)
 
     def test_baselines_play_the_same_game(self) -> None:
         """Variants can be made, and a heuristic depends on the seed only."""

@@ -7,6 +7,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
+from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.options.criteria import Criterion, FEWEST
 from humanopts_teach.lesson.requests import (
@@ -55,9 +56,11 @@ class Person:
         self.world.lesson = LessonView(Phase.NO_SESSION, budget=100)
         self.now = 0.0
         self.asked: list[Request] = []
+        self.side = 24  # column where the panel beside the board begins
 
     def press(self, *keys: str) -> Request | None:
-        """Type keys; return the request that they lead to."""
+        """Look at the screen and type keys; return the request that they lead to."""
+        self.app.drawn()
         self.app.type(keys)
         return self.look()
 
@@ -108,7 +111,7 @@ class Person:
 
     def sees_words(self, text: str) -> bool:
         """Tell whether the screen shows these words, however they are wrapped."""
-        side = ' '.join(line[24:] for line in frame(self.app, 80, 24))
+        side = ' '.join(line[self.side :] for line in frame(self.app, 80, 24))
         whole = ' '.join(frame(self.app, 80, 24))
         return any(text in ' '.join(shown.split()) for shown in (side, whole))
 
@@ -202,12 +205,40 @@ def test_no_to_all_others_stops_at_a_refusal(teacher: Person) -> None:
     assert teacher.answer(request, ok=False, text='it cannot be written') is None
 
 
-def test_keys_wait_until_the_question_that_they_answer_is_shown(teacher: Person) -> None:
+def test_a_key_does_not_answer_a_question_that_was_not_shown(teacher: Person) -> None:
     teacher.lesson(Phase.ASKING, question_id=3)
     first = teacher.press('y', 'n')
     assert first == AnswerQuestion(3, yes=True)
     assert teacher.answer(first) is None  # the lesson still shows question 3
-    assert teacher.lesson(Phase.ASKING, question_id=4) == AnswerQuestion(4, yes=False)
+    assert teacher.lesson(Phase.ASKING, question_id=4) is None
+    assert teacher.sees_words('n came before this was shown, and is not taken.')
+    assert teacher.press('n') == AnswerQuestion(4, yes=False)
+
+
+@pytest.mark.parametrize('key', ['n', 'enter', 'u', 'backspace'])
+def test_a_key_pressed_while_the_learner_works_does_not_answer_the_next_start(
+    shower: Person, key: str
+) -> None:
+    drives(shower, 'left', 'west', 'taxi 2,2 passenger R destination B')
+    ended = shower.press('enter')
+    shower.lesson(Phase.LEARNING, n_demonstrations=1, last_uuid='abc')
+    begin = shower.answer(ended)
+    assert begin is None
+    assert shower.sees_words('learning ...')
+    begin = shower.lesson(Phase.READY)
+    assert begin == BeginDemonstration()
+    shower.press(key)  # the screen does not show the next start yet
+    shower.game(episode=3, step=0, state=START)
+    shower.lesson(Phase.DEMONSTRATING, episode=3)
+    assert shower.answer(begin, episode=3) is None
+    assert shower.sees_words('came before this was shown, and is not taken.')
+    assert not shower.sees_words('Take back')
+
+
+def test_keys_of_one_demonstration_can_be_typed_ahead(shower: Person) -> None:
+    assert shower.press('left', 'p', 'enter') == Drive('west', 2, 0)
+    assert shower.game(step=1) == Drive('pickup', 2, 1)
+    assert shower.game(step=2) == EndDemonstration(Verdict.DONE, 2, 2)
 
 
 def test_the_board_and_the_words_show_only_the_chosen_features(shower: Person) -> None:
@@ -293,7 +324,7 @@ def test_starts_are_not_asked_for_again_and_again_when_they_are_refused(teacher:
     assert teacher.sees_words('the budget is spent')
 
 
-def test_can_start_again_goes_with_one_done_only(shower: Person) -> None:
+def test_can_start_again_stays_as_it_was_said_last(shower: Person) -> None:
     assert shower.press('s') is None
     assert 'can restart at its end: YES' in shower.sees()
     request = shower.press('enter')
@@ -303,7 +334,9 @@ def test_can_start_again_goes_with_one_done_only(shower: Person) -> None:
     shower.game(episode=3)
     shower.lesson(Phase.DEMONSTRATING, episode=3)
     shower.answer(begin, episode=3)
-    assert shower.press('enter') == EndDemonstration(Verdict.DONE, 3, 0, can_start_at_end=False)
+    assert shower.press('enter') == EndDemonstration(Verdict.DONE, 3, 0, can_start_at_end=True)
+    shower.lesson(Phase.DEMONSTRATING, option_name='another', episode=4)
+    assert 'can restart at its end: no' in shower.sees()
 
 
 def test_leaving_asks_first_once_steps_were_taken(shower: Person) -> None:
@@ -422,10 +455,11 @@ def test_each_criterion_shows_value_target_and_whether_it_can_be_measured(
     ]
     screen = shower.sees()
     for line in (
-        r'✓  return       0.25 worse          ≤ 1.00 worse',
-        r'·  initiation   12.5 % wrong        ≤ 5.0 % wrong',
-        r'·  termination  not yet measurable  ≤ 5.0 % wrong',
-        'About 6 more are needed (an estimate).',
+        'By trees, on starts it has not seen:',
+        '✓ return       0.25 worse    ≤ 1.00',
+        '· initiation   12.5 % wrong  ≤ 5.0 %',
+        '· termination  not measured  ≤ 5.0 %',
+        'Perhaps 1 to 12 more are needed.',
     ):
         assert line in screen
 
@@ -434,9 +468,9 @@ def test_a_criterion_whose_limit_is_too_large_is_not_yet_known(shower: Person) -
     progress = criteria([('return', 0.25, 1.0)])
     few = (Criterion('return', 0.25, 1.0, met=False),)
     shower.world.progress = [replace(progress, criteria=few)]
-    assert '?  return   0.25 worse  ≤ 1.00 worse' in shower.sees()
+    assert '? return  0.25 worse  ≤ 1.00' in shower.sees()
     assert shower.sees_words(
-        'About 6 more are needed (an estimate): return is not yet known well enough.'
+        'Perhaps 1 to 12 more are needed: return is not yet known well enough.'
     )
 
 
@@ -469,7 +503,12 @@ def test_a_planned_policy_is_named_and_measured_sooner(shower: Person) -> None:
     shower.world.progress = [replace(progress, method=GOAL)]
     assert not shower.sees_words('These are for the earlier answers')
     assert shower.sees_words('policy planned: best ways to an end like the shown ones')
+    assert shower.sees_words('By goal, on starts it has not seen:')
     assert shower.sees_words('Measured from 3 demonstrations on.')
+    shower.world.progress = [
+        replace(progress, method=GOAL, n_demonstrations=5, more_needed=4),
+    ]
+    assert shower.sees_words('How many more it takes cannot be told yet.')
 
 
 def test_how_an_option_is_learned_can_be_changed_in_the_menu(teacher: Person) -> None:
@@ -686,8 +725,136 @@ def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:
     ]
     screen = shower.sees()
     assert 'higher window' not in screen
-    assert shower.sees_words('yours -5.25, the option -6.50')
+    assert shower.sees_words('on starts it has seen, mean return: yours -5.25, the option -6.50')
     assert shower.sees_words('not the end (10x), the end (2x) Add "passenger in taxi" (e)')
+
+
+@pytest.fixture
+def pacman_teacher(teacher: Person) -> Person:
+    """Somebody who has just named an option in Pac-Man, and is asked the first question."""
+    pacman = make_domain('pacman')
+    teacher.world.domain, teacher.side = pacman, 41
+    state = pacman.encode(pacman.reset(generator(0)))
+    teacher.world.game = Transition(episode=1, state=state)
+    asks(teacher, 1, chosen_features=(), questions_total=len(pacman.features))
+    return teacher
+
+
+def asks(person: Person, number: int, **fields: Any) -> Request | None:
+    """Have the lesson ask about a feature of the domain, by its number from 1."""
+    feature = person.app.domain.features[number - 1].name
+    return person.lesson(Phase.ASKING, question_id=number, question_feature=feature, **fields)
+
+
+def answered(person: Person) -> dict[str, bool]:
+    """Go through all questions, pressing n; return the answers by feature."""
+    said = {}
+    for number, feature in enumerate(person.app.domain.features, start=1):
+        request = asks(person, number) if number > 1 else person.look()
+        for _ in range(2):  # about a group, and about the feature
+            request = request or person.press('n')
+        assert isinstance(request, AnswerQuestion)
+        said[feature.name] = request.yes
+        person.answer(request)
+    return said
+
+
+def test_a_group_of_features_is_asked_about_once(pacman_teacher: Person) -> None:
+    assert pacman_teacher.sees_words(
+        f"Does the '{NAME}' option depend on anything about Pac-Man? "
+        'At yes, 3 features of Pac-Man are asked about.'
+    )
+    assert 'n no, to all of them' in pacman_teacher.sees()
+    pressed = 0
+    for number in range(1, len(pacman_teacher.app.domain.features) + 1):
+        request = asks(pacman_teacher, number)
+        while request is None:
+            request, pressed = pacman_teacher.press('n'), pressed + 1
+        assert request == AnswerQuestion(number, yes=False)
+        pacman_teacher.answer(request)
+    assert pressed == 6  # five groups, and what the last step ate
+
+
+def test_yes_to_a_group_asks_about_each_of_its_features(pacman_teacher: Person) -> None:
+    assert pacman_teacher.press('y') is None
+    pacman_teacher.lesson(Phase.ASKING, question='which row Pac-Man is in?')
+    assert pacman_teacher.sees_words('which row Pac-Man is in? question 1 of')
+    assert pacman_teacher.press('y') == AnswerQuestion(1, yes=True)
+
+
+def test_a_key_for_a_group_does_not_answer_its_first_feature(pacman_teacher: Person) -> None:
+    assert pacman_teacher.press('y', 'y') is None
+    assert pacman_teacher.sees_words('y came before this was shown, and is not taken.')
+
+
+def test_a_group_can_be_answered_as_before(pacman_teacher: Person) -> None:
+    asks(pacman_teacher, 1, earlier_features=('pacman_col',))
+    assert 'Enter as before: yes' in pacman_teacher.sees()
+    assert pacman_teacher.press('enter') == AnswerQuestion(1, yes=False)
+    asks(pacman_teacher, 2)
+    assert pacman_teacher.answer(pacman_teacher.asked[-1]) == AnswerQuestion(2, yes=True)
+
+
+def test_questions_that_begin_again_ask_about_groups_again(pacman_teacher: Person) -> None:
+    assert answered(pacman_teacher)['legal_moves'] is False
+    asks(pacman_teacher, 1)
+    assert pacman_teacher.sees_words('depend on anything about Pac-Man?')
+
+
+def test_a_refused_answer_about_a_group_is_not_sent_again(pacman_teacher: Person) -> None:
+    request = pacman_teacher.press('n')
+    assert pacman_teacher.answer(request, ok=False, text='the disk is full') is None
+    assert pacman_teacher.sees_words('the disk is full')
+    assert pacman_teacher.sees_words('depend on anything about Pac-Man?')
+
+
+@pytest.fixture
+def pacman_shower(pacman_teacher: Person) -> Person:
+    """Somebody who teaches Pac-Man by the direction of food alone, and has eaten some."""
+    pacman, game = pacman_teacher.app.domain, pacman_teacher.world.game
+    assert game is not None
+    pacman_teacher.lesson(Phase.DEMONSTRATING, episode=2, chosen_features=('food_direction',))
+    state = pacman.decode(game.state)
+    after = pacman.step(state, 1, generator(0)).state
+    pacman_teacher.game(episode=2, step=0)
+    pacman_teacher.game(step=1, state=pacman.encode(after), previous_action='west', reward=10.0)
+    return pacman_teacher
+
+
+def test_what_is_hidden_in_pac_man_is_named_and_meals_are_told(pacman_shower: Person) -> None:
+    assert pacman_shower.sees_words('hidden: Pac-Man, the ghosts, the power pills, the fruit')
+    assert pacman_shower.sees_words('ate food (reward 10)')
+
+
+def test_the_fullest_screen_of_pac_man_fits_in_80_by_24(pacman_shower: Person) -> None:
+    pacman_shower.lesson(Phase.DEMONSTRATING, last_uuid='abc')
+    values = [('return', 12.5, 10.0), ('initiation', 0.125, 0.05), ('termination', None, 0.05)]
+    conflict = 'food direction north: cannot start here (12x), can start here (1x)'
+    status = replace(
+        criteria(values),
+        features=('food_direction',),
+        mean_return_demonstrations=12.25,
+        mean_return_policy=-116.5,
+        conflicts=(conflict, 'another'),
+    )
+    pacman_shower.world.progress = [status]
+    screen = pacman_shower.sees()
+    for text in (
+        '· termination  not measured  ≤ 5.0 %',
+        '· return       12.50 worse   ≤ 10.00',
+        'yours 12.25, the option -116.50',
+        conflict,
+        'press s before done.',
+    ):
+        assert text in ' '.join(screen.split()) or text in screen
+    assert 'higher window' not in screen
+    assert '…' not in screen
+
+
+def test_menus_are_not_cut_beside_a_wide_board(pacman_teacher: Person) -> None:
+    pacman_teacher.press('escape')
+    assert pacman_teacher.sees_words('1 Teach a new option name it, answer questions, show it')
+    assert pacman_teacher.sees_words('Watch the machine play it plans, then plays')
 
 
 def test_a_start_that_contradicts_an_end_is_explained_by_a_key(shower: Person) -> None:

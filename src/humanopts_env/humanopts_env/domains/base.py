@@ -68,7 +68,8 @@ class Domain(Protocol[S]):
     actions: Sequence[Action]
     gamma: float  # discount per primitive step
     max_steps: int  # an episode is truncated after this many steps; 0: never
-    glyph_styles: Mapping[str, str]  # style (rich's notation) of single characters of ``render``
+    # Style (rich's notation) of single characters of ``render``; ``colours`` has colours for it.
+    glyph_styles: Mapping[str, str]
 
     def reset(self, rng: np.random.Generator) -> S:
         """Draw a start state of the task."""

@@ -8,6 +8,7 @@ A domain has a capability by having the method or attribute; nothing is register
 - ``HasTeachingDefaults``: it names the options to teach and the thresholds of the criteria.
 - ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
 - ``HasStepEffects``: it tells in words what a step did.
+- ``HasFeatureGroups``: it groups its features, so that a person is asked about a group first.
 
 ``humanopts_env.contract`` tests each of them in every domain that has it.
 """
@@ -259,3 +260,26 @@ def move_effect(asked: str, went: str, *, free: bool = False) -> StepEffect:
         wall = 'slid into a wall' if free else 'wall'
         return StepEffect(f'{wall}: nothing moved', changed=False)
     return StepEffect(f'went {went}' if went == asked else f'slid {went}')
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureGroup:
+    """Features of one thing."""
+
+    words: str  # completes "anything about ...": the ghosts
+    features: tuple[str, ...]  # their names, two or more
+
+
+@runtime_checkable
+class HasFeatureGroups(Protocol):
+    """A domain with so many features that a person is asked about groups of them first."""
+
+    @property
+    def feature_groups(self) -> Sequence[FeatureGroup]:
+        """The groups; a feature is in one group at most."""
+        ...
+
+
+def feature_groups(domain: Domain[Any]) -> Sequence[FeatureGroup]:
+    """Return the groups of a domain's features; empty where it has none."""
+    return domain.feature_groups if isinstance(domain, HasFeatureGroups) else ()

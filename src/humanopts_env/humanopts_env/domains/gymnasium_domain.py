@@ -19,6 +19,7 @@ import gymnasium
 from gymnasium.envs.toy_text.cliffwalking import CliffWalkingEnv
 from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.envs.toy_text.taxi import TaxiEnv
+from humanopts_env.colours import GREEN, GREY, ORANGE, RED, TEAL
 from humanopts_env.domains import taxi
 from humanopts_env.domains.base import (
     Action,
@@ -35,12 +36,12 @@ from numpy.typing import NDArray
 
 AGENT, FLOOR, START, GOAL, NEVER = '☻', '·', 'S', 'G', '▒'
 GRID_STYLES = {
-    AGENT: 'bold bright_yellow',
+    AGENT: f'bold {ORANGE}',
     FLOOR: 'dim',
-    NEVER: 'grey50',
-    START: 'green',
-    GOAL: 'bold bright_cyan',
-    'H': 'bold red',
+    NEVER: GREY,
+    START: GREEN,
+    GOAL: f'bold {TEAL}',
+    'H': f'bold {RED}',
     'F': 'dim',
 }
 TILES = {

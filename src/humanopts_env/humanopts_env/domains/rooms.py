@@ -8,6 +8,7 @@ abstraction in reinforcement learning", section 3, figure 2.
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from humanopts_env.colours import GREY, ORANGE, TEAL
 from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, FeatureKind
 from humanopts_env.domains.capabilities import move_effect, StepEffect
 from humanopts_env.domains.table_domain import TableDomain
@@ -33,10 +34,10 @@ DOORWAYS = {'N': 'north', 'W': 'west', 'E': 'east', 'S': 'south'}
 GOALS = {'G1': (6, 8), 'G2': (8, 8)}  # the east doorway; a cell of the south-east room
 WALL, FLOOR, AGENT, GOAL = '█', '·', '☻', '⚑'
 GLYPH_STYLES = {
-    WALL: 'grey50',
+    WALL: GREY,
     FLOOR: 'dim',
-    AGENT: 'bold bright_yellow',
-    GOAL: 'bold bright_cyan',
+    AGENT: f'bold {ORANGE}',
+    GOAL: f'bold {TEAL}',
 }
 Place = tuple[int, int]  # row, 0 = north; column, 0 = west
 

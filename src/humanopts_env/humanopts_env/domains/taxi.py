@@ -12,6 +12,7 @@ from functools import cached_property
 import re
 
 from humanopts_env.arrays import Flags, Ints
+from humanopts_env.colours import BLUE, GREEN, MAGENTA, ORANGE, RED, TEAL
 from humanopts_env.domains.base import (
     Action,
     BoardSlice,
@@ -177,16 +178,16 @@ def _passenger_cells(rows: int, cols: int) -> Column:
 EMPTY_TAXI, FULL_TAXI, SOME_TAXI = '□', '■', '▒'  # SOME: whether it is empty is not shown
 PASSENGER, DESTINATION, FLOOR = '☻', '⚑', '·'
 GLYPH_STYLES = {
-    EMPTY_TAXI: 'bold bright_yellow',
-    FULL_TAXI: 'bold bright_green',
-    SOME_TAXI: 'bold bright_yellow',
-    PASSENGER: 'bold bright_magenta',
-    DESTINATION: 'bold bright_cyan',
+    EMPTY_TAXI: f'bold {ORANGE}',
+    FULL_TAXI: f'bold {GREEN}',
+    SOME_TAXI: f'bold {ORANGE}',
+    PASSENGER: f'bold {MAGENTA}',
+    DESTINATION: f'bold {TEAL}',
     FLOOR: 'dim',
-    'R': 'bold red',
-    'G': 'bold green',
-    'Y': 'bold yellow',
-    'B': 'bold bright_blue',
+    'R': f'bold {RED}',
+    'G': f'bold {GREEN}',
+    'Y': f'bold {ORANGE}',
+    'B': f'bold {BLUE}',
 }
 EXPRESSED_BY = {  # what must be in the drawing for a feature to be read from it
     'taxi_row': {'taxi'},

@@ -3,6 +3,7 @@
 from collections.abc import Hashable
 from typing import Any
 
+from humanopts_env.colours import GREEN, ORANGE
 from humanopts_env.domains.base import Domain
 from humanopts_env.ros.convert import domain_from_info
 from humanopts_learner.options.criteria import Criterion
@@ -113,9 +114,9 @@ def _criterion(criterion: Criterion) -> Text:
     if not criterion.measurable:
         return Text('not yet', style='dim')
     if criterion.met:
-        return Text(f'{criterion.value:.3g}', style='green')
+        return Text(f'{criterion.value:.3g}', style=GREEN)
     why = ', not yet known' if criterion.undecided else f' > {criterion.threshold:g}'
-    return Text(f'{criterion.value:.3g}{why}', style='yellow')
+    return Text(f'{criterion.value:.3g}{why}', style=ORANGE)
 
 
 def _criteria_words(option: OptionStatus) -> str:

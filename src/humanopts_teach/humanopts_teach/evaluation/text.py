@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.criteria import Criterion
+from humanopts_learner.options.criteria import Criterion, likely_range
 from humanopts_teach.bags.info import aligned
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation, PLAN, RANDOM
@@ -144,7 +144,8 @@ def _unmet(criterion: Criterion) -> str:
 def _more(demonstrations: int) -> list[str]:
     if demonstrations <= 0:
         return []
-    return [f'about {demonstrations} more demonstrations are needed (an estimate)']
+    low, high = likely_range(demonstrations)
+    return [f'perhaps {low} to {high} more demonstrations are needed']
 
 
 def _plan(name: str, row: PlanningRow) -> list[str]:

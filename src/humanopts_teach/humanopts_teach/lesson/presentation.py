@@ -11,9 +11,10 @@ from enum import Enum
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.capabilities import feature_groups, FeatureGroup
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
-from humanopts_learner.options.criteria import Criterion, fewest, RETURN
+from humanopts_learner.options.criteria import Criterion, fewest, likely_range, RETURN
 from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase, World
 
 
@@ -117,16 +118,38 @@ def features(world: World, lesson: LessonView) -> list[FeatureShown]:
     ]
 
 
-def question(domain: Domain[Any], lesson: LessonView) -> list[Line]:
-    """Return the open question, and how many there are."""
+def hidden(domain: Domain[Any], lesson: LessonView) -> str:
+    """Return what is not shown because the option does not depend on it; empty: nothing."""
+    chosen = set(lesson.chosen_features)
+    if chosen >= {feature.name for feature in domain.features}:
+        return ''
+    groups = feature_groups(domain)
+    unseen = [group.words for group in groups if not chosen & set(group.features)]
+    return f'hidden: {", ".join(unseen)}' if unseen else 'all else is hidden'
+
+
+def question(
+    domain: Domain[Any], lesson: LessonView, group: FeatureGroup | None = None
+) -> list[Line]:
+    """
+    Return the open question, how many there are, and what was answered.
+
+    :param group: that is asked about before its features.
+    """
     names = [feature.name for feature in domain.features]
     number = names.index(lesson.question_feature) + 1 if lesson.question_feature in names else 0
+    text, where = lesson.question, f'question {number} of {lesson.questions_total}'
+    if group is not None:
+        text = f"Does the '{lesson.option_name}' option depend on anything about {group.words}?"
+        where = f'At yes, {len(group.features)} features of {group.words} are asked about.'
     yes = ', '.join(map(plain, lesson.chosen_features)) or 'nothing yet'
-    return [
-        Line(lesson.question),
-        Line(f'question {number} of {lesson.questions_total}', Tone.QUIET),
-        Line(f'It depends on: {yes}'),
-    ]
+    return [Line(text), Line(where, Tone.QUIET), Line(f'It depends on: {yes}')]
+
+
+def heading(progress: OptionStatus) -> Line:
+    """Return how the option is learned, and what its criteria are measured on."""
+    way = 'goal' if progress.method == GOAL else 'trees'
+    return Line(f'By {way}, on starts it has not seen:', Tone.QUIET)
 
 
 def criteria(progress: OptionStatus) -> list[CriterionShown]:
@@ -135,25 +158,26 @@ def criteria(progress: OptionStatus) -> list[CriterionShown]:
 
 
 def _criterion(criterion: Criterion) -> CriterionShown:
-    error = criterion.name != RETURN
-
-    def number(value: float) -> str:
-        if error:
-            return f'{100 * value:.1f} % wrong'
-        return f'{abs(value):.2f} {"worse" if value >= 0 else "better"}'
-
+    value, threshold = criterion.value, criterion.threshold
+    if criterion.name == RETURN:
+        now = (
+            f'{abs(value):.2f} {"worse" if value >= 0 else "better"}' if value is not None else ''
+        )
+        needs = f'{threshold:.2f}'
+    else:
+        now = f'{100 * value:.1f} % wrong' if value is not None else ''
+        needs = f'{100 * threshold:.1f} %'
     return CriterionShown(
         '✓' if criterion.met else '?' if criterion.undecided else '·',
         criterion.name,
-        'not yet measurable' if criterion.value is None else number(criterion.value),
-        f'≤ {number(criterion.threshold)}',
+        now or 'not measured',
+        f'≤ {needs}',
         Tone.GOOD if criterion.met else Tone.WARNING,
     )
 
 
 def estimate(lesson: LessonView, progress: OptionStatus) -> Line:
     """Return how far it is until the criteria hold."""
-    more = progress.more_needed
     if progress.criteria_met:
         goes_on = lesson.phase in {Phase.READY, Phase.DEMONSTRATING}
         still = goes_on and set(progress.features) == set(lesson.chosen_features)
@@ -163,15 +187,16 @@ def estimate(lesson: LessonView, progress: OptionStatus) -> Line:
         return Line(f'Measured from {least} demonstrations on.')
     undecided = [c.name for c in progress.criteria if c.undecided]
     why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
-    if more < 0:
+    if progress.more_needed < 0 or progress.method == GOAL:
         return Line(f'How many more it takes cannot be told yet{why}.')
-    return Line(f'About {more} more {"is" if more == 1 else "are"} needed (an estimate){why}.')
+    low, high = likely_range(progress.more_needed)
+    return Line(f'Perhaps {low} to {high} more are needed{why}.')
 
 
 def returns(progress: OptionStatus) -> Line:
     """Return the mean returns from the starts of the demonstrations."""
     yours, its = progress.mean_return_demonstrations, progress.mean_return_policy
-    text = f'mean return from your starts: yours {yours:.2f}, the option {its:.2f}'
+    text = f'on starts it has seen, mean return: yours {yours:.2f}, the option {its:.2f}'
     return Line(text, Tone.QUIET)
 
 

@@ -18,7 +18,7 @@ from humanopts_teach.bags.contents import (
 )
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.report.pages import MINUS
-from rich.color import ColorType
+from rich.color import ColorSystem
 from rich.errors import StyleSyntaxError
 from rich.style import Style
 
@@ -169,12 +169,13 @@ def board_html(text: str, styles: Mapping[str, str]) -> str:
 
 
 def _classes(style: str) -> str:
-    """Return CSS classes for a style in rich's notation; colours outside the 16 are left out."""
+    """Return CSS classes for a style in rich's notation: the nearest of eight colours."""
     try:
         parsed = Style.parse(style)
     except StyleSyntaxError:
         return ''
     names = ['dim'] if parsed.dim else []
-    if parsed.color is not None and parsed.color.type is ColorType.STANDARD:
-        names.append(f'g{(parsed.color.number or 0) % 8}')
+    if parsed.color is not None and not parsed.color.is_default:
+        nearest = parsed.color.downgrade(ColorSystem.STANDARD)
+        names.append(f'g{(nearest.number or 0) % 8}')
     return ' '.join(names)

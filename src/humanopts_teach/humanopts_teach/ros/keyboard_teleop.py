@@ -96,6 +96,7 @@ class KeyboardTeleopNode(NodeBase):
         unsettled = self.app.waits_for is not None and now - self._asked < _SETTLING_SECONDS
         if self._news and not unsettled and now - self._drawn > _FRAME_SECONDS:
             device.draw(partial(frame, self.app))
+            self.app.drawn()
             self._drawn, self._seen, self._news = time.monotonic(), self.app.shown, False
 
     def _send(self, request: Request | None) -> None:

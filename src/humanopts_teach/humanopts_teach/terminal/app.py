@@ -1,8 +1,8 @@
 """
 The terminal's state machine: keys and news in, requests out.
 
-One request is under way at a time, and keys that are typed meanwhile wait for it, so that a key
-never means something else than what the person saw when it was carried out.
+One request is under way at a time, and keys that are typed meanwhile wait for it. A key that would
+answer what the lesson asks for counts only if that was on the screen when it was pressed.
 """
 
 from collections import deque
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from humanopts_env.domains.base import Domain
+from humanopts_teach.lesson.question_groups import QuestionGroups
 from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,
@@ -28,7 +29,7 @@ from humanopts_teach.lesson.requests import (
     WithdrawDemonstration,
     World,
 )
-from humanopts_teach.terminal.keys import END_OF_FILE, INTERRUPT
+from humanopts_teach.terminal.keys import END_OF_FILE, INTERRUPT, label
 
 REPLY_SECONDS = 5.0  # for a node to answer
 SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed
@@ -50,6 +51,10 @@ class Screen(Protocol):
 
     def tick(self, app: 'App') -> None:
         """Do what needs no key, when nothing is under way."""
+
+    @property
+    def answers_lesson(self) -> bool:
+        """Whether a key answers what the lesson asks for: it is taken only if that was seen."""
 
     def keys(self, app: 'App') -> list[tuple[str, str]]:
         """Return the labels of the keys that do something now, and what they do."""
@@ -82,9 +87,12 @@ class App:
         self.screen = first
         self.run: Run | None = None  # under way
         self.run_text = ''  # how far it is
+        self.groups = QuestionGroups()
+        self.can_start_again: dict[str, bool] = {}  # what was last said with done, by option
         self.ended = False
+        self._seen: object = None  # what the lesson asked for in the last frame
         self._outbox: deque[Request] = deque()
-        self._keys: deque[str] = deque()
+        self._keys: deque[tuple[str, object]] = deque()  # with what was seen when it was pressed
         self._waiting: _Waiting | None = None
 
     @property
@@ -137,7 +145,11 @@ class App:
             if key in (INTERRUPT, END_OF_FILE):
                 self.end()
             elif key and len(self._keys) < MOST_KEYS:
-                self._keys.append(key)
+                self._keys.append((key, self._seen))
+
+    def drawn(self) -> None:
+        """Keep what the lesson asks for: keys that come now are pressed by one who has seen it."""
+        self._seen = self._asked_for
 
     def advance(self, now: float) -> Request | None:
         """
@@ -154,7 +166,11 @@ class App:
                 return request
             if self._keys:
                 self.message = Message()
-                self.screen.press(self._keys.popleft(), self)
+                key, seen = self._keys.popleft()
+                if self.screen.answers_lesson and seen != self._asked_for:
+                    self.say(f'{label(key)} came before this was shown, and is not taken.')
+                else:
+                    self.screen.press(key, self)
                 continue
             self.screen.tick(self)
             if not self._outbox:
@@ -202,6 +218,15 @@ class App:
         if self.world.i_drive:
             requests.append(SetControl(hold=False))
         return requests
+
+    @property
+    def _asked_for(self) -> object:
+        """What the lesson asks for: it differs between questions and between demonstrations."""
+        lesson, domain = self.world.lesson, self.world.domain
+        if lesson is None or domain is None:
+            return None
+        group = self.groups.open_group(domain, lesson)
+        return lesson.phase, lesson.option_name, lesson.question_id, group, lesson.episode
 
     def _look_at_waiting(self, now: float) -> None:
         waiting = self._waiting

@@ -28,6 +28,12 @@ def why_not() -> str:
     return ''
 
 
+def usable_colours(console: Console) -> Colours | None:
+    """Return what the terminal can show; None: no colours, or NO_COLOR asks for none."""
+    system = None if console.no_color else console.color_system
+    return cast(Colours | None, system)
+
+
 class Device:
     """Standard input in raw mode and the alternate screen, for the length of a ``with``."""
 
@@ -46,9 +52,7 @@ class Device:
         self._size = (0, 0)
         self._read_at = 0.0
         self.closed = False  # the terminal is gone
-        console = Console()
-        system = None if console.no_color else console.color_system
-        self._colours = cast(Colours | None, system)
+        self._colours = usable_colours(Console())
 
     def __enter__(self) -> 'Device':
         """Take over the terminal."""

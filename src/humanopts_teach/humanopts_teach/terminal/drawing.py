@@ -4,11 +4,12 @@ from collections.abc import Collection, Mapping, Sequence
 from io import StringIO
 from typing import Any, Literal
 
+from humanopts_env.colours import GREEN, RED
 from humanopts_env.domains.base import Domain
 from humanopts_teach.lesson.requests import Phase
 from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen
-from humanopts_teach.terminal.panels import panel
+from humanopts_teach.terminal.panels import KEY, panel
 from humanopts_teach.terminal.teaching import LessonScreen
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, Group, RenderableType
@@ -17,8 +18,10 @@ from rich.table import Table
 from rich.text import Text
 
 SMALLEST = (70, 20)  # columns, rows
+_WIDE_BESIDE = 50  # columns beside the board that hold everything
 _ROOMY = 24  # rows; above, there is a gap below the head
 Colours = Literal['auto', 'standard', '256', 'truecolor', 'windows']
+BAD = f'bold {RED}'
 _BARE = {Phase.READY, Phase.DEMONSTRATING, Phase.LEARNING}  # only chosen features are shown
 
 
@@ -33,7 +36,7 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
     bottom = lines_of(_foot(app, width), width, colours)
     gap = [Text()] if height > _ROOMY else []
     top = lines_of(
-        Group(_head(app, width), *_pause(app, height), *gap, _middle(app)), width, colours
+        Group(_head(app, width), *_pause(app, height), *gap, _middle(app, width)), width, colours
     )
     return fit(top, height - len(bottom)) + bottom
 
@@ -94,19 +97,24 @@ def _pause(app: App, height: int) -> list[RenderableType]:
         return []
     why = Text.assemble(('PAUSED: ', 'bold'), app.world.paused, overflow='ellipsis')
     why.no_wrap = height < _ROOMY
-    return [Padding(why, (0, 1), style='white on red')]
+    return [Padding(why, (0, 1), style=f'color(231) on {RED}')]
 
 
-def _middle(app: App) -> RenderableType:
+def _middle(app: App, width: int) -> RenderableType:
     if app.world.domain is None:
         return Text('Waiting for the game ...')
+    shown = panel(app.screen, app)
     if isinstance(app.screen, HelpScreen):
-        return panel(app.screen, app)
+        return shown.beside
     board, notes = _board(app)
+    board_width = max(cell_len(line) for line in board.plain.split('\n'))
     table = Table.grid(padding=(0, 3, 0, 0), expand=True)
-    table.add_column(width=max(cell_len(line) for line in board.plain.split('\n')), no_wrap=True)
+    table.add_column(width=board_width, no_wrap=True)
     table.add_column(ratio=1)
-    table.add_row(board, panel(app.screen, app))
+    if width - board_width < _WIDE_BESIDE:
+        table.add_row(board, shown.beside)
+        return Group(table, notes, shown.below)
+    table.add_row(board, Group(shown.beside, shown.below))
     return Group(table, notes)
 
 
@@ -170,7 +178,7 @@ def key_bar(keys: Sequence[tuple[str, str]], width: int) -> list[Text]:
     """Return keys and what they do in as few lines as they fit in, none broken in two."""
     lines = [Text()]
     for key, words in keys:
-        entry = Text.assemble((key, 'bold bright_cyan'), ' ', words)
+        entry = Text.assemble((key, KEY), ' ', words)
         if lines[-1].cell_len + 2 + entry.cell_len > width:
             lines.append(Text())
         lines[-1].append('  ' if lines[-1].plain else '').append_text(entry)
@@ -180,8 +188,8 @@ def key_bar(keys: Sequence[tuple[str, str]], width: int) -> list[Text]:
 def _said(app: App) -> Text:
     if app.world.missing:
         names = ', '.join(app.world.missing)
-        return Text(f'{names}: not there. Everything taught is saved; Ctrl-C quits.', 'bold red')
+        return Text(f'{names}: not there. Everything taught is saved; Ctrl-C quits.', BAD)
     if app.message.text:
-        return Text(app.message.text, 'bold red' if app.message.bad else 'green')
+        return Text(app.message.text, BAD if app.message.bad else GREEN)
     lesson = app.world.lesson
-    return Text(lesson.text if isinstance(app.screen, LessonScreen) and lesson else '', 'green')
+    return Text(lesson.text if isinstance(app.screen, LessonScreen) and lesson else '', GREEN)

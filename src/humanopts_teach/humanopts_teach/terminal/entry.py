@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from humanopts_teach.lesson.requests import Answer, Request, Run
 from humanopts_teach.terminal.app import App
@@ -13,6 +14,8 @@ Keys = list[tuple[str, str]]
 
 class PlainScreen:
     """A screen that only listens to keys."""
+
+    answers_lesson: ClassVar[bool] = False
 
     def press(self, key: str, app: App) -> None:
         """Carry out one key. To be overridden."""

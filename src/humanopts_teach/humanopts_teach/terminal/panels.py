@@ -1,8 +1,10 @@
-"""What stands beside the board, as rich renderables."""
+"""What stands beside and below the board, as rich renderables."""
 
+from dataclasses import dataclass, field
 from functools import singledispatch
 import math
 
+from humanopts_env.colours import GREEN, ORANGE, TEAL
 from humanopts_teach.lesson import presentation
 from humanopts_teach.lesson.presentation import Line, Tone
 from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
@@ -14,64 +16,63 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+KEY = f'bold {TEAL}'  # a key that can be pressed
 STYLES = {
     Tone.PLAIN: '',
     Tone.QUIET: 'dim',
-    Tone.NEWS: 'bright_cyan',
-    Tone.GOOD: 'green',
-    Tone.WARNING: 'yellow',
+    Tone.NEWS: TEAL,
+    Tone.GOOD: GREEN,
+    Tone.WARNING: ORANGE,
 }
 
 
+@dataclass(frozen=True)
+class Panel:
+    """What a screen shows besides the board."""
+
+    beside: RenderableType
+    below: RenderableType = field(default_factory=Group)  # may stand beside it where that is wide
+
+
 @singledispatch
-def panel(screen: Screen, app: App) -> RenderableType:
-    """Return what a screen shows beside the board."""
-    return Text()
+def panel(screen: Screen, app: App) -> Panel:
+    """Return what a screen shows besides the board."""
+    return Panel(Text())
 
 
 @panel.register
-def _text(screen: TextScreen, app: App) -> RenderableType:
-    return Group(
-        Text(screen.title, 'bold'),
-        Text(),
-        Text.assemble('> ', (screen.typed, 'bold bright_white'), ('█', 'bright_cyan')),
-        Text(),
-        Text(screen.explanation, 'dim'),
-    )
+def _text(screen: TextScreen, app: App) -> Panel:
+    typed = Text.assemble('> ', (screen.typed, 'bold'), ('█', TEAL), overflow='fold')
+    explanation = Text(screen.explanation, 'dim')
+    return Panel(Group(Text(screen.title, 'bold'), Text(), typed, Text(), explanation))
 
 
 @panel.register
-def _list(screen: ListScreen, app: App) -> RenderableType:
-    lines = [Text(screen.title, 'bold'), Text()]
+def _list(screen: ListScreen, app: App) -> Panel:
+    table = Table.grid()
     for number, item in enumerate(screen.items):
         chosen = number == screen.at
-        lines.append(
-            Text.assemble(
-                ('> ' if chosen else '  ', 'bold bright_cyan'),
-                (f'{number + 1} {item.text}', 'bold' if chosen else ''),
-                (f'  {item.note}', 'dim'),
-                overflow='ellipsis',
-                no_wrap=True,
-            )
-        )
-    return Group(*lines)
+        mark = Text('> ' if chosen else '  ', f'bold {TEAL}', no_wrap=True)
+        name = (f'{number + 1} {item.text}', 'bold' if chosen else '')
+        table.add_row(mark, Text.assemble(name, (f'  {item.note}', 'dim')))
+    return Panel(Group(Text(screen.title, 'bold'), Text(), table))
 
 
 @panel.register
-def _confirm(screen: ConfirmScreen, app: App) -> RenderableType:
-    return Text(screen.question, 'bold')
+def _confirm(screen: ConfirmScreen, app: App) -> Panel:
+    return Panel(Text(screen.question, 'bold'))
 
 
 @panel.register
-def _help(screen: HelpScreen, app: App) -> RenderableType:
+def _help(screen: HelpScreen, app: App) -> Panel:
     table = Table.grid(padding=(0, 2))
     for key, words in screen.table:
-        table.add_row(Text(key, 'bold bright_cyan', justify='right'), Text(words))
-    return Group(Text('Keys', 'bold'), table)
+        table.add_row(Text(key, KEY, justify='right'), Text(words))
+    return Panel(Group(Text('Keys', 'bold'), table))
 
 
 @panel.register
-def _play(screen: PlayScreen, app: App) -> RenderableType:
+def _play(screen: PlayScreen, app: App) -> Panel:
     game, running = app.world.game, app.run is not None
     lines = [Text(screen.title, 'bold'), Text(screen.text, 'dim')]
     if isinstance(screen, WatchScreen):
@@ -84,27 +85,37 @@ def _play(screen: PlayScreen, app: App) -> RenderableType:
     if game is not None and game.episode:
         lines.append(Text(f'episode {game.episode}, step {game.step}'))
         lines += _lines(presentation.last_step(app.world), presentation.ending(app.world))
-    return Group(*lines)
+    return Panel(Group(*lines))
 
 
 @panel.register
-def _lesson(screen: LessonScreen, app: App) -> RenderableType:
+def _lesson(screen: LessonScreen, app: App) -> Panel:
     lesson = app.world.lesson
     if lesson is None:
-        return Text()
-    title = Text.assemble('Teaching: ', (lesson.option_name, 'bold bright_white'))
+        return Panel(Text())
+    title = Text.assemble('Teaching: ', (lesson.option_name, 'bold'))
     if lesson.phase is Phase.ASKING:
-        return Group(title, *_question(lesson, app))
+        return Panel(Group(title, *_question(lesson, app)))
     progress = app.world.progress_of(lesson.participant, lesson.option_name)
     parts: list[RenderableType] = [title, _where(lesson, app)]
     if lesson.phase is Phase.DEMONSTRATING:
         parts += _lines(presentation.last_step(app.world))
     parts += [_features(lesson, app), *_lines(presentation.planned(lesson))]
     parts += _criteria(lesson, progress)
-    if progress is not None:
-        parts += _lines(*presentation.conflicts(progress, screen.questions_key(app)))
-        parts += _lines(presentation.ends(progress, *screen.ending_keys(app)))
-    return Group(*parts)
+    if progress is None:
+        return Panel(Group(*parts))
+    below = [] if math.isnan(progress.mean_return_policy) else [presentation.returns(progress)]
+    return Panel(
+        Group(*parts),
+        Group(
+            *_lines(
+                *below,
+                presentation.outdated(lesson, progress),
+                *presentation.conflicts(progress, screen.questions_key(app)),
+                presentation.ends(progress, *screen.ending_keys(app)),
+            )
+        ),
+    )
 
 
 def _lines(*lines: Line | None) -> list[Text]:
@@ -112,7 +123,8 @@ def _lines(*lines: Line | None) -> list[Text]:
 
 
 def _question(lesson: LessonView, app: App) -> list[RenderableType]:
-    asked, *rest = presentation.question(app.domain, lesson)
+    group = app.groups.open_group(app.domain, lesson)
+    asked, *rest = presentation.question(app.domain, lesson, group)
     return [Text(), Text(asked.text, 'bold'), Text(), *_lines(*rest)]
 
 
@@ -127,7 +139,9 @@ def _features(lesson: LessonView, app: App) -> Text:
         text.append(', ' if number else '', 'dim')
         text.append(feature.name, 'not dim')
         if feature.value:
-            text.append(f' {feature.value}', 'not dim bold bright_cyan')
+            text.append(f' {feature.value}', f'not dim bold {TEAL}')
+    if unseen := presentation.hidden(app.domain, lesson):
+        text.append(f'; {unseen}', 'dim')
     return text
 
 
@@ -135,16 +149,10 @@ def _criteria(lesson: LessonView, progress: OptionStatus | None) -> list[Rendera
     if progress is None or not progress.criteria:
         return [Text('Nothing is learned yet.')]
     table = Table.grid(padding=(0, 2, 0, 0))
-    table.add_row('', *(Text(head, 'dim', no_wrap=True) for head in ('learned', 'now', 'needs')))
     for shown in presentation.criteria(progress):
         style = STYLES[shown.tone]
-        table.add_row(
-            Text(shown.mark, style),
-            Text(shown.name),
-            Text(shown.now, style),
-            Text(shown.needs, 'dim'),
-        )
-    parts: list[RenderableType] = [table, *_lines(presentation.estimate(lesson, progress))]
-    if not math.isnan(progress.mean_return_policy):
-        parts += _lines(presentation.returns(progress))
-    return parts + _lines(presentation.outdated(lesson, progress))
+        name = Text(f'{shown.mark} {shown.name}')
+        name.stylize(style, 0, 1)
+        table.add_row(name, Text(shown.now, style), Text(shown.needs, 'dim'))
+    (heading,) = _lines(presentation.heading(progress))
+    return [heading, table, *_lines(presentation.estimate(lesson, progress))]

@@ -2,7 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
+from humanopts_env.domains.capabilities import FeatureGroup
+from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
@@ -63,9 +66,9 @@ class LessonScreen(PlainScreen):
 
     menu: Callable[[App], None]
     run: Callable[[str, App], None]
-    again: bool = False  # the next done says that the option could start again there
     automatic: bool = False  # the next demonstration begins by itself
     rest: bool = False  # all other questions are answered no, or as before
+    answers_lesson: ClassVar[bool] = True
 
     def press(self, key: str, app: App) -> None:
         """Carry out one key as the phase has it."""
@@ -75,7 +78,10 @@ class LessonScreen(PlainScreen):
         table = self.table(app)
         action, command = table.action(key), table.command(key)
         self.rest = False
-        if lesson.phase is Phase.ASKING and key in tuple('yYnN'):
+        group = _open_group(app)
+        if group is not None and (answer := _group_answer(key, lesson)) is not None:
+            app.groups.answer(group, answer)
+        elif group is None and lesson.phase is Phase.ASKING and key in tuple('yYnN'):
             app.ask(AnswerQuestion(lesson.question_id, key in 'yY'))
         elif lesson.phase is Phase.ASKING and key == ENTER and lesson.earlier_features:
             app.ask(_as_before(lesson))
@@ -89,11 +95,17 @@ class LessonScreen(PlainScreen):
             self._carry_out(command, lesson, app)
 
     def tick(self, app: App) -> None:
-        """Begin the next demonstration, or answer the next of the other questions."""
+        """Begin the next demonstration, or answer a question that needs no person."""
         lesson = app.world.lesson
-        if self.rest and lesson is not None and _can_skip(lesson):
+        if lesson is None:
+            return
+        if self.rest and _can_skip(lesson):
             app.ask(_as_before(lesson))
-        if self.automatic and lesson is not None and lesson.phase is Phase.READY:
+        elif lesson.phase is Phase.ASKING:
+            reply = app.groups.reply(app.domain, lesson)
+            if reply is not None:
+                app.ask(AnswerQuestion(lesson.question_id, reply))
+        elif self.automatic and lesson.phase is Phase.READY:
             app.ask(BeginDemonstration())
 
     def replied(self, request: Request, answer: Answer, app: App) -> None:
@@ -102,10 +114,10 @@ class LessonScreen(PlainScreen):
             self.automatic = False
         elif isinstance(request, AnswerQuestion) and not answer.carried_out:
             self.rest = False
+            app.groups.forget()
         elif isinstance(request, WithdrawDemonstration) and answer.ok:
             self.automatic = True
         elif isinstance(request, EndDemonstration) and answer.ok:
-            self.again = False
             self.automatic = not app.world.paused
 
     def table(self, app: App) -> KeyTable:
@@ -131,10 +143,10 @@ class LessonScreen(PlainScreen):
     def keys(self, app: App) -> Keys:
         """Return the keys of the phase and what they do."""
         phase, table = _phase(app), self.table(app)
-        first = _question_keys(app.world.lesson) if phase is Phase.ASKING else []
+        first = _question_keys(app) if phase is Phase.ASKING else []
         if phase is Phase.DEMONSTRATING:
             first = [(label(action.key), action.name) for action in app.domain.actions]
-        again = f'can restart at its end: {"YES" if self.again else "no"}'
+        again = f'can restart at its end: {"YES" if _can_start_again(app) else "no"}'
         words = _SHORT | {Command.START_AGAIN: again}
         return first + [(label(key), words[command]) for key, command in table.commands.items()]
 
@@ -148,7 +160,7 @@ class LessonScreen(PlainScreen):
             Command.NOT_HERE: lambda: self._verdict(Verdict.NOT_HERE, app),
             Command.DISCARD: lambda: self._verdict(Verdict.DISCARD, app),
             Command.TAKE_BACK: lambda: self._take_back(lesson, app),
-            Command.START_AGAIN: self._toggle,
+            Command.START_AGAIN: lambda: self._toggle(lesson, app),
             Command.QUESTIONS: lambda: leave(
                 'Answer the questions again', lambda app: self._ask_again(lesson, app)
             ),
@@ -162,8 +174,8 @@ class LessonScreen(PlainScreen):
     def _begin(self) -> None:
         self.automatic = True
 
-    def _toggle(self) -> None:
-        self.again = not self.again
+    def _toggle(self, lesson: LessonView, app: App) -> None:
+        app.can_start_again[lesson.option_name] = not _can_start_again(app)
 
     def _back(self, app: App) -> None:
         app.show(self)
@@ -184,7 +196,7 @@ class LessonScreen(PlainScreen):
 
     def _verdict(self, verdict: Verdict, app: App) -> None:
         if (game := app.world.game) is not None:
-            again = self.again and verdict is Verdict.DONE
+            again = _can_start_again(app) and verdict is Verdict.DONE
             app.ask(EndDemonstration(verdict, game.episode, game.step, again))
 
     def _take_back(self, lesson: LessonView, app: App) -> None:
@@ -237,10 +249,33 @@ def _as_before(lesson: LessonView) -> AnswerQuestion:
     return AnswerQuestion(lesson.question_id, lesson.question_feature in lesson.earlier_features)
 
 
-def _question_keys(lesson: LessonView | None) -> list[tuple[str, str]]:
-    keys = [('y', 'yes'), ('n', 'no')]
+def _open_group(app: App) -> FeatureGroup | None:
+    """Return the group that is asked about; None: no question is open, or it is of one feature."""
+    lesson = app.world.lesson
+    if lesson is None or lesson.phase is not Phase.ASKING:
+        return None
+    return app.groups.open_group(app.domain, lesson)
+
+
+def _group_answer(key: str, lesson: LessonView) -> GroupAnswer | None:
+    """Return the answer about a group that a key stands for; None: it stands for none."""
+    if key == ENTER and lesson.earlier_features:
+        return GroupAnswer.AS_BEFORE
+    return {'y': GroupAnswer.EACH, 'n': GroupAnswer.NONE}.get(key.lower())
+
+
+def _can_start_again(app: App) -> bool:
+    """Return whether the next done says that the option could start again there."""
+    lesson = app.world.lesson
+    return lesson is not None and app.can_start_again.get(lesson.option_name, False)
+
+
+def _question_keys(app: App) -> list[tuple[str, str]]:
+    lesson, group = app.world.lesson, _open_group(app)
+    keys = [('y', 'yes'), ('n', 'no' if group is None else 'no, to all of them')]
     if lesson is not None and lesson.earlier_features:
-        before = 'yes' if lesson.question_feature in lesson.earlier_features else 'no'
+        asked = {lesson.question_feature} if group is None else set(group.features)
+        before = 'yes' if asked & set(lesson.earlier_features) else 'no'
         keys += [(label(ENTER), f'as before: {before}'), ('o', 'all others as before')]
     elif lesson is not None and _can_skip(lesson):
         keys.append(('o', 'no to all others'))
@@ -260,7 +295,7 @@ def _help(app: App) -> Sequence[tuple[str, str]]:
     if _phase(app) is Phase.ASKING:
         table = key_table((), _ELSE)
         commands = [(label(key), _LONG.get(c, _SHORT[c])) for key, c in table.commands.items()]
-        return [*_question_keys(app.world.lesson), *commands, leave]
+        return [*_question_keys(app), *commands, leave]
     table = _showing(app)
     actions = [(label(action.key), action.description) for action in app.domain.actions]
     commands = [(label(key), _LONG[c]) for key, c in table.commands.items() if c in _LONG]

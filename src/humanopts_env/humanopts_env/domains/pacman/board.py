@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
+from humanopts_env.colours import BLUE, GREEN, MAGENTA, ORANGE, RED, TEAL
 from humanopts_env.domains.base import Feature
 from humanopts_env.domains.pacman.maze import Cell, Maze
 from humanopts_env.domains.pacman.state import eaten_names, PacManState
@@ -11,14 +12,13 @@ PACMAN, FOOD, PILL, FRUIT, LIFE, LOST = 'C', '·', '●', '♣', '♥', '♡'
 GHOSTS, SCARED = 'ΩΨΦΔ', 'ωψφδ'
 WALLS = '■╵╴╯╶╰─┴╷│╮┤╭├┬┼'  # by sides that continue: bits 0 north, 1 west, 2 east, 3 south
 GLYPH_STYLES = {
-    **dict.fromkeys(WALLS, 'blue'),
-    **dict(zip(GHOSTS, ('bold red', 'bold magenta', 'bold cyan', 'bold green'))),
-    **dict.fromkeys(SCARED, 'bold bright_blue'),
-    PACMAN: 'bold bright_yellow',
-    FOOD: 'white',
-    PILL: 'bold bright_white',
-    FRUIT: 'bold bright_red',
-    LIFE: 'bold bright_yellow',
+    **dict.fromkeys(WALLS, BLUE),
+    **{ghost: f'bold {colour}' for ghost, colour in zip(GHOSTS, (RED, MAGENTA, TEAL, GREEN))},
+    **dict.fromkeys(SCARED, f'bold {BLUE}'),
+    PACMAN: f'bold {ORANGE}',
+    PILL: 'bold',
+    FRUIT: f'bold {RED}',
+    LIFE: f'bold {ORANGE}',
     LOST: 'dim',
 }
 Thing = tuple[str, str, Cell]  # glyph, name, cell; the first in a cell is in front

@@ -32,6 +32,7 @@ from humanopts_env.domains.pacman.features import (
     FeatureReader,
     in_paper,
     pacman_features,
+    pacman_groups,
 )
 from humanopts_env.domains.pacman.games import PacManGames, sample_games
 from humanopts_env.domains.pacman.maze import load_maze, maze_names
@@ -120,6 +121,7 @@ class PacMan:
         self.has_all_features = features == ALL
         self._listed = [k for k, one in enumerate(every) if features == ALL or in_paper(one.name)]
         self.features: Sequence[Feature] = tuple(every[k] for k in self._listed)
+        self.feature_groups = pacman_groups(self.features)
         self.actions: Sequence[Action] = tuple(
             Action(name, key, f'go one cell {name}') for name, key in zip(MOVES, KEYS)
         )

@@ -19,6 +19,7 @@ from functools import cached_property, lru_cache
 
 from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Feature, FeatureKind
+from humanopts_env.domains.capabilities import FeatureGroup
 from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, Masks, MOVES, Paths, STAY
 from humanopts_env.domains.pacman.rules import PacManBatch, Rules, Taken
 from humanopts_env.domains.pacman.state import eaten_names, SCARED_STEPS
@@ -78,6 +79,25 @@ def pacman_features(rules: Rules) -> tuple[Feature, ...]:
             _sets(lambda mask: [m for bit, m in enumerate(MOVES) if mask >> bit & 1], 'none'),
         ),
     )
+
+
+GROUPS = {  # in words: the beginnings of the names of their features
+    'Pac-Man': ('pacman_', 'legal_'),
+    'the ghosts': ('ghost_', 'danger_', 'prey_'),
+    'the food': ('food_',),
+    'the power pills': ('pill_',),
+    'the fruit': ('fruit_',),
+}
+
+
+def pacman_groups(features: Sequence[Feature]) -> tuple[FeatureGroup, ...]:
+    """Return the groups of the features that a game has."""
+    names = [feature.name for feature in features]
+    groups = (
+        FeatureGroup(words, tuple(name for name in names if name.startswith(beginnings)))
+        for words, beginnings in GROUPS.items()
+    )
+    return tuple(group for group in groups if len(group.features) > 1)
 
 
 def _place(rules: Rules, name: str, words: str, *, can_miss: bool) -> list[Feature]:

@@ -1,0 +1,9 @@
+"""
+Colours of text that can be read on black and on white, as rich names them.
+
+Each is one of the 240 fixed colours of terminals with 256, so that a theme does not change it. Its
+contrast with black and with white is 3.5 or more (WCAG 2.2, success criterion 1.4.11, asks for 3).
+"""
+
+RED, ORANGE, GREEN, TEAL = 'color(160)', 'color(130)', 'color(28)', 'color(30)'
+BLUE, MAGENTA, GREY = 'color(27)', 'color(163)', 'color(243)'

@@ -1,0 +1,66 @@
+"""Questions about groups of features, which spare a person those about each of their features."""
+
+from enum import Enum
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.capabilities import feature_groups, FeatureGroup
+from humanopts_teach.lesson.requests import LessonView
+
+
+class GroupAnswer(Enum):
+    """What becomes of the questions about the features of a group."""
+
+    EACH = 'each is asked'
+    NONE = 'no to all'
+    AS_BEFORE = 'all as before'  # where the questions are asked again
+
+
+class QuestionGroups:
+    """
+    What a person has said of groups of features, for the questions of one option.
+
+    The lesson asks about one feature after the other. A screen asks about ``open_group`` first,
+    and gives ``reply`` for the features of a group that needs no more questions.
+    """
+
+    def __init__(self) -> None:
+        self._option = ''
+        self._latest = 0  # index of the feature that was asked about last
+        self._answers: dict[str, GroupAnswer] = {}  # by the group's words
+
+    def open_group(self, domain: Domain[Any], lesson: LessonView) -> FeatureGroup | None:
+        """Return the group to ask about now; None: the lesson's own question stands."""
+        self._follow(domain, lesson)
+        group = _group_of(domain, lesson.question_feature)
+        return group if group is not None and group.words not in self._answers else None
+
+    def answer(self, group: FeatureGroup, answer: GroupAnswer) -> None:
+        """Keep what the person said of a group."""
+        self._answers[group.words] = answer
+
+    def reply(self, domain: Domain[Any], lesson: LessonView) -> bool | None:
+        """Return what the open question is answered without asking; None: the person is asked."""
+        self._follow(domain, lesson)
+        group = _group_of(domain, lesson.question_feature)
+        said = self._answers.get(group.words) if group is not None else None
+        if said is None or said is GroupAnswer.EACH:
+            return None
+        return said is GroupAnswer.AS_BEFORE and lesson.question_feature in lesson.earlier_features
+
+    def forget(self) -> None:
+        """Ask about every group again."""
+        self._answers.clear()
+
+    def _follow(self, domain: Domain[Any], lesson: LessonView) -> None:
+        """Forget the answers when the questions are those of another option or begin again."""
+        names = [feature.name for feature in domain.features]
+        feature = lesson.question_feature
+        number = names.index(feature) if feature in names else 0
+        if lesson.option_name != self._option or number < self._latest:
+            self.forget()
+        self._option, self._latest = lesson.option_name, number
+
+
+def _group_of(domain: Domain[Any], feature: str) -> FeatureGroup | None:
+    return next((group for group in feature_groups(domain) if feature in group.features), None)
