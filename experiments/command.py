@@ -24,6 +24,7 @@ from experiments import (
     figure2,
     figure3,
     figure4,
+    settings,
     table2,
     table2_report,
     transfer,
@@ -44,20 +45,22 @@ EXPERIMENTS: dict[str, tuple[Callable[[Study], list[Trial]], Callable[[Done], Se
     table2.NAME: (table2.trials, table2_report.present),
     transfer.NAME: (transfer.trials, transfer.present),
     demonstrations.NAME: (demonstrations.trials, demonstrations.present),
+    settings.NAME: (settings.trials, settings.present),
 }
-PAST = (transfer.NAME, demonstrations.NAME)  # past the paper
+PAST = (transfer.NAME, demonstrations.NAME, settings.NAME)  # past the paper
 ALL = [name for name in EXPERIMENTS if name not in PAST]
 
 
 @app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
 def reproduce(
     what: Annotated[
-        Literal['fig2', 'fig3', 'fig4', 'table2', 'all', 'transfer', 'demonstrations'],
+        Literal['fig2', 'fig3', 'fig4', 'table2', 'all', 'transfer', 'demonstrations', 'settings'],
         typer.Argument(
             metavar='WHAT',
             help='a figure or table: fig2, fig3, fig4, table2; or all of them; or, past the '
-            'paper, transfer: options of one maze in others; or demonstrations: how many an '
-            'option takes, by the way in which it is learned',
+            'paper, transfer: options of one maze in others; demonstrations: how many an '
+            'option takes, by the way in which it is learned; or settings: a search for those '
+            'of plans, the same for every action set',
         ),
     ],
     out: Annotated[

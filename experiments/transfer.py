@@ -82,7 +82,7 @@ def trials(study: Study) -> list[Trial]:
 
 def play_in_maze(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each variant of the game and way to play: means over the games."""
-    options = _taught(json.dumps(parameters['teacher'])).options
+    options = taught_in_usual_maze(json.dumps(parameters['teacher'])).options
     maze = make_domain(DOMAIN, {'maze': parameters['maze']})
     seed = int(generator(parameters['seed'], NAME, parameters['number']).integers(2**31))
     rows = []
@@ -105,8 +105,8 @@ def play_in_maze(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 @cache
-def _taught(teacher: str) -> OwnedOptions:
-    """Return what a person, JSON data, taught in the usual maze; once in each process."""
+def taught_in_usual_maze(teacher: str) -> OwnedOptions:
+    """Return all that a person, JSON data, taught in the usual maze; once in each process."""
     names = (*paper.TAUGHT[DOMAIN], *paper.ALSO_NAMED[DOMAIN], *paper.NOT_NAMED[DOMAIN])
     return options_of({'teacher': json.loads(teacher)}, make_domain(DOMAIN), names)
 

@@ -342,10 +342,12 @@ def test_every_solver_has_a_row_on_every_grid() -> None:
         heard.append(share)
         turns.append(text.partition(': ')[2])
 
-    rows = planning.measure(progress, [4, 5], repeats=2)
-    assert turns == [solver.name for solver in solvers()] * 2 * 3  # one turn more on each grid
+    names = [solver.name for solver in solvers()]
+    every = planning.measure(progress, [4, 5], repeats=2)
+    assert turns == [*names * 3, 'single sweeps'] * 2  # one turn more on each grid
+    rows = [row for row in every if row['solver'] in names]
     assert [(row['side'], row['n_states'], row['solver']) for row in rows] == [
-        (side, 20 * side * side, solver.name) for side in (4, 5) for solver in solvers()
+        (side, 20 * side * side, name) for side in (4, 5) for name in names
     ]
     for row in rows:
         assert min(times(row)) > 0
@@ -371,6 +373,12 @@ def test_single_sweeps_stand_beside_a_copy_and_quantecons_beside_ours() -> None:
         assert min(times(row)) > 0
         assert row['wall_ratio']['low'] <= row['wall_ratio']['mean']
     assert sum('one sweep' in line for line in shown('planning', planned() + rows)) == 1
+
+
+def test_small_grids_have_quantecons_sweep_beside_ours_and_no_copy() -> None:
+    rows = planning.sweep_rows(TaxiCase(4), 4, repeats=2)
+    installed = importlib.util.find_spec('quantecon') is not None
+    assert [row['yardstick'] for row in rows] == ['one sweep over all actions'] * installed
 
 
 def test_memory_is_what_arrays_take_at_once_and_keep() -> None:
