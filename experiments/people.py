@@ -156,8 +156,9 @@ class OwnedOptions:
     options: tuple[Any, ...] = ()  # learned, or as an extraction has them for the domain's planner
     demonstrations: int | None = None  # trajectories
     minutes: float | None = None  # of teaching: by the clock, or of simulated people as assumed
-    seconds: float | None = None  # of a processor, for an extraction
+    seconds: float | None = None  # of a processor, for an extraction, or another learner
     game_steps: int | None = None
+    shown: tuple[Demonstration, ...] = ()
 
     def __add__(self, other: 'OwnedOptions') -> 'OwnedOptions':
         """Return what one person taught in two lessons."""
@@ -165,6 +166,7 @@ class OwnedOptions:
             self.options + other.options,
             (self.demonstrations or 0) + (other.demonstrations or 0),
             (self.minutes or 0.0) + (other.minutes or 0.0),
+            shown=self.shown + other.shown,
         )
 
 
@@ -245,8 +247,8 @@ def _from_lesson(
     """Return what a simulated person taught; each process has each lesson once."""
     rules = LessonRules(seed=person.seed)
     taught = teach(domain_from_json(domain, parameters), person.teaching(*names), rules)
-    shown = _trajectories(taught.demonstrations)
-    return OwnedOptions(taught.options, shown, taught.seconds / 60)
+    shown = tuple(taught.demonstrations)
+    return OwnedOptions(taught.options, _trajectories(shown), taught.seconds / 60, shown=shown)
 
 
 def _from_bag(teacher: Mapping[str, Any]) -> OwnedOptions:
@@ -258,8 +260,9 @@ def _from_bag(teacher: Mapping[str, Any]) -> OwnedOptions:
         if person == teacher['participant'] and _trajectories(demos)
     ]
     options = tuple(learn_option(demos, domain, teacher['seed']) for demos in groups)
-    shown = [demo for demos in groups for demo in demos]
-    return OwnedOptions(options, _trajectories(shown), sum(d.seconds for d in shown) / 60)
+    shown = tuple(demo for demos in groups for demo in demos)
+    minutes = sum(demo.seconds for demo in shown) / 60
+    return OwnedOptions(options, _trajectories(shown), minutes, shown=shown)
 
 
 def _trajectories(demonstrations: Sequence[Demonstration]) -> int:

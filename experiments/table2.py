@@ -41,6 +41,7 @@ from numpy.typing import NDArray
 
 from experiments import paper
 from experiments.chance import play_games_by_chance, play_states_by_chance
+from experiments.learners import LEARNERS, with_cloned_policies
 from experiments.people import (
     CLOCK,
     MACHINE,
@@ -57,7 +58,7 @@ from experiments.trials import Trial
 NAME = 'table2'
 AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
 # Options of a person: those that the paper's participants taught, those that it names too, and one
-# more that it does not name.
+# more that it does not name. In Taxi also the first with policies by each of ``LEARNERS``.
 SECTION_7, NAMED, ALSO_FRUIT = 'of section 7', 'named in the paper', 'the fruit too'
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')
 REPEATS = 7  # makings of one exact plan, for its seconds
@@ -116,6 +117,7 @@ VARIANTS = (
     INTERRUPTED_5,
     Variant('human, modular (greatest mass)', PERSON, HUMAN, Execution.MODULAR_MASS),
     Variant('human, modular (strongest)', PERSON, HUMAN, Execution.MODULAR_STRONGEST),
+    *(Variant(f'human, {name}', PERSON, HUMAN, options=name) for name in LEARNERS),  # in Taxi
     BY_CHANCE,
 )
 INTERRUPTING = tuple(  # other executions of the plan ``TO_END``
@@ -234,6 +236,11 @@ def _options_by_variant(parameters: Mapping[str, Any]) -> list[tuple[Variant, Ow
         owned[NAMED] += options_of(parameters, domain, paper.ALSO_NAMED[domain.name])
         fruit = options_of(parameters, domain, paper.NOT_NAMED[domain.name])
         owned[ALSO_FRUIT] = owned[NAMED] + fruit
+    if whose == PERSON and is_enumerable(domain):
+        for learner in LEARNERS:
+            owned[learner] = with_cloned_policies(
+                learner, owned[NAMED], domain, parameters['seed']
+            )
     return [
         (variant, owned[variant.options])
         for variant in VARIANTS

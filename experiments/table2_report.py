@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from experiments import paper, table2
+from experiments.learners import FOREST, NEIGHBOUR
 from experiments.report import (
     compared,
     Comparison,
@@ -75,6 +76,8 @@ STYLES = {  # colour, line, marker by variant
     BY_CHANCE.name: ('C6', ':', '*'),
     'human, 5 options': ('C7', '-', 'p'),
     'human, 5 options, interrupted': ('C8', '-', 'h'),
+    f'human, {NEIGHBOUR}': ('C7', ':', '1'),
+    f'human, {FOREST}': ('C8', ':', '2'),
 }
 
 
@@ -84,7 +87,7 @@ def rows_of(done: Done, name: str, by: Sequence[str]) -> pd.DataFrame:
 
     :param by: columns to order the rows by: games and variants stand as in ``table2``.
     """
-    order = [one.name for one in (*GAMES, *VARIANTS)]
+    order = [*(game.name for game in GAMES), *(variant.name for variant in VARIANTS)]
     rows = [
         {'domain': parameters['domain'], 'member': member, **row}
         for member, (parameters, result) in enumerate(done)

@@ -6,20 +6,23 @@ import json
 import math
 from typing import Any
 
+from graph_support.scripted import expert
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import find_options, to_learned_options
-from humanopts_learner.options.option import options_from_references
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import options_from_references, tabulate
 from humanopts_teach.report.figures import Drawing
 import numpy as np
 import pytest
 
 from experiments import paper, table2
 from experiments.chance import play_states_by_chance
-from experiments.people import BagLesson, Study
+from experiments.learners import cloned_accuracies, LEARNERS, with_cloned_policies
+from experiments.people import BagLesson, OwnedOptions, Study
 from experiments.report import Comparison, Done, Mark, Section
 from experiments.table2 import (
     BY_CHANCE,
@@ -113,9 +116,31 @@ def test_person_plans_taxi_as_well_as_primitive_actions_do() -> None:
     (by_chance, _) = [row for row in human['plans'] if row['action set'] == BY_CHANCE.name]
     assert by_chance['mean'] == pytest.approx(best['mean'], abs=0.5)  # one option can start
     assert sum(by_chance[name] for name in SECONDS) == by_chance['states'] == 0
+    cloned = {name: costs[f'human, {name}'] for name in LEARNERS}
+    assert all(row['seconds'] > 0 for row in cloned.values())
     gains = {row['carried out as']: row for row in human['gains']}
     assert gains['human, interrupted']['least'] > -1e-9
     assert gains['human, modular (strongest)']['least'] > -1e-9
+
+
+@pytest.mark.parametrize('learner', LEARNERS)
+def test_only_the_policies_of_cloned_options_are_others(learner: str) -> None:
+    """In table 2 they have the share of best actions that figure 2 shows."""
+    taxi, names = Taxi(), paper.TAUGHT['taxi']
+    shown = {name: expert(name, 8, taxi) for name in names}
+    options = tuple(learn_option(demos, taxi, 1) for demos in shown.values())
+    owned = OwnedOptions(options, shown=tuple(demo for demos in shown.values() for demo in demos))
+    cloned = with_cloned_policies(learner, owned, taxi, 1)
+    for option, known, name in zip(cloned.options, options, names, strict=True):
+        table, reference = tabulate(known, taxi), reference_options(taxi)[name]
+        assert (option.name, option.max_steps) == (known.name, known.max_steps)
+        assert np.array_equal(option.initiation, table.initiation)
+        assert np.array_equal(option.termination, table.termination)
+        where = np.flatnonzero(reference.initiation)
+        best = reference.optimal[where, option.action[where]].mean()
+        assert cloned_accuracies(shown[name], taxi, reference, 1)[learner] == pytest.approx(best)
+        assert best < 1.0
+        assert (option.action != table.action).any()
 
 
 def test_both_games_of_pacman_are_planned_with_budgets_that_double() -> None:
