@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 import typer
 
 from benchmarks.measure import machine_facts, Row
-from benchmarks.show import section_table, SUFFIXES, write_figure
+from benchmarks.show import remarks, section_table, SUFFIXES, write_figure
 
 FORMAT, VERSION = 'humanopts-bench', 1  # of the JSON file
 # Modules, each with a function ``measure`` and its quick sizes, ``QUICK``; only those that are
@@ -96,6 +96,8 @@ def bench(
     console.width = max(console.width, _LEAST_WIDTH) if console.is_terminal else _FILE_WIDTH
     for name, rows in measured.items():
         console.print(section_table(name, rows))
+        for line in remarks(rows):
+            console.print(line)
         console.print()
     console.print(', '.join(f'{name} {value}' for name, value in machine.items()))
     if json:

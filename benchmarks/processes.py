@@ -98,8 +98,13 @@ def launched(specs: Sequence[ProcessSpec], folder: Path) -> Iterator[Launcher]:
         yield launcher
     finally:
         try_shutdown()
-        for problem in launcher.stop():
-            print(f'humanopts bench: {problem}', file=sys.stderr)
+        stop(launcher)
+
+
+def stop(launcher: Launcher) -> None:
+    """End all processes, and say what did not end cleanly."""
+    for problem in launcher.stop():
+        print(f'humanopts bench: {problem}', file=sys.stderr)
 
 
 def processor_time(pid: int) -> float:

@@ -37,9 +37,10 @@ from benchmarks.processes import (
     NAMESPACE,
     own_place,
     processor_time,
+    stop,
 )
 
-_PATIENCE = 60.0  # s for a reader that takes nothing
+_PATIENCE = 10.0  # s that a reader has to receive what was sent
 _PERIOD = 0.002  # s between looks at the clock
 _LOOK_PERIOD = 0.1  # s between looks at the reader
 _AT_ONCE = 500  # messages that are sent between looks, as fast as can be
@@ -60,6 +61,7 @@ class Load:
     messages: int
     rate: int  # messages a second; 0: as fast as the reader takes them
     turns: int  # of every reader
+    longest: float = 15.0  # s that is sent for; a reader that holds the sender back gets less
 
     @property
     def name(self) -> str:
@@ -74,7 +76,7 @@ class Load:
         return self.messages / (self.rate or _USUAL_RATE)
 
 
-LOADS = (Load(60_000, 0, 5), Load(180_000, 3_000, 1))
+LOADS = (Load(60_000, 0, 5), Load(180_000, 3_000, 1, longest=66.0))
 QUICK = ((Load(2_000, 0, 1), Load(1_500, 3_000, 1)),)
 
 
@@ -82,7 +84,7 @@ QUICK = ((Load(2_000, 0, 1), Load(1_500, 3_000, 1)),)
 class Run:
     """One turn of a reader."""
 
-    sent: int
+    sent: int  # at most those of the load
     taken: int
     lost: int  # by the numbers in the messages where they are read, else by their count
     bytes: int  # of all messages
@@ -99,9 +101,10 @@ def measure(progress: OnMeasured, loads: Sequence[Load] = LOADS) -> list[Row]:
     Send to the recorder, and in turns to readers that write nothing.
 
     A reader's middleware holds up to 5,000 messages of a topic that are not taken yet, so a load
-    as fast as can be has many times more.
+    as fast as can be has many times more. A turn ends in bounded time: a reader that is too slow
+    for its load gets fewer messages, and what it does not take counts as lost.
 
-    :raises LaunchError: a process died, or is not done in time.
+    :raises LaunchError: a process died.
     """
     work = [(load, turn, name) for load in loads for turn in range(load.turns) for name in READERS]
     total, done = sum(load.seconds for load, _, _ in work), 0.0
@@ -111,7 +114,7 @@ def measure(progress: OnMeasured, loads: Sequence[Load] = LOADS) -> list[Row]:
             share, text = load.seconds / total, f'messages {load.name}: {name}'
             on_sent = partial(_part, progress, text, done / total, share)
             on_sent(0.0)
-            take = _record if name == RECORDER else _read
+            take = record if name == RECORDER else read
             runs[load][name].append(take(load, name, folder / str(number), on_sent))
             done += load.seconds
     return [row for load in loads for row in recording(load, runs[load])]
@@ -122,7 +125,8 @@ def _part(progress: OnMeasured, text: str, begun: float, length: float, share: f
     progress(begun + share * length, text)
 
 
-def _record(load: Load, name: str, folder: Path, on_sent: OnSent) -> Run:
+def record(load: Load, name: str, folder: Path, on_sent: OnSent) -> Run:
+    """Send to the recorder; return what came of it."""
     parameters = {'path': str(folder / 'bag')}
     recorder = ProcessSpec('recorder', 'humanopts_teach.ros.recorder', parameters)
     sent = _send(load, recorder, folder, on_sent)
@@ -133,22 +137,20 @@ def _record(load: Load, name: str, folder: Path, on_sent: OnSent) -> Run:
     except BagError as error:
         raise LaunchError(f'the recording cannot be read: {error}') from error
     taken = sum(stream.received + stream.duplicates for stream in streams)
-    lost = load.messages - sum(stream.received for stream in streams)
-    return Run(load.messages, taken, lost, waited=waited, **sent)
+    lost = sent['sent'] - sum(stream.received for stream in streams)
+    return Run(taken=taken, lost=lost, waited=waited, **sent)
 
 
-def _read(load: Load, name: str, folder: Path, on_sent: OnSent) -> Run:
+def read(load: Load, name: str, folder: Path, on_sent: OnSent) -> Run:
+    """Send to a reader that writes nothing; return what came of it."""
     results = folder / 'taken.json'
     reader = bench_spec('bench_reader', results=str(results), polled=name == YARDSTICK)
     sent = _send(load, reader, folder, on_sent)
-    found = json.loads(results.read_text('utf-8'))
-    return Run(
-        load.messages,
-        found['taken'],
-        load.messages - found['taken'],
-        waited=found['waited'],
-        **sent,
-    )
+    # A reader that is stopped, or was killed because it did not end, leaves no results.
+    found = json.loads(results.read_text('utf-8')) if results.exists() else {}
+    taken = found.get('taken', 0)
+    lost = sent['sent'] - taken
+    return Run(taken=taken, lost=lost, waited=found.get('waited', 0.0), **sent)
 
 
 def _send(load: Load, reader: ProcessSpec, folder: Path, on_sent: OnSent) -> dict[str, Any]:
@@ -163,10 +165,13 @@ def _send(load: Load, reader: ProcessSpec, folder: Path, on_sent: OnSent) -> dic
 
         with closing(_Sender(launcher, load, reader.name)) as sender:
             began = processor_time(launcher.pid(reader.name))
-            size, seconds = sender.send(watch)
+            number, size, seconds = sender.send(watch)
             used = processor_time(launcher.pid(reader.name)) - began
+            if not sender.all_received(0.0):
+                stop(launcher)  # it takes what is left while the sender can still send it
     first, middle, last = looks[0], looks[len(looks) // 2], looks[-1]
     return {
+        'sent': number,
         'bytes': size,
         'seconds': seconds,
         'processor': (last.cpu - first.cpu) / (last.time - first.time),
@@ -197,29 +202,30 @@ class _Sender(Client):
         known = any(reader.node_name == self._reader for reader in readers)
         return known and publisher.get_subscription_count() > 0
 
-    def send(self, watch: Callable[[], object]) -> tuple[int, float]:
+    def send(self, watch: Callable[[], object]) -> tuple[int, int, float]:
         """
-        Send everything, and wait until it has arrived.
+        Send everything, or what the reader lets through in time, and wait until it has arrived.
 
         At a steady rate that wait does not count: the middleware asks for the last answer only
         every few seconds.
 
         :param watch: called at begin and end, and now and then between.
-        :return: bytes, and seconds.
-        :raises LaunchError: the reader takes nothing any more.
+        :return: messages, bytes, and seconds.
         """
         load, sent, size = self._load, 0, 0
         prepared = [] if load.rate else [self._message(number) for number in range(load.messages)]
         watch()
         began = watched = time.monotonic()
-        while sent < load.messages:
+        end, over = began + load.longest, False
+        while sent < load.messages and not over:
             elapsed = time.monotonic() - began
             due = min(int(elapsed * load.rate) if load.rate else sent + _AT_ONCE, load.messages)
-            for number in range(sent, due):
-                message = prepared[number] if prepared else self._message(number)
-                self._publish(number, message)
-                size += len(message)
-            sent = due
+            while sent < due and not over:
+                message = prepared[sent] if prepared else self._message(sent)
+                if self._publish(sent, message):
+                    size += len(message)
+                    sent += 1
+                over = time.monotonic() > end
             if time.monotonic() - watched > _LOOK_PERIOD:
                 watch()
                 watched = time.monotonic()
@@ -227,30 +233,25 @@ class _Sender(Client):
                 time.sleep(_PERIOD)
         seconds = time.monotonic() - began
         deadline = time.monotonic() + _PATIENCE
-        for publisher in self._to:
-            while not publisher.wait_for_all_acked(Duration(seconds=_LOOK_PERIOD)):
-                watch()
-                if time.monotonic() > deadline:
-                    raise LaunchError(f'{self._reader} has not taken all after {_PATIENCE:g} s')
+        while not self.all_received(_LOOK_PERIOD) and time.monotonic() < deadline:
+            watch()
         if not load.rate:
             seconds = time.monotonic() - began
         watch()
-        return size, seconds
+        return sent, size, seconds
 
-    def _publish(self, number: int, message: bytes) -> None:
-        """
-        Publish; where the reader holds the writer back, that waits for 0.1 s and refuses.
+    def all_received(self, seconds: float) -> bool:
+        """Return whether the reader's middleware has everything, after a wait for each topic."""
+        wait = Duration(seconds=seconds)
+        return all(publisher.wait_for_all_acked(wait) for publisher in self._to)
 
-        :raises LaunchError: it goes on refusing.
-        """
-        deadline = time.monotonic() + _PATIENCE
-        while True:
-            try:
-                self._to[number % len(self._to)].publish(message)
-                return
-            except rclpy_implementation.RCLError:
-                if time.monotonic() > deadline:
-                    raise LaunchError(f'{self._reader} takes nothing any more') from None
+    def _publish(self, number: int, message: bytes) -> bool:
+        """Publish; False: the reader holds the writer back, which has waited for 0.1 s."""
+        try:
+            self._to[number % len(self._to)].publish(message)
+        except rclpy_implementation.RCLError:
+            return False
+        return True
 
     def _message(self, number: int) -> bytes:
         """Return a message for the topic whose turn it is, numbered among those of the topic."""
@@ -289,7 +290,7 @@ def recording(load: Load, runs: Mapping[str, Sequence[Run]]) -> list[Row]:
                 'sent': sent,  # over all turns, as the next two
                 'taken': sum(run.taken for run in found),
                 'lost': sum(run.lost for run in found),
-                'message_bytes': sum(run.bytes for run in found) / sent,
+                'message_bytes': sum(run.bytes for run in found) / max(sent, 1),
                 'seconds': seconds,  # for each message, the median of the turns
                 'processor_seconds': processor_seconds,  # of the reader, as ``seconds``
                 'yardstick': YARDSTICK,
@@ -305,14 +306,29 @@ def recording(load: Load, runs: Mapping[str, Sequence[Run]]) -> list[Row]:
                 **ratios(each[name], each[YARDSTICK]),
                 # share of the yardstick's messages a second
                 'throughput': yardstick.seconds / seconds,
+                'remark': _remark(load, found),
             }
         )
     return rows
 
 
+def _remark(load: Load, runs: Sequence[Run]) -> str:
+    """Return in words what a reader did not get or lost; empty: it took everything."""
+    wanted, sent = load.messages * len(runs), sum(run.sent for run in runs)
+    lost, remarks = sum(run.lost for run in runs), []
+    if sent < wanted:
+        remarks.append(
+            f'was too slow: {sent:,} of {wanted:,} messages could be sent to it in '
+            f'{load.longest:g} s a turn'
+        )
+    if lost:
+        remarks.append(f'lost {lost:,} of the {sent:,} messages that were sent to it')
+    return '; '.join(remarks)
+
+
 def _each(run: Run) -> Timed:
     """Return the time of each message of a turn."""
-    return Timed(run.seconds, run.processor_seconds).per(run.sent)
+    return Timed(run.seconds, run.processor_seconds).per(max(run.sent, 1))
 
 
 def _median(times: Sequence[Timed]) -> Timed:

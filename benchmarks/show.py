@@ -150,6 +150,13 @@ def section_table(name: str, rows: Sequence[Row]) -> Table:
     return table
 
 
+def remarks(rows: Sequence[Row]) -> list[str]:
+    """Return in words what rows say beside their numbers, such as losses."""
+    return [
+        f'{row["load"]}: {row["what"]} {row["remark"]}.' for row in rows if row.get('remark', '')
+    ]
+
+
 def write_figure(path: Path, rows: Sequence[Row]) -> None:
     """
     Draw the figure.

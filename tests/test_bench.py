@@ -7,11 +7,13 @@ from typing import Any
 
 from graph_support.command import Command
 from humanopts_teach.cli import main
+import psutil
 import pytest
 
 from benchmarks import graph, planning
 from benchmarks.command import SECTIONS
-from benchmarks.recording import QUICK, READERS, RECORDER
+from benchmarks.processes import own_domain
+from benchmarks.recording import CALLBACK, Load, QUICK, read, READERS, RECORDER
 
 
 def run(*arguments: Any) -> int:
@@ -145,6 +147,26 @@ def test_recorder_loses_nothing_of_any_load(tmp_path: Path, domain_id: int) -> N
         assert row['throughput'] == pytest.approx(row['yardstick_seconds'] / row['seconds'])
         assert row['memory'] > 10**7
     assert command.output.count(RECORDER) == len(loads)
+
+
+@pytest.mark.slow
+def test_a_reader_that_is_too_slow_gets_fewer_messages_and_loses_none(tmp_path: Path) -> None:
+    with own_domain():
+        found = read(Load(60_000, 0, 1, longest=1.0), CALLBACK, tmp_path, lambda share: None)
+    assert 0 < found.sent < 60_000
+    assert (found.taken, found.lost) == (found.sent, 0)
+
+
+@pytest.mark.slow
+def test_a_reader_that_stops_ends_its_turn_in_bounded_time(tmp_path: Path) -> None:
+    def stop_reader(share: float) -> None:
+        for child in psutil.Process().children():
+            child.send_signal(signal.SIGSTOP)
+
+    with own_domain():
+        found = read(Load(20_000, 0, 1, longest=1.0), CALLBACK, tmp_path, stop_reader)
+    assert found.taken == 0
+    assert found.lost == found.sent > 0
 
 
 @pytest.mark.slow

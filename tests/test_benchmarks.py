@@ -1,6 +1,6 @@
 """Tables, figures and arithmetic of ``humanopts bench``, without the graph."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 import importlib.util
 import json
 import os
@@ -30,7 +30,7 @@ from benchmarks.measure import compare, in_turns, machine_facts, Timed
 from benchmarks.planning import OPTIONS, solvers, TaxiCase
 from benchmarks.processes import DOMAIN_IDS, own_domain, processor_time
 from benchmarks.recording import Load, READERS, RECORDER, recording, Run
-from benchmarks.show import duration, ratio, section_table, SUFFIXES, write_figure
+from benchmarks.show import duration, ratio, remarks, section_table, SUFFIXES, write_figure
 
 SOLVERS = ('options by composition', 'primitive value iteration')
 
@@ -136,6 +136,16 @@ def test_what_the_recorder_lost_and_cost_stands_beside_readers_that_write_nothin
     assert '  '.join(line.split()[-19:]) == table
     (once, *_) = recording(Load(100, 0, 1), {name: [run(100, 1.0)] for name in READERS})
     assert once['wall_ratio'] == pytest.approx({'mean': 1.0, 'low': None, 'high': None})
+
+
+def test_messages_that_a_reader_lost_or_did_not_get_are_named_in_words() -> None:
+    lossy = {name: [run(100, 1.0)] * 2 for name in READERS}
+    lossy[RECORDER] = [run(98, 2.0), replace(run(50, 2.0), sent=50, lost=0)]
+    rows = recording(Load(100, 0, 2, longest=3.0), lossy)
+    slow = 'was too slow: 150 of 200 messages could be sent to it in 3 s a turn'
+    lost = 'lost 2 of the 150 messages that were sent to it'
+    assert remarks(rows) == [f'as fast as they are taken: {RECORDER} {slow}; {lost}.']
+    assert remarks(planned()) == []
 
 
 def test_processor_time_and_memory_of_a_process_are_seen() -> None:
