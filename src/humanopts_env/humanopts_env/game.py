@@ -8,11 +8,13 @@ The values mirror the messages of humanopts_interfaces: the enums have the numbe
 
 from dataclasses import dataclass, fields
 from enum import IntEnum
+import math
 from typing import Any
 
 from humanopts_env.domains.base import action_index, Domain, DomainError, StateError
 from humanopts_env.domains.capabilities import step_effect, StepEffect
 from humanopts_env.seeding import generator
+from humanopts_ros.limits import MOST_STATE
 
 
 class Source(IntEnum):
@@ -105,12 +107,35 @@ def transition_from_message(message: Any) -> Transition:
     """
     Decode a ``GameState``, from rclpy or from a bag reader.
 
-    :raises ValueError: its source is unknown.
+    :raises ValueError: its source is unknown, or its reward is not finite.
     """
+    if not math.isfinite(message.reward):
+        raise ValueError(f'its reward is {message.reward}')
     values = {field.name: getattr(message, field.name) for field in fields(Transition)}
     values['features'] = tuple(map(int, message.features))
     values['action_source'] = Source(message.action_source)
     return Transition(**values)
+
+
+def check_transition(transition: Transition, domain: Domain[Any]) -> Any:
+    """
+    Check a transition against the rules of its game.
+
+    :return: its state, decoded; None: no episode was begun.
+    :raises ValueError: its state, a feature or its action is none of the domain.
+    """
+    if not transition.episode:
+        return None
+    if len(transition.state) > MOST_STATE:
+        raise ValueError(f'its state has {len(transition.state):,} characters')
+    state = domain.decode(transition.state)
+    sizes = [len(feature.values) for feature in domain.features]
+    values = transition.features
+    if len(values) != len(sizes) or any(not 0 <= v < n for v, n in zip(values, sizes)):
+        raise ValueError(f'its features are not those of {domain.name}')
+    if transition.step:
+        action_index(domain, transition.previous_action)
+    return state
 
 
 @dataclass(frozen=True, slots=True)

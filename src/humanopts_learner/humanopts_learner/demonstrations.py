@@ -18,7 +18,8 @@ from humanopts_env.domains.base import (
     is_enumerable,
 )
 from humanopts_env.domains.capabilities import feature_rows
-from humanopts_env.domains.registry import parameters_json
+from humanopts_env.domains.registry import MOST_PARAMETERS, parameters_json
+from humanopts_ros.limits import JsonError, parse_json
 import numpy as np
 
 
@@ -109,9 +110,8 @@ class Demonstration:
         :raises DemonstrationError: it is not a demonstration.
         """
         try:
-            values = json.loads(text)
-            return cls.from_fields(values)
-        except (json.JSONDecodeError, TypeError) as error:
+            return cls.from_fields(parse_json(text))
+        except (JsonError, TypeError) as error:
             raise DemonstrationError(f'not a demonstration: {error}') from error
 
     @classmethod
@@ -303,11 +303,9 @@ def group_by_option(
 
 def _parameters(demo: Demonstration) -> Any:
     try:
-        return json.loads(demo.domain_parameters or '{}')
-    except json.JSONDecodeError:
-        raise DemonstrationError(
-            f'its domain parameters are not JSON: {demo.domain_parameters!r}'
-        ) from None
+        return parse_json(demo.domain_parameters or '{}', MOST_PARAMETERS)
+    except JsonError as error:
+        raise DemonstrationError(f'its domain parameters are not JSON: {error}') from None
 
 
 def _check_features(demo: Demonstration, domain: Domain[Any]) -> None:

@@ -3,11 +3,13 @@
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import replace
+import functools
 import time
 from typing import Any, TypeVar
 import uuid
 
 from humanopts_interfaces.msg import NodeStatus
+from humanopts_ros.guard import Guard
 from humanopts_ros.publisher import M, PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, STREAM
 from humanopts_ros.recording import Selection
@@ -16,13 +18,15 @@ from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle, ParameterException
-from rclpy.executors import Executor
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
+from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.timer import Timer
 
 RECORDER = 'recorder'
 SEEDS = (0, 2**62)
@@ -31,11 +35,13 @@ _RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time
 _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _PRESENCE_PERIOD = 1.0  # s between checks that the server of a request still exists
+_REMARK_PERIOD = 1.0  # s between statuses that differ in what was refused or failed only
 _PROVISION = 5.0  # s that a request waits until the node is ready for it
 _CHECK_PERIOD = 0.02  # s between checks while a node starts or ends, or a coroutine waits
 
 
 T = TypeVar('T')
+V = TypeVar('V')
 D = TypeVar('D', bound=Any)  # a dataclass
 Range = tuple[float, float]  # least and largest value
 
@@ -70,10 +76,13 @@ class Waiting:
         still = []
         for entry in self._open:
             future, condition, deadline = entry
-            if condition() or now > deadline:
-                future.set_result(None)
-            else:
-                still.append(entry)
+            try:
+                if condition() or now > deadline:
+                    future.set_result(None)
+                else:
+                    still.append(entry)
+            except Exception as error:  # for the coroutine that waits
+                future.set_exception(error)
         self._open = still
         if not still:
             self._timer.cancel()
@@ -95,6 +104,10 @@ class NodeBase(Node):
 
     The node is ready once ``waits_for`` returns None and, where a recorder is expected, the
     recorder has matched every publisher, so that the first message is in the bag.
+
+    Its callbacks are guarded: a message that cannot be used is dropped, an error that nobody
+    foresaw is logged, both are counted in the node's status, and the node goes on. A service or an
+    action is then answered with a status and a text.
     """
 
     def __init__(
@@ -107,6 +120,8 @@ class NodeBase(Node):
         :param options: as of rclpy's Node, such as context and namespace.
         :raises StartError: a parameter is wrong.
         """
+        ends = StartError, ExternalShutdownException
+        self.guard = Guard(self.get_logger, monotonic, self._publish_remark, ends)
         super().__init__(name, **options)
         self.monotonic = monotonic
         self.publisher_id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
@@ -123,10 +138,17 @@ class NodeBase(Node):
         self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
         self.ready = False
         self.failed = False  # the process ends with status 1 although it was stopped normally
+        self._own_state, self._own_text = NodeStatus.STATE_STARTING, ''
+        self._remark_timer = self.create_timer(
+            _REMARK_PERIOD, self._on_remark_timer, autostart=False
+        )
+        self._remark_sent = ''  # what the status says of refusals and errors
         self.set_status(NodeStatus.STATE_STARTING)
         self._deadline_group = ReentrantCallbackGroup()
         self.waiting = Waiting(self, monotonic)  # of this node's coroutines
-        self._start_timer = self.create_timer(_CHECK_PERIOD, self._check_start)
+        # An error while the node starts ends it.
+        self._start_timer = super().create_timer(_CHECK_PERIOD, self._try_start)
+        self._start_fault: Exception | None = None
 
     def get_logger(self) -> RcutilsLogger:
         """Return the node's logger."""
@@ -136,6 +158,75 @@ class NodeBase(Node):
     def destroy_node(self) -> None:
         """Destroy all endpoints that the node has on the graph."""
         super().destroy_node()  # type: ignore[no-untyped-call]
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **options: Any
+    ) -> Timer:
+        """Create a timer as rclpy does, with a guarded callback."""
+        guarded = self.guard.guarded(callback)
+        return super().create_timer(timer_period_sec, guarded, *args, **options)
+
+    def create_subscription(
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[..., Any],
+        qos_profile: QoSProfile | int,
+        **options: Any,
+    ) -> Subscription:
+        """Create a subscription as rclpy does, with a guarded callback."""
+        guarded = self.guard.guarded(callback)
+        return super().create_subscription(msg_type, topic, guarded, qos_profile, **options)
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
+    ) -> Service:
+        """Create a service as rclpy does, with a guarded callback that always answers."""
+
+        def failed(text: str, request: Any, response: Any) -> Any:
+            return _failed(srv_type.Response(), text)
+
+        guarded = self.guard.guarded(callback, failed)
+        return super().create_service(srv_type, srv_name, guarded, **options)
+
+    def subscribe(
+        self,
+        kind: type[T],
+        topic: str,
+        read: Callable[[T], V],
+        use: Callable[[V], object],
+        qos: QoSProfile = STREAM,
+    ) -> Subscription:
+        """
+        Subscribe to a topic whose messages are checked where they become values.
+
+        :param read: returns the value of a message, or raises a ValueError that says why it
+            cannot be used; then the message is counted, named and dropped.
+        :param use: called with each value.
+        """
+
+        @functools.wraps(use)
+        def on_message(message: T) -> None:
+            try:
+                value = read(message)
+            except ValueError as error:
+                self.refuse(topic, message, error)
+            else:
+                use(value)
+
+        return self.create_subscription(kind, topic, on_message, qos)
+
+    def accepted(self, topic: str, read: Callable[[T], V], message: T) -> V | None:
+        """Return the value of a message; None: it cannot be used, and is refused."""
+        try:
+            return read(message)
+        except ValueError as error:
+            self.refuse(topic, message, error)
+            return None
+
+    def refuse(self, topic: str, message: Any, reason: object) -> None:
+        """Count, log and name in the status that a message, or a part of it, is dropped."""
+        self.guard.refuse(topic, getattr(message, 'publisher_id', ''), reason)
 
     def setting(
         self,
@@ -233,15 +324,20 @@ class NodeBase(Node):
         """
         self._hidden += [f'{name}/_action/feedback', f'{name}/_action/status']
 
+        def failed(text: str, handle: ServerGoalHandle) -> Any:
+            if handle.is_active:
+                handle.abort()
+            return _failed(kind.Result(), text)
+
         def cancel(handle: ServerGoalHandle) -> CancelResponse:
-            on_cancel(handle)
+            self.guard.guarded(on_cancel)(handle)
             return CancelResponse.ACCEPT
 
         return ActionServer(
             self,
             kind,
             name,
-            execute,
+            self.guard.guarded(execute, failed),
             callback_group=group,
             cancel_callback=cancel,
             result_timeout=_RESULT_TIMEOUT,
@@ -290,8 +386,16 @@ class NodeBase(Node):
         return await self.waiting.until(lambda: self.waits_for() is None, _PROVISION)
 
     def set_status(self, state: int, text: str = '') -> None:
-        """Publish the node's state; a failure to do so is only logged."""
-        status = NodeStatus(state=state, node=self.get_fully_qualified_name(), text=text)
+        """
+        Publish the node's state, and what it has refused and what failed so far.
+
+        A failure to do so is only logged.
+
+        :param text: the cause in words; empty: none.
+        """
+        self._own_state, self._own_text, self._remark_sent = state, text, self.guard.remark
+        whole = '; '.join(filter(None, (text, self._remark_sent)))
+        status = NodeStatus(state=state, node=self.get_fully_qualified_name(), text=whole)
         try:
             self._status.publish(status)
         except PublishError as error:
@@ -307,7 +411,21 @@ class NodeBase(Node):
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
         """Carry out callbacks until ``stop`` returns True. To be overridden to read input."""
         while not stop():
-            executor.spin_once(0.1)
+            self.turn(executor, 0.1)
+
+    def turn(self, executor: Executor, seconds: float) -> None:
+        """
+        Carry out one callback, once there is one.
+
+        Errors outside the guarded callbacks are of futures' callbacks, and of messages whose
+        bytes are not those of their type.
+        """
+        try:
+            executor.spin_once(seconds)
+        except Exception as error:
+            if error is self._start_fault:
+                raise
+            self.guard.caught('the executor', error)
 
     def close(self) -> None:
         """Finish work before the node ends. To be overridden."""
@@ -317,9 +435,9 @@ class NodeBase(Node):
         deadline, executor = time.monotonic() + seconds, self.executor
         assert executor is not None, 'the node serves, or did'
         while busy() and time.monotonic() < deadline:
-            executor.spin_once(_CHECK_PERIOD)
+            self.turn(executor, _CHECK_PERIOD)
         for _ in range(_LAST_ROUNDS):
-            executor.spin_once(0.0)
+            self.turn(executor, 0.0)
 
     def drain(self) -> None:
         """Wait a moment for the readers to take what was sent."""
@@ -330,6 +448,25 @@ class NodeBase(Node):
     def _patterns(self, name: str, description: str) -> tuple[str, ...]:
         given = self.setting(name, [''], f'patterns of {description}')
         return tuple(pattern for pattern in given if pattern)
+
+    def _publish_remark(self) -> None:
+        """Publish soon what was refused or failed, at a limited rate."""
+        if self._remark_timer.is_canceled():
+            self._remark_timer.reset()
+            self.set_status(self._own_state, self._own_text)
+
+    def _on_remark_timer(self) -> None:
+        if self._remark_sent == self.guard.remark:
+            self._remark_timer.cancel()
+        else:
+            self.set_status(self._own_state, self._own_text)
+
+    def _try_start(self) -> None:
+        try:
+            self._check_start()
+        except Exception as error:
+            self._start_fault = error
+            raise
 
     def _check_start(self) -> None:
         if self.waits_for() is not None:
@@ -343,6 +480,19 @@ class NodeBase(Node):
         self.ready = True
         self.on_ready()
         self.set_status(NodeStatus.STATE_READY)
+
+
+def _failed(answer: Any, text: str) -> Any:
+    """
+    Return an answer that says that an error ended the work.
+
+    Its status is STATUS_FAILED; where the type has none, 0, which is sent for nothing else.
+    """
+    result = getattr(answer, 'result', answer)
+    if hasattr(result, 'status') and hasattr(result, 'detail'):
+        result.status = getattr(result, 'STATUS_FAILED', 0)
+        result.detail = f'an error that was not foreseen, see the log of the node: {text}'
+    return answer
 
 
 def end_goal(handle: ServerGoalHandle, good: bool, canceled: bool) -> None:

@@ -1,12 +1,14 @@
 """Subscriptions that no executor serves: who wants the messages takes them."""
 
+from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT
 from rclpy.callback_groups import CallbackGroup
-from rclpy.node import Node
 
 T = TypeVar('T')
+V = TypeVar('V')
 
 
 class Polled(CallbackGroup):
@@ -28,21 +30,26 @@ class Polled(CallbackGroup):
         """Do nothing: nothing begins."""
 
 
-class PolledValue(Generic[T]):
+class PolledValue(Generic[T, V]):
     """The newest message of a latched topic that changes more often than somebody looks at it."""
 
-    def __init__(self, node: Node, kind: type[T], topic: str) -> None:
-        self._kind = kind
+    def __init__(self, node: NodeBase, kind: type[T], topic: str, read: Callable[[T], V]) -> None:
+        """
+        Subscribe.
+
+        :param read: as of ``NodeBase.subscribe``.
+        """
+        self._node, self._kind, self._topic, self._read = node, kind, topic, read
         self._subscription = node.create_subscription(
             kind, topic, never_called, CURRENT, callback_group=Polled()
         )
 
-    def take(self) -> T | None:
-        """Return the newest message since the last call; None: there is none."""
+    def take(self) -> V | None:
+        """Return the newest value since the last call; None: there is none."""
         handle = self._subscription.handle
         with handle:
             taken = handle.take_message(self._kind, False)
-        return taken[0] if taken is not None else None
+        return self._node.accepted(self._topic, self._read, taken[0]) if taken else None
 
 
 def never_called(message: Any) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition, transition_from_message
-from humanopts_env.ros.convert import domain_to_info, transition_to_message
+from humanopts_env.ros.convert import transition_to_message
 from humanopts_interfaces import msg, srv
 from humanopts_interfaces.action import RunPolicy
 from humanopts_interfaces.msg import Criterion, LessonState, NodeStatus
@@ -166,7 +166,7 @@ def lesson_node(tmp_path: Path) -> Iterator[LessonNode]:
     rclpy.init(args=arguments, domain_id=122)
     node = LessonNode()
     try:
-        node._on_domain(domain_to_info(make_domain('taxi')))
+        node._on_domain(make_domain('taxi'))
         yield node
     finally:
         node.close()

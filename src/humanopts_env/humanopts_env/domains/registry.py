@@ -9,11 +9,13 @@ from typing import Any, cast
 from humanopts_env.contract import check_domain
 from humanopts_env.domains.base import Domain, DomainError, Parameter
 from humanopts_env.domains.reference import ReferenceOption
+from humanopts_ros.limits import JsonError, parse_json
 
 DOMAINS = 'humanopts.domains'
 REFERENCE_OPTIONS = 'humanopts.reference_options'
 GYMNASIUM = 'gymnasium:'  # before the id of a Gymnasium environment
 OURS = 'humanopts_env.'
+MOST_PARAMETERS = 10**6  # characters of the JSON text of a domain's parameters
 
 
 def domain_names() -> list[str]:
@@ -55,8 +57,8 @@ def domain_from_json(name: str, parameters: str) -> Domain[Any]:
     :raises DomainError: as ``make_domain``, or the parameters are not a JSON object.
     """
     try:
-        values = json.loads(parameters or '{}')
-    except json.JSONDecodeError as error:
+        values = parse_json(parameters or '{}', MOST_PARAMETERS)
+    except JsonError as error:
         raise DomainError(f'the parameters of {name} are not JSON: {error}') from error
     if not isinstance(values, dict):
         raise DomainError(f'the parameters of {name} are not a JSON object: {parameters}')

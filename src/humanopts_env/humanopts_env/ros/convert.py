@@ -50,14 +50,15 @@ def domain_from_info(info: DomainInfo) -> Domain[Hashable]:
     """
     Build the domain that the node game published.
 
-    :raises DomainError: it is not registered here, or its features or actions differ.
+    :raises DomainError: it is not registered here, or its rules differ.
     """
     domain = domain_from_json(info.domain, info.parameters)
     here = domain_to_info(domain)
-    if here.features != info.features or here.actions != info.actions:
+    rules = 'features', 'actions', 'gamma', 'max_steps'
+    if any(getattr(here, part) != getattr(info, part) for part in rules):
         raise DomainError(
-            f'game plays another version of {info.domain}: its features or actions differ from '
-            'those installed here'
+            f'game plays another version of {info.domain}: its rules differ from those installed '
+            'here'
         )
     return domain
 

@@ -4,12 +4,11 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from humanopts_env.domains.base import DomainError
-from humanopts_env.ros.convert import domain_from_info
+from humanopts_env.domains.base import Domain
+from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.msg import (
     Demonstration,
     DemonstrationReceipt,
-    DomainInfo,
     LearnedOptions,
     LearningStatus,
     OptionFile,
@@ -22,9 +21,10 @@ from humanopts_learner.ros.convert import (
     not_learnable_status,
     status_to_message,
 )
+from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
-from humanopts_ros.qos import CURRENT, LATCHED, STREAM
+from humanopts_ros.qos import LATCHED, STREAM
 
 
 class LearnerNode(NodeBase):
@@ -53,7 +53,7 @@ class LearnerNode(NodeBase):
         self._receipts = self.stamped_publisher(DemonstrationReceipt, 'demonstration_receipts')
         self._status_out = self.stamped_publisher(LearningStatus, 'learning_status', LATCHED)
         self._options_out = self.stamped_publisher(LearnedOptions, 'learned_options', LATCHED)
-        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
+        GameSubscriber(self, self._on_domain)
         self.create_subscription(Demonstration, 'demonstrations', self._on_demonstration, STREAM)
 
     def waits_for(self) -> str | None:
@@ -65,18 +65,16 @@ class LearnerNode(NodeBase):
         if self._trainer is not None:
             self._publish(self._trainer)
 
-    def _on_domain(self, info: DomainInfo) -> None:
-        if self._trainer is not None:
-            return
+    def _on_domain(self, domain: Domain[Any]) -> None:
         try:
-            domain = domain_from_info(info)
             self._trainer = OptionTrainer(self._directory, domain, self._thresholds, self._seed)
-        except (DataSetError, DomainError) as error:
+        except DataSetError as error:
             raise StartError(str(error)) from error
         self._log_problems(self._trainer)
 
     def _on_demonstration(self, message: Demonstration) -> None:
-        receipt = DemonstrationReceipt(uuid=message.uuid, option_name=message.option_name)
+        name = shown(message.option_name)
+        receipt = DemonstrationReceipt(uuid=shown(message.uuid), option_name=name)
         try:
             if self._trainer is None:
                 raise DataSetError('the learner does not know the game yet')
@@ -86,8 +84,14 @@ class LearnerNode(NodeBase):
                 self._publish(self._trainer)
             else:
                 receipt.status, receipt.detail = receipt.STATUS_DUPLICATE, 'it is known already'
-        except (DemonstrationError, DataSetError) as error:
+        except DemonstrationError as error:
+            receipt.status, receipt.detail = receipt.STATUS_REFUSED, shown(str(error))
+            self.refuse('demonstrations', message, error)
+        except DataSetError as error:
             receipt.status, receipt.detail = receipt.STATUS_REFUSED, str(error)
+        except Exception as error:  # nobody foresaw it; the lesson waits for a receipt
+            receipt.status = receipt.STATUS_REFUSED
+            receipt.detail = self.guard.caught('learning', error)
         self._receipts.publish(receipt)
 
     def _log_problems(self, trainer: OptionTrainer) -> None:

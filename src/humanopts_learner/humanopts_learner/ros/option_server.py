@@ -4,10 +4,11 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from humanopts_env.domains.base import DomainError
-from humanopts_env.ros.convert import domain_from_info
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.game import Transition
+from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.action import ExecuteOption
-from humanopts_interfaces.msg import DomainInfo, GameState, LearnedOptions, OptionResult
+from humanopts_interfaces.msg import LearnedOptions, OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
 from humanopts_learner.execution import Run
 from humanopts_learner.library import OptionLibrary, taught_nothing, UnknownOptionError
@@ -15,7 +16,7 @@ from humanopts_learner.options.files import load_options
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 from humanopts_learner.ros.convert import options_from_message
 from humanopts_learner.ros.runner import Runner, RunRequest
-from humanopts_ros.node_base import end_goal, NodeBase, PATIENCE, SEEDS, StartError
+from humanopts_ros.node_base import end_goal, NodeBase, PATIENCE, SEEDS
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT
 import numpy as np
@@ -50,8 +51,8 @@ class OptionServerNode(NodeBase):
         self._learned: list[LearnedOption] | None = None  # None: not published yet
         self._automatic: list[LearnedOption] = []
         self._results = self.stamped_publisher(OptionResult, 'option_results')
-        self._runner = Runner(self, Mode(mode), seed, deadline)
-        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
+        game = GameSubscriber(self, self._on_domain)
+        self._runner = Runner(self, game, Mode(mode), seed, deadline)
         self.create_subscription(LearnedOptions, 'learned_options', self._on_learned, CURRENT)
         self.create_subscription(LearnedOptions, 'automatic_options', self._on_automatic, CURRENT)
         group = ReentrantCallbackGroup()
@@ -69,11 +70,8 @@ class OptionServerNode(NodeBase):
         self._runner.stop()
         self.finish(lambda: self._runner.busy, _FAREWELL)
 
-    def _on_domain(self, info: DomainInfo) -> None:
-        try:
-            self._runner.library = OptionLibrary(domain_from_info(info))
-        except DomainError as error:
-            raise StartError(str(error)) from error
+    def _on_domain(self, domain: Domain[Any]) -> None:
+        self._runner.library = OptionLibrary(domain)
         if self._learned is None:
             self._learned = self._read_files()
         self._serve()
@@ -87,17 +85,17 @@ class OptionServerNode(NodeBase):
         return options
 
     def _on_learned(self, message: LearnedOptions) -> None:
-        self._learned = self._read(message)
+        self._learned = self._read('learned_options', message)
         self._serve()
 
     def _on_automatic(self, message: LearnedOptions) -> None:
-        self._automatic = self._read(message)
+        self._automatic = self._read('automatic_options', message)
         self._serve()
 
-    def _read(self, message: LearnedOptions) -> list[LearnedOption]:
+    def _read(self, topic: str, message: LearnedOptions) -> list[LearnedOption]:
         options, problems = options_from_message(message)
         for problem in problems:
-            self.get_logger().error(problem)
+            self.refuse(topic, message, problem)
         return options
 
     def _serve(self) -> None:
@@ -122,7 +120,7 @@ class OptionServerNode(NodeBase):
         return response
 
     async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
-        def on_step(run: Run, state: GameState) -> None:
+        def on_step(run: Run, state: Transition) -> None:
             row = np.array([state.features], dtype=np.int32)
             handle.publish_feedback(
                 ExecuteOption.Feedback(
@@ -178,7 +176,7 @@ class OptionServerNode(NodeBase):
     ) -> QueryOption.Response:
         await self.provided()
         library, current = self._runner.library, self._runner.newest_state()
-        text = request.state or (current.state if current is not None else '')
+        text = request.state or (current.transition.state if current is not None else '')
         try:
             if library is None or not text:
                 raise DomainError('no state is given and no episode was begun')

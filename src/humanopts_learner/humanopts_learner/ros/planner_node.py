@@ -5,10 +5,10 @@ import sys
 from typing import Any
 import uuid
 
-from humanopts_env.domains.base import Domain, DomainError
-from humanopts_env.ros.convert import domain_from_info
+from humanopts_env.domains.base import Domain
+from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.action import Plan
-from humanopts_interfaces.msg import DomainInfo, LearnedOptions, PlanGoal, PlanResult
+from humanopts_interfaces.msg import LearnedOptions, PlanGoal, PlanResult
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
 from humanopts_learner.planning.request import PlanError, select_options
 from humanopts_learner.ros.convert import (
@@ -21,7 +21,7 @@ from humanopts_learner.ros.convert import (
 from humanopts_learner.ros.extraction import ExtractionAction
 from humanopts_learner.ros.planner_actions import in_thread, LongAction, MadePlan, PlannerState
 from humanopts_learner.ros.policy_server import PolicyServer
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
@@ -102,7 +102,7 @@ class PlannerNode(NodeBase):
     def __init__(self, **options: Any) -> None:
         super().__init__('planner', **options)
         self._state = PlannerState()
-        self.create_subscription(DomainInfo, 'domain_info', self._on_domain, CURRENT)
+        GameSubscriber(self, self._on_domain)
         self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
         shared = self, ReentrantCallbackGroup(), self._state
         self._policies = PolicyServer(*shared)
@@ -121,18 +121,15 @@ class PlannerNode(NodeBase):
         )
         self._state.pool.shutdown()
 
-    def _on_domain(self, info: DomainInfo) -> None:
-        try:
-            self._state.domain = domain_from_info(info)
-        except DomainError as error:
-            raise StartError(str(error)) from error
+    def _on_domain(self, domain: Domain[Any]) -> None:
+        self._state.domain = domain
 
     def _on_options(self, message: LearnedOptions) -> None:
         self._state.taught, problems = options_from_message(message)
         self._state.taught_sequence = message.sequence
         self.waiting.look()
         for problem in problems:
-            self.get_logger().error(problem)
+            self.refuse('learned_options', message, problem)
 
 
 def main(args: list[str] | None = None) -> int:

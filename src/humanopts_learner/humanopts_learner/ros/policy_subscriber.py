@@ -3,8 +3,9 @@
 from operator import is_
 
 from humanopts_interfaces.msg import ExecutionState, OptionValues
-from humanopts_learner.execution import Arbiter
+from humanopts_learner.execution import Arbiter, execution_named, RunError
 from humanopts_learner.library import OptionLibrary, RunnableOption
+from humanopts_learner.planning.interruption import OptionValues as PlanValues
 from humanopts_learner.planning.request import Execution
 from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_ros.node_base import NodeBase
@@ -17,11 +18,12 @@ class PolicySubscriber:
     def __init__(self, node: NodeBase) -> None:
         self._node = node
         self._message: OptionValues | None = None
+        self._values: PlanValues | None = None  # of the message
         self._state: ExecutionState | None = None
         self._arbiters: dict[Execution, Arbiter] = {}  # of the newest values, for these options
         self._options: dict[str, RunnableOption] = {}
-        node.create_subscription(OptionValues, 'option_values', self._on_values, CURRENT)
-        node.create_subscription(ExecutionState, 'execution', self._on_execution, CURRENT)
+        node.subscribe(OptionValues, 'option_values', _read_values, self._on_values, CURRENT)
+        node.subscribe(ExecutionState, 'execution', _checked, self._on_execution, CURRENT)
 
     def has(self, plan_id: str) -> bool:
         """Return whether the values of a plan are the newest."""
@@ -41,14 +43,14 @@ class PolicySubscriber:
         :raises ValueError: the values do not fit the options or their domain.
         """
         assert self._message is not None
+        assert self._values is not None
         who, names = self._message.participant, [*self._message.names, *library.primitive_names]
         options = {name: library.resolve(name, who) for name in names}
         if not all(map(is_, options.values(), self._options.values())):
             self._arbiters = {}  # options were taught anew
         self._options = options
         if execution not in self._arbiters:
-            values = option_values_from_message(self._message)
-            self._arbiters[execution] = Arbiter(values, execution, library.domain, options)
+            self._arbiters[execution] = Arbiter(self._values, execution, library.domain, options)
         return self._arbiters[execution]
 
     def wanted(self, execution: Execution, sequence: int, plan_id: str) -> Execution:
@@ -69,9 +71,31 @@ class PolicySubscriber:
         state = self._state
         return state is not None and 0 < sequence < state.sequence and state.canceled
 
-    def _on_values(self, message: OptionValues) -> None:
-        self._message, self._arbiters = message, {}
+    def _on_values(self, read: tuple[OptionValues, PlanValues]) -> None:
+        (self._message, self._values), self._arbiters = read, {}
         self._node.waiting.look()
 
     def _on_execution(self, message: ExecutionState) -> None:
         self._state = message
+
+
+def _read_values(message: OptionValues) -> tuple[OptionValues, PlanValues]:
+    """
+    Return the message and its values.
+
+    :raises PlanError: the parts contradict each other.
+    """
+    return message, option_values_from_message(message)
+
+
+def _checked(message: ExecutionState) -> ExecutionState:
+    """
+    Return the message.
+
+    :raises ValueError: its execution does not exist.
+    """
+    try:
+        execution_named(message.execution)
+    except RunError as error:
+        raise ValueError(str(error)) from None
+    return message

@@ -4,12 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 import uuid
 
+from humanopts_env.game import Transition
+from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_env.seeding import generator
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import (
     ActionCommand,
     ActionRefusal,
-    GameState,
     OptionGoal,
     OptionResult,
 )
@@ -28,8 +29,8 @@ from humanopts_learner.options.option import Mode
 from humanopts_learner.planning.request import Execution, MODULAR, PlanError
 from humanopts_learner.ros.convert import end_to_message
 from humanopts_learner.ros.policy_subscriber import PolicySubscriber
+from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.polled import PolledValue
 from humanopts_ros.qos import STREAM
 from rclpy.task import Future
 
@@ -56,7 +57,7 @@ class RunRequest:
     via: str
     execution_sequence: int = 0
     canceled: Callable[[], bool] = lambda: False
-    on_step: Callable[[Run, GameState], None] = lambda run, state: None
+    on_step: Callable[[Run, Transition], None] = lambda run, state: None
 
 
 @dataclass
@@ -88,9 +89,11 @@ class Runner:
     :ivar library: the options that can be run; None: the game is not known yet.
     """
 
-    def __init__(self, node: NodeBase, mode: Mode, seed: int, patience: float) -> None:
+    def __init__(
+        self, node: NodeBase, game: GameSubscriber, mode: Mode, seed: int, patience: float
+    ) -> None:
         """
-        Subscribe to the game.
+        Subscribe to the states of the game.
 
         :param seed: of the random draws in sampled mode.
         :param patience: s to wait for game, and for the values of a plan.
@@ -98,15 +101,14 @@ class Runner:
         self._node, self._mode, self._seed, self._patience = node, mode, seed, patience
         self._policy = PolicySubscriber(node)
         self.library: OptionLibrary | None = None
-        self._state: GameState | None = None
+        self._state: Observed | None = None
         self._taken_by = ''  # the option or execution of the request; empty: the runner is free
         self._active: _Active | None = None  # set from the first command on
         self._stopping = False
         self._actions = node.stamped_publisher(ActionCommand, 'action')
         self._goals = node.stamped_publisher(OptionGoal, 'option_goals')
-        node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
-        # What game published before it was heard on the stream.
-        self._current = PolledValue(node, GameState, 'current_state')
+        game.follow('game_state', self._on_state)
+        self._current = game.newest()  # what game published before it was heard on the stream
         node.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
         node.create_timer(_CHECK_PERIOD, self._check)
 
@@ -115,10 +117,10 @@ class Runner:
         """Whether there is a run, or a request that waits for its first state."""
         return bool(self._taken_by)
 
-    def newest_state(self) -> GameState | None:
+    def newest_state(self) -> Observed | None:
         """Return the newest state of the game; None: none was published yet."""
-        if (message := self._current.take()) is not None:
-            self._on_state(message)
+        if self.library is not None and (observed := self._current.take()) is not None:
+            self._on_state(observed)
         return self._state
 
     def stop(self) -> None:
@@ -166,11 +168,11 @@ class Runner:
         state = await self._first_state(request)
         if state is None:
             return _refused(request, RunStatus.NO_EPISODE, self._missing(request))
-        if state.terminated or state.truncated:
+        if not state.transition.open:
             return _refused(request, RunStatus.NO_EPISODE, 'the episode has ended')
-        position = state.episode, state.step
+        position = _position(state)
         run, arbiter = self._prepare(request, execution, library, position)
-        end = run.begin(library.domain.decode(state.state), *position)
+        end = run.begin(state.state, *position)
         if end is not None:
             return end_to_message(end, '')
         run_id = str(uuid.uuid4())
@@ -194,7 +196,7 @@ class Runner:
         if self._stopping or self._canceled(request):
             raise RunCanceled
 
-    async def _first_state(self, request: RunRequest) -> GameState | None:
+    async def _first_state(self, request: RunRequest) -> Observed | None:
         """
         Return the state that a run is to start from; None: it is not received in time.
 
@@ -204,17 +206,17 @@ class Runner:
 
         def is_here() -> bool:
             state = self._state
-            return state is not None and wanted == (state.episode, state.step)
+            return state is not None and wanted == _position(state)
 
         def is_past() -> bool:  # a game that was restarted counts from 1
             state = self._state
             if state is None:
                 return False
-            newer = state.episode == wanted[0] or state is not before
-            return newer and wanted < (state.episode, state.step)
+            newer = _position(state)[0] == wanted[0] or state is not before
+            return newer and wanted < _position(state)
 
         if not wanted[0]:
-            return before if before is not None and before.episode else None
+            return before if before is not None and _position(before)[0] else None
         await self._wait(request, lambda: is_here() or is_past())
         return self._state if is_here() else None
 
@@ -225,7 +227,7 @@ class Runner:
             return 'no state came from game'
         return (
             f'episode {goal.episode} step {goal.step} did not come; the game is at episode '
-            f'{state.episode} step {state.step}'
+            f'{state.transition.episode} step {state.transition.step}'
         )
 
     def _prepare(
@@ -274,33 +276,33 @@ class Runner:
         self._actions.publish(command)
         active.command = self._actions.sequence
 
-    def _on_state(self, message: GameState) -> None:
+    def _on_state(self, observed: Observed) -> None:
         """Handle the next state; ``current_state`` repeats those of ``game_state``."""
-        known, position = self._state, (message.episode, message.step)
-        same_game = known is not None and known.publisher_id == message.publisher_id
-        if known is not None and same_game and position <= (known.episode, known.step):
+        known, (episode, step) = self._state, _position(observed)
+        same_game = known is not None and known.publisher_id == observed.publisher_id
+        if known is not None and same_game and (episode, step) <= _position(known):
             return
-        self._state = message
+        self._state = observed
         self._node.waiting.look()
         active = self._active
         if active is None:
             return
-        if message.episode != active.episode:
+        if episode != active.episode:
             self._finish(active.run.end(RunStatus.INTERRUPTED, 'the game was reset'))
-        elif message.step > active.step:
-            self._on_step(active, message)
+        elif step > active.step:
+            self._on_step(active, observed)
 
-    def _on_step(self, active: _Active, message: GameState) -> None:
+    def _on_step(self, active: _Active, observed: Observed) -> None:
         """Handle the state that the current command led to, or that another driver's led to."""
-        mine = message.action_publisher_id == self._node.publisher_id
-        if not mine or message.action_sequence != active.command:
-            text = f'{message.action_publisher_id} took {message.previous_action}'
+        led = observed.transition
+        mine = led.action_publisher_id == self._node.publisher_id
+        if not mine or led.action_sequence != active.command:
+            text = f'{shown(led.action_publisher_id)} took {led.previous_action}'
             self._finish(active.run.end(RunStatus.INTERRUPTED, text))
             return
-        active.step = message.step
-        state = active.library.domain.decode(message.state)
-        end = active.run.observe(state, message.reward, message.terminated, message.truncated)
-        active.request.on_step(active.run, message)
+        active.step = led.step
+        end = active.run.observe(observed.state, led.reward, led.terminated, led.truncated)
+        active.request.on_step(active.run, led)
         end = end or self._stopped(active)
         if end is not None:
             self._finish(end)
@@ -355,6 +357,11 @@ class Runner:
         active, self._active = self._active, None
         if active is not None:
             active.done.set_result(end)
+
+
+def _position(observed: Observed) -> tuple[int, int]:
+    """Return the episode and the step of a state."""
+    return observed.transition.episode, observed.transition.step
 
 
 def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary) -> Execution:

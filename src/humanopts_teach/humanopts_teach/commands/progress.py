@@ -1,11 +1,8 @@
 """What a person watches while a demo runs: the board, the lesson, the criteria."""
 
-from collections.abc import Hashable
 from typing import Any
 
 from humanopts_env.colours import GREEN, ORANGE
-from humanopts_env.domains.base import Domain
-from humanopts_env.ros.convert import domain_from_info
 from humanopts_learner.options.criteria import Criterion
 from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.ros.convert import option_status_from_message
@@ -29,7 +26,6 @@ class DemoProgress:
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console()
         self._live = Live(console=self._console, refresh_per_second=8)
-        self._domain: Domain[Hashable] | None = None
         self._stage = 'starting the nodes'
         self._said: set[str] = set()
 
@@ -51,8 +47,6 @@ class DemoProgress:
 
     def __call__(self, graph: GraphClient) -> None:
         """Draw the graph's current values."""
-        if self._domain is None and graph.domain is not None:
-            self._domain = domain_from_info(graph.domain)
         if self._console.is_terminal:
             self._live.update(self._picture(graph))
         else:
@@ -71,9 +65,8 @@ class DemoProgress:
 
     def _picture(self, graph: GraphClient) -> Group:
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
-        if self._domain is not None and graph.state is not None:
-            state = self._domain.decode(graph.state.state)
-            parts += board_text(self._domain, state)
+        if graph.domain is not None and graph.state is not None:
+            parts += board_text(graph.domain, graph.state.state)
         if graph.learning is not None and graph.learning.options:
             parts.append(_criteria_table(graph.learning))
         if hasattr(graph.feedback, 'fallbacks'):
@@ -81,9 +74,9 @@ class DemoProgress:
         return Group(*parts)
 
     def _lines(self, graph: GraphClient) -> None:
-        if self._domain is not None and graph.state is not None:
-            state = self._domain.decode(graph.state.state)
-            self._say('the first state:\n' + self._domain.render(state), key='first state')
+        if graph.domain is not None and graph.state is not None:
+            board = graph.domain.render(graph.state.state)
+            self._say('the first state:\n' + board, key='first state')
         for option in graph.learning.options if graph.learning else ():
             tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY
             key = f'{option.option_name} {tens} {option.criteria_met}'

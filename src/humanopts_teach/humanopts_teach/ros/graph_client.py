@@ -7,11 +7,12 @@ from pathlib import Path
 import time
 from typing import Any
 
+from humanopts_env.domains.base import Domain
+from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.polled import PolledValue
 from humanopts_ros.qos import CURRENT, LATCHED_ALL
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import RECORDER, Value
@@ -40,8 +41,8 @@ class GraphClient(NodeBase):
     :ivar feedback: of the action under way; None: none has come.
     """
 
-    state: msg.GameState | None = None
-    domain: msg.DomainInfo | None = None
+    state: Observed | None = None
+    domain: Domain[Any] | None = None
     lesson: msg.LessonState | None = None
     learning: msg.LearningStatus | None = None
     options: msg.LearnedOptions | None = None
@@ -69,14 +70,14 @@ class GraphClient(NodeBase):
         self._fine = time.monotonic()  # when no node was paused last
         self.create_subscription(msg.NodeStatus, 'node_status', self._keep_status, LATCHED_ALL)
         for kind, topic, name in (
-            (msg.DomainInfo, 'domain_info', 'domain'),
             (msg.LessonState, 'lesson_state', 'lesson'),
             (msg.LearningStatus, 'learning_status', 'learning'),
             (msg.LearnedOptions, 'learned_options', 'options'),
             (msg.RecorderStatus, 'recorder_status', 'recorder'),
         ):
             self.create_subscription(kind, topic, partial(setattr, self, name), CURRENT)
-        self._current_state = PolledValue(self, msg.GameState, 'current_state')
+        game = GameSubscriber(self, partial(setattr, self, 'domain'))
+        self._current_state = game.newest()
         self._plan_client = ActionClient(self, Plan, 'plan')
         self._policy_client = ActionClient(self, RunPolicy, 'run_policy')
         self._executor = SingleThreadedExecutor()
@@ -111,14 +112,15 @@ class GraphClient(NodeBase):
             now = time.monotonic()
             if now - looked > 0.05:
                 looked = now
-                self.state = self._current_state.take() or self.state
+                if self.domain is not None:
+                    self.state = self._current_state.take() or self.state
                 self._watch()
                 self._check_statuses()
             if (newest := progress()) != last:
                 last, deadline = newest, now + seconds
             if now > deadline:
                 raise LaunchError(f'gave up waiting for {what} after {seconds:.0f} s')
-            self._executor.spin_once(0.05)
+            self.turn(self._executor, 0.05)
 
     def wait_ready(self, names: list[str], seconds: float = 60.0) -> None:
         """
@@ -185,7 +187,7 @@ class GraphClient(NodeBase):
         """
         reported: dict[str, str] = {}
         while True:
-            self._executor.spin_once(0.05)
+            self.turn(self._executor, 0.05)
             check()
             self._check_duplicates(self._full_name(RECORDER))  # a new one takes over from ours
             paused = self._paused()
@@ -200,7 +202,7 @@ class GraphClient(NodeBase):
     def catch_up(self) -> None:
         """Process the messages that came while nobody served the graph."""
         for _ in range(_ROUNDS):
-            self._executor.spin_once(0.0)
+            self.turn(self._executor, 0.0)
 
     def unrecorded(self) -> str:
         """Return why the bag is short, or nothing is recorded now; empty: neither is known."""
@@ -209,7 +211,7 @@ class GraphClient(NodeBase):
     def teacher_finished(self) -> bool:
         """Return whether the simulated teacher has taught everything."""
         status = self.statuses.get(self._full_name('simulated_teacher'))
-        return status is not None and status.text == FINISHED
+        return status is not None and status.text.startswith(FINISHED)
 
     def knows_learned(self, option_name: str) -> bool:
         """
@@ -229,10 +231,10 @@ class GraphClient(NodeBase):
             and learning.sequence == options.sequence
         )
 
-    def taught_so_far(self) -> tuple[int, int]:
+    def taught_so_far(self) -> tuple[object, int]:
         """Return what changes while somebody teaches: the newest step and learning status."""
         state, learning = self.state, self.learning
-        return state.sequence if state else 0, learning.sequence if learning else 0
+        return state, learning.sequence if learning else 0
 
     def _act(self, client: ActionClient, goal: Any, what: str) -> Any:
         """Send a goal, wait, and return the ``result`` field of the action's result."""

@@ -82,7 +82,7 @@ class KeyboardTeleopNode(NodeBase):
         self._part(executor)
 
     def _turn(self, executor: Executor, device: Device) -> None:
-        executor.spin_once(_POLL_SECONDS)
+        self.turn(executor, _POLL_SECONDS)
         keys = device.read()
         self.app.type(keys)
         now = time.monotonic()
@@ -143,7 +143,7 @@ class KeyboardTeleopNode(NodeBase):
         until = time.monotonic() + _PARTING_SECONDS
         pending = [self._send_last(request) for request in self.app.parting()]
         while any(future and not future.done() for future in pending) and time.monotonic() < until:
-            executor.spin_once(_POLL_SECONDS)
+            self.turn(executor, _POLL_SECONDS)
 
     def _send_last(self, request: Request) -> Future | None:
         """Send one of the last requests; None: nobody is there to answer it."""

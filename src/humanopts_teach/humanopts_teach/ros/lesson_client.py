@@ -7,14 +7,15 @@ that gets a client; ``run_with_lesson`` makes the node and runs the coroutine to
 
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
-from humanopts_env.domains.base import Domain, DomainError
-from humanopts_env.game import Transition, transition_from_message
-from humanopts_env.ros.convert import domain_from_info
+from humanopts_env.domains.base import Domain
+from humanopts_env.game import Transition
+from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
 from humanopts_ros.environment import prepare_discovery
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, DISPLAY
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -90,14 +91,14 @@ class LessonClient:
             kind: node.recorded_client(*service) for kind, service in self._services.items()
         }
         self._action = node.stamped_publisher(msg.ActionCommand, 'action')
+        self._game = GameSubscriber(node, self._on_domain)
+        lesson = msg.LessonState, 'lesson_state', partial(decode, LessonView)
         self._subscriptions = [
-            node.create_subscription(message, topic, callback, qos)
-            for message, topic, callback, qos in (
-                (msg.DomainInfo, 'domain_info', self._on_domain, CURRENT),
-                (msg.GameState, 'current_state', self._on_game, CURRENT),
-                (msg.LessonState, 'lesson_state', self._on_lesson, CURRENT),
-                (msg.ActionRefusal, 'action_refused', self._on_refusal, DISPLAY),
-            )
+            self._game.follow('current_state', self._on_game, CURRENT),
+            node.subscribe(*lesson, self._on_lesson, CURRENT),
+            node.create_subscription(
+                msg.ActionRefusal, 'action_refused', self._on_refusal, DISPLAY
+            ),
         ]
 
     @property
@@ -173,6 +174,7 @@ class LessonClient:
 
     def unsubscribe(self) -> None:
         """Stop following the lesson and the game: nothing more will be asked."""
+        self._game.unsubscribe()
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
@@ -229,23 +231,16 @@ class LessonClient:
             return f'action {request.action}'
         return str(self._clients[type(request)].srv_name)
 
-    def _on_domain(self, info: msg.DomainInfo) -> None:
-        try:
-            self.world.domain = domain_from_info(info)
-        except DomainError as error:
-            raise StartError(str(error)) from error
+    def _on_domain(self, domain: Domain[Any]) -> None:
+        self.world.domain = domain
         self._changed()
 
-    def _on_lesson(self, message: msg.LessonState) -> None:
-        try:
-            self.world.lesson = decode(LessonView, message)
-        except ValueError as error:
-            self._node.get_logger().error(f'lesson_state: {error}')
-        else:
-            self._changed()
+    def _on_lesson(self, lesson: LessonView) -> None:
+        self.world.lesson = lesson
+        self._changed()
 
-    def _on_game(self, message: msg.GameState) -> None:
-        game = transition_from_message(message)
+    def _on_game(self, observed: Observed) -> None:
+        game = observed.transition
         self.world.see(game)
         self._answer_driven(
             lambda drive, _: (drive.episode, drive.step) != (game.episode, game.step),

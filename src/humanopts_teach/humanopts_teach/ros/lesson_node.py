@@ -8,9 +8,8 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from humanopts_env.domains.base import DomainError
-from humanopts_env.game import transition_from_message
-from humanopts_env.ros.convert import domain_from_info
+from humanopts_env.domains.base import Domain
+from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg
 from humanopts_interfaces.srv import ResetGame
 from humanopts_learner.demonstrations import Demonstration, METHODS
@@ -93,10 +92,8 @@ class LessonNode(NodeBase):
         self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
         self.create_timer(_TICK, self._tick)
-        self.create_subscription(msg.DomainInfo, 'domain_info', self._on_domain, CURRENT)
-        self._game_states = self.create_subscription(
-            msg.GameState, 'game_state', self._on_game_state, STREAM
-        )
+        game = GameSubscriber(self, self._on_domain)
+        self._game_states = game.follow('game_state', self._on_game_state)
         self._recorder_status = self.create_subscription(
             msg.RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
         )
@@ -141,14 +138,8 @@ class LessonNode(NodeBase):
         """Let another lesson use the folder."""
         self._store.close()
 
-    def _on_domain(self, info: msg.DomainInfo) -> None:
+    def _on_domain(self, domain: Domain[Any]) -> None:
         """Begin the lesson, and serve and subscribe to what needs it."""
-        if self._opened is not None:
-            return
-        try:
-            domain = domain_from_info(info)
-        except DomainError as error:
-            raise StartError(str(error)) from error
         self._opened = Lesson(
             domain,
             self._store,
@@ -226,10 +217,8 @@ class LessonNode(NodeBase):
 
     # What game, the learner and the recorder publish.
 
-    def _on_game_state(self, message: msg.GameState) -> None:
-        if self._opened is None:
-            return
-        if self._lesson.add_transition(transition_from_message(message)):
+    def _on_game_state(self, observed: Observed) -> None:
+        if self._lesson.add_transition(observed.transition):
             self._show()
         self.waiting.look()
 
@@ -254,7 +243,7 @@ class LessonNode(NodeBase):
             try:
                 self._lesson.update_option(option.participant, option.name, option.model)
             except OptionError as error:
-                self.get_logger().error(f'learned_options: {error}')
+                self.refuse('learned_options', message, error)
         self._show()
 
     def _on_recorder(self, status: msg.RecorderStatus) -> None:

@@ -101,6 +101,8 @@ class SimulatedTeacherNode(NodeBase):
                     await self.waiting.until(lambda: False, _TICK)
         except (TeacherError, LessonClientError, PublishError) as error:
             cause = str(error)
+        except Exception as error:  # nobody foresaw it; the demo waits for the end
+            cause = self.guard.caught('teaching', error)
         if not await self._client.give_back():
             cause = cause or 'game does not take control back'
         self._client.unsubscribe()

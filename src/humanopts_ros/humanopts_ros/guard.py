@@ -1,0 +1,140 @@
+"""The guard of a node: no message and no error in a callback ends the node or passes unseen."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import functools
+import inspect
+import traceback
+from typing import Any
+
+from humanopts_ros.limits import shown
+from humanopts_ros.publisher import PublishError
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+_LOG_PERIOD = 1.0  # s between two lines in the log about the same topic or callback
+
+
+@dataclass
+class _Count:
+    """What was refused of one topic, or failed in one callback."""
+
+    total: int = 0
+    logged: int = 0  # of these
+    next_line: float = 0.0  # when the next line may be logged, s
+
+
+class Guard:
+    """
+    Counts and logs what a node refuses and what fails in its callbacks.
+
+    :ivar refused: messages that could not be used and were dropped.
+    :ivar failed: errors in callbacks that nobody foresaw.
+    """
+
+    def __init__(
+        self,
+        logger: Callable[[], RcutilsLogger],
+        monotonic: Callable[[], float],
+        changed: Callable[[], object],
+        ends: tuple[type[Exception], ...] = (),
+    ) -> None:
+        """
+        Begin with nothing refused.
+
+        :param monotonic: the clock of the limit of the log's rate, s.
+        :param changed: called after ``remark`` has changed.
+        :param ends: errors that are to end the node; they are raised again.
+        """
+        self._logger, self._monotonic, self._changed = logger, monotonic, changed
+        self._ends = ends
+        self._counts: dict[str, _Count] = {}
+        self._last_refusal = self._last_failure = ''
+        self.refused = self.failed = 0
+
+    @property
+    def remark(self) -> str:
+        """What was refused and what failed, in words; empty: nothing."""
+        parts = []
+        if self.refused:
+            plural = 's' if self.refused > 1 else ''
+            parts.append(f'{self.refused} message{plural} refused, the last {self._last_refusal}')
+        if self.failed:
+            plural = 's' if self.failed > 1 else ''
+            parts.append(f'{self.failed} error{plural}, the last in {self._last_failure}')
+        return '; '.join(parts)
+
+    def refuse(self, topic: str, sender: str, reason: object) -> None:
+        """
+        Count and log that a message was dropped.
+
+        :param sender: its publisher_id; empty: it has none.
+        """
+        self.refused += 1
+        by = f' from {shown(sender, 80)}' if sender else ''
+        self._last_refusal = f'on {topic}{by}: {shown(str(reason))}'
+        self._log(topic, f'refused a message {self._last_refusal}')
+        self._changed()
+
+    def caught(self, where: str, error: Exception) -> str:
+        """
+        Count and log an error of a callback, with its traceback; return it in words.
+
+        The error is raised again where it is to end the node.
+        """
+        if isinstance(error, self._ends):
+            raise error
+        self.failed += 1
+        expected = isinstance(error, PublishError)
+        text = shown(str(error) if expected else f'{type(error).__name__}: {error}')
+        self._last_failure = f'{where}: {text}'
+        whole = text if expected else ''.join(traceback.format_exception(error))
+        self._log(where, f'an error in {where}: {whole}')
+        self._changed()
+        return text
+
+    def guarded(
+        self, callback: Callable[..., Any], failed: Callable[..., Any] | None = None
+    ) -> Callable[..., Any]:
+        """
+        Return a callback that raises nothing but what is to end the node.
+
+        :param callback: a function or a coroutine function; what it returns is kept.
+        :param failed: called with the error in words and the arguments, for the value to return
+            after an error; None: the value is None.
+        """
+        where = getattr(callback, '__name__', None) or repr(callback)
+
+        def on_error(error: Exception, arguments: tuple[Any, ...]) -> Any:
+            text = self.caught(where, error)
+            return failed(text, *arguments) if failed is not None else None
+
+        if inspect.iscoroutinefunction(callback):
+
+            @functools.wraps(callback)
+            async def guarded_coroutine(*arguments: Any) -> Any:
+                try:
+                    return await callback(*arguments)
+                except Exception as error:
+                    return on_error(error, arguments)
+
+            return guarded_coroutine
+
+        @functools.wraps(callback)
+        def guarded_function(*arguments: Any) -> Any:
+            try:
+                return callback(*arguments)
+            except Exception as error:
+                return on_error(error, arguments)
+
+        return guarded_function
+
+    def _log(self, what: str, text: str) -> None:
+        """Log a line, unless there was one about the same a moment ago."""
+        count, now = self._counts.setdefault(what, _Count()), self._monotonic()
+        count.total += 1
+        if now < count.next_line:
+            return
+        left_out = count.total - 1 - count.logged
+        more = f' ({left_out} more since the line before)' if left_out else ''
+        count.logged, count.next_line = count.total, now + _LOG_PERIOD
+        self._logger().error(text + more)

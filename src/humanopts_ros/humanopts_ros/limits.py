@@ -1,0 +1,86 @@
+"""
+Limits of what comes from outside: messages, files and settings.
+
+Code that reads them uses the functions here, so that nothing nested too deeply, too long or not
+finite gets any further, and nothing of it reaches a log or a terminal as it came.
+"""
+
+import json
+import math
+from typing import Any
+
+MOST_JSON = 64 * 2**20  # characters of a JSON text, such as an option with its demonstrations
+MOST_DEPTH = 40  # levels of lists and objects in a JSON text
+MOST_INTEGER = 2**64  # integers in a JSON text are smaller, and greater than its negative
+MOST_STATE = 20_000  # characters of a state of a game, in its domain's notation
+MOST_SHOWN = 400  # characters of a text from outside in a log, a status or an answer
+
+
+class JsonError(ValueError):
+    """A text is not JSON that can be used; the text says why."""
+
+
+def parse_json(text: str, most: int = MOST_JSON) -> Any:
+    """
+    Return the value of a JSON text within the limits above.
+
+    :param most: characters.
+    :raises JsonError: it is longer, is not JSON, is nested too deeply, or holds a number that is
+        too large or not finite.
+    """
+    if len(text) > most:
+        raise JsonError(f'it has {len(text):,} characters, and {most:,} are allowed')
+    try:
+        value = json.loads(text)
+    except RecursionError:
+        raise JsonError(_TOO_DEEP) from None
+    except json.JSONDecodeError as error:
+        raise JsonError(str(error)) from None
+    except ValueError:  # an integer of more digits than Python converts
+        raise JsonError(_TOO_LARGE) from None
+    _check(value)
+    return value
+
+
+_TOO_DEEP = f'it is nested more than {MOST_DEPTH} levels deep'
+_TOO_LARGE = 'it holds an integer that is too large'
+
+
+def _check(value: Any) -> None:
+    """Check depth and numbers of a parsed text, one level after the other."""
+    level, depth = [value], 0
+    while level:
+        if depth > MOST_DEPTH:
+            raise JsonError(_TOO_DEEP)
+        depth += 1
+        below: list[Any] = []
+        for each in level:
+            if type(each) is dict:
+                below.extend(each.values())
+            elif type(each) is list:
+                below.extend(each)
+            elif type(each) is int:
+                if not -MOST_INTEGER < each < MOST_INTEGER:
+                    raise JsonError(_TOO_LARGE)
+            elif type(each) is float and not math.isfinite(each):
+                raise JsonError(f'it holds the number {each}, which is not finite')
+        level = below
+
+
+def printable(text: str) -> str:
+    """Return a text for a terminal: escapes stand for what is not printable but line breaks."""
+    if text.isprintable():
+        return text
+    return ''.join(
+        char if char.isprintable() or char == '\n' else char.encode('unicode_escape').decode()
+        for char in text
+    )
+
+
+def shown(text: str, most: int = MOST_SHOWN) -> str:
+    """Return a text from outside in one printable line; of a long one its begin and its end."""
+    if len(text) > most:
+        half = (most - 5) // 2
+        text = f'{text[:half]} ... {text[-half:]}'
+    line = printable(text.replace('\n', ' '))
+    return line if len(line) <= 2 * most else f'{line[:most]} ...'

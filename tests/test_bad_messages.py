@@ -1,0 +1,243 @@
+"""Bad messages and errors that nobody foresaw: counted and named, and no node ends by them."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+import math
+from pathlib import Path
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from graph_support.live import GAME, Graph, LEARNER, LESSON, OPTION_SERVER, PLANNER
+from graph_support.player import Player
+from graph_support.scripted import FETCH, TAXI, walk
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.ros.convert import domain_to_info
+from humanopts_interfaces.action import ExecuteOption
+from humanopts_interfaces.msg import (
+    Demonstration,
+    DemonstrationReceipt,
+    ExecutionState,
+    GameState,
+    LearnedOptions,
+    OptionFile,
+    OptionResult,
+    OptionValues,
+)
+from humanopts_interfaces.srv import ListOptions, RunOption
+from humanopts_learner.ros.convert import demonstration_to_message
+from humanopts_ros.qos import LATCHED, STREAM
+import pytest
+
+FAULTY = 'graph_support.faulty:Faulty'
+START = 'taxi 2,2 passenger aboard destination G'
+GAMES_NAME = '/game#00000000'  # as the game itself would sign
+READERS = {  # nodes that read a topic
+    'domain_info': ('/learner', '/lesson', '/option_server', '/planner'),
+    'game_state': ('/lesson', '/option_server'),
+    'current_state': ('/option_server',),
+    'learned_options': ('/option_server', '/planner', '/lesson'),
+    'option_values': ('/option_server',),
+    'execution': ('/option_server',),
+}
+
+
+class Attacked:
+    """A whole graph, and somebody who publishes on all of its topics."""
+
+    def __init__(self, graph: Graph, folder: Path) -> None:
+        self.graph = graph
+        graph.start(GAME)
+        graph.start(LEARNER, directory=folder / 'options')
+        graph.start(LESSON, directory=folder / 'demonstrations')
+        graph.start(OPTION_SERVER)
+        graph.start(PLANNER)
+        graph.ready('/game', '/learner', '/lesson', '/option_server', '/planner')
+        self.player = Player(graph)
+        self.receipts = graph.listen(DemonstrationReceipt, 'demonstration_receipts')
+
+    @contextmanager
+    def publisher(self, kind: Any, topic: str) -> Iterator[Callable[[Any], None]]:
+        """Publish on a topic; wait until all of its readers listen."""
+        latched = topic not in ('game_state', 'demonstrations')
+        out = self.graph.node.create_publisher(kind, topic, LATCHED if latched else STREAM)
+        readers = self.graph.node.count_subscribers
+        self.graph.until(
+            lambda: out.get_subscription_count() >= readers(topic) > 0, f'readers of {topic}'
+        )
+        yield out.publish
+        self.graph.node.destroy_publisher(out)
+
+    def refused(self, name: str) -> int:
+        """Return how many messages a node has refused so far."""
+        return self.graph.node_called(name).guard.refused
+
+    def check_refused(self, topic: str, message: Any, why: str) -> None:
+        """Publish a message; each node that reads it refuses it, and says why in its status."""
+        before = {name: self.refused(name) for name in READERS[topic]}
+        with self.publisher(type(message), topic) as publish:
+            publish(message)
+            for name, count in before.items():
+                self.graph.until(lambda n=name, c=count: self.refused(n) > c, f'{name} to refuse')
+        for name in before:
+            self.graph.until(
+                lambda n=name: why in self.graph.statuses[n][-1].text, f'{name} to name {why}'
+            )
+            assert f'on {topic}' in self.graph.statuses[name][-1].text
+
+    def check_works(self) -> None:
+        """A primitive action is run as an option."""
+        state = self.player.fresh(START)
+        name = 'action:north'
+        result = self.graph.ask(
+            RunOption, 'run_option', option_name=name, episode=state.episode, step=0
+        ).result
+        assert result.status == OptionResult.STATUS_REACHED, result.detail
+
+
+@pytest.fixture(scope='module')
+def attacked(shared: Graph, tmp_path_factory: pytest.TempPathFactory) -> Attacked:
+    return Attacked(shared, tmp_path_factory.mktemp('attacked'))
+
+
+def state(**fields: Any) -> GameState:
+    """A state of the game that is right but for some fields, far ahead of the game."""
+    start = TAXI.decode(START)
+    usual = {
+        'publisher_id': GAMES_NAME,
+        'sequence': 1,
+        'episode': 2**31,
+        'state': START,
+        'features': TAXI.feature_values(start).tolist(),
+    }
+    return GameState(**{**usual, **fields})
+
+
+STATES = [
+    ({'action_source': 9}, '9 is not a valid Source'),
+    ({'state': 'nowhere'}, "'nowhere'"),
+    ({'state': 'taxi ' * 10_000}, 'its state has 50,000 characters'),
+    ({'features': [1, 2]}, 'its features are not those of taxi'),
+    ({'features': [99] * len(TAXI.features)}, 'its features are not those of taxi'),
+    ({'step': 1, 'previous_action': 'fly'}, "'fly'"),
+    ({'reward': math.nan}, 'its reward is nan'),
+    ({'publisher_id': '/stranger#1'}, 'it is not from /game'),
+]
+
+
+@pytest.mark.parametrize(('fields', 'why'), STATES, ids=[why[:20] for _, why in STATES])
+@pytest.mark.parametrize('topic', ['game_state', 'current_state'])
+def test_a_state_that_is_none_of_the_game_is_refused(
+    attacked: Attacked, topic: str, fields: dict[str, Any], why: str
+) -> None:
+    attacked.check_refused(topic, state(**fields), why)
+
+
+def test_an_option_runs_after_a_state_that_was_refused(attacked: Attacked) -> None:
+    attacked.check_refused('game_state', state(state='nowhere'), "'nowhere'")
+    attacked.check_works()
+
+
+LARGE = domain_to_info(make_domain('taxi', {'rows': 1000, 'cols': 1000}))
+INFOS = [
+    ({'domain': 'chess'}, "no domain 'chess'"),
+    ({'parameters': '[' * 100_000}, 'nested more than'),
+    ({'parameters': '{"rows": ' + '{"a":' * 100_000}, 'nested more than'),
+    ({'parameters': '{"rows": 1' + '0' * 6000 + '}'}, 'an integer that is too large'),
+    ({'parameters': '{"rows": 1000, "cols": 1000}'}, 'another version of taxi'),
+    ({'gamma': math.nan}, 'another version of taxi'),
+    ({'features': []}, 'another version of taxi'),
+    ({'domain': 'rooms', 'parameters': '{}'}, 'another version of rooms'),
+    ({'publisher_id': '/stranger#1'}, 'it is not from /game'),
+]
+
+
+@pytest.mark.parametrize(('fields', 'why'), INFOS, ids=[why[:20] for _, why in INFOS])
+def test_a_game_that_cannot_be_is_refused(
+    attacked: Attacked, fields: dict[str, Any], why: str
+) -> None:
+    info = domain_to_info(TAXI)
+    for name, value in {'publisher_id': GAMES_NAME, **fields}.items():
+        setattr(info, name, value)
+    attacked.check_refused('domain_info', info, why)
+
+
+def test_another_game_in_the_namespace_is_refused_whoever_announces_it(
+    attacked: Attacked,
+) -> None:
+    for domain in (make_domain('rooms'), make_domain('taxi', {'rows': 1000, 'cols': 1000})):
+        info = domain_to_info(domain)
+        info.publisher_id = '/other_lab/game#1'
+        attacked.check_refused('domain_info', info, 'it is not from /game')
+        info.publisher_id = GAMES_NAME
+        attacked.check_refused('domain_info', info, 'this namespace plays taxi')
+    attacked.check_works()
+
+
+OPTIONS = LearnedOptions(options=[OptionFile(name='x', participant='p', model='[' * 100_000)])
+
+
+def test_options_values_and_executions_that_cannot_be_are_refused(attacked: Attacked) -> None:
+    values = OptionValues(plan_id='x', names=['a'], states=[1, 2], option_values=[1.0])
+    attacked.check_refused('option_values', values, 'option_values has 1 values')
+    attacked.check_refused('execution', ExecutionState(execution='fly'), "'fly'")
+    attacked.check_refused('learned_options', OPTIONS, 'nested too deeply')
+
+
+DEMO = walk(START, ['north'], FETCH, ['taxi_row'])
+DEMONSTRATIONS = [
+    ({'domain_parameters': '[' * 100_000}, 'nested more than'),
+    ({'domain_parameters': '{"rows": 1' + '0' * 6000 + '}'}, 'an integer that is too large'),
+    ({'kind': 9}, "'number 9' is not a valid Kind"),
+    ({'rewards': [math.inf]}, 'not finite'),
+    ({'uuid': 'x' * 100_000}, 'is not a UUID'),
+]
+
+
+@pytest.mark.parametrize(('fields', 'why'), DEMONSTRATIONS, ids=[w for _, w in DEMONSTRATIONS])
+def test_a_demonstration_that_cannot_be_learned_is_answered(
+    attacked: Attacked, fields: dict[str, Any], why: str
+) -> None:
+    message = demonstration_to_message(DEMO)
+    for name, value in fields.items():
+        setattr(message, name, value)
+    before, refused = len(attacked.receipts), attacked.refused('/learner')
+    with attacked.publisher(Demonstration, 'demonstrations') as publish:
+        publish(message)
+        attacked.graph.until(lambda: len(attacked.receipts) > before, 'a receipt')
+    receipt = attacked.receipts[-1]
+    assert receipt.status == DemonstrationReceipt.STATUS_REFUSED
+    assert why in receipt.detail
+    assert len(receipt.detail) < 500
+    assert attacked.refused('/learner') == refused + 1
+
+
+def test_errors_that_nobody_foresaw_are_counted_and_answered(live: Graph) -> None:
+    node = live.start(FAULTY)
+    live.until(lambda: node.ticks > 20, 'the timer to go on')
+    response = live.ask(ListOptions, 'list_options')
+    assert response.status == 0
+    assert 'RuntimeError: of the service\\x1b[2J' in response.detail
+    assert len(response.detail) < 600
+    result = live.ask(RunOption, 'run_option').result
+    assert result.status == OptionResult.STATUS_FAILED
+    assert 'RuntimeError: of the coroutine' in result.detail
+    status, result = live.act(ExecuteOption, 'execute_option').result()
+    assert (status, result.status) == (GoalStatus.STATUS_ABORTED, OptionResult.STATUS_FAILED)
+    assert 'RuntimeError: of the action' in result.detail
+    out = live.node.create_publisher(GameState, 'game_state', STREAM)
+    live.until(out.get_subscription_count, 'the node to listen')
+    before = node.guard.failed
+    out.publish(GameState(state='here'))
+    live.until(lambda: 'on_state: KeyError' in node.guard.remark, 'the message to be handled')
+    live.until(lambda: node.guard.failed > before + 10, 'the timer to go on')
+    live.until(lambda: ' errors, the last in ' in live.statuses['/faulty'][-1].text, 'its status')
+
+
+def test_the_log_and_the_status_of_a_flood_of_errors_are_limited(
+    live: Graph, capfd: pytest.CaptureFixture[str]
+) -> None:
+    node = live.start(FAULTY)
+    live.until(lambda: node.ticks > 100, 'a hundred errors')
+    lines = [line for line in capfd.readouterr().err.splitlines() if 'an error in on_tick' in line]
+    assert 0 < len(lines) < 20
+    assert len(live.statuses['/faulty']) < 20
