@@ -264,7 +264,9 @@ def test_a_goal_that_comes_before_the_game_waits_for_it_a_while(live: Graph) -> 
     assert refused.detail == 'game has not announced itself'
     second = live.act(Plan, 'plan', action_set='primitive')
     publisher = live.node.create_publisher(DomainInfo, 'domain_info', LATCHED)
-    publisher.publish(domain_to_info(TAXI))
+    info = domain_to_info(TAXI)
+    info.publisher_id = '/game#1'
+    publisher.publish(info)
     assert second.result()[1].status == PlanResult.STATUS_CONVERGED
 
 

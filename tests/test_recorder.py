@@ -297,6 +297,23 @@ def test_a_gap_is_said_while_recording_with_its_topic_and_sender(recording: Reco
     assert (loss.sent, loss.missing) == (6, 3)
 
 
+def test_numbers_that_cannot_be_do_not_mute_the_recorder(recording: Recording) -> None:
+    publisher = recording.node.create_publisher(GameState, 'game_state', STREAM)
+    recording.record()
+    senders = ['/one#1', '/two#1', 'x' * 100_000, *(f'/many#{n}' for n in range(120))]
+    for sender in senders:
+        publisher.publish(GameState(publisher_id=sender, sequence=2**64 - 1))
+    recording.graph.until(lambda: recording.status.messages >= len(senders), 'its status')
+    status = recording.status
+    assert status.missing == 2**64 - 1
+    assert len(status.losses) == 100
+    assert all(loss.missing == 2**64 - 2 for loss in status.losses)
+    assert max(len(loss.sender) for loss in status.losses) < 1000
+    known = len(recording.said)
+    recording.graph.until(lambda: len(recording.said) > known, 'another status')
+    assert not recording.status.stopped
+
+
 def test_a_recorder_that_was_stopped_says_that_it_is_behind_and_when_no_longer(
     recording: Recording,
 ) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.provenance import attachments, lock_hash, software, UNKNOWN
+from humanopts_teach.bags.sequence_numbers import Ledger, MOST_STREAMS, Stamp
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions, size
 from humanopts_teach.commands.session import check_folder, setup_from
@@ -53,6 +54,14 @@ def test_the_first_look_is_not_late() -> None:
     pace.took(1000.0, 0.0)
     assert not pace.behind(1000.0)
     assert pace.report() == 0.0
+
+
+def test_publishers_are_told_apart_as_long_as_memory_allows() -> None:
+    ledger = Ledger()
+    for number in range(MOST_STREAMS + 5):
+        ledger.add('/game_state', Stamp(f'/made_up#{number}', 2))
+    ledger.add('/game_state', Stamp('/made_up#0', 3))
+    assert (ledger.missing, ledger.uncounted) == (MOST_STREAMS, 5)
 
 
 def test_the_software_is_named() -> None:

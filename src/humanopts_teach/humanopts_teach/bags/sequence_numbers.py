@@ -65,6 +65,7 @@ def _align(offset: int, size: int) -> int:
 
 
 MOST_GAPS = 10_000
+MOST_STREAMS = 10_000  # that are told apart, whoever makes up their publishers' names
 
 
 @dataclass
@@ -119,15 +120,23 @@ class Stream:
 
 
 class Ledger:
-    """Streams by topic and publisher."""
+    """
+    Streams by topic and publisher.
+
+    :ivar uncounted: messages of publishers beyond the first ``MOST_STREAMS``.
+    """
 
     def __init__(self) -> None:
         self._streams: dict[tuple[str, str], Stream] = {}
+        self.uncounted = 0
 
     def add(self, topic: str, stamp: Stamp) -> None:
         """Count one message."""
         key = (topic, stamp.publisher_id)
         if key not in self._streams:
+            if len(self._streams) == MOST_STREAMS:
+                self.uncounted += 1
+                return
             self._streams[key] = Stream(*key)
         self._streams[key].add(stamp.sequence)
 

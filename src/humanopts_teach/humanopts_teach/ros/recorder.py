@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 import json
 import math
 from mimetypes import guess_type
@@ -13,6 +14,7 @@ import time
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus, StreamLoss
+from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
@@ -34,6 +36,9 @@ _STATUS_PERIOD = 1.0  # s between statuses that differ only in their counts
 _QUIET = 0.1  # s without a message that end a recording
 _LINGER = 2.0  # s at most to wait for that
 LONGEST_WAIT = 0.5  # s; a recorder that lets a message wait longer does not keep up
+_MOST_MISSING = 2**64 - 1  # that a status can say
+_MOST_LOSSES = 100  # streams in a status
+_MOST_TEXT = 2000  # characters in a status
 _RECOVERY = 1.0  # s without such a message after which it keeps up again
 _BEHIND = (
     f'the recorder does not keep up: messages wait for it longer than {LONGEST_WAIT} s; '
@@ -268,23 +273,22 @@ class Recorder(NodeBase):
             messages=self._bag.extent.messages,
             bytes=self._bag.bytes_written,
             complete=self._complete,
-            missing=self._ledger.missing,
+            missing=min(self._ledger.missing, _MOST_MISSING),  # numbers are what senders say
             losses=[
                 StreamLoss(
                     topic=stream.topic,
-                    sender=stream.publisher,
+                    sender=shown(stream.publisher),
                     sent=stream.last,
                     missing=stream.missing,
                 )
-                for stream in self._ledger
-                if stream.missing
+                for stream in islice((s for s in self._ledger if s.missing), _MOST_LOSSES)
             ],
             lag=self._pace.report(),
             behind=self._behind,
             cpu_seconds=used.cpu,
             memory=used.peak,
             stopped=bool(self._stopped),
-            text=text,
+            text=shown(text, _MOST_TEXT),
         )
 
 
