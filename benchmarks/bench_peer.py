@@ -70,5 +70,10 @@ class BenchPeer(NodeBase):
         return ExecuteOption.Result(result=self._result)
 
 
+def main() -> int:
+    """Run the node."""
+    return run_node(BenchPeer)
+
+
 if __name__ == '__main__':
-    sys.exit(run_node(BenchPeer))
+    sys.exit(main())

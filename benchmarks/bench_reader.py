@@ -89,5 +89,10 @@ class BenchReader(NodeBase):
         self._waited = max(self._waited, time.time_ns() - information['received_timestamp'])
 
 
+def main() -> int:
+    """Run the node."""
+    return run_node(BenchReader)
+
+
 if __name__ == '__main__':
-    sys.exit(run_node(BenchReader))
+    sys.exit(main())

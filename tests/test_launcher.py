@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from itertools import permutations
+import json
 import os
 from pathlib import Path
 import resource
@@ -76,11 +77,9 @@ def test_a_node_that_ends_is_named_with_its_last_lines(launch: Launch) -> None:
 def test_a_node_that_was_killed_in_silence_is_named_with_the_signal(
     launch: Launch, live: Graph
 ) -> None:
-    others = set(children())
     launcher = launch(spec('game', GAME))
     live.ready('/game')
-    (number,) = set(children()) - others
-    os.kill(number, signal.SIGKILL)
+    os.kill(launcher.pid('game'), signal.SIGKILL)
     assert death(launcher) == (
         'the node game ended (by signal SIGKILL) while it was needed; its log is empty'
     )
@@ -158,21 +157,61 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
 
 
 def test_a_node_that_dies_while_it_is_stopped_is_named_with_the_signal(
-    live: Graph, tmp_path: Path
+    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / 'dies.py').write_text(
-        'import os, signal, sys, time\n'
-        'signal.signal(signal.SIGTERM, lambda *_: os.abort())\n'
-        "print('ready', flush=True)\n"
-        'time.sleep(60)\n'
+        'import os, signal, time\n'
+        'def main():\n'
+        '    signal.signal(signal.SIGTERM, lambda *_: os.abort())\n'
+        "    print('ready', flush=True)\n"
+        '    time.sleep(60)\n'
     )
     launcher = Launcher([spec('game', 'dies')], tmp_path / 'log')
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv('PYTHONPATH', str(tmp_path))
-        launcher.start()
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
+    launcher.start()
     live.until(lambda: (tmp_path / 'log/game.log').read_text() == 'ready\n', 'the node')
     (problem,) = launcher.stop()
     assert problem.startswith('the node game ended (by signal SIGABRT); its last lines:')
+
+
+def test_a_fork_is_what_a_process_of_its_own_would_be(
+    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / 'tells.py').write_text(
+        'import json, os, sys, time\n'
+        'def main():\n'
+        "    print(json.dumps([os.getcwd(), os.environ['WHO'], sys.argv[1:4], os.getpgrp()]))\n"
+        '    time.sleep(60)\n'
+    )
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
+    launcher = Launcher([spec('early', 'tells'), spec('simulated_teacher', 'tells')], tmp_path)
+    for late, name, who in ((False, 'early', 'anna'), (True, 'simulated_teacher', 'ben')):
+        monkeypatch.setenv('WHO', who)
+        (tmp_path / who).mkdir()
+        monkeypatch.chdir(tmp_path / who)
+        launcher.start(late=late)
+        log, pid = tmp_path / f'{name}.log', launcher.pid(name)
+        live.until(lambda log=log: log.read_text().endswith('\n'), 'what the node tells')
+        assert json.loads(log.read_text()) == [
+            str(tmp_path / who),
+            who,
+            ['--ros-args', '-r', '__ns:=/'],
+            pid,
+        ]
+        title = Path(f'/proc/{pid}/cmdline').read_bytes().decode()
+        assert f'-m tells --ros-args -r __ns:=/ --params-file {tmp_path}/{name}.yaml' in title
+    assert launcher.stop() == []
+
+
+def test_nodes_end_when_the_server_that_forked_them_is_killed(launch: Launch, live: Graph) -> None:
+    others = set(children())
+    launcher = launch(spec('game', GAME))
+    live.ready('/game')
+    (server,) = set(children()) - others
+    node = Path(f'/proc/{launcher.pid("game")}')
+    os.kill(server, signal.SIGKILL)
+    assert death(launcher).startswith('the node game ended (by signal SIGKILL) while')
+    live.until(lambda: not node.exists(), 'the end of the node')
 
 
 def test_a_wait_goes_on_as_long_as_there_is_progress(

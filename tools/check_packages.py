@@ -22,6 +22,7 @@ KEYS = {
     'psutil': 'python3-psutil',
     'rich': 'python3-rich',
     'scipy': 'python3-scipy',
+    'setproctitle': 'python3-setproctitle',
     'sklearn': 'python3-sklearn',
     'typer': 'python3-typer',
     'yaml': 'python3-yaml',

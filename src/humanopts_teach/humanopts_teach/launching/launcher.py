@@ -1,6 +1,6 @@
 """Starts one process for each node, watches them, and stops them all, the recorder last."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 import fcntl
@@ -18,6 +18,7 @@ from typing import Any
 
 from humanopts_ros.environment import LAUNCHER_PID
 from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer
 from humanopts_teach.launching.processes import ProcessSpec, RECORDER
 
 TAIL_LINES = 12
@@ -54,7 +55,7 @@ def only_launch(namespace: str) -> Iterator[None]:
 @dataclass(frozen=True)
 class _Running:
     spec: ProcessSpec
-    process: 'subprocess.Popen[bytes]'
+    process: 'subprocess.Popen[bytes] | ForkedProcess'
     log: Path
 
 
@@ -75,6 +76,7 @@ class Launcher:
         self._namespace = namespace
         self._running: list[_Running] = []
         self._terminal: list[Any] | None = None
+        self._server: ForkServer | None = None  # None: nothing is started
 
     @property
     def node_names(self) -> list[str]:
@@ -100,6 +102,8 @@ class Launcher:
         """
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
+            if self._server is None:
+                self._server = ForkServer([s.module for s in self._specs if not s.terminal])
             for spec in self._specs:
                 if not spec.terminal and spec.late == late:
                     self._start(spec)
@@ -151,22 +155,21 @@ class Launcher:
         recorder = [entry for entry in self._running if entry.spec.name == RECORDER]
         problems = self._end(others) + self._end(recorder)
         self._running.clear()
+        if self._server is not None:
+            self._server.close()
+            self._server = None
         return problems
 
     def _start(self, spec: ProcessSpec) -> _Running:
         log = self._directory / f'{spec.name}.log'
-        command = [sys.executable, '-m', spec.module, '--ros-args']
-        command += ['-r', f'__ns:={self._namespace}', '--params-file', str(self._parameters(spec))]
-        command += ['--disable-stdout-logs'] if spec.terminal else []
-        with log.open('wb') as output:
-            process = subprocess.Popen(
-                command,
-                stdin=None if spec.terminal else subprocess.DEVNULL,
-                stdout=None if spec.terminal else output,
-                stderr=output,
-                env=_child_environment(),
-                process_group=None if spec.terminal else 0,
-            )
+        arguments = ['--ros-args', '-r', f'__ns:={self._namespace}']
+        arguments += ['--params-file', str(self._parameters(spec))]
+        log.write_bytes(b'')  # of an earlier launch
+        process: subprocess.Popen[bytes] | ForkedProcess
+        if spec.terminal or self._server is None:
+            process = _of_terminal(spec.module, arguments, log)
+        else:
+            process = self._server.start(spec.module, arguments, os.environ, log)
         running = _Running(spec, process, log)
         self._running.append(running)
         return running
@@ -192,12 +195,12 @@ class Launcher:
                 entry.process.wait()
                 problems.append(f'{entry.spec.name} did not stop when asked and was killed')
                 continue
-            if entry.process.returncode not in _ENDS_AS_ASKED:
+            if entry.process.wait() not in _ENDS_AS_ASKED:
                 problems.append(_end_of(entry))
         return problems
 
     def _terminal_status(self, running: _Running) -> int:
-        status = running.process.returncode
+        status = running.process.wait()
         if status < 0:
             raise LaunchError(_end_of(running))
         if status:
@@ -218,13 +221,19 @@ class Launcher:
                 sys.stdout.flush()
 
 
-def _child_environment() -> Mapping[str, str]:
-    return {**os.environ, LAUNCHER_PID: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
+def _of_terminal(module: str, arguments: Sequence[str], log: Path) -> 'subprocess.Popen[bytes]':
+    """Start a process that has the terminal; only its errors go to the log."""
+    with log.open('wb') as errors:
+        return subprocess.Popen(
+            [sys.executable, '-m', module, *arguments, '--disable-stdout-logs'],
+            stderr=errors,
+            env={**os.environ, LAUNCHER_PID: str(os.getpid())},
+        )
 
 
 def _end_of(running: _Running, when: str = '') -> str:
     """Say how a process ended that did, and what it wrote last."""
-    status = running.process.returncode
+    status = running.process.wait()
     how = f'by signal {signal.Signals(-status).name}' if status < 0 else f'exit status {status}'
     return f'the node {running.spec.name} ended ({how}){when}{_last_lines(running.log)}'
 
