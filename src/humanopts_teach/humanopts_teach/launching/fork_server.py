@@ -8,6 +8,7 @@ begins as a process of its own does: with its own environment, log, session of R
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+import gc
 from importlib import import_module
 import json
 import os
@@ -18,6 +19,8 @@ import socket
 import subprocess
 import sys
 import time
+import traceback
+from typing import NoReturn
 
 from humanopts_ros.environment import LAUNCHER_PID
 from setproctitle import setproctitle
@@ -142,12 +145,10 @@ def main() -> int:
     channel = socket.socket(fileno=int(descriptor))
     for module in modules:
         import_module(module)
-    order = _serve(channel)
-    if order is None:
-        return 0
-    _become(order)
-    status: int = import_module(order.module).main()
-    return status
+    gc.freeze()  # what all share is not looked through, and so not copied
+    if (order := _serve(channel)) is not None:
+        _run(order)
+    return 0
 
 
 def _serve(channel: socket.socket) -> _Order | None:
@@ -175,8 +176,12 @@ def _serve(channel: socket.socket) -> _Order | None:
             channel.send(json.dumps([order.number, pid, None]).encode())
 
 
-def _become(order: _Order) -> None:
-    """Make this fork what a new process for the order would be."""
+def _run(order: _Order) -> NoReturn:
+    """
+    Be what a new process for the order would be.
+
+    It ends without taking down the modules of Python, whose shared memory that would copy.
+    """
     os.setpgid(0, 0)
     os.environ.clear()
     os.environ.update({**order.environment, LAUNCHER_PID: str(os.getppid())})
@@ -186,6 +191,15 @@ def _become(order: _Order) -> None:
             os.dup2(log.fileno(), standard.fileno())
     sys.argv = [order.module, *order.arguments]
     setproctitle(' '.join([sys.executable, '-m', *sys.argv]))
+    status = 1
+    try:
+        status = import_module(order.module).main()
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
 
 
 if __name__ == '__main__':
