@@ -25,6 +25,7 @@ from experiments import (
     figure3,
     figure4,
     settings,
+    table1,
     table2,
     table2_report,
     transfer,
@@ -39,6 +40,7 @@ app = typer.Typer(**PLAIN)
 
 # By name on the command line: what is computed for a study, and what the report shows of it.
 EXPERIMENTS: dict[str, tuple[Callable[[Study], list[Trial]], Callable[[Done], Section]]] = {
+    table1.NAME: (table1.trials, table1.present),  # only as a part of all
     figure2.NAME: (figure2.trials, figure2.present),
     figure3.NAME: (figure3.trials, figure3.present),
     figure4.NAME: (figure4.trials, figure4.present),

@@ -18,6 +18,33 @@ class Statement:
     where: str  # section, figure or table
 
 
+TABLE_1 = {  # share of the participants of a domain who gave a button, section 4
+    'taxi': {
+        'go to passenger and pickup': 0.6,
+        'go to destination and dropoff': 0.6,
+        'go to passenger': 0.4,
+        'go to destination': 0.4,
+        'pickup/dropoff': 0.4,
+        'move away from obstacles': 0.2,
+    },
+    'pacman': {
+        'go to the closest food': 1.0,
+        'avoid ghost': 1.0,
+        'go to the nearest power pellet': 1.0,
+        'eat the ghost': 0.4,
+    },
+}
+STUDY = {
+    'buttons': Statement(
+        'Asked for buttons that make winning easier and faster, ten volunteers named ten, with '
+        'the shares of table 1.',
+        'section 4, table 1',
+    ),
+    'options': Statement(
+        'People break tasks down in a way that fits the framework of options.', 'section 4'
+    ),
+    'taught': Statement('Six of the volunteers taught options of one domain each.', 'section 7'),
+}
 DEMONSTRATIONS = 40  # section 7.1, figure 2: trajectories for acceptable accuracy, both domains
 FIGURE_2 = {
     'rises': Statement(
@@ -111,6 +138,11 @@ TABLE_2_SAID = {
     'never as good': Statement(
         'What options come to is never as good as what primitive actions do.',
         'section 7.3, table 2',
+    ),
+    'incomplete': Statement(
+        'With human options alone it is not always possible to learn the best policy; it was not '
+        'in Pac-Man.',
+        'section 8',
     ),
     'interrupted': Statement(
         'Human options in Pac-Man rarely should run to their end, and might run as modules.',

@@ -1,5 +1,6 @@
 """The report of a reproduction: the paper's claims beside what was found, tables, figures."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -40,22 +41,24 @@ class Mark(Enum):
     DIFFERS = 'does not agree'
     UNDECIDED = 'not distinguishable'  # the interval says neither, or there is none
     NOT_COMPARABLE = 'not comparable'
+    NO_COUNTERPART = 'no counterpart'  # nothing like it is computed here
     MET = 'met'  # a goal of this project, not of the paper
     MISSED = 'missed'
 
     @property
     def good(self) -> bool | None:
         """Whether the mark is a good one; None: neither good nor bad."""
-        if self in (Mark.UNDECIDED, Mark.NOT_COMPARABLE):
+        if self in (Mark.UNDECIDED, Mark.NOT_COMPARABLE, Mark.NO_COUNTERPART):
             return None
         return self in (Mark.AGREES, Mark.MET)
 
 
 SUMMARY = {  # text after the number of comparisons with each mark, at the top of the page
-    Mark.AGREES: 'statements of the paper agree with what was found here',
+    Mark.AGREES: 'comparisons with the paper agree with what it says',
     Mark.DIFFERS: 'do not agree',
-    Mark.UNDECIDED: 'statements and goals are not decided by the intervals',
+    Mark.UNDECIDED: 'comparisons and goals are not decided by the intervals',
     Mark.NOT_COMPARABLE: 'cannot be compared',
+    Mark.NO_COUNTERPART: 'statements of the paper have no counterpart here',
     Mark.MET: 'of our own goals are met',
     Mark.MISSED: 'of our own goals are missed',
 }
@@ -231,6 +234,28 @@ def section_json(section: Section) -> str:
     return json.dumps(values, indent=1, allow_nan=False) + '\n'
 
 
+@dataclass(frozen=True)
+class Verdict:
+    """One statement of the paper, and how often each mark was given to it."""
+
+    said: str
+    where: str
+    section: str  # name of the section that has the numbers
+    marks: Counter[Mark]
+
+
+def verdicts(sections: Sequence[Section]) -> list[Verdict]:
+    """Return every statement of the paper once, in the order of the sections."""
+    found: dict[tuple[str, str], Verdict] = {}
+    for section in sections:
+        for c in section.comparisons:
+            if c.where != OURS:
+                one = Verdict(c.said, c.where, section.name, Counter())
+                marks = found.setdefault((section.name, c.said), one).marks
+                marks.update([c.mark])
+    return list(found.values())
+
+
 def render(data: Reproduction) -> str:
     """Return the page."""
     marks = [c.mark for section in data.sections for c in section.comparisons]
@@ -242,6 +267,7 @@ def render(data: Reproduction) -> str:
     values: dict[str, Any] = {
         'paper': paper.TITLE,
         'sections': data.sections,
+        'verdicts': verdicts(data.sections),
         'people': data.people,
         'study': data.study,
         'bags': list(dict.fromkeys(lesson.bag for lesson in data.study.bags)),

@@ -172,11 +172,18 @@ def summary_table(scores: pd.DataFrame) -> pd.DataFrame:
     return found.rename(columns={'count': 'mazes', 'mean': 'score'})
 
 
+def mean_table(scores: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each setting: the mean score over the mazes of each action set."""
+    means = scores.pivot_table('score', 'setting', 'action set', sort=False)
+    return means.rename_axis(columns=None).reset_index()
+
+
 def present(done: Done) -> Section:
     """Return the section of the report."""
     scores = score_table(done)
     tables = [
-        Table('settings-summary', 'Mean scores over the mazes', summary_table(scores)),
+        Table('settings-means', 'Mean scores over the mazes', mean_table(scores)),
+        Table('settings-summary', 'Mean scores, with limits', summary_table(scores), shown=False),
         Table('settings-scores', 'Scores by maze', scores, shown=False),
     ]
     if scores['maze'].nunique() > 1:

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import figure2, figure3, figure4, paper, table2_report
+from experiments import command, figure2, figure3, figure4, paper, table1, table2_report
 from experiments.learners import cloned_accuracies, FOREST, NEIGHBOUR
 from experiments.people import BagLesson, CAREFUL, participants, Study, VARIED
 from experiments.report import (
@@ -24,9 +24,11 @@ from experiments.report import (
     Done,
     Mark,
     mean_intervals,
+    OURS,
     Picture,
     Reproduction,
     Section,
+    verdicts,
     write_reproduction,
 )
 
@@ -90,6 +92,36 @@ def test_nothing_is_said_of_trials_that_failed(module: Any) -> None:
     assert not section.comparisons
     assert not section.pictures
     assert all(not table.rows for table in section.tables)
+
+
+def test_the_page_has_every_statement_of_the_paper_once() -> None:
+    """Goals of the project are not the paper's; the marks of a statement are counted."""
+    said = [
+        Comparison('a', 'section 1', '1', Mark.AGREES),
+        Comparison('b', OURS, '2', Mark.MET),
+        Comparison('a', 'section 1', '3', Mark.DIFFERS),
+        Comparison('c', 'section 2', '4', Mark.NO_COUNTERPART),
+        Comparison('a', 'section 1', '5', Mark.AGREES),
+    ]
+    found = verdicts([Section('x', 'X', said[:2]), Section('y', 'Y', said[2:])])
+    assert [(v.said, v.section, dict(v.marks)) for v in found] == [
+        ('a', 'x', {Mark.AGREES: 1}),
+        ('a', 'y', {Mark.DIFFERS: 1, Mark.AGREES: 1}),
+        ('c', 'y', {Mark.NO_COUNTERPART: 1}),
+    ]
+
+
+def test_all_begins_with_the_buttons_that_people_name() -> None:
+    """Nothing is computed for table 1; each of its ten buttons is an option that can be taught."""
+    assert command.ALL[0] == table1.NAME
+    assert table1.trials(Study()) == []
+    section = table1.present([])
+    assert marks(section) == [Mark.NO_COUNTERPART] * 3
+    rows = section.tables[0].rows
+    assert len(rows) == 10
+    assert all(row['button'] in reference_options(make_domain(row['domain'])) for row in rows)
+    taught = {(row['domain'], row['button']) for row in rows if 'figure 2' in row['here']}
+    assert taught == {(domain, name) for domain, names in paper.TAUGHT.items() for name in names}
 
 
 # Figure 2.

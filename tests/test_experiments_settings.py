@@ -94,7 +94,7 @@ def test_a_setting_is_judged_in_mazes_that_it_was_not_chosen_in() -> None:
     """
     by_hand = {name: [0.0] * 3 for name in settings.BY_HAND.values()}
     scores = {USUAL: [95.0] * 3, 'a': [130.0, 0.0, 200.0], 'b': [130.0, 200.0, 0.0], **by_hand}
-    choices, summary, each = settings.present(done(scores)).tables
+    choices, means, summary, each = settings.present(done(scores)).tables
     assert [row['action set'] for row in choices.rows] == [*ACTION_SETS, ALL]
     for row in choices.rows:
         assert row['best setting'] == 'a'  # the first of equals
@@ -104,12 +104,14 @@ def test_a_setting_is_judged_in_mazes_that_it_was_not_chosen_in() -> None:
         assert row['usual: high'] == pytest.approx(row['usual: more'] + above)
         assert row['usual: low'] == pytest.approx(row['usual: more'] - above)
     assert [row['by hand'] for row in choices.rows] == [0.0, None, 0.0, 0.0, None, None]
+    assert means.rows[1] == {'setting': 'a', **dict.fromkeys(ACTION_SETS, 110.0)}
     assert len(summary.rows) == len(ACTION_SETS) * len(scores)
     assert len(each.rows) == 3 * len(summary.rows)
 
 
 def test_one_maze_alone_and_none_have_no_choice() -> None:
     assert [table.name for table in settings.present([]).tables] == [
+        'settings-means',
         'settings-summary',
         'settings-scores',
     ]

@@ -126,6 +126,10 @@ class Interval:
         above = self.above(value)
         return None if above is None else not above
 
+    def holds(self, value: float) -> bool | None:
+        """Return whether a value lies within the limits; None: there are none."""
+        return None if math.isnan(self.low) else self.low <= value <= self.high
+
     def at_least(self, value: float = 0.0) -> bool | None:
         """Return whether all of it lies at or above a value, or all below; None: neither."""
         return True if self.low >= value else self.above(value)

@@ -39,7 +39,16 @@ def test_one_value_has_no_limits_and_none_has_no_mean() -> None:
     one, none = Interval.of([4.0]), Interval.of([])
     assert one.mean == 4.0
     assert all(map(math.isnan, (one.low, one.high, none.mean, none.low, none.high)))
-    assert one.above(0.0) is one.above(9.0) is one.at_least(4.0) is None
+    assert one.above(0.0) is one.above(9.0) is one.at_least(4.0) is one.holds(4.0) is None
+
+
+def test_an_interval_holds_its_limits_and_what_is_between() -> None:
+    found = Interval(2.0, 1.0, 4.0)
+    assert [found.holds(value) for value in (0.9, 1.0, 3.0, 4.0, 4.1)] == [
+        False,
+        *[True] * 3,
+        False,
+    ]
 
 
 @pytest.mark.parametrize('count', [5, 50])

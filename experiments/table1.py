@@ -1,0 +1,61 @@
+"""
+Table 1: the buttons that people asked for (section 4).
+
+Nothing is computed: simulated people have no wishes. The section says so, and where what people
+named in the paper is taught here.
+"""
+
+from humanopts_env.domains.registry import make_domain, reference_options
+import pandas as pd
+
+from experiments import paper
+from experiments.people import Study
+from experiments.report import Comparison, Done, Mark, Section, Table
+from experiments.trials import Trial
+
+NAME = 'table1'
+TITLE = 'Table 1: the options that people name'
+WHY = {  # by statement, why nothing here can be compared with it
+    'buttons': 'simulated people name nothing; the options that people named there are taught',
+    'options': 'it is what people said and did in a study; a study of your own is recorded and '
+    'read by the same programs',
+    'taught': 'people are simulated, if none are given with --bags',
+}
+
+
+def trials(study: Study) -> list[Trial]:
+    """Return none."""
+    return []
+
+
+def button_table() -> pd.DataFrame:
+    """Return a row for each button of the paper: domain, button, share of people, taught here."""
+    rows = [
+        (domain, button, share, _taught(domain, button))
+        for domain, buttons in paper.TABLE_1.items()
+        for button, share in buttons.items()
+    ]
+    return pd.DataFrame(rows, columns=['domain', 'button', "paper's share of people", 'here'])
+
+
+def _taught(domain: str, button: str) -> str:
+    """Return where a button of the paper is an option here."""
+    if button in paper.TAUGHT[domain]:
+        return 'taught in figure 2 and table 2'
+    if button in paper.ALSO_NAMED.get(domain, ()):
+        return 'taught in table 2'
+    known = button in reference_options(make_domain(domain))
+    return 'can be taught; not in figures or table 2' if known else 'none'
+
+
+def present(done: Done) -> Section:
+    """Return the section of the report."""
+    return Section(
+        NAME,
+        TITLE,
+        [
+            Comparison(said.text, said.where, WHY[key], Mark.NO_COUNTERPART)
+            for key, said in paper.STUDY.items()
+        ],
+        tables=[Table('table1', "The paper's buttons, and ours", button_table())],
+    )
