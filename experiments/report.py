@@ -284,6 +284,8 @@ def _of_table(value: Any) -> str:
     """Return a value of a table for people."""
     if isinstance(value, float) and abs(value) >= 1000:
         return f'{value:,.0f}'
+    if isinstance(value, int) and value >= 10_000:
+        return f'{value:,}'
     if isinstance(value, float) or value is None:
         return number(value)
     return str(value)

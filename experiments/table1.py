@@ -19,7 +19,7 @@ WHY = {  # by statement, why nothing here can be compared with it
     'buttons': 'simulated people name nothing; the options that people named there are taught',
     'options': 'it is what people said and did in a study; a study of your own is recorded and '
     'read by the same programs',
-    'taught': 'people are simulated, if none are given with --bags',
+    'taught': 'people are simulated where none are given with --bags',
 }
 
 
