@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-import json
+import errno
 import os
 from pathlib import Path
 from typing import TypeVar
+
+from humanopts_ros.limits import parse_json
 
 T = TypeVar('T')
 
@@ -22,8 +24,9 @@ class AppendOnlyLog:
         """
         Open the file, which need not exist, and repair its end.
 
-        :raises OSError: it cannot be read, or its end cannot be repaired.
+        :raises OSError: it is a symbolic link, cannot be read, or its end cannot be repaired.
         """
+        refuse_link(path)
         self.path = path
         self.problems: list[str] = []  # what was repaired or left out, in words
         content = path.read_bytes() if path.exists() else b''
@@ -60,7 +63,7 @@ class AppendOnlyLog:
     def _mend(self, size: int, torn: bytes) -> bytes:
         """Complete a last line that lacks only its end; move any other aside."""
         try:
-            json.loads(torn)
+            parse_json(torn.decode())
         except ValueError:
             aside = unused_name(self.path, 'torn')
             append_bytes(aside, torn)
@@ -81,13 +84,32 @@ def append_bytes(path: Path, content: bytes) -> None:
 
     :raises OSError: it could not be written; the file is cut back to what it was.
     """
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    refuse_link(path)
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW, 0o644)
     try:
         size = append_whole(handle, content, os.fsync)
     finally:
         os.close(handle)
     if size == 0:
         sync(path.parent)
+
+
+def refuse_link(path: Path) -> None:
+    """
+    Refuse a symbolic link in the place of a file: what is written would be written elsewhere.
+
+    :raises OSError: it is one.
+    """
+    if path.is_symlink():
+        text = f'it is a symbolic link to {os.readlink(path)}; put the file itself there'
+        raise OSError(errno.ELOOP, text, str(path))
+
+
+def link_remark(directory: Path) -> str:
+    """Return that a folder is a symbolic link, and where to, in words; empty: it is none."""
+    if not directory.is_symlink():
+        return ''
+    return f'{directory} is a symbolic link: its files are those of {directory.resolve()}'
 
 
 def append_whole(

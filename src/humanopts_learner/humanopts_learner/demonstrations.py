@@ -40,6 +40,8 @@ METHODS = {  # of learning I, beta and policy from demonstrations; what the poli
     TREES: 'learned from the actions that were shown',
     GOAL: 'planned: best ways to an end like the shown ones',
 }
+PRIMITIVE_PREFIX = 'action:'  # of the names of primitive actions as options
+MOST_NAME = 60  # characters of the name of an option, and of the codes of people and sessions
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
 
 
@@ -248,11 +250,30 @@ def check_demonstration(demonstration: Demonstration, domain: Domain[Any]) -> No
         )
     if not demo.option_name.strip():
         raise DemonstrationError('it names no option')
+    texts = ('its participant', demo.participant), ('its session', demo.session)
+    faults = [option_name_fault(demo.option_name), *(_text_fault(*each) for each in texts)]
+    if fault := next(filter(None, faults), ''):
+        raise DemonstrationError(f'it cannot be kept: {fault}')
     if not demo.chosen_features:
         raise DemonstrationError('it names no feature that the option depends on')
     check_method(demo.method, domain)
     _check_features(demo, domain)
     _check_steps(demo, domain)
+
+
+def option_name_fault(name: str) -> str:
+    """Return what is wrong with the name of an option, in words; empty: nothing."""
+    if not name.strip():
+        return 'the name is empty'
+    if name.startswith(PRIMITIVE_PREFIX):
+        return f'names that begin with {PRIMITIVE_PREFIX} are those of primitive actions'
+    return _text_fault('the name', name)
+
+
+def _text_fault(what: str, text: str) -> str:
+    if len(text) > MOST_NAME:
+        return f'{what} has {len(text)} characters; {MOST_NAME} is the most'
+    return '' if text.isprintable() else f'{what} has characters that cannot be printed'
 
 
 def check_method(method: str, domain: Domain[Any]) -> None:

@@ -6,10 +6,9 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Rows
 from humanopts_env.domains.base import Domain
+from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 import numpy as np
-
-PRIMITIVE_PREFIX = 'action:'
 
 
 class UnknownOptionError(ValueError):

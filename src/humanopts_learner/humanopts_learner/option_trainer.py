@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_learner.append_only_log import AppendOnlyLog
+from humanopts_learner.append_only_log import AppendOnlyLog, link_remark
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
@@ -53,6 +53,8 @@ class OptionTrainer:
         except OSError as error:
             raise DataSetError(f'cannot use the folder {directory}: {error.strerror}') from error
         self.problems = self._log.problems  # parts of the folder that could not be used, in words
+        if remark := link_remark(directory):
+            self.problems.append(remark)
         self._demos = self._log.read(self._checked)
         for key in dict.fromkeys((demo.participant, demo.option_name) for demo in self._demos):
             self._learn(*key)

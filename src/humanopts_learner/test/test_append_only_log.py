@@ -23,6 +23,18 @@ def test_what_was_appended_is_there_when_it_is_opened_again(path: Path) -> None:
     assert again.problems == []
 
 
+def test_a_link_is_refused_when_it_is_opened_and_when_it_comes_later(path: Path) -> None:
+    other = path.with_name('other')
+    other.write_bytes(b'{}\n')
+    log = AppendOnlyLog(path)
+    path.symlink_to(other)
+    with pytest.raises(OSError, match='symbolic link to'):
+        log.append('{"a": 1}')
+    with pytest.raises(OSError, match='symbolic link to'):
+        AppendOnlyLog(path)
+    assert other.read_bytes() == b'{}\n'
+
+
 def test_a_file_is_not_made_before_there_is_a_line(path: Path) -> None:
     AppendOnlyLog(path)
     assert not path.exists()

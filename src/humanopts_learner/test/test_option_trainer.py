@@ -206,3 +206,34 @@ def test_a_withdrawal_that_comes_first_holds(
     assert trainer.take(withdrawn(few[0])) is True
     assert trainer.take(few[0]) is False
     assert trainer.progress() == []
+
+
+@pytest.mark.parametrize(
+    ('fields', 'says'),
+    [
+        ({'option_name': 'x' * 61}, 'has 61 characters'),
+        ({'option_name': 'go\x1b[2J'}, 'cannot be printed'),
+        ({'option_name': 'action:north'}, 'primitive actions'),
+        ({'participant': 'p\n1'}, 'its participant has characters'),
+        ({'session': 's' * 1000}, 'its session has 1000 characters'),
+    ],
+)
+def test_names_that_no_lesson_gives_are_refused(
+    trainer: OptionTrainer, few: list[Demonstration], fields: dict[str, str], says: str
+) -> None:
+    with pytest.raises(DemonstrationError, match=says):
+        trainer.take(replace(few[0], **fields))
+    assert trainer.progress() == []
+
+
+def test_a_deep_line_is_left_out_by_its_number(
+    trained: OptionTrainer, reopen: Open, tmp_path: Path
+) -> None:
+    path = tmp_path / 'options' / DATA_SET
+    lines = path.read_text().splitlines()
+    path.write_text('\n'.join([lines[0], '[' * 100_000, *lines[1:], '']))
+    again = reopen()
+    (problem,) = again.problems
+    assert problem.startswith('line 2 of ')
+    assert 'nested more than' in problem
+    assert again.progress()[0].demonstrations == trained.progress()[0].demonstrations

@@ -139,6 +139,27 @@ def test_no_two_names_share_a_file(option: LearnedOption, names: set[str]) -> No
         assert path.name.isascii()
 
 
+def test_links_and_deep_files_are_left_out_and_named(
+    option: LearnedOption, fetching: Shown, tmp_path: Path
+) -> None:
+    path = save_option(tmp_path / 'there', option, fetching)
+    folder = tmp_path / 'folder'
+    (folder / 'p9').mkdir(parents=True)
+    (folder / 'p9' / 'deep.json').write_text('{"format": ' + '[' * 100_000)
+    (folder / 'p9' / 'link.json').symlink_to(path)
+    (folder / 'linked').symlink_to(path.parent)
+    (tmp_path / 'whole').symlink_to(folder)
+    options, problems = load_options(tmp_path / 'whole')
+    assert options == []
+    texts = list(map(str, problems))
+    assert len(texts) == 4
+    assert sum('is a symbolic link' in text for text in texts) == 3
+    assert sum('nested more than' in text for text in texts) == 1
+    option_path(folder, option.participant, option.name).parent.symlink_to(path.parent)
+    with pytest.raises(OSError, match='symbolic link'):
+        save_option(folder, option, fetching)
+
+
 def test_names_cannot_leave_the_folder(option: LearnedOption) -> None:
     path = option_path(Path('options'), '..', '../../x')
     assert '..' not in path.parts

@@ -13,6 +13,7 @@ import os
 import sys
 from typing import Annotated, Any
 
+from humanopts_ros.limits import printable
 from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError, interruptible
 from humanopts_teach.commands.bag import app as bag_app
@@ -230,7 +231,7 @@ def _named(context: Any) -> str:
 
 
 def _complain(path: str, text: str, status: int) -> int:
-    print(f'{path}: {text}', file=sys.stderr)
+    print(printable(f'{path}: {text}'), file=sys.stderr)
     return status
 
 

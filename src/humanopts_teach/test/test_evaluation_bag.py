@@ -316,3 +316,40 @@ def test_a_bag_that_is_none_or_has_no_demonstration_is_refused(
         evaluate_bag(tmp_path / 'bag')
     with pytest.raises(BagError, match='nothing'):
         evaluate_bag(tmp_path / 'nothing')
+
+
+DEEP = '[' * 100_000
+
+
+def test_deep_json_in_a_bag_is_named_and_the_rest_is_evaluated(
+    taxi: Domain[Any], taxi_lesson: Lesson, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = taxi_lesson[:12]
+    deep = [replace(known[0], uuid=str(uuid.uuid4()), domain_parameters=DEEP)]
+    bag = record_lesson(tmp_path / 'bag', taxi, [*known, *deep])
+    found = evaluate_bag(bag)
+    assert [block.name for block in found.blocks] == [known[0].option_name]
+    assert 'nested more than' in ' '.join(found.warnings)
+    info = domain_to_info(taxi)
+    info.parameters = DEEP
+    record(tmp_path / 'deep', [info, *map(demonstration_to_message, known)])
+    assert main(['bag', 'eval', str(tmp_path / 'deep')]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert 'nested more than' in line
+
+
+def test_no_escape_sequence_in_a_name_reaches_the_terminal(
+    taxi: Domain[Any], taxi_lesson: Lesson, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named = [
+        replace(d, option_name='go\x1b[2J', participant='p\x1b]0;x\x07') for d in taxi_lesson[:9]
+    ]
+    messages = [domain_to_info(taxi), *map(demonstration_to_message, named)]
+    for message in messages:
+        message.publisher_id, message.sequence = '/x\x1b[31m#1', 5
+    bag = str(record(tmp_path / 'bag', messages, {'seed': '\x1b[5m', 'budget': '\x9b2J'}))
+    for command in ('info', 'check', 'eval', 'diff'):
+        main(['bag', command, bag, *([bag] if command == 'diff' else [])])
+    out = capsys.readouterr()
+    assert '\\x1b[31m' in out.out
+    assert all(char.isprintable() or char == '\n' for char in out.out + out.err)

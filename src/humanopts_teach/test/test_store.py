@@ -125,6 +125,45 @@ def test_a_damaged_line_in_the_middle_is_named_and_left_in_the_file(tmp_path: Pa
     assert path.read_bytes() == b''.join(lines)
 
 
+@pytest.mark.parametrize(
+    'line',
+    [
+        '[' * 100_000,
+        '{"a":' * 900 + '1' + '}' * 900,
+        '{"version": 1' + '0' * 6000 + '}',
+        '[1e999]',
+    ],
+    ids=['deep', 'deep but whole', 'large', 'infinite'],
+)
+@pytest.mark.parametrize('torn', [False, True])
+def test_json_that_cannot_be_used_does_not_keep_a_folder_from_starting(
+    tmp_path: Path, line: str, torn: bool
+) -> None:
+    path = filled(tmp_path)
+    path.write_bytes(path.read_bytes() + line.encode() + b'\n' * (not torn))
+    with DemonstrationStore(tmp_path) as store:
+        assert list(store.entries('p1')) == ENTRIES
+        (damage,) = store.damage
+    assert 'was cut off' in damage if torn else f'line {len(ENTRIES) + 1} of' in damage
+
+
+def test_symbolic_links_are_named_and_nothing_is_written_through_them(tmp_path: Path) -> None:
+    other = filled(tmp_path / 'other')
+    content = other.read_bytes()
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'folder' / 'p1.jsonl').symlink_to(other)
+    (tmp_path / 'link').symlink_to('folder')
+    with DemonstrationStore(tmp_path / 'link') as store:
+        assert [d.partition(' is ')[2][:25] for d in store.damage] == [
+            'a symbolic link: its file',
+            'left out: it is a symboli',
+        ]
+        assert store.entries('p1') == ()
+        with pytest.raises(StoreError, match='symbolic link'):
+            store.append(SESSION)
+    assert other.read_bytes() == content
+
+
 def test_lines_of_another_participant_are_left_out(tmp_path: Path) -> None:
     filled(tmp_path).rename(tmp_path / 'p2.jsonl')
     with DemonstrationStore(tmp_path) as store:

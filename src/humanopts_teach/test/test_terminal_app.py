@@ -893,3 +893,16 @@ def test_help_explains_every_key(shower: Person) -> None:
     shower.press('left')
     assert shower.sees_words('Teaching')
     assert not any(isinstance(request, Drive) for request in shower.asked)
+
+
+@pytest.mark.parametrize('colours', [None, 'truecolor'])
+def test_no_escape_sequence_of_a_message_reaches_the_terminal(colours: Any) -> None:
+    person = Person(make_domain('taxi'))
+    lesson = LessonView(Phase.NO_SESSION, budget=100, text='a\x1b[2Jb\x07', paused='c\x9b5md')
+    person.world.lesson = lesson
+    person.world.holder = 'x\x1b]0;title\x07'
+    plain = frame(person.app, 80, 30)
+    assert all(line.isprintable() and len(line) <= 80 for line in plain)
+    coloured = '\n'.join(frame(person.app, 80, 30, colours))
+    assert '\x1b[2J' not in coloured
+    assert '\x9b' not in coloured

@@ -8,10 +8,11 @@ from pathlib import Path
 import re
 from typing import Any
 
-from humanopts_learner.append_only_log import sync, unused_name
+from humanopts_learner.append_only_log import link_remark, refuse_link, sync, unused_name
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError, TREES
 from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
 from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_ros.limits import JsonError, parse_json
 
 FORMAT = 'humanopts-option'
 VERSION = 1
@@ -55,7 +56,7 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     :raises OptionFileError: it is not an option, of a version that is not known, or damaged.
     """
     try:
-        data = json.loads(text, parse_constant=_refuse_constant)
+        data = parse_json(text)
         _check_form(data)
         values: dict[str, Any] = {key: data[key] for key in (*TEXTS, *COUNTS)}
         values |= {key: tuple(data[key]) for key in NAMES}
@@ -68,7 +69,7 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
         values['domain_parameters'] = json.dumps(data['domain_parameters'], sort_keys=True)
         option = LearnedOption(**values)
         demonstrations = [Demonstration.from_fields(demo) for demo in data['demonstrations']]
-    except json.JSONDecodeError as error:
+    except JsonError as error:
         raise OptionFileError(f'it is not JSON: {error}') from error
     except KeyError as error:
         raise OptionFileError(f'it has no {error}') from None
@@ -76,8 +77,6 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
         raise
     except (TreeError, DemonstrationError, OptionError, TypeError, ValueError) as error:
         raise OptionFileError(str(error)) from error
-    except RecursionError:
-        raise OptionFileError('its values are nested too deeply') from None
     if tuple(dict.fromkeys(encoded.feature for encoded in option.encoding)) != option.features:
         raise OptionFileError('its encoded features are not those that it names')
     if demonstrations and {demo.uuid for demo in demonstrations} != set(option.uuids):
@@ -111,6 +110,7 @@ def save_option(
     """
     path = option_path(directory, option.participant, option.name)
     path.parent.mkdir(parents=True, exist_ok=True)
+    refuse_link(path.parent)
     temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:
         with temporary.open('w', encoding='utf-8') as file:
@@ -156,11 +156,19 @@ def load_options(directory: Path) -> tuple[list[LearnedOption], list[OptionFileE
     """
     Read every option file of a folder, sorted by path.
 
+    Symbolic links in the folder are not followed.
+
     :return: the options, and what is wrong with files that cannot be used; these are left alone.
+        That the folder itself is a symbolic link is said among them.
     """
-    options, problems = [], []
+    options: list[LearnedOption] = []
+    problems: list[OptionFileError] = []
+    if remark := link_remark(directory):
+        problems.append(OptionFileError(remark))
     for path in sorted(directory.glob('*/*.json')):
         try:
+            if link := next((each for each in (path.parent, path) if each.is_symlink()), None):
+                raise OptionFileError(f'{path} is left out: {link} is a symbolic link')
             options.append(load_option(path)[0])
         except OptionFileError as error:
             problems.append(error)
@@ -181,10 +189,6 @@ def _check_form(data: Any) -> None:
             wrong.append(key)
     if wrong:
         raise OptionFileError(f'{", ".join(wrong)} of it has the wrong form')
-
-
-def _refuse_constant(name: str) -> Any:
-    raise OptionFileError(f'it holds the number {name}, which is not finite')
 
 
 def _pretty(data: Mapping[str, Any]) -> str:

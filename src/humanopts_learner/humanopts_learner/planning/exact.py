@@ -8,7 +8,7 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import EnumerableDomain
-from humanopts_learner.library import PRIMITIVE_PREFIX
+from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
 from humanopts_learner.planning.option_models import option_modeller, OptionModel
 from humanopts_learner.planning.request import (

@@ -13,8 +13,9 @@ import os
 from pathlib import Path
 import sys
 import time
-from typing import Annotated, Any, Literal, Protocol, TYPE_CHECKING
+from typing import Annotated, Any, Literal, Protocol, TextIO, TYPE_CHECKING
 
+from humanopts_ros.limits import printable
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import CommandGroup, number, PLAIN, several_games, whole
 import typer
@@ -74,7 +75,7 @@ def info(bag: BagArgument, json: Json = False) -> int:
 
     with progress_bar() as show:
         found = summarise(open_bag(bag, show))
-    print(_json(found.to_dict()) if json else found.to_text())
+    _print(_json(found.to_dict()) if json else found.to_text())
     return 0
 
 
@@ -106,7 +107,7 @@ def check(
         except BagWriteError as error:
             raise CommandError(str(error)) from error
         print(f'{repair}: {count} messages, all that could be saved', file=sys.stderr)
-    print(_json(found.to_dict()) if json else found.to_text())
+    _print(_json(found.to_dict()) if json else found.to_text())
     return 0 if found.whole else 1
 
 
@@ -159,7 +160,7 @@ def evaluate(
         print(_json(found[0].to_dict()))
     else:
         heads = [f'bag {each.path}\n' if len(bags) > 1 else '' for each in opened]
-        print('\n\n'.join(head + evaluation_text(each) for head, each in zip(heads, found)))
+        _print('\n\n'.join(head + evaluation_text(each) for head, each in zip(heads, found)))
     for each, evaluation in zip(opened, found):
         _warn('eval', each if len(bags) > 1 else None, evaluation.warnings)
     if html:
@@ -190,7 +191,7 @@ def diff(
     for each, lesson in zip(opened, lessons):
         _warn('diff', each, lesson.evaluation.warnings)
     listed = {'same': not found, 'differences': [asdict(difference) for difference in found]}
-    print(_json(listed) if json else difference_text(found))
+    _print(_json(listed) if json else difference_text(found))
     return 1 if found else 0
 
 
@@ -226,7 +227,7 @@ def play(
     try:
         if why_not():
             for text in replay.plain():
-                print(text)
+                _print(text)
         else:
             with Device() as device:
                 _play(replay, device)
@@ -270,9 +271,14 @@ def export(
         raise CommandError(str(error)) from error
     except OSError as error:
         raise CommandError(f'cannot write in {out}: {error.strerror or error}') from error
-    print('\n'.join(written))
+    _print('\n'.join(written))
     _warn('export', None, opened.damage.splitlines())
     return 0
+
+
+def _print(text: str, file: TextIO | None = None) -> None:
+    """Print what a bag holds: no escape sequence in a name reaches the terminal."""
+    print(printable(text), file=file)
 
 
 def _json(values: Any) -> str:
@@ -283,7 +289,7 @@ def _warn(command: str, bag: 'Bag | None', warnings: Sequence[str]) -> None:
     """Print what was assumed or left out; of one of several bags, with its path."""
     whose = f'{bag.path}: ' if bag is not None else ''
     for warning in warnings:
-        print(f'humanopts bag {command}: {whose}{warning}', file=sys.stderr)
+        _print(f'humanopts bag {command}: {whose}{warning}', sys.stderr)
 
 
 def _check_report(path: Path, bags: int) -> None:

@@ -4,6 +4,7 @@ from typing import Any
 
 from humanopts_env.colours import GREEN, ORANGE
 from humanopts_learner.options.criteria import Criterion
+from humanopts_ros.limits import printable
 from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.ros.convert import option_status_from_message
 from humanopts_teach.ros.graph_client import GraphClient
@@ -86,7 +87,7 @@ class DemoProgress:
     def _say(self, text: str, key: str = '') -> None:
         if (key or text) not in self._said:
             self._said.add(key or text)
-            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+            self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
 
 def _criteria_table(learning: Any) -> Table:

@@ -28,6 +28,7 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
+from humanopts_ros.limits import parse_json
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.provenance import software, UNKNOWN
@@ -295,8 +296,8 @@ def attached_options(bag: Bag) -> dict[Key, Mapping[str, Any]]:
     found: dict[Key, Mapping[str, Any]] = {}
     for file in bag.attached():
         try:
-            data = json.loads(file.data)
-        except (ValueError, RecursionError):
+            data = parse_json(file.data.decode())
+        except ValueError:
             continue  # another kind of file
         if isinstance(data, dict) and data.get('format') == FORMAT:
             found[str(data.get('participant')), str(data.get('name'))] = data

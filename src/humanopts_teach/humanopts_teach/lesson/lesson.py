@@ -19,6 +19,7 @@ from humanopts_learner.demonstrations import (
     Demonstration,
     DemonstrationError,
     each_once,
+    option_name_fault,
 )
 from humanopts_teach.lesson.attempt import Attempt
 from humanopts_teach.lesson.history import History, OptionHistory
@@ -50,8 +51,6 @@ from humanopts_teach.lesson.store import (
     StoreError,
 )
 
-_NAME_LENGTH = 60
-_RESERVED = 'action:'  # how option_server names primitive actions
 _ALL_NO = 'Every answer was no, but an option depends on something: they are asked again.'
 _UNRECORDED = 'on disk, but not in this recording: the next one has it'
 _OVER, _AT_LIMIT = 'The task is over.', 'The episode is at its step limit.'
@@ -381,7 +380,7 @@ class Lesson:
         if not self._participant:
             raise _wrong_phase('open a session first')
         name = request.name.strip()
-        if fault := _name_fault(name):
+        if fault := option_name_fault(name):
             raise RefusalError(RequestStatus.BAD_NAME, fault)
         known = self._history.options.get(name)
         before = known.method if known is not None else ''
@@ -531,19 +530,6 @@ class Lesson:
 
 def _wrong_phase(detail: str) -> RefusalError:
     return RefusalError(RequestStatus.WRONG_PHASE, detail)
-
-
-def _name_fault(name: str) -> str:
-    """Return what is wrong with an option's name; empty: nothing."""
-    if not name:
-        return 'the name is empty'
-    if len(name) > _NAME_LENGTH:
-        return f'the name has {len(name)} characters; {_NAME_LENGTH} is the most'
-    if not name.isprintable():
-        return 'the name has characters that cannot be printed'
-    if name.startswith(_RESERVED):
-        return f'names that begin with {_RESERVED} are those of primitive actions'
-    return ''
 
 
 def _hint(view: LessonView) -> str:

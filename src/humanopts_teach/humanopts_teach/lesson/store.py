@@ -14,8 +14,9 @@ from pathlib import Path
 import re
 from typing import Any, TextIO
 
-from humanopts_learner.append_only_log import AppendOnlyLog
+from humanopts_learner.append_only_log import AppendOnlyLog, link_remark
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError
+from humanopts_ros.limits import JsonError, parse_json
 
 VERSION = 1  # of the line format
 _SUFFIX = '.jsonl'
@@ -85,8 +86,8 @@ def entry_from_line(line: str) -> Entry:
     :raises EntryError: it is not JSON, of another version, or a field is missing or wrong.
     """
     try:
-        values = json.loads(line)
-    except json.JSONDecodeError as error:
+        values = parse_json(line)
+    except JsonError as error:
         raise EntryError(f'it is not JSON: {error}') from None
     if not isinstance(values, dict) or values.get('version') != VERSION:
         raise EntryError(f'it is not an entry of version {VERSION}')
@@ -128,10 +129,15 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
         self._lock: TextIO | None = None
         try:
             directory.mkdir(parents=True, exist_ok=True)
+            if remark := link_remark(directory):
+                self.damage.append(remark)
             self._lock = (directory / _LOCK).open('a', encoding='utf-8')
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             for path in sorted(directory.glob(f'*{_SUFFIX}')):
-                self._entries[path.stem] = self._load(path)
+                if path.is_symlink():
+                    self.damage.append(f'{path} is left out: it is a symbolic link')
+                else:
+                    self._entries[path.stem] = self._load(path)
         except OSError as error:
             self.close()
             raise _explained(error, f'open the folder of demonstrations {directory}') from error

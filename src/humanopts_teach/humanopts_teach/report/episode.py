@@ -7,7 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_learner.library import PRIMITIVE_PREFIX
+from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_teach.bags.contents import (
     actor_of,
     Actors,

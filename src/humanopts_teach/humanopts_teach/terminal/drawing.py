@@ -1,6 +1,6 @@
 """The whole screen as lines of a given size."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from io import StringIO
 from typing import Any, Literal
 
@@ -12,8 +12,9 @@ from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen
 from humanopts_teach.terminal.panels import KEY, panel
 from humanopts_teach.terminal.teaching import LessonScreen
 from rich.cells import cell_len, set_cell_size
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.padding import Padding
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -58,8 +59,21 @@ def lines_of(renderable: RenderableType, width: int, colours: Colours | None) ->
         markup=False,
         emoji=False,
     )
-    console.print(renderable)
+    console.print(_Printable(renderable))
     return [line.rstrip() for line in file.getvalue().rstrip('\n').split('\n')]
+
+
+class _Printable:
+    """Something laid out, without the characters that would control the terminal."""
+
+    def __init__(self, renderable: RenderableType) -> None:
+        self._renderable = renderable
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        """Yield the parts; those characters are no cell wide, so that none moves."""
+        for text, style, control in console.render(self._renderable, options):
+            plain = ''.join(c for c in text if c.isprintable() or c == '\n')
+            yield Segment(plain, style, control)
 
 
 def fit(lines: list[str], height: int) -> list[str]:

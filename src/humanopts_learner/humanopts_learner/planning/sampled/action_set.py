@@ -13,7 +13,7 @@ from typing import Any
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import BatchGames
-from humanopts_learner.library import PRIMITIVE_PREFIX
+from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.options.lookup import Decisions, decisions
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import batch_games, OPTIONS_ONLY, PlanError, PRIMITIVE
