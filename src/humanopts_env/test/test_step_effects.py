@@ -53,7 +53,7 @@ def taxi(place: str, passenger: str) -> str:
         (('0,1', 'R'), 'east', ('0,1', 'R'), StepEffect('wall: nothing moved', False)),
         (('0,0', 'R'), 'south', ('1,0', 'R'), StepEffect('went south')),
     ],
-    ids=str,
+    ids=lambda value: getattr(value, 'name', str(value)),
 )
 def test_every_step_of_taxi_says_what_it_did(
     before: tuple[str, str], action: str, after: tuple[str, str], expected: StepEffect
@@ -121,7 +121,7 @@ def grid(place: str) -> str:
             StepEffect('wall or cliff: still at the start', False),
         ),
     ],
-    ids=str,
+    ids=lambda value: getattr(value, 'name', str(value)),
 )
 def test_slips_holes_and_falls_of_gymnasiums_grids_are_told(
     domain: Domain[Any], before: str, action: str, after: str, expected: StepEffect
