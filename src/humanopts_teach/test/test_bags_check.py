@@ -1,11 +1,15 @@
 """``bag check``: damage has a name, what is missing a number, and a repair saves the rest."""
 
 from collections.abc import Iterable
+import fcntl
 import json
 import os
 from pathlib import Path
 import resource
 import struct
+import subprocess
+import sys
+from typing import Any
 
 from humanopts_interfaces.msg import GameState
 from humanopts_teach.bags import BagError, BagWriteError
@@ -19,11 +23,11 @@ import pytest
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
+from teach_support.bags import START, state, write_states
 import yaml
 
 GAME = 'humanopts_interfaces/msg/GameState'
 TEXT = 'std_msgs/msg/String'
-START = 10**18  # ns since the epoch
 
 
 def write(path: Path, sequences: Iterable[int], limits: Limits = NO_LIMITS) -> None:
@@ -89,6 +93,62 @@ def test_what_is_missing_repeated_and_late_is_counted_for_its_publisher(
         '1 messages are there more than once (in 1 streams)',
         '1 messages are after one that was sent later (in 1 streams)',
     ]
+
+
+def in_json(bag: Path, command: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, Any]:
+    """Return the status of a bag command, and what it says as JSON."""
+    status = main(['bag', command, str(bag), '--json'])
+    return status, json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize('limits', [NO_LIMITS, Limits(seconds=0.03)])
+def test_a_recording_that_still_runs_is_no_damage_and_what_is_missing_in_it_is(
+    tmp_path: Path, limits: Limits, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / 'bag'
+    with write_states(bag, 57, limits=limits) as writer:
+        recorded = open_bag(bag).n_messages  # the rest is in a chunk that is not yet written
+        assert 0 < recorded < 57
+        assert main(['bag', 'check', str(bag)]) == 0
+        verdict = f'{bag} is being recorded: {recorded} messages so far, none missing\n\n'
+        assert capsys.readouterr().out.startswith(verdict)
+        status, found = in_json(bag, 'check', capsys)
+        assert (status, found['recording'], found['findings']) == (0, True, [])
+        status, found = in_json(bag, 'info', capsys)
+        assert (status, found['recording'], found['damage']) == (0, True, '')
+        assert main(['bag', 'info', str(bag)]) == 0
+        shown = capsys.readouterr().out
+        assert 'DAMAGED' not in shown
+        assert 'the bag is being recorded: this is what it holds so far' in shown
+        with (bag / 'half.mcap').open('wb') as half:  # as while a chunk is being written
+            half.write((bag / 'bag_0.mcap').read_bytes()[:-30])
+            half.flush()
+            fcntl.flock(half, fcntl.LOCK_EX)
+            assert not check_bag(open_bag(bag / 'half.mcap')).damage
+        (bag / 'half.mcap').unlink()
+        writer.write('/game_state', state(99), START + 10**9)
+        writer.flush()
+        status, found = in_json(bag, 'check', capsys)
+        assert (status, found['recording'], found['damage']) == (1, True, [])
+        assert found['findings'] == ['42 messages were sent and are missing (in 1 streams)']
+    status, found = in_json(bag, 'check', capsys)
+    assert (status, found['recording'], found['damage']) == (1, False, [])
+
+
+def test_a_recorder_that_was_killed_records_no_more(tmp_path: Path) -> None:
+    write = (
+        'from humanopts_teach.bags.writer import BagWriter; from pathlib import Path; import os; '
+        'bag = BagWriter(Path("bag")); print(flush=True); input(); os._exit(9)'
+    )
+    command = [sys.executable, '-c', write]
+    pipes = {'stdin': subprocess.PIPE, 'stdout': subprocess.PIPE}
+    with subprocess.Popen(command, cwd=tmp_path, **pipes) as recorder:  # type: ignore[call-overload]
+        recorder.stdout.readline()
+        assert open_bag(tmp_path / 'bag').recording
+        recorder.communicate(b'\n')
+    opened = open_bag(tmp_path / 'bag')
+    assert not opened.recording
+    assert 'was not closed' in opened.damage
 
 
 def test_no_bag_is_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,12 +23,13 @@ class Check:
 
     path: str
     messages: int  # that can be read
+    recording: bool  # it is being recorded, and was read as far as it was on the disk
     damage: tuple[str, ...]  # of the files, in words
     streams: tuple[Stream, ...]
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Everything that is wrong, in words; empty: the bag is whole."""
+        """Everything that is wrong, in words; empty: the bag is whole, as far as it is recorded."""
         found = list(self.damage)
         for name, text in (
             ('missing', 'messages were sent and are missing'),
@@ -52,6 +53,7 @@ class Check:
             'messages': self.messages,
             'damage': list(self.damage),
             'accounts': [_columns(stream) for stream in self.streams],
+            'recording': self.recording,
             'whole': self.whole,
             'findings': list(self.findings),
         }
@@ -60,7 +62,10 @@ class Check:
         """Return the check as text for a person."""
         rows = [_columns(stream) for stream in self.streams]
         numbers = table(list(rows[0]), [list(row.values()) for row in rows]) if rows else ''
-        if self.whole:
+        if self.recording:
+            wrong = 'something is wrong' if self.findings else 'none missing'
+            verdict = f'{self.path} is being recorded: {self.messages} messages so far, {wrong}'
+        elif self.whole:
             verdict = f'{self.path} is whole: {self.messages} messages, none missing'
         else:
             verdict = f'{self.path} is damaged or incomplete: {self.messages} messages were read'
@@ -83,6 +88,8 @@ def check_bag(bag: Bag) -> Check:
     """
     Read a bag once and compare it with its checksums, numbers and metadata.yaml.
 
+    While it is being recorded, counts and times in metadata.yaml are older, and not compared.
+
     Messages without a publisher's number are counted by those of our recorder. It needs memory for
     a few chunks, the index and one attached file.
     """
@@ -102,6 +109,7 @@ def check_bag(bag: Bag) -> Check:
     return Check(
         str(bag.path),
         tally.extent.messages,
+        bag.recording,
         tuple(bag.damage.splitlines()),
         tuple(sorted(streams, key=lambda stream: (stream.topic, stream.publisher))),
     )
@@ -113,7 +121,7 @@ def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
     for name, count in indexed.items():
         if count != counts[name]:
             bag.note(f'{name}: {counts[name]} of {count} messages were read')
-    if not bag.information:
+    if bag.recording or not bag.information:
         return
     try:
         total, told, times = _described(bag.information)

@@ -40,7 +40,7 @@ def read_domain(bag: Bag) -> Domain[Any]:
     """
     played = sorted(set(bag.converted(DOMAIN_INFO, lambda info: (info.domain, info.parameters))))
     if not played:
-        reasons = '; '.join(['no domain_info', *bag.damage.splitlines()])
+        reasons = '; '.join(['no domain_info', *bag.notes])
         raise BagError(f'{bag.path} does not say which domain was played ({reasons})')
     if len(played) > 1:
         names = ', '.join(f'{name} {parameters}' for name, parameters in played)

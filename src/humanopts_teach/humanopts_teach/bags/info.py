@@ -24,7 +24,7 @@ from humanopts_teach.bags.contents import (
     EpisodeMessages,
     is_ended,
 )
-from humanopts_teach.bags.reader import Bag, Recorded
+from humanopts_teach.bags.reader import Bag, BEING_RECORDED, Recorded
 from humanopts_teach.bags.rosbag2 import Topic
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.sequence_numbers import Stream, Tally
@@ -111,6 +111,7 @@ class BagInfo:
     """What a bag holds, filled in while it is read."""
 
     path: str
+    recording: bool = False  # it is being recorded; what follows is so far
     damage: str = ''  # what is wrong with the bag, a line each; empty: nothing
     start: int = 0  # of the first message, ns since the epoch
     duration: int = 0  # to the last message, ns
@@ -228,6 +229,7 @@ class BagInfo:
         begun = datetime.fromtimestamp(self.start / 1e9, UTC).strftime('%Y-%m-%d %H:%M:%S UTC')
         pairs = [
             ('bag', self.path),
+            *([('recording', BEING_RECORDED)] if self.recording else []),
             *(('DAMAGED', line) for line in self.damage.splitlines()),
             ('begun', begun if self.messages else 'nothing was recorded'),
             ('duration', f'{self.duration / 1e9:.1f} s'),
@@ -342,6 +344,7 @@ class _Collector:
             self._episode(group)
         return replace(
             self._info,
+            recording=bag.recording,
             damage=bag.damage,
             start=tally.extent.first if tally.extent.messages else 0,
             duration=tally.extent.duration,

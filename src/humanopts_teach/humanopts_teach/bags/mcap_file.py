@@ -89,6 +89,7 @@ class FileIndex:
     damage: list[str] = field(default_factory=list)  # what is wrong with the file, in words
     library: str = ''  # that wrote the file; empty: not known
     closed: bool = False  # whether its data has an end
+    growing: bool = False  # it is being written, so an end is not yet expected
 
     def note(self, damage: str) -> None:
         """Keep what is wrong with the file."""
@@ -130,11 +131,14 @@ class McapStream(BufferedReader):
         return opcode, self.read(length)
 
 
-def read_index(path: Path, on_offset: OffsetCallback = lambda _: None) -> FileIndex:
+def read_index(
+    path: Path, on_offset: OffsetCallback = lambda _: None, *, growing: bool = False
+) -> FileIndex:
     """
     Find the messages of a file.
 
     :param on_offset: is called while a file without an index is gone through.
+    :param growing: the file is being written; that its end is missing is no damage.
     :raises BagError: the file cannot be read, is empty, or is not an MCAP file.
     """
     try:
@@ -143,14 +147,14 @@ def read_index(path: Path, on_offset: OffsetCallback = lambda _: None) -> FileIn
                 raise BagError(f'{path} is empty')
             if stream.peek(MAGIC_SIZE)[:MAGIC_SIZE] != MCAP0_MAGIC:
                 raise BagError(f'{path} is not an MCAP file: it was written by another program')
-            damage, index = '', FileIndex(path)
+            damage, index = '', FileIndex(path, growing=growing)
             try:
-                found = _read_summary(index, stream)
+                found = not growing and _read_summary(index, stream)
             except DAMAGE as error:
                 damage = f'its index is damaged ({error}); everything else that was found is whole'
                 found = False
             if not found:
-                index = FileIndex(path)
+                index = FileIndex(path, growing=growing)
                 _scan(index, stream, on_offset)
                 if damage and not index.damage:
                     index.note(damage)
@@ -338,7 +342,7 @@ def _scan(index: FileIndex, stream: McapStream, on_offset: OffsetCallback) -> No
             why = str(error) or 'they end too soon'
             index.note(f'bytes {start} to {end} are damaged ({why}) and left out')
         index.closed = index.closed or opcode == Opcode.DATA_END
-    if not index.closed and not index.damage:
+    if not (index.closed or index.growing or index.damage):
         index.note('it was not closed: it ends without an index')
     unknown = Counter(index.counts)
     for channel_id in filter(index.describes, index.counts):
@@ -361,7 +365,7 @@ def _pieces(index: FileIndex, stream: McapStream) -> Iterator[tuple[int, int, in
         if opcode == 0:
             found, end = _next_chunk(stream, at)
             if end == 0:
-                if not index.closed:
+                if not (index.closed or index.growing):
                     index.note(f'it is cut short in the record at byte {at} of {stream.size}')
                 return
             if found == at:

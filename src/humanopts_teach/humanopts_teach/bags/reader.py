@@ -19,13 +19,14 @@ from humanopts_teach.bags.mcap_file import (
 )
 from humanopts_teach.bags.rosbag2 import FILE, find_files, load, Topic
 from humanopts_teach.bags.schemas import Decoder, make_decoder
-from humanopts_teach.bags.writer import LIBRARY, RECORD, SELF, SELF_TEXT
+from humanopts_teach.bags.writer import is_being_written, LIBRARY, RECORD, SELF, SELF_TEXT
 from mcap.records import Attachment, Message
 
 INTERFACES = 'humanopts_interfaces/'
 ALWAYS = (0, 2**64)  # first and last log time
 MOST_WAITING = 64 << 20  # bytes of messages that are held to be put in order of time
 _MESSAGE_MEMORY = 500  # bytes that a message takes in memory apart from its data
+BEING_RECORDED = 'the bag is being recorded: this is what it holds so far'
 MOST_NOTES = 1000  # kinds of damage that are kept
 _UNDECODABLE = (*DAMAGE, IndexError, TypeError, AttributeError)  # what bytes of another type raise
 ProgressCallback = Callable[[int, int], object]  # takes how many bytes are read, and of how many
@@ -56,6 +57,7 @@ class Bag:
     :ivar on_read: called in every pass.
     :ivar files: the MCAP files.
     :ivar metadata: the MCAP metadata records by name.
+    :ivar recording: it was still being recorded when it was opened; it holds what was written then.
     :ivar attachments: the attached files by name, of which ``attached`` has the contents.
     :ivar numbered: our recorder wrote the bag, which numbers the messages of a topic from 1.
     :ivar topics: the topics by name, sorted.
@@ -71,6 +73,7 @@ class Bag:
         self.metadata = {name: each for file in files for name, each in file.metadata.items()}
         self.attachments = {name: at for file in files for name, at in file.attachments.items()}
         self.numbered = all(file.library == LIBRARY or RECORD in file.metadata for file in files)
+        self.recording = any(file.growing for file in files)
         self._files = files
         self._damage = dict.fromkeys([*damage, *(text for file in files for text in file.damage)])
         self._decoders: dict[str, Decoder] = {}
@@ -82,6 +85,11 @@ class Bag:
     def damage(self) -> str:
         """What is wrong with the bag, as far as it was read, a line each; empty: nothing."""
         return '\n'.join(self._damage)
+
+    @property
+    def notes(self) -> list[str]:
+        """What its reader must know, in words: that it is being recorded, and its damage."""
+        return [*([BEING_RECORDED] if self.recording else []), *self._damage]
 
     @property
     def facts(self) -> dict[str, str]:
@@ -275,7 +283,7 @@ def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> B
     Open a rosbag2 directory or an MCAP file.
 
     A file that was cut short or not closed is opened with all that is whole in it; ``Bag.damage``
-    then says what is wrong.
+    then says what is wrong. One that is being recorded is opened with what is on the disk so far.
 
     :param on_read: is called with the bytes read so far in every pass over the bag, the first of
         which finds the messages of a file without an index.
@@ -288,7 +296,8 @@ def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> B
     files, errors = [], []
     for number, file in enumerate(paths):
         try:
-            files.append(read_index(file, partial(tell, number)))
+            growing = is_being_written(file)  # asked before reading: it may be closed meanwhile
+            files.append(read_index(file, partial(tell, number), growing=growing))
         except BagError as error:
             errors.append(error)
     if not files:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+import fcntl
 import os
 from pathlib import Path
 from typing import Any, cast, IO
@@ -34,7 +35,8 @@ class _File:
 
     A record that does not fit on the disk is removed, so that the file stays readable; after that
     nothing more is written. The file gets its name when its head is on the disk, so that no
-    reader finds it empty.
+    reader finds it empty. It is locked until it is closed, cannot grow any more, or its process
+    ends, however that happens: so ``is_being_written`` can tell.
     """
 
     def __init__(self, path: Path, facts: Mapping[str, str]) -> None:
@@ -53,6 +55,7 @@ class _File:
         self._finished = False
         self._path = path.with_name(f'{path.name}.new')
         self._handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._lock(fcntl.LOCK_EX)
         self.writer: Any = Writer(
             cast(IO[bytes], self),
             chunk_size=CHUNK_BYTES,
@@ -81,6 +84,7 @@ class _File:
         except OSError as error:
             self._failure = f'cannot write to {self._path}: {error.strerror}; what was written'
             self._failure += ' before is kept. Free space and start another recording'
+            self._lock(fcntl.LOCK_UN)
             raise BagWriteError(self._failure) from error
         self.size += len(data)
 
@@ -114,6 +118,22 @@ class _File:
         os.close(self._handle)
         with suppress(OSError):
             self._path.unlink()
+
+    def _lock(self, how: int) -> None:
+        with suppress(OSError):  # some network file systems have no locks
+            fcntl.flock(self._handle, how | fcntl.LOCK_NB)
+
+
+def is_being_written(path: Path) -> bool:
+    """Tell whether a recorder of this machine has a file open for writing."""
+    try:
+        with path.open('rb') as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        pass  # it cannot be opened or locked, so nobody is known to write it
+    return False
 
 
 @dataclass(frozen=True)

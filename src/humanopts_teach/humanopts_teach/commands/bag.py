@@ -272,7 +272,7 @@ def export(
     except OSError as error:
         raise CommandError(f'cannot write in {out}: {error.strerror or error}') from error
     _print('\n'.join(written))
-    _warn('export', None, opened.damage.splitlines())
+    _warn('export', None, opened.notes)
     return 0
 
 

@@ -203,7 +203,7 @@ def evaluate_bag(
     domain = read_domain(opened)
     settings, assumed = settings_from_facts(opened.facts)
     demonstrations, attached = read_demonstrations(opened), attached_options(opened)
-    warnings = [*opened.damage.splitlines(), *assumed, *software_notes(opened.facts)]
+    warnings = [*opened.notes, *assumed, *software_notes(opened.facts)]
     found = evaluate(demonstrations, domain, settings, warnings, progress, episodes)
     learned = [evaluated.last.option for evaluated in found.options]
     equal, differing = compare_options(attached, learned, demonstrations)
