@@ -29,7 +29,7 @@ class Check:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Everything that is wrong, in words; empty: the bag is whole, as far as it is recorded."""
+        """Everything that is wrong, in words; empty: the bag is whole, or whole so far."""
         found = list(self.damage)
         for name, text in (
             ('missing', 'messages were sent and are missing'),

@@ -57,7 +57,7 @@ class Bag:
     :ivar on_read: called in every pass.
     :ivar files: the MCAP files.
     :ivar metadata: the MCAP metadata records by name.
-    :ivar recording: it was still being recorded when it was opened; it holds what was written then.
+    :ivar recording: it was being recorded when it was opened; it holds what was written by then.
     :ivar attachments: the attached files by name, of which ``attached`` has the contents.
     :ivar numbered: our recorder wrote the bag, which numbers the messages of a topic from 1.
     :ivar topics: the topics by name, sorted.
