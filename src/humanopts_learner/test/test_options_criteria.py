@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+import itertools
 import math
 import random
 import time
@@ -98,6 +99,79 @@ def test_coming_to_another_end_counts_as_not_coming_to_the_end(person: Callable[
     assert [demo.total_reward for demo in shown] == [0] * 9 + [-2]
     value = judge(shown, TAXI, Thresholds(), 0).criteria[0].value
     assert value == pytest.approx((8 - 2) / 10)  # twice the 4 steps at -1, though it ended after 2
+
+
+@pytest.fixture(scope='module')
+def from_everywhere(person: Callable[..., Any]) -> Shown:
+    """Return one demonstration from every cell to every passenger; from one cell a longer way."""
+    ann = person()
+    for cell, place in itertools.product(range(25), range(4)):
+        ann.show(TaxiState(*divmod(cell, 5), place, (place + 1) % 4))
+    around = TaxiState(1, 1, 0, 1)  # two cells from R, which is at 0,0
+    demo = next(d for d in ann.shown if TAXI.decode(d.states[0]) == around)
+    walk = [around, *(replace(around, row=r, col=c) for r, c in ((2, 1), (2, 0), (1, 0), (0, 0)))]
+    walk.append(replace(walk[-1], passenger=4))
+    longer = replace(
+        demo,
+        states=tuple(map(TAXI.encode, walk)),
+        features=tuple(tuple(TAXI.feature_values(state).tolist()) for state in walk),
+        actions=('south', 'west', 'north', 'north', 'pickup'),
+        rewards=(-1.0,) * 4 + (0.0,),
+    )
+    again = [replace(longer, uuid=f'{n:08}-0000-4000-8000-000000000000') for n in range(40)]
+    return [*ann.shown, *again]
+
+
+def test_what_is_known_of_every_start_takes_the_place_of_the_held_out_return(
+    from_everywhere: Shown,
+) -> None:
+    """The longer way is worth two less; with a threshold below that, it is not good enough."""
+    option = learn_option(from_everywhere, TAXI, 0)
+    starts = [
+        s for s in map(TAXI.state_at, range(500)) if not (TAXI.is_over(s) or s.passenger == 4)
+    ]
+    assert option.can_start(np.array([TAXI.feature_values(s) for s in starts])).all()
+    runs = rollouts(option, TAXI, starts)
+    assert runs.reached.all()
+    reference = reference_options(TAXI)[option.name]
+    shortest = np.array([_steps_to_pickup(reference, start) for start in starts])
+    worst = (-(shortest - 1) - runs.total_reward).max()  # the pickup costs nothing
+    assert worst == 2
+    found, strict = (
+        judge(from_everywhere, TAXI, Thresholds(return_delta=delta), 0, option)
+        for delta in (2.0, 1.9)
+    )
+    assert found.criteria[0] == Criterion(RETURN, 2.0, 2.0, met=True, high=2.0)
+    assert strict.criteria[0].value not in (2.0, None)  # that of the held-out runs
+    assert (found.more_needed, strict.criteria[1:]) == (0, found.criteria[1:])
+
+
+def _steps_to_pickup(reference: Any, state: TaxiState) -> int:
+    steps = 0
+    while not reference.ends(state):
+        state = TAXI.step(state, reference.optimal_actions(state)[0], generator(0)).state
+        steps += 1
+    return steps
+
+
+def test_a_start_from_which_it_does_not_end_is_no_known_return(from_everywhere: Shown) -> None:
+    """Without what was shown in one corner, it walks into the wall there."""
+    corner = TAXI.encode(TaxiState(4, 4, 0, 1))
+    known = judge(from_everywhere, TAXI, Thresholds(), 0).criteria[0]
+    shown = [demo for demo in from_everywhere if 'taxi 4,4' not in ' '.join(demo.states)]
+    option = learn_option(shown, TAXI, 0)
+    assert corner not in ' '.join(demo.states[0] for demo in shown)
+    stuck = ~rollouts(option, TAXI, [TAXI.state_at(i) for i in _fetching_starts()]).reached
+    assert stuck.any()
+    judged = judge(shown, TAXI, Thresholds(return_delta=0.0), 0)
+    assert judged.criteria[0].value != known.value
+    assert not judged.criteria[0].met
+    assert judged.more_needed == -1  # no law says when it will be known
+
+
+def _fetching_starts() -> list[int]:
+    states = map(TAXI.state_at, range(500))
+    return [n for n, s in enumerate(states) if not (TAXI.is_over(s) or s.passenger == 4)]
 
 
 def test_the_limit_is_that_of_differences_paired_by_demonstration(

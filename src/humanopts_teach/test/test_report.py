@@ -130,7 +130,7 @@ def test_a_criterion_that_is_not_yet_known_is_called_so(brief: BagEvaluation) ->
     found = replace(brief, options=(replace(option, curve=(point,)),))
     text = evaluation_text(found)
     assert 'return is not yet known: about 1.25, at most 3.5 with 95 % confidence' in text
-    assert 'perhaps 1 to 12 more demonstrations are needed' in text
+    assert 'perhaps 1 to 21 more demonstrations are needed' in text
     told = [finding.text for finding in findings(found) if 'Not yet' in finding.text]
     assert any('return not yet known: at most 3.5, needs 2.25' in each for each in told)
     assert 'not yet known</td>' in render_report(ReportData('Taxi', found))

@@ -459,7 +459,7 @@ def test_each_criterion_shows_value_target_and_whether_it_can_be_measured(
         '✓ return       0.25 worse    ≤ 1.00',
         '· initiation   12.5 % wrong  ≤ 5.0 %',
         '· termination  not measured  ≤ 5.0 %',
-        'Perhaps 1 to 12 more are needed.',
+        'Perhaps 1 to 18 more are needed.',
     ):
         assert line in screen
 
@@ -470,7 +470,7 @@ def test_a_criterion_whose_limit_is_too_large_is_not_yet_known(shower: Person) -
     shower.world.progress = [replace(progress, criteria=few)]
     assert '? return  0.25 worse  ≤ 1.00' in shower.sees()
     assert shower.sees_words(
-        'Perhaps 1 to 12 more are needed: return is not yet known well enough.'
+        'Perhaps 1 to 18 more are needed: return is not yet known well enough.'
     )
 
 

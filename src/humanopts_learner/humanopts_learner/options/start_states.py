@@ -22,10 +22,10 @@ from humanopts_learner.options.failures import (
     Failures,
     find_failures,
     in_doubt,
-    sample_failures,
 )
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.rollout import is_deterministic
+from humanopts_learner.options.sampled_failures import sample_failures
 import numpy as np
 
 STRATEGIES = ('random', 'coverage', 'failures')

@@ -6,9 +6,9 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.failures import nothing_fails
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.sampled_failures import nothing_fails
 from humanopts_learner.options.start_states import choose_start_state
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from humanopts_teach.lesson.history import OptionHistory
