@@ -111,7 +111,7 @@ class LaunchOptions:
         typer.Option(
             parser=any_number,
             metavar='UNITS',
-            help='of an option: reward units by which its held-out return may fall short; '
+            help='of an option: reward units by which its return may fall short; '
             'default: usual in the domain',
         ),
     ] = None

@@ -27,7 +27,7 @@ from matplotlib.ticker import (
 SIZE = (5.0, 2.9)  # inches
 MOST_MARKERS = 30  # on a curve
 PANELS = (  # criterion, title, unit
-    ('return', 'Return: held-out shortfall', 'reward units'),
+    ('return', 'Return: shortfall', 'reward units'),
     ('initiation', 'Initiation: held-out error (may it start?)', 'balanced error'),
     ('termination', 'Termination: held-out error (does it end?)', 'balanced error'),
 )
