@@ -121,7 +121,7 @@ def _criterion_curve(
     with _chart(name, label, title=title, ylabel=unit) as work:
         values = {n: c.value for n, c in known.items()}
         style: dict[str, Any] = {'color': SERIES[0], 'marker': 'o', 'ms': 3.5}
-        measured = _curve(work, values, label='held out', **style)
+        measured = _curve(work, values, label='measured', **style)
         limits = {n: c.high for n, c in known.items() if c.high != c.value}
         dotted: dict[str, Any] = {'color': SERIES[0], 'ls': ':', 'lw': 1.1}
         drawn = measured + _curve(work, limits, label='upper limit', **dotted)
