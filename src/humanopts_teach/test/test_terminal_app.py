@@ -155,12 +155,17 @@ def test_enter_accepts_the_proposed_code_and_leads_to_the_menu(person: Person) -
     assert person.sees_words('Go on teaching an option')
 
 
-def test_another_code_can_be_typed(person: Person) -> None:
-    assert person.press('backspace', 'backspace', *'anna-2', 'enter') == OpenSession('anna-2')
+@pytest.mark.parametrize('erased', [0, 2])
+def test_another_code_can_be_typed_over_the_proposed_one(person: Person, erased: int) -> None:
+    assert person.press(*['backspace'] * erased, *'anna-2', 'enter') == OpenSession('anna-2')
+
+
+def test_the_proposed_code_can_be_mended(person: Person) -> None:
+    assert person.press('backspace', '7', 'enter') == OpenSession('p7')
 
 
 def test_a_refused_code_stays_to_be_mended_with_the_reason(person: Person) -> None:
-    person.answer(person.type('!'), ok=False, text="'p1!' is not a code")
+    person.answer(person.type('p1!'), ok=False, text="'p1!' is not a code")
     assert person.sees_words("'p1!' is not a code")
     assert person.sees_words('> p1!')
 

@@ -1,7 +1,7 @@
 """Screens in which the person types or picks something."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 from humanopts_teach.lesson.requests import Answer, Request, Run
@@ -36,7 +36,7 @@ class PlainScreen:
 
 @dataclass
 class TextScreen(PlainScreen):
-    """One line that the person types."""
+    """One line that the person types; what stands there at first goes with the first letter."""
 
     title: str
     explanation: str
@@ -44,9 +44,11 @@ class TextScreen(PlainScreen):
     submit: Callable[[str, App], None] = lambda text, app: None
     answered: Callable[[Request, Answer, App], None] = lambda request, answer, app: None
     back: Callable[[App], None] | None = None
+    _edited: bool = field(default=False, init=False)
 
     def press(self, key: str, app: App) -> None:
         """Edit the line, or submit it."""
+        kept, self._edited = self.typed if self._edited else '', True
         if key == ENTER and self.typed.strip():
             self.submit(self.typed.strip(), app)
         elif key == ESCAPE and self.back is not None:
@@ -55,8 +57,8 @@ class TextScreen(PlainScreen):
             self.typed = self.typed[:-1]
         elif key == CLEAR:
             self.typed = ''
-        elif len(key) == 1 and len(self.typed) < MOST_CHARACTERS:
-            self.typed += key
+        elif len(key) == 1 and len(kept) < MOST_CHARACTERS:
+            self.typed = kept + key
 
     def replied(self, request: Request, answer: Answer, app: App) -> None:
         """Go on, or stay with what was refused."""
