@@ -15,7 +15,7 @@ from humanopts_learner.planning.interruption import as_executed, option_values
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import Execution, PlanRequest
 from humanopts_learner.ros.convert import option_values_to_message
-from humanopts_ros.qos import LATCHED_LARGE
+from humanopts_ros.qos import LATCHED
 import pytest
 
 EPISODES, SEED = 3, 12
@@ -203,7 +203,7 @@ def test_values_for_options_that_are_not_there_any_more_are_refused(acting: Acti
 def test_values_that_are_on_their_way_are_waited_for(acting: Acting) -> None:
     """They and the request come on different ways."""
     values = option_values_to_message(option_values(PLAN), 'mine', '')
-    teller = acting.graph.node.create_publisher(OptionValues, 'option_values', LATCHED_LARGE)
+    teller = acting.graph.node.create_publisher(OptionValues, 'option_values', LATCHED)
     acting.graph.until(teller.get_subscription_count, 'option_server to listen')
     state = acting.player.fresh(START)
     asked = {'option_name': TOUR, 'execution': 'interrupted', 'plan_id': 'mine'}

@@ -13,11 +13,12 @@ from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.scripted import TAXI
 from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState, NodeStatus
 from humanopts_interfaces.srv import ResetGame, SetControl
-from humanopts_ros.qos import LATCHED
+from humanopts_ros.qos import LATCHED_ALL
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 START = 'taxi 0,1 passenger R destination G'
@@ -67,13 +68,24 @@ def test_who_comes_late_knows_the_rules_and_the_current_state(
     player: Player, shared: Graph
 ) -> None:
     player.do('west')
-    info = shared.listen(DomainInfo, 'domain_info', LATCHED)
-    current = shared.listen(GameState, 'current_state', LATCHED)
+    info = shared.listen(DomainInfo, 'domain_info', LATCHED_ALL)
+    current = shared.listen(GameState, 'current_state', LATCHED_ALL)
     shared.until(lambda: info and current and current[-1].step, 'latched values')
     assert (info[0].domain, info[0].gamma, info[0].max_steps) == ('taxi', 0.99, 200)
     assert json.loads(info[0].parameters) == {'rows': 5, 'cols': 5}
     assert [a.name for a in info[0].actions] == [a.name for a in TAXI.actions]
     assert current[-1].state == player.state.state
+
+
+def test_the_first_state_that_anybody_gets_is_the_newest(player: Player, shared: Graph) -> None:
+    usual = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    for number in range(12):
+        player.do('west' if number % 2 else 'east')
+        states = shared.listen(GameState, 'current_state', usual)
+        controls = shared.listen(ControlState, 'control', usual)
+        shared.until(lambda s=states, c=controls: s and c, 'current values')
+        assert (states[0].episode, states[0].step) == (player.state.episode, number + 1)
+        assert controls[0].sequence == player.controls[-1].sequence
 
 
 @pytest.mark.parametrize('wrong', [{'step': 1}, {'episode': 1}, {'step': 7, 'episode': 0}])
@@ -285,7 +297,7 @@ PROFILE = f"""<profiles xmlns="http://www.eprosima.com">
 """
 READER = """
 import signal, sys
-from humanopts_ros.qos import STREAM
+from humanopts_ros.qos import LATCHED_ALL, STREAM
 from humanopts_interfaces import msg
 import rclpy
 from rclpy.signals import SignalHandlerOptions

@@ -30,7 +30,6 @@ RCLPY_SERVICES = re.compile(
 )
 PROFILES = {
     'latched': (qos.LATCHED, DurabilityPolicy.TRANSIENT_LOCAL),
-    'latched large': (qos.LATCHED_LARGE, DurabilityPolicy.TRANSIENT_LOCAL),
     'stream': (qos.STREAM, DurabilityPolicy.VOLATILE),
 }
 TEST = 'person'  # the test's own node
@@ -160,9 +159,7 @@ def test_every_topic_has_the_qos_that_the_page_names(full: Graph) -> None:
             assert offered.durability == PROFILES[profile][1], name
             assert offered.reliability == ReliabilityPolicy.RELIABLE, name
     history = {row[0]: row[2] for row in profiles()}
-    large = qos.LATCHED_LARGE.depth
-    latched = {'latched': f'last {qos.LATCHED.depth}', 'latched large': f'last {large}'}
-    assert history == {**latched, 'stream': 'all'}
+    assert history == {'latched': f'last {qos.LATCHED.depth}', 'stream': 'all'}
     assert qos.STREAM.history == HistoryPolicy.KEEP_ALL
     assert {row[0]: row[1] for row in profiles()} == {
         name: durability.name.lower().replace('_', ' ')

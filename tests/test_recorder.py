@@ -10,7 +10,7 @@ from graph_support.live import GAME, Graph, NodeProcess, RECORDER
 from humanopts_interfaces.action import Plan
 from humanopts_interfaces.msg import GameState, NodeStatus, RecorderStatus
 from humanopts_interfaces.srv import ResetGame, SetControl
-from humanopts_ros.qos import LATCHED, STREAM
+from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.provenance import software
@@ -65,7 +65,9 @@ class Recording:
     def __init__(self, graph: Graph) -> None:
         self.graph, self.node = graph, graph.node
         self.path = graph.folder / 'bag'
-        self.said: list[RecorderStatus] = graph.listen(RecorderStatus, 'recorder_status', LATCHED)
+        self.said: list[RecorderStatus] = graph.listen(
+            RecorderStatus, 'recorder_status', LATCHED_ALL
+        )
         self._recorder: Any = None
 
     @property
@@ -275,7 +277,7 @@ def test_a_namespace_is_recorded_without_its_neighbours(live: Graph) -> None:
     theirs = live.node.create_publisher(String, '/ab/chatter', LATCHED)
     for publisher in (ours, theirs):
         publisher.publish(String(data='x'))
-    said = live.listen(RecorderStatus, '/a/recorder_status', LATCHED)
+    said = live.listen(RecorderStatus, '/a/recorder_status', LATCHED_ALL)
     recorder = live.start(RECORDER, '/a', path=live.folder / 'bag')
     live.until(lambda: said and said[-1].complete, 'the recorder')
     live.until(lambda: ours.get_subscription_count() == 1, 'a match')
@@ -295,6 +297,18 @@ def test_a_gap_is_said_while_recording_with_its_topic_and_sender(recording: Reco
     (loss,) = recording.status.losses
     assert (loss.topic, loss.sender) == ('/game_state', '/tester#1')
     assert (loss.sent, loss.missing) == (6, 3)
+
+
+def test_a_current_value_that_was_replaced_is_not_missing(recording: Recording) -> None:
+    current = recording.node.create_publisher(GameState, 'current_state', LATCHED)
+    recording.record()
+    for sequence in (1, 2, 6):
+        current.publish(GameState(publisher_id='/tester#1', sequence=sequence))
+    recording.graph.until(lambda: recording.status.messages >= 3, 'the messages')
+    assert (recording.status.missing, recording.status.losses) == (0, [])
+    bag = recording.stop()
+    (stream,) = [s for s in summarise(bag).streams if s.topic == '/current_state']
+    assert (stream.missing, stream.replaced, stream.received) == (0, 3, 3)
 
 
 def test_numbers_that_cannot_be_do_not_mute_the_recorder(recording: Recording) -> None:

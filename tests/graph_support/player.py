@@ -5,7 +5,7 @@ from typing import Any
 
 from humanopts_interfaces.msg import ActionCommand, ActionRefusal, ControlState, GameState
 from humanopts_interfaces.srv import ResetGame, SetControl
-from humanopts_ros.qos import LATCHED, STREAM
+from humanopts_ros.qos import LATCHED_ALL, STREAM
 
 from graph_support.live import Graph
 
@@ -24,7 +24,7 @@ class Player:
             ActionRefusal, f'{namespace}/action_refused'
         )
         self.controls: list[ControlState] = graph.listen(
-            ControlState, f'{namespace}/control', LATCHED
+            ControlState, f'{namespace}/control', LATCHED_ALL
         )
         self._keys = graph.node.create_publisher(ActionCommand, f'{namespace}/action', STREAM)
         graph.until(self._keys.get_subscription_count, 'game to listen')

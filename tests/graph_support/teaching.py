@@ -19,7 +19,7 @@ from humanopts_interfaces.srv import (
     OpenSession,
     WithdrawDemonstration,
 )
-from humanopts_ros.qos import LATCHED, STREAM
+from humanopts_ros.qos import LATCHED_ALL, STREAM
 
 from graph_support.live import Graph, LESSON
 
@@ -54,7 +54,7 @@ class Person:
             (ControlState, 'control'),
             (GameState, 'current_state'),
         ):
-            graph.node.create_subscription(kind, topic, self._keep, LATCHED)
+            graph.node.create_subscription(kind, topic, self._keep, LATCHED_ALL)
         self.shown: list[Demonstration] = graph.listen(Demonstration, 'demonstrations')
         self.keys = graph.node.create_publisher(ActionCommand, 'action', STREAM)
 

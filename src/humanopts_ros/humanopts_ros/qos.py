@@ -14,13 +14,10 @@ def _profile(durability: DurabilityPolicy, depth: int) -> QoSProfile:
     )
 
 
-# Publishes current values: a late subscriber gets the last ones. Depth 1 would lose messages that
-# the recorder has not taken yet, since a newer one replaces them even unsent.
-LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 100)
-# The same for current values of many megabytes, of which a hundred would fill the memory.
-LATCHED_LARGE = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 4)
-# Reads a current value: the last one is enough.
-CURRENT = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
+# Publishes a current value: a newer one replaces it, so the first message that a late subscriber
+# gets is the newest. What must not be lost is on a stream.
+LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
+CURRENT = LATCHED  # reads a current value
 # Reads a latched topic that several nodes publish (node_status): all of each.
 LATCHED_ALL = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)
 # Append-only streams, for the recorder and the lock-step partners. A reader that has stopped

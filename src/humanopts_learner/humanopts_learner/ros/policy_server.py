@@ -23,7 +23,7 @@ from humanopts_learner.planning.request import Execution, MODULAR, PRIMITIVE
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_learner.ros.planner_actions import in_thread, MadePlan, PlannerState, STOPS
 from humanopts_ros.node_base import end_goal, NodeBase
-from humanopts_ros.qos import LATCHED, LATCHED_LARGE
+from humanopts_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 
@@ -99,7 +99,7 @@ class PolicyServer:
         self._published = ''  # plan_id of the newest OptionValues
         self._goals = node.stamped_publisher(PolicyGoal, 'policy_goals')
         self._results = node.stamped_publisher(PolicyResult, 'policy_results')
-        self._values = node.stamped_publisher(OptionValues, 'option_values', LATCHED_LARGE)
+        self._values = node.stamped_publisher(OptionValues, 'option_values', LATCHED)
         self._executions = node.stamped_publisher(ExecutionState, 'execution', LATCHED)
         self._reset_client = node.recorded_client(ResetGame, 'reset_game', group)
         self._run_client = node.recorded_client(RunOption, 'run_option', group)

@@ -178,6 +178,7 @@ class BagInfo:
                     'last': stream.last,
                     'received': stream.received,
                     'missing': stream.missing,
+                    'replaced': stream.replaced,
                     'duplicates': stream.duplicates,
                 }
                 for stream in self.streams

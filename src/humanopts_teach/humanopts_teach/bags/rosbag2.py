@@ -51,6 +51,9 @@ def dump(values: Any) -> str:
     return str(yaml.dump(values, Dumper=_Dumper, sort_keys=False, default_flow_style=False))
 
 
+_TRANSIENT_LOCAL = ('transient_local', 1)  # by name, and by number as before rosbag2's version 9
+
+
 @dataclass(slots=True)
 class Topic:
     """One topic of a bag."""
@@ -61,6 +64,12 @@ class Topic:
     qos: str  # offered profiles, YAML; empty: not known
     type_hash: str  # RIHS01_...; empty: not known
     messages: int = 0
+
+    @property
+    def latched(self) -> bool:
+        """Whether every publisher offered the last value to late subscribers (transient local)."""
+        offered = [profile.get('durability') for profile in profiles(self.qos)]
+        return bool(offered) and all(each in _TRANSIENT_LOCAL for each in offered)
 
 
 @dataclass

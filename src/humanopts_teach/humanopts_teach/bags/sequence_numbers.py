@@ -85,6 +85,7 @@ class Stream:
     received: int = 0  # without repetitions
     duplicates: int = 0
     late: int = 0  # received after a larger number
+    latched: bool = False  # current values, of which a newer one may replace one that is not sent
     _gaps: list[tuple[int, int]] = field(default_factory=list)  # first and last number, ascending
 
     def add(self, sequence: int) -> None:
@@ -105,8 +106,13 @@ class Stream:
 
     @property
     def missing(self) -> int:
-        """Number of messages that were sent and not received."""
-        return self.last - self.received
+        """Number of messages that were sent and lost."""
+        return 0 if self.latched else self.last - self.received
+
+    @property
+    def replaced(self) -> int:
+        """Number of current values that newer ones replaced before they were received."""
+        return self.last - self.received if self.latched else 0
 
     def _fill(self, sequence: int) -> bool:
         """Remove a late message from its gap; False: it was received before."""
@@ -130,19 +136,23 @@ class Ledger:
         self._streams: dict[tuple[str, str], Stream] = {}
         self.uncounted = 0
 
-    def add(self, topic: str, stamp: Stamp) -> None:
-        """Count one message."""
+    def add(self, topic: str, stamp: Stamp, *, latched: bool = False) -> None:
+        """
+        Count one message.
+
+        :param latched: the topic has current values; its first message decides.
+        """
         key = (topic, stamp.publisher_id)
         if key not in self._streams:
             if len(self._streams) == MOST_STREAMS:
                 self.uncounted += 1
                 return
-            self._streams[key] = Stream(*key)
+            self._streams[key] = Stream(*key, latched=latched)
         self._streams[key].add(stamp.sequence)
 
     @property
     def missing(self) -> int:
-        """Number of messages that were sent and not received."""
+        """Number of messages that were sent and lost."""
         return sum(stream.missing for stream in self._streams.values())
 
     def __iter__(self) -> Iterator[Stream]:
@@ -158,6 +168,7 @@ class Tally:
         self.extent = Extent()
         self.ledger = Ledger()
         self.stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
+        self._latched = {t.name for t in bag.topics.values() if t.latched}
         self._bag = bag
 
     def add(self, recorded: 'Recorded') -> bool:
@@ -169,7 +180,7 @@ class Tally:
             if stamp is None:
                 self._bag.note(f'a message on {recorded.topic} does not decode')
                 return False
-            self.ledger.add(recorded.topic, stamp)
+            self.ledger.add(recorded.topic, stamp, latched=recorded.topic in self._latched)
         return True
 
 

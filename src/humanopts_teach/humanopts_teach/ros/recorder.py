@@ -97,6 +97,7 @@ class Recorder(NodeBase):
         self._ledger = Ledger()
         self._pace = Pace()
         self._numbered: dict[str, bool] = {}  # recorded topics: whether messages carry numbers
+        self._latched: set[str] = set()  # recorded topics of current values
         self._complete = False  # every publisher was matched at the last two looks
         self._stopped = ''  # why nothing is written any more; empty: it is
         self._text = self.selection.unevaluable
@@ -191,6 +192,8 @@ class Recorder(NodeBase):
             self._text = str(error)
         else:
             self._numbered[added.topic] = is_stamped(schema)
+            if added.latched:
+                self._latched.add(added.topic)
 
     def _take(self) -> None:
         """Record what has arrived."""
@@ -210,7 +213,7 @@ class Recorder(NodeBase):
                 continue
             stamp = read_stamp(taken.data) if stamped else None
             if stamp is not None:
-                self._ledger.add(taken.topic, stamp)
+                self._ledger.add(taken.topic, stamp, latched=taken.topic in self._latched)
             if not self._stopped:
                 try:
                     self._bag.write(taken.topic, taken.data, taken.received, taken.sent)
