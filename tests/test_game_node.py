@@ -1,6 +1,7 @@
 """The node game on the real graph: what it takes, what it refuses, and how it survives."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise
 import json
@@ -13,11 +14,11 @@ from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.scripted import TAXI
 from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState, NodeStatus
 from humanopts_interfaces.srv import ResetGame, SetControl
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import LATCHED_ALL
 import pytest
 import rclpy
 from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
@@ -213,24 +214,70 @@ def test_control_is_given_back_and_then_the_machine_drives(player: Player) -> No
     assert player.hold(False).detail == 'nothing changed'
 
 
-def test_control_is_free_again_when_the_terminal_is_gone(player: Player, shared: Graph) -> None:
+def seconds_between(first: ControlState, last: ControlState) -> float:
+    stamps = [c.header.stamp.sec + c.header.stamp.nanosec / 1e9 for c in (first, last)]
+    return stamps[1] - stamps[0]
+
+
+def test_control_that_nobody_renews_ends_within_two_seconds(player: Player, shared: Graph) -> None:
+    player.do('south', PERSON, publisher_id='pub')  # as ros2 topic pub does, once
+    assert player.controls[-1].holder_id == 'pub'
+    shared.until(lambda: not player.controls[-1].holder, 'control to be free')
+    assert player.controls[-1].reason == 'pub is silent, and has not renewed its control'
+    assert 1.0 < seconds_between(*player.controls[-2:]) < 2.5
+    assert taken(player.do('south'))[0] == 2
+
+
+def test_control_that_is_renewed_stays(player: Player, shared: Graph) -> None:
+    player.hold(True)
+    known, before = len(player.controls), player.renewals
+    shared.until(lambda: player.renewals > before + 7, 'three seconds of renewals')
+    assert len(player.controls) == known
+    assert player.controls[-1].holder_id == ME
+
+
+def test_a_holder_that_is_not_there_is_refused(player: Player) -> None:
+    for holder in ('/nobody#1', 'pub', 'x' * 100_000):
+        answer = player.hold(True, holder)
+        assert answer.status == SetControl.Response.STATUS_NOT_HOLDER
+        assert 'is there to hold control' in answer.detail
+        assert len(answer.detail) < 1000
+    assert not player.controls[-1].holder
+
+
+@contextmanager
+def terminal(graph: Graph) -> Iterator[NodeBase]:
+    """A node in a process of its own, as far as game can see, that tells its life once."""
     context = Context()
     rclpy.init(
         context=context,
-        domain_id=shared.domain_id,
+        domain_id=graph.domain_id,
         signal_handler_options=SignalHandlerOptions.NO,
     )
-    terminal = Node('terminal', context=context)
-    terminal_id = '/terminal#1'
+    node = NodeBase('terminal', context=context, start_parameter_services=False)
     try:
-        shared.until(lambda: 'terminal' in shared.node.get_node_names(), 'the terminal')
-        player.hold(True, terminal_id)
-        assert player.controls[-1].holder_id == terminal_id
+        yield node
     finally:
-        terminal.destroy_node()
+        node.destroy_node()
         context.shutdown()
-    shared.until(lambda: not player.controls[-1].holder, 'control to be free')
-    assert 'the terminal /terminal is gone' in player.controls[-1].reason
+
+
+def test_control_is_free_when_the_terminal_dies_and_at_once_when_it_comes_again(
+    player: Player, shared: Graph
+) -> None:
+    with terminal(shared) as first:
+        shared.until(lambda: 'terminal' in shared.node.get_node_names(), 'the terminal')
+        player.hold(True, first.publisher_id)
+        assert player.controls[-1].holder_id == first.publisher_id
+        with terminal(shared) as again:
+            shared.until(lambda: not player.controls[-1].holder, 'control to be free')
+            assert player.controls[-1].reason == '/terminal was started again'
+            assert seconds_between(*player.controls[-2:]) < 1.5
+            player.hold(True, again.publisher_id)
+            assert player.controls[-1].holder_id == again.publisher_id
+            again.set_status(NodeStatus.STATE_STOPPING)
+            shared.until(lambda: not player.controls[-1].holder, 'control to be free')
+            assert player.controls[-1].reason.endswith(' has ended')
     assert taken(player.do('south'))[0] == 1
 
 

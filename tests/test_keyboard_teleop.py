@@ -30,8 +30,14 @@ from graph_support.live import (
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.taxi import landmark_cells, TaxiState
 from humanopts_env.seeding import generator
-from humanopts_interfaces.msg import ActionRefusal, ExecutionState, GameState, OptionResult
-from humanopts_ros.qos import STREAM
+from humanopts_interfaces.msg import (
+    ActionRefusal,
+    ControlState,
+    ExecutionState,
+    GameState,
+    OptionResult,
+)
+from humanopts_ros.qos import LATCHED_ALL, STREAM
 from humanopts_teach.bags.reader import open_bag
 import pyte
 import pytest
@@ -333,6 +339,35 @@ def test_a_key_takes_the_wheel_from_the_machine(terminals: Terminals) -> None:
     terminals.witness(GameState, lambda m: persons(m, 'west'), terminal)  # all before it has come
     states = [m for m in terminals.messages if isinstance(m, GameState)]
     assert sum(persons(state, 'dropoff') for state in states) == 1
+
+
+def drive(terminal: Terminal, step: int) -> None:
+    """Choose to drive, and take one step, with which the person takes control."""
+    terminal.see('Drive freely')
+    (number,) = re.findall(r'(\d) Drive freely', terminal.text())
+    terminal.press(number)
+    terminal.see(f'step {step}')
+    terminal.press('left')
+    terminal.see(f'step {step + 1}')
+    terminal.see('you drive')
+
+
+def test_a_terminal_that_was_killed_drives_again_with_its_first_key(terminals: Terminals) -> None:
+    graph = terminals.graph
+    graph.start(GAME)
+    graph.start(LESSON, directory=graph.folder / 'demonstrations')
+    controls = graph.listen(ControlState, 'control', LATCHED_ALL)
+    killed = terminals.sit_down()
+    drive(killed, 0)
+    first = controls[-1].holder_id
+    killed.process.kill()
+    killed.process.wait()
+    drive(terminals.sit_down(), 1)
+    assert [c.holder for c in controls] == [0, 1, 0, 1]
+    assert controls[-1].holder_id != first
+    assert controls[-1].holder_id.partition('#')[0] == '/keyboard_teleop'
+    refusals = [m for m in terminals.messages if isinstance(m, ActionRefusal)]
+    assert refusals == []
 
 
 def test_a_key_changes_how_the_machine_plays_within_the_episode(terminals: Terminals) -> None:

@@ -18,6 +18,7 @@ from humanopts_interfaces.msg import (
     NodeStatus,
     OptionStatus,
 )
+from humanopts_ros.qos import LATCHED_ALL
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher, only_launch
@@ -152,6 +153,35 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
         assert conductor.unrecorded().startswith('recording stopped: cannot write to')
         assert conductor.unrecorded().endswith(f'humanopts bag info {tmp_path}/first')
         assert [line.partition(':')[0] for line in said] == ['/recorder is paused']
+    finally:
+        conductor.close()
+
+
+def test_a_terminal_that_died_and_is_started_again_does_not_end_up(
+    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = live.node.create_publisher(NodeStatus, 'node_status', LATCHED_ALL)
+    live.start(GAME)
+    live.ready('/game')
+
+    def check() -> None:
+        live.spin()
+        if '/keyboard_teleop' in conductor.duplicates:
+            raise LaunchError('it goes on')
+        for number in (1, 2):  # the first was killed: it has not said that it stops
+            terminal = {'node': '/keyboard_teleop', 'publisher_id': f'/keyboard_teleop#{number}'}
+            out.publish(NodeStatus(state=NodeStatus.STATE_READY, **terminal))
+
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=live.spin)
+    try:
+        conductor.wait_ready(['/game'])
+        with pytest.raises(LaunchError, match='it goes on'):
+            conductor.stay(check, lambda line: None)
+        game = {'node': '/game', 'publisher_id': '/game#another'}
+        out.publish(NodeStatus(state=NodeStatus.STATE_READY, **game))
+        with pytest.raises(LaunchError, match='/game runs already'):
+            conductor.stay(live.spin, lambda line: None)
     finally:
         conductor.close()
 

@@ -3,12 +3,19 @@
 import itertools
 from typing import Any
 
-from humanopts_interfaces.msg import ActionCommand, ActionRefusal, ControlState, GameState
+from humanopts_interfaces.msg import (
+    ActionCommand,
+    ActionRefusal,
+    ControlState,
+    GameState,
+    NodeStatus,
+)
 from humanopts_interfaces.srv import ResetGame, SetControl
-from humanopts_ros.qos import LATCHED_ALL, STREAM
+from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
 
 from graph_support.live import Graph
 
+_RENEWAL = 0.4  # s
 PERSON, MACHINE = ActionCommand.SOURCE_PERSON, ActionCommand.SOURCE_MACHINE
 ME = '/person#1'  # the test's node is called person, so game takes it for a terminal that is there
 
@@ -26,6 +33,9 @@ class Player:
         self.controls: list[ControlState] = graph.listen(
             ControlState, f'{namespace}/control', LATCHED_ALL
         )
+        self.renewals = 0  # of this player's control
+        self._status = graph.node.create_publisher(NodeStatus, f'{namespace}/node_status', LATCHED)
+        graph.node.create_timer(_RENEWAL, self._renew)
         self._keys = graph.node.create_publisher(ActionCommand, f'{namespace}/action', STREAM)
         graph.until(self._keys.get_subscription_count, 'game to listen')
         graph.until(lambda: self.controls and self._hears(), 'game to be heard')
@@ -96,6 +106,15 @@ class Player:
         if source == PERSON and isinstance(answers[0], GameState):
             self._graph.until(lambda: self.controls[-1].holder, 'control, which comes apart')
         return answers[0]
+
+    def _renew(self) -> None:
+        """Renew control, as a terminal does, where this player holds it."""
+        holder = self.controls[-1].holder_id if self.controls else ''
+        if holder == ME:
+            self.renewals += 1
+            self._status.publish(
+                NodeStatus(publisher_id=ME, node='/person', state=NodeStatus.STATE_READY)
+            )
 
     def _hears(self) -> bool:
         """Have game say something, and tell whether it was heard."""

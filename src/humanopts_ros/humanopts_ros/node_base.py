@@ -401,6 +401,10 @@ class NodeBase(Node):
         except PublishError as error:
             self.get_logger().error(str(error))
 
+    def tell_life(self) -> None:
+        """Publish the node's state again, as a sign that it goes on."""
+        self.set_status(self._own_state, self._own_text)
+
     def waits_for(self) -> str | None:
         """Return in words what the node still needs; None: it can be ready. To be overridden."""
         return None
@@ -453,13 +457,13 @@ class NodeBase(Node):
         """Publish soon what was refused or failed, at a limited rate."""
         if self._remark_timer.is_canceled():
             self._remark_timer.reset()
-            self.set_status(self._own_state, self._own_text)
+            self.tell_life()
 
     def _on_remark_timer(self) -> None:
         if self._remark_sent == self.guard.remark:
             self._remark_timer.cancel()
         else:
-            self.set_status(self._own_state, self._own_text)
+            self.tell_life()
 
     def _try_start(self) -> None:
         try:

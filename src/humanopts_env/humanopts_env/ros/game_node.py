@@ -8,6 +8,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
 from humanopts_env.game import Accepted, Control, Game, Holder, Pacing, Result, Source, Transition
+from humanopts_env.lease import Lease
 from humanopts_env.ros.convert import (
     command_from_message,
     control_to_message,
@@ -24,14 +25,14 @@ from humanopts_interfaces.msg import (
     NodeStatus,
 )
 from humanopts_interfaces.srv import ResetGame, SetControl
+from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError, StampedPublisher
-from humanopts_ros.qos import LATCHED, STREAM
+from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
 
 _RETRY_PERIOD = 0.5  # s between attempts to publish messages again
-_HOLDER_PERIOD = 1.0  # s between checks that the person's terminal is still on the graph
-_HOLDER_LOOKS = 2  # checks in a row that must miss it: a new node publishes before it is listed
+_LEASE_PERIOD = 0.25  # s between looks whether the holder of control has renewed it
 
 
 class GameNode(NodeBase):
@@ -60,8 +61,9 @@ class GameNode(NodeBase):
         self._pacing = Pacing(self._game)
         self._pace = self.create_timer(self._period or 1.0, self._on_pace, autostart=False)
         self._retry = self.create_timer(_RETRY_PERIOD, self._on_retry, autostart=False)
-        self._holder_missed = 0
-        self.create_timer(_HOLDER_PERIOD, self._check_holder)
+        self._lease = Lease()
+        self._lease_timer = self.create_timer(_LEASE_PERIOD, self._check_lease, autostart=False)
+        self.create_subscription(NodeStatus, 'node_status', self._on_status, LATCHED_ALL)
 
     def on_ready(self) -> None:
         """Publish the domain, and begin the first episode."""
@@ -80,6 +82,8 @@ class GameNode(NodeBase):
 
     def _on_action(self, message: ActionCommand) -> None:
         command = command_from_message(message)
+        if command.source == Source.PERSON:
+            self._lease.renew(command.publisher_id)
         if not self._period:
             self._send_result(self._game.command(command))
             return
@@ -114,25 +118,44 @@ class GameNode(NodeBase):
     def _on_set_control(
         self, request: SetControl.Request, response: SetControl.Response
     ) -> SetControl.Response:
+        if request.hold and not self._is_there(request.holder_id):
+            response.status = response.STATUS_NOT_HOLDER
+            response.detail = f'no node {shown(request.holder_id)!r} is there to hold control'
+            return response
+        self._lease.renew(request.holder_id)
         reply = self._game.set_control(request.hold, request.holder_id)
         response.status, response.detail = int(reply.status), reply.detail
         if reply.control is not None:
             self._send_control(reply.control)
         return response
 
-    def _check_holder(self) -> None:
-        """Free control when the terminal that holds it has left the graph."""
-        control = self._game.control
-        name = control.holder_id.split('#')[0]
-        there = {
-            f'{space.rstrip("/")}/{node}' for node, space in self.get_node_names_and_namespaces()
+    def _is_there(self, publisher_id: str) -> bool:
+        """Return whether a node has told its life under this id, or is listed by its name."""
+        name = publisher_id.split('#')[0]
+        names = self.get_node_names_and_namespaces()
+        return self._lease.knows(publisher_id) or name in {
+            f'{space.rstrip("/")}/{node}' for node, space in names
         }
-        missing = control.holder is Holder.PERSON and name.startswith('/') and name not in there
-        self._holder_missed = self._holder_missed + 1 if missing else 0
-        if self._holder_missed == _HOLDER_LOOKS:
-            self._send_control(self._game.release(f'the terminal {name} is gone'))
+
+    def _on_status(self, status: NodeStatus) -> None:
+        """Renew the control of a node that tells its life, or free that of one that ended."""
+        ended = status.state == NodeStatus.STATE_STOPPING
+        self._release(self._lease.heard(status.publisher_id, ended=ended))
+
+    def _check_lease(self) -> None:
+        self._release(self._lease.look())
+
+    def _release(self, reason: str) -> None:
+        """Free control for a reason; empty: it stays as it is."""
+        if reason and self._game.control.holder is Holder.PERSON:
+            self._send_control(self._game.release(reason))
 
     def _send_control(self, control: Control) -> None:
+        self._lease.begin(control.holder_id)
+        if control.holder_id:
+            self._lease_timer.reset()
+        else:
+            self._lease_timer.cancel()
         self._send(self._control, control_to_message(control))
 
     def _send_transition(self, transition: Transition) -> None:

@@ -64,6 +64,7 @@ class GraphClient(NodeBase):
         super().__init__('conductor')
         self.statuses: dict[str, msg.NodeStatus] = {}
         self.duplicates: set[str] = set()
+        self._awaited: set[str] = set()  # nodes of this launch; others may be started again
         self.feedback: Any = None
         self._record, self._bag = bool(parameters['expect_recorder']), bag
         self._watch = watch
@@ -128,6 +129,7 @@ class GraphClient(NodeBase):
 
         :raises LaunchError: as ``wait``; the text says which nodes are missing.
         """
+        self._awaited |= set(names)
         try:
             self.wait(lambda: not self._missing(names), seconds, 'the nodes')
         except LaunchError as error:
@@ -301,7 +303,7 @@ class GraphClient(NodeBase):
             raise LaunchError(f'{name} cannot go on: {text}')
 
     def _check_duplicates(self, besides: str = '') -> None:
-        if found := sorted(self.duplicates - {besides}):
+        if found := sorted(self.duplicates & self._awaited - {besides}):
             raise LaunchError(
                 f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop the '
                 'other launch, or choose another --namespace or ROS_DOMAIN_ID'

@@ -7,7 +7,7 @@ import sys
 import time
 from typing import Any
 
-from humanopts_interfaces.msg import ControlState, ExecutionState, LearningStatus, OptionGoal
+from humanopts_interfaces.msg import ExecutionState, LearningStatus, OptionGoal
 from humanopts_ros.node_base import NodeBase, SEEDS
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
@@ -64,7 +64,6 @@ class KeyboardTeleopNode(NodeBase):
         self._seen: object = None  # what the last frame showed
         for kind, topic, shown, read, qos in (
             (LearningStatus, 'learning_status', 'progress', _progress, CURRENT),
-            (ControlState, 'control', 'holder', attrgetter('holder_id'), CURRENT),
             (ExecutionState, 'execution', 'execution', attrgetter('execution'), CURRENT),
             (OptionGoal, 'option_goals', 'running', attrgetter('option_name'), DISPLAY),
         ):

@@ -40,6 +40,7 @@ from rclpy.utilities import try_shutdown
 
 _PATIENCE = 30.0  # s
 _GIVE_BACK = 5.0  # s for game to take control back
+_RENEWAL = 0.5  # s between signs that this node goes on, while it holds control
 
 
 class LessonClientError(RuntimeError):
@@ -91,11 +92,13 @@ class LessonClient:
             kind: node.recorded_client(*service) for kind, service in self._services.items()
         }
         self._action = node.stamped_publisher(msg.ActionCommand, 'action')
+        self._renewal = node.create_timer(_RENEWAL, node.tell_life, autostart=False)
         self._game = GameSubscriber(node, self._on_domain)
         lesson = msg.LessonState, 'lesson_state', partial(decode, LessonView)
         self._subscriptions = [
             self._game.follow('current_state', self._on_game, CURRENT),
             node.subscribe(*lesson, self._on_lesson, CURRENT),
+            node.create_subscription(msg.ControlState, 'control', self._on_control, CURRENT),
             node.create_subscription(
                 msg.ActionRefusal, 'action_refused', self._on_refusal, DISPLAY
             ),
@@ -175,6 +178,7 @@ class LessonClient:
     def unsubscribe(self) -> None:
         """Stop following the lesson and the game: nothing more will be asked."""
         self._game.unsubscribe()
+        self._renewal.cancel()
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
@@ -246,6 +250,16 @@ class LessonClient:
             lambda drive, _: (drive.episode, drive.step) != (game.episode, game.step),
             Answer(RequestStatus.OK, ''),
         )
+
+    def _on_control(self, control: msg.ControlState) -> None:
+        """Renew control as long as it is this node's."""
+        self.world.holder = control.holder_id
+        if self.world.i_drive:
+            self._node.tell_life()
+            self._renewal.reset()
+        else:
+            self._renewal.cancel()
+        self._changed()
 
     def _on_refusal(self, message: msg.ActionRefusal) -> None:
         if message.command_publisher_id == self._node.publisher_id:

@@ -1,0 +1,67 @@
+"""Control of the game is a lease: it ends when its holder does not renew it."""
+
+from collections import OrderedDict
+
+LOOKS = 7  # looks without a sign of the holder, after which its control ends
+MOST_KNOWN = 1000  # publishers that are remembered
+
+
+class Lease:
+    """
+    The lease of control, whose holder renews it by whatever it publishes.
+
+    Silence is counted in looks and not in seconds, so that a game that was stopped itself does not
+    take its own delay for that of the holder. A publisher is a node and a random part that changes
+    when the node is started again: ``/keyboard_teleop#1f0c33aa``.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a holder."""
+        self._holder = ''
+        self._silent = 0  # looks since the last sign of the holder
+        self._known: OrderedDict[str, None] = OrderedDict()  # publishers that told their life
+
+    def begin(self, holder_id: str) -> None:
+        """Begin the lease of a holder; empty: nobody holds control."""
+        self._holder, self._silent = holder_id, 0
+
+    def knows(self, publisher_id: str) -> bool:
+        """Return whether a publisher has told its life, and has not ended."""
+        return publisher_id in self._known
+
+    def renew(self, publisher_id: str) -> None:
+        """Count a sign of a publisher; it matters where it is the holder."""
+        if publisher_id == self._holder:
+            self._silent = 0
+
+    def heard(self, publisher_id: str, *, ended: bool = False) -> str:
+        """
+        Count that a publisher tells its life.
+
+        :param ended: it is the last time.
+        :return: why the holder's control ends now; empty: it does not.
+        """
+        self.renew(publisher_id)
+        new = publisher_id not in self._known
+        self._known[publisher_id] = None
+        if ended:
+            del self._known[publisher_id]
+        elif len(self._known) > MOST_KNOWN:
+            self._known.popitem(last=False)
+        if not self._holder:
+            return ''
+        if ended:
+            return f'{self._holder} has ended' if publisher_id == self._holder else ''
+        again = new and publisher_id != self._holder and _node(publisher_id) == _node(self._holder)
+        return f'{_node(publisher_id)} was started again' if again else ''
+
+    def look(self) -> str:
+        """Count a look; return why the holder's control ends now, or nothing."""
+        self._silent += 1
+        if not self._holder or self._silent < LOOKS:
+            return ''
+        return f'{self._holder} is silent, and has not renewed its control'
+
+
+def _node(publisher_id: str) -> str:
+    return publisher_id.split('#')[0]
