@@ -23,7 +23,7 @@ from humanopts_learner.options.option import (
     TabularOption,
     tabulate,
 )
-from humanopts_learner.options.rollout import rollouts
+from humanopts_learner.options.rollout import rollouts, rollouts_from_everywhere
 import numpy as np
 import pytest
 
@@ -181,6 +181,24 @@ def test_stepwise_and_vectorised_rollouts_agree(person: Callable[..., Any], name
     assert slow.steps.tolist() == fast.steps.tolist()
     assert slow.reached.tolist() == fast.reached.tolist()
     assert not fast.reached.all()
+
+
+@pytest.mark.parametrize('max_steps', [1, 2, 3, 7, 8, 200])
+@pytest.mark.parametrize('count', [1, 5, 12])
+def test_runs_from_everywhere_are_the_runs_one_by_one(
+    person: Callable[..., Any], count: int, max_steps: int
+) -> None:
+    """Some end at once, some late, and some go round in a circle or into a wall."""
+    option = learn_option(person(DELIVER).show_random(count), TAXI, 0)
+    table = replace(tabulate(option, TAXI), max_steps=max_steps)
+    live = np.flatnonzero(~TAXI.over())
+    found = rollouts_from_everywhere(TAXI, table)
+    each = rollouts(option, TAXI, [TAXI.state_at(int(n)) for n in live], max_steps=max_steps)
+    assert found.reached[live].tolist() == each.reached.tolist()
+    assert 0 < each.reached.sum() < len(live)
+    ended = live[each.reached]
+    for name in ('total_reward', 'steps', 'over'):
+        assert getattr(found, name)[ended].tolist() == getattr(each, name)[each.reached].tolist()
 
 
 def sharpened(counts: Any) -> Any:

@@ -10,7 +10,7 @@ from humanopts_env.domains.tabular import distance_to, reachable
 from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.option import LearnedOption, tabulate
-from humanopts_learner.options.rollout import tabular_rollouts
+from humanopts_learner.options.rollout import rollouts_from_everywhere
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,9 +60,7 @@ def find_failures(
     times_shown, known_end = _shown(option, domain, demonstrations)
     planned = option.method == GOAL
     known_end |= planned
-    states = np.arange(domain.n_states)
-    limits = np.full_like(states, option.max_steps)
-    runs = tabular_rollouts(domain, [table], np.zeros_like(states), states, limits)
+    runs = rollouts_from_everywhere(domain, table)
     successor = transitions.successor[:, :, 0]
     ends = (table.termination | over)[successor] | transitions.terminated[:, :, 0]
     distance, nearer = distance_to(

@@ -190,3 +190,30 @@ def tabular_rollouts(
         if not on.all():
             going, at, option = going[on], at[on], option[on]
     return TabularRollouts(total, steps, reached, is_over, final)
+
+
+def rollouts_from_everywhere(
+    domain: EnumerableDomain[Any], option: TabularOption
+) -> TabularRollouts:
+    """
+    Run an option from each of the S states of a deterministic domain, as ``tabular_rollouts``.
+
+    All runs are doubled in length again and again, so that states that go round in a circle cost
+    no more than others. What is returned means nothing where the task is over at the start; return
+    and steps of a run that comes to no end are not those at which it would be cut off.
+    """
+    transitions, over = domain.transitions(), domain.over()
+    states = np.arange(domain.n_states)
+    taken = states, option.action, np.zeros_like(states)
+    final, total = transitions.successor[taken].astype(np.intp), transitions.reward[taken].copy()
+    reached = option.termination[final] | over[final] | transitions.terminated[taken]
+    steps, length = np.ones(domain.n_states, dtype=np.int64), 1
+    while length < option.max_steps:
+        on = np.flatnonzero(~reached)
+        there = final[on]
+        total[on] += total[there]
+        steps[on] += steps[there]
+        final[on], reached[on] = final[there], reached[there]
+        length *= 2
+    reached &= steps <= option.max_steps
+    return TabularRollouts(total, steps, reached, over[final], final)
