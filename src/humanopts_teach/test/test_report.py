@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import Criterion, Thresholds
 from humanopts_learner.planning.exact import ExactPlan
@@ -21,15 +22,23 @@ from humanopts_teach.report.charts import learning_curves, sweep_report
 from humanopts_teach.report.episode import board_html, episode_strip, Frame
 from humanopts_teach.report.findings import findings
 from humanopts_teach.report.pages import counted, DASH, MINUS, number, percent
+from humanopts_teach.report.people import (
+    demonstration_rows,
+    people_findings,
+    shown_return,
+    teacher_rows,
+)
 from humanopts_teach.report.rules import option_rules
 from humanopts_teach.report.write import render_report, ReportData, write_evaluation_report
 import numpy as np
 from numpy.typing import NDArray
 import pytest
+from scipy import stats
 
 pytestmark = pytest.mark.heavy
 
 SETTINGS = Settings(seed=5, thresholds=Thresholds(2.25, 0.0625, 0.125), teacher_error_rate=0.02)
+TAUGHT = ('go to passenger and pickup', 'go to destination and dropoff')
 FRAMES = (
     Frame('taxi 0,1 passenger R destination B'),
     Frame('taxi 0,0 passenger R destination B', 'west', -1.0, 'go to passenger and pickup'),
@@ -86,6 +95,19 @@ class Links(HTMLParser):
                 self.ids.append(value)
 
 
+class Text(HTMLParser):
+    """Collects the text of a page."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.text = ''
+        self.feed(page)
+
+    def handle_data(self, data: str) -> None:
+        """Take in a piece of text."""
+        self.text += data
+
+
 def test_the_page_needs_nothing_outside_itself(page: str) -> None:
     links = Links(page)
     assert all(target.startswith(('#', 'data:')) for target in links.targets)
@@ -112,7 +134,8 @@ def test_the_same_data_makes_the_same_page(brief: BagEvaluation) -> None:
 def test_every_criterion_is_drawn_with_its_own_threshold(evaluation: BagEvaluation) -> None:
     option = evaluation.options[0]
     figures = learning_curves(option.curve, 'curve', option.last.block.name)
-    assert len(figures) == 4
+    assert len(figures) == 5
+    assert '95 % interval, same starts' in figures[-1]
     for figure, threshold in zip(figures, ('2.25', '0.0625', '0.125')):
         assert f'met at or below {threshold}' in figure
         assert 'demonstrations' in figure
@@ -250,6 +273,79 @@ def test_plans_of_a_large_domain_are_not_made_again(
     monkeypatch.setattr(charts, 'MOST_VALUES', 499)
     assert sweep_report(plans, 'sweeps') is None
     assert sweep_report({}, 'sweeps') is None
+
+
+def test_every_demonstration_is_in_the_table_once_with_what_became_of_it(
+    evaluation: BagEvaluation, taxi_lesson: list[Demonstration]
+) -> None:
+    back, last = replace(taxi_lesson[3], withdrawn=True), taxi_lesson[-1]
+    stray = replace(last, uuid='stray', number=99)
+    shown = [*taxi_lesson[::-1], back, stray]  # repeated and out of order
+    told = replace(evaluation, demonstrations=shown)
+    rows = demonstration_rows(told)
+    assert [row.number for row in rows] == [*range(1, 13), 99, *range(1, 13)]
+    assert [row.option for row in rows] == [last.option_name] * 13 + [back.option_name] * 12
+    assert [row.verdict for row in rows[13:]] == [
+        'taken back' if demo is taxi_lesson[3] else 'kept' if demo.actions else 'kept: not here'
+        for demo in taxi_lesson[:12]
+    ]
+    assert rows[12].verdict == 'left out'
+    for row, demo in zip(rows[:12], taxi_lesson[12:]):
+        total = sum(demo.rewards) if demo.actions else None
+        assert (row.start, row.steps, row.total, row.seconds) == (
+            *(demo.states[0], len(demo.actions)),
+            *(total, demo.seconds),
+        )
+    assert [evaluation.demonstrations, demonstration_rows(evaluation)[0].verdict] == [
+        taxi_lesson,
+        'kept',
+    ]
+
+
+def test_the_page_has_demonstrations_references_and_intervals(
+    brief: BagEvaluation, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+) -> None:
+    page = render_report(ReportData('Taxi', brief))
+    option = brief.options[0]
+    assert f'<summary>{len(taxi_lesson)} demonstrations' in page
+    assert all(f'<code>{demo.states[0]}</code>' in page for demo in taxi_lesson)
+    assert reference_options(taxi)[option.last.block.name].definition in Text(page).text
+    own = replace(option.last, block=replace(option.last.block, name='my own'))
+    other = replace(brief, options=(replace(option, curve=(own,)),))
+    assert 'It has no reference option' in render_report(ReportData('Taxi', other))
+    returns = np.array([sum(demo.rewards) for demo in taxi_lesson[:12] if demo.actions])
+    low, high = stats.t.interval(0.95, len(returns) - 1, returns.mean(), stats.sem(returns))
+    shown = shown_return(brief, option)
+    assert (shown.low, shown.high) == (pytest.approx(low), pytest.approx(high))
+    assert f'<td class="n">{number(low)}</td><td class="n">{number(high)}</td>' in page
+    assert 'id="people"' not in page
+
+
+def test_people_are_compared_by_option_and_by_their_plans(evaluation: BagEvaluation) -> None:
+    others = tuple(replace(option, participant='ben') for option in evaluation.options)
+    human, primitive = evaluation.plans
+    worse = replace(human, participant='ben', totals=human.totals - np.arange(len(human.totals)))
+    two = replace(
+        evaluation,
+        options=(*evaluation.options, *others),
+        plans=(human, worse, replace(human, participant='cleo'), primitive),
+    )
+    rows = teacher_rows(two)
+    assert [row.participant for row in rows] == ['p1', 'ben'] * 2
+    assert [row.option for row in rows] == [name for name in TAUGHT for _ in range(2)]
+    assert teacher_rows(evaluation) == []
+    texts = [finding.text for finding in people_findings(two)]
+    lost = np.arange(len(human.totals))
+    half = stats.t.ppf(1 - 0.05 / 3 / 2, len(lost) - 1) * stats.sem(lost)
+    limits = f'({number(lost.mean() - half)} to {number(lost.mean() + half)})'
+    assert texts[0] == (
+        'A plan with the options of p1 is better than one with those of ben: from the same start '
+        f'states, it returns {number(lost.mean())} {limits} more.'
+    )
+    assert 'of p1 is as good as one with those of cleo' in texts[1]
+    assert 'of ben is worse than one with those of cleo' in texts[2]
+    assert list(people_findings(evaluation)) == []
+    assert 'id="people"' in render_report(ReportData('Taxi', replace(two, plans=())))
 
 
 def test_the_strip_shows_what_ran_and_only_the_board(taxi: Domain[Any]) -> None:

@@ -38,6 +38,7 @@ FEWEST = FOLDS  # trajectories without which nothing is measurable
 FEWEST_TO_A_GOAL = 3  # where the policy is planned, and only I, beta and the goal are learned
 LEVEL = 0.9  # two-sided: the shortfall is above the upper limit in 5 of 100 cases
 CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstration
+NO_GAIN = Interval(math.nan, math.nan, math.nan)
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 
 
@@ -116,6 +117,7 @@ class Judgement:
     more_needed: int  # estimate of further demonstrations; 0: none; -1: unknown
     conflicts: tuple[str, ...]  # situations alike in the features but answered differently
     suggested_feature: str | None  # would separate most of them
+    gain: Interval = NO_GAIN  # of the policy over the demonstrations, from the same start states
 
     @property
     def criteria_met(self) -> bool:
@@ -154,6 +156,7 @@ def judge(
         more_needed=-1 if waits else more_needed(criteria, len(shown)),
         conflicts=conflicts.texts,
         suggested_feature=conflicts.suggested_feature,
+        gain=Interval.of_difference(in_sample.total_reward, shown),
     )
 
 

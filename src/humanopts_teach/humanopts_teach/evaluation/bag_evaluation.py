@@ -137,6 +137,8 @@ class BagEvaluation:
     plans: tuple[PlanEvaluation, ...]
     warnings: tuple[str, ...]  # sentences on what was assumed or left out
     games: Mapping[str, GamesEvaluation] = field(default_factory=dict)  # by participant; if asked
+    demonstrations: Sequence[Demonstration] = field(default=(), compare=False, repr=False)
+    """All that were given, also those that were taken back or left out."""
 
     @property
     def blocks(self) -> tuple[OptionBlock, ...]:
@@ -255,7 +257,14 @@ def evaluate(
             notes.append(f'no plan with {action_set} actions: {error}')
             continue
         plans.append(PlanEvaluation(person, plan, row_of_plan(plan, judged), judged.totals))
-    return BagEvaluation(domain, settings, tuple(options), tuple(plans), (*warnings, *notes))
+    return BagEvaluation(
+        domain,
+        settings,
+        tuple(options),
+        tuple(plans),
+        (*warnings, *notes),
+        demonstrations=demonstrations,
+    )
 
 
 def _usable(

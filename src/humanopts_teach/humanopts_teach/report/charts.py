@@ -109,7 +109,26 @@ def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> lis
             work.axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
             _by_demonstrations(work, drawn)
         figures.append(work.svg)
-    return figures
+    gains = {n: p.judgement.gain for n, p in drawn.items() if not math.isnan(p.judgement.gain.low)}
+    return [*figures, _gain_curve(gains, f'{name}-gain', option, drawn)] if gains else figures
+
+
+def _gain_curve(
+    gains: Mapping[int, Interval], name: str, option: str, points: Mapping[int, CurvePoint]
+) -> str:
+    """Draw the return of the policy less that of the demonstrations, with its interval."""
+    title, unit = 'Return of the policy less that shown', 'reward units'
+    with _chart(name, f'{title}: {option}', title=title, ylabel=unit) as work:
+        means = {n: gain.mean for n, gain in gains.items()}
+        low, high = ([getattr(gain, end) for gain in gains.values()] for end in ('low', 'high'))
+        limits = '95 % interval, same starts'
+        work.axes.fill_between(
+            list(gains), low, high, color=SERIES[0], alpha=0.2, lw=0, label=limits
+        )
+        _curve(work, means, label='mean', color=SERIES[0], marker='o', ms=3.5)
+        work.axes.axhline(0, color=MUTED, lw=0.8)
+        _by_demonstrations(work, points)
+    return work.svg
 
 
 def _criterion_curve(
@@ -171,11 +190,7 @@ def planning_figures(rows: Mapping[str, PlanningRow], name: str) -> list[str]:
 
     :param rows: by the names of the plans.
     """
-    returns = {
-        called: (row.mean_return, row.mean_discounted_return)
-        for called, row in rows.items()
-        if row.mean_return is not None
-    }
+    returns = {called: row for called, row in rows.items() if row.mean_return is not None}
     figures = [_planning_times(rows, f'{name}-time')] if rows else []
     return [*figures, _mean_returns(returns, f'{name}-return')] if returns else figures
 
@@ -201,18 +216,23 @@ def _planning_times(rows: Mapping[str, PlanningRow], name: str) -> str:
     return work.svg
 
 
-def _mean_returns(returns: Mapping[str, Sequence[float | None]], name: str) -> str:
-    title, size = 'Mean return of an episode', (5.0, 1.3 + 0.6 * len(returns))
+def _mean_returns(returns: Mapping[str, PlanningRow], name: str) -> str:
+    title, size = 'Mean return of an episode, with 95 % interval', (5.0, 1.3 + 0.6 * len(returns))
     label, unit = 'Mean return by action set', 'reward units'
     with _chart(name, label, size, 'x', title=title, xlabel=unit) as work:
         for series, (kind, shift) in enumerate((('undiscounted', 10), ('discounted', -10))):
             style = {**_series(series), 'ms': 8, 'ls': ''}
             work.axes.plot([], [], label=kind, **style)
-            for place, value in enumerate(pair[series] for pair in returns.values()):
+            for place, row in enumerate(returns.values()):
+                value = (row.mean_return, row.mean_discounted_return)[series]
                 if value is None:
                     continue
                 work.axes.plot(value, place, **style)
                 _value_label(work, (value, place), number(value), (0, shift), 'center')
+        for place, row in enumerate(returns.values()):
+            if row.mean_return_low is not None and row.mean_return_high is not None:
+                ends = row.mean_return_low, row.mean_return_high
+                work.axes.hlines(place, *ends, color=SERIES[0], lw=2.0, alpha=0.5)
         work.axes.axvline(0, color=MUTED, lw=0.8)
         work.axes.set_yticks(range(len(returns)), list(returns))
         work.axes.set_ylim(len(returns) - 0.4, -0.6)

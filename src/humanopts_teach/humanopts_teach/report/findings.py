@@ -19,6 +19,7 @@ from humanopts_teach.evaluation.games import (
 from humanopts_teach.evaluation.measures import PlanningRow
 from humanopts_teach.evaluation.summary import differences, Execution, Live
 from humanopts_teach.report.pages import counted, Finding, number
+from humanopts_teach.report.people import people_findings
 import numpy as np
 
 ALLOWED = 0.02  # share of the return that options may lose against primitive actions
@@ -47,6 +48,7 @@ def findings(
         yield _loss(topics)
     if live is not None:
         yield _offline(live, evaluation)
+    yield from people_findings(evaluation)
     compared = [each.reproduced for each in evaluation.options if each.reproduced is not None]
     if compared and all(compared):  # a warning reports one that is not
         yield Finding(

@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+import math
 from typing import Any
 
+from humanopts_learner.intervals import Interval
 import jinja2
 from markupsafe import Markup
 
@@ -37,6 +39,7 @@ def render(package: str, name: str, values: dict[str, Any]) -> str:
         style=Markup(page_style()),
         markup=Markup,
         number=number,
+        limits=limits,
         percent=percent,
         duration=duration,
         DASH=DASH,
@@ -62,6 +65,13 @@ def number(value: float | None, digits: int = 4) -> str:
     if value is None or value != value:
         return DASH
     return f'{value:.{digits}g}'.replace('-', MINUS)
+
+
+def limits(found: Interval) -> str:
+    """Return an interval in brackets; empty where there is none."""
+    if math.isnan(found.low):
+        return ''
+    return f'({number(found.low)} to {number(found.high)})'
 
 
 def duration(seconds: float) -> str:

@@ -7,6 +7,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 import platform
 
+from humanopts_env.domains.base import is_enumerable
+from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_teach.bags.info import summarise, TopicRow
@@ -24,6 +26,7 @@ from humanopts_teach.report.charts import (
 from humanopts_teach.report.episode import episode_strip, Frame, read_last_episode
 from humanopts_teach.report.findings import findings, planning_rows
 from humanopts_teach.report.pages import DASH, duration, percent, render
+from humanopts_teach.report.people import demonstration_rows, shown_return, teacher_rows
 from humanopts_teach.report.rules import option_rules
 
 MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
@@ -99,6 +102,13 @@ def render_report(data: ReportData) -> str:
             )
             for place, option in enumerate(evaluation.options)
         ],
+        'demonstrations': demonstration_rows(evaluation),
+        'teachers': teacher_rows(evaluation),
+        'shown': [shown_return(evaluation, each) for each in evaluation.options],
+        'strategy': evaluation.settings.strategy,
+        'several': len(evaluation.people) > 1,
+        'references': reference_options(evaluation.domain),
+        'exact_accuracy': is_enumerable(evaluation.domain),
         'live': None if live is None else {block.name: block for block in live.options},
         'measures': MEASURES,
         'methods': METHODS,
