@@ -18,22 +18,6 @@ class Statement:
     where: str  # section, figure or table
 
 
-TABLE_1 = {  # share of the participants of a domain who gave a button, section 4
-    'taxi': {
-        'go to passenger and pickup': 0.6,
-        'go to destination and dropoff': 0.6,
-        'go to passenger': 0.4,
-        'go to destination': 0.4,
-        'pickup/dropoff': 0.4,
-        'move away from obstacles': 0.2,
-    },
-    'pacman': {
-        'go to the closest food': 1.0,
-        'avoid ghost': 1.0,
-        'go to the nearest power pellet': 1.0,
-        'eat the ghost': 0.4,
-    },
-}
 STUDY = {
     'buttons': Statement(
         'Asked for buttons that make winning easier and faster, ten volunteers named ten, with '

@@ -36,11 +36,12 @@ HELP = {
     ('demo',): ('--domain', '--episodes', '--games', '--error-rate', *LAUNCH),
     ('up',): ('DOMAIN', '--no-record', '--step-period', *LAUNCH),
     ('teach',): ('DOMAIN', '--participant', *LAUNCH),
-    ('bag',): ('info', 'check', 'eval', 'diff', 'play', 'export'),
+    ('bag',): ('info', 'check', 'eval', 'diff', 'play', 'table1', 'export'),
     ('bag', 'info'): ('BAG', '--json'),
     ('bag', 'eval'): ('BAG', '--json', '--html', '--games'),
     ('bag', 'diff'): ('A', 'B', '--json'),
-    ('bag', 'play'): ('BAG', '--episode', '--speed'),
+    ('bag', 'play'): ('BAG', '--episode', '--option', '--speed'),
+    ('bag', 'table1'): ('BAG', '--merge', '--json'),
     ('bag', 'export'): ('BAG', '--to', 'csv', 'parquet', 'minari', '--out'),
 }
 
@@ -131,7 +132,7 @@ def test_help_is_quick_and_fits_a_terminal() -> None:
     ('typed', 'offered'),
     [
         ('humanopts de', ['demo']),
-        ('humanopts bag ', ['check', 'diff', 'eval', 'export', 'info', 'play']),
+        ('humanopts bag ', ['check', 'diff', 'eval', 'export', 'info', 'play', 'table1']),
         ('humanopts demo --strategy ', ['coverage', 'failures', 'random']),
         ('humanopts up taxi --split', ['--split-bytes', '--split-seconds']),
     ],

@@ -24,6 +24,8 @@ from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.bags.sequence_numbers import count_loss
 from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.cli import main
+import pytest
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from teach_support.bags import numbered, play, write_messages
@@ -108,6 +110,24 @@ def test_the_summary_counts_what_was_taught_and_done(
     assert 'option runs: interrupted 1, reached 2, stopped_by_plan 1' in text
     assert 'policy runs: 5 options stopped by the plan, 1 changes of execution' in text
     assert PICKUP in text
+
+
+def test_info_of_several_bags_shows_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [str(tmp_path / name) for name in 'ab']
+    for count, path in enumerate(paths, start=1):
+        write_messages(Path(path), [('/x', numbered(n)) for n in range(1, count + 1)])
+    assert main(['bag', 'info', *paths]) == 0
+    text = capsys.readouterr().out
+    assert [line for line in text.splitlines() if line.startswith('bag ')] == [
+        f'bag           {path}' for path in paths
+    ]
+    assert main(['bag', 'info', '--json', *paths]) == 0
+    several = json.loads(capsys.readouterr().out)
+    assert [(found['path'], found['messages']) for found in several] == list(zip(paths, (1, 2)))
+    assert main(['bag', 'info', '--json', paths[1]]) == 0
+    assert json.loads(capsys.readouterr().out) == several[1]
 
 
 def test_a_lesson_of_a_person_has_no_error_rate_to_tell(tmp_path: Path) -> None:

@@ -9,13 +9,18 @@ from typing import Any
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
 from humanopts_env.game import Source, Transition, transition_from_message
-from humanopts_learner.demonstrations import Demonstration, demonstration_from_message
+from humanopts_learner.demonstrations import (
+    Demonstration,
+    demonstration_from_message,
+    PRIMITIVE_PREFIX,
+)
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
 from humanopts_teach.bags.sequence_numbers import read_stamp, tells_place
 
 DEMONSTRATION = 'humanopts_interfaces/msg/Demonstration'
 DOMAIN_INFO = 'humanopts_interfaces/msg/DomainInfo'
+LESSON_STATE = 'humanopts_interfaces/msg/LessonState'
 
 
 def read_demonstrations(bag: Bag) -> list[Demonstration]:
@@ -32,13 +37,18 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
     return list(bag.converted(DEMONSTRATION, demonstration_from_message))
 
 
+def domains_played(bag: Bag) -> list[tuple[str, str]]:
+    """Return name and parameters (JSON) of the domains that were played, sorted."""
+    return sorted(set(bag.converted(DOMAIN_INFO, lambda info: (info.domain, info.parameters))))
+
+
 def read_domain(bag: Bag) -> Domain[Any]:
     """
     Return the domain that was played.
 
     :raises BagError: the bag names no domain, or several, or one that is not installed here.
     """
-    played = sorted(set(bag.converted(DOMAIN_INFO, lambda info: (info.domain, info.parameters))))
+    played = domains_played(bag)
     if not played:
         reasons = '; '.join(['no domain_info', *bag.notes])
         raise BagError(f'{bag.path} does not say which domain was played ({reasons})')
@@ -283,6 +293,36 @@ def actor_of(transition: Transition, actors: Actors) -> str:
 def source_of(transition: Transition) -> str:
     """Return who chose the action of a transition, in a word; empty: no action led to it."""
     return '' if transition.action_source is Source.NONE else transition.action_source.name.lower()
+
+
+def episode_options(bag: Bag) -> list[tuple[str, ...]]:
+    """
+    Return the options that ran or were shown in each episode, in the order of ``find_episodes``.
+
+    An option was shown where the states and actions of a demonstration are those of the episode.
+    """
+    actors = read_actors(bag)
+    shown = [
+        (demo.option_name, demo.states, demo.actions)
+        for demo in bag.converted(DEMONSTRATION, demonstration_from_message)
+        if demo.actions
+    ]
+    found = []
+    for episode in read_episodes(bag):
+        steps = episode.transitions
+        states = tuple(step.state for step in steps)
+        actions = tuple(step.previous_action for step in steps[1:])
+        here = dict.fromkeys(actor_of(step, actors) for step in steps)
+        for name, its_states, its_actions in shown:
+            for at in range(len(states) - len(its_actions)):
+                if (
+                    actions[at : at + len(its_actions)] == its_actions
+                    and states[at : at + len(its_states)] == its_states
+                ):
+                    here[name] = None
+                    break
+        found.append(tuple(n for n in here if n and not n.startswith(PRIMITIVE_PREFIX)))
+    return found
 
 
 def read_beginnings(bag: Bag) -> Beginnings:

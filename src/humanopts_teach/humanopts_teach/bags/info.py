@@ -23,6 +23,7 @@ from humanopts_teach.bags.contents import (
     EpisodeGrouping,
     EpisodeMessages,
     is_ended,
+    LESSON_STATE,
 )
 from humanopts_teach.bags.reader import Bag, BEING_RECORDED, Recorded
 from humanopts_teach.bags.rosbag2 import Topic
@@ -30,7 +31,6 @@ from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.sequence_numbers import Stream, Tally
 
 NO_TEACHER = 'none: a person taught'  # shown for the simulated teacher's error rate
-_LESSON_STATE = 'humanopts_interfaces/msg/LessonState'
 _STATUS = 'humanopts_interfaces/msg/LearningStatus'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 PLAN_RESULT = 'humanopts_interfaces/msg/PlanResult'
@@ -324,7 +324,7 @@ class _Collector:
         self._handlers = {
             DEMONSTRATION: self._demonstration,
             DOMAIN_INFO: self._domain,
-            _LESSON_STATE: self._lesson,
+            LESSON_STATE: self._lesson,
             _STATUS: self._status,
             **dict.fromkeys(self._results, self._result),
         }

@@ -30,6 +30,12 @@ _LONGEST_WAIT = 0.2  # s, until a window of another size is seen
 
 app = typer.Typer(**PLAIN, cls=CommandGroup, subcommand_metavar='COMMAND ...')
 BagArgument = Annotated[Path, typer.Argument(metavar='BAG', help='a rosbag2 folder or .mcap file')]
+BagArguments = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar='BAG', help='rosbag2 folders or .mcap files; each of several by itself'
+    ),
+]
 Json = Annotated[bool, typer.Option('--json', help='print JSON')]
 speed_factor = number('from 1/16 to 64', lambda value: 1 / 16 <= value <= 64)
 
@@ -68,14 +74,18 @@ def bag() -> None:
 
 
 @app.command()
-def info(bag: BagArgument, json: Json = False) -> int:
-    """Show what a bag holds, and what of it was lost."""
+def info(bags: BagArguments, json: Json = False) -> int:
+    """Show what bags hold, and what of it was lost."""
     from humanopts_teach.bags.info import summarise
     from humanopts_teach.bags.reader import open_bag
 
     with progress_bar() as show:
-        found = summarise(open_bag(bag, show))
-    _print(_json(found.to_dict()) if json else found.to_text())
+        found = [summarise(open_bag(path, show)) for path in bags]
+    if json:
+        listed = [each.to_dict() for each in found]
+        _print(_json(listed if len(bags) > 1 else listed[0]))
+    else:
+        _print('\n\n\n'.join(each.to_text() for each in found))
     return 0
 
 
@@ -113,12 +123,7 @@ def check(
 
 @app.command('eval')
 def evaluate(
-    bags: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar='BAG', help='rosbag2 folders or .mcap files; each of several by itself'
-        ),
-    ],
+    bags: BagArguments,
     html: Annotated[
         Path | None, typer.Option(metavar='FILE', help='write a report to this file')
     ] = None,
@@ -199,9 +204,20 @@ def diff(
 def play(
     bag: BagArgument,
     episode: Annotated[
-        int,
-        typer.Option(parser=whole(1), metavar='N', help='counted from the first in the bag'),
-    ] = 1,
+        int | None,
+        typer.Option(
+            parser=whole(1), metavar='N', help='counted from the first in the bag; default: 1'
+        ),
+    ] = None,
+    option: Annotated[
+        str,
+        typer.Option(
+            metavar='NAME',
+            show_default=False,
+            help='the first episode in which this option ran or was shown; a part of its name '
+            'will do',
+        ),
+    ] = '',
     speed: Annotated[
         float,
         typer.Option(
@@ -211,16 +227,26 @@ def play(
 ) -> int:
     """Play an episode again in this terminal; as plain text where this is none."""
     from humanopts_env.domains.base import StateError
-    from humanopts_teach.bags.contents import actors_in, find_episodes, read_domain
+    from humanopts_teach.bags.contents import (
+        actors_in,
+        episode_options,
+        find_episodes,
+        read_domain,
+    )
     from humanopts_teach.bags.reader import ignore_progress, open_bag
     from humanopts_teach.terminal.device import Device, why_not
     from humanopts_teach.terminal.replay import Replay
 
+    if episode is not None and option:
+        raise CommandError('give --episode or --option, not both')
     with progress_bar() as show:
         opened = open_bag(bag, show)
         domain, episodes = read_domain(opened), find_episodes(opened)
+        if option:
+            episode = _first_with(option, episode_options(opened), opened.path)
         opened.on_read = ignore_progress  # the rest is read quickly, while the screen is drawn
-    if not 1 <= episode <= len(episodes):
+    episode = episode or 1
+    if episode > len(episodes):
         there = f'1 to {len(episodes)}' if episodes else 'none'
         raise CommandError(f'there is no episode {episode} in {opened.path}: {there}')
     replay = Replay(domain, episodes, partial(actors_in, opened), episode - 1, speed)
@@ -233,6 +259,46 @@ def play(
                 _play(replay, device)
     except StateError as error:
         raise CommandError(f'{opened.path}: {error}') from error
+    return 0
+
+
+@app.command()
+def table1(
+    bags: BagArguments,
+    merge: Annotated[
+        Path | None,
+        typer.Option(
+            metavar='FILE',
+            help='YAML: each name with the list of its wordings, which are one option',
+        ),
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Count the options that people named, beside Table 1 of the paper."""
+    from humanopts_teach.bags.reader import open_bag
+    from humanopts_teach.evaluation.table1 import (
+        MergeError,
+        named_options,
+        read_merge,
+        table_text,
+        tally,
+    )
+
+    try:
+        canonical = read_merge(merge.read_text('utf-8')) if merge is not None else {}
+    except OSError as error:
+        raise CommandError(f'cannot read {merge}: {error.strerror}') from error
+    except (MergeError, UnicodeDecodeError) as error:
+        raise CommandError(f'{merge}: {error}') from error
+    with progress_bar() as show:
+        opened = [open_bag(path, show) for path in bags]
+        named = [option for each in opened for option in named_options(each)]
+    tables = tally(named, canonical)
+    _print(_json([each.to_dict() for each in tables]) if json else table_text(tables))
+    for each in opened:
+        _warn('table1', each if len(bags) > 1 else None, each.notes)
+        if each.facts.get('teacher_error_rate', 'None') != 'None':
+            _warn('table1', each, ['a simulated person taught: nobody had a wish'])
     return 0
 
 
@@ -274,6 +340,42 @@ def export(
     _print('\n'.join(written))
     _warn('export', None, opened.notes)
     return 0
+
+
+def _first_with(name: str, options: Sequence[Sequence[str]], bag: Path) -> int:
+    """
+    Return the number of the first episode with an option, and say which others have it.
+
+    :param options: of each episode.
+    :raises CommandError: no option or several have this in their name; the text says which.
+    """
+    episodes: dict[str, list[int]] = {}
+    for place, names in enumerate(options, start=1):
+        for each in names:
+            episodes.setdefault(each, []).append(place)
+    alike = [each for each in episodes if name.casefold() in each.casefold()]
+    chosen = [name] if name in episodes else alike
+    if len(chosen) != 1:
+        listed = chosen or list(episodes)
+        there = '; '.join(f'{each!r} in {ranges(episodes[each])}' for each in listed)
+        why = 'could be several options' if chosen else 'is no option'
+        raise CommandError(
+            f'{name!r} {why} in the episodes of {bag}; there are: {there or "none"}'
+        )
+    found = episodes[chosen[0]]
+    _print(f'{chosen[0]!r} is in episodes {ranges(found)}: playing {found[0]}', sys.stderr)
+    return found[0]
+
+
+def ranges(numbers: Sequence[int]) -> str:
+    """Return ascending numbers in few words, such as 1-3, 7."""
+    runs: list[list[int]] = []
+    for each in numbers:
+        if runs and each == runs[-1][-1] + 1:
+            runs[-1][1:] = [each]
+        else:
+            runs.append([each])
+    return ', '.join('-'.join(map(str, run)) for run in runs)
 
 
 def _print(text: str, file: TextIO | None = None) -> None:

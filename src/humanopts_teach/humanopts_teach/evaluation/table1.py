@@ -1,0 +1,207 @@
+"""
+Table 1 of the paper: the options that people name, tallied from bags.
+
+Section 4: people were asked for buttons that make winning easier and faster, and what they named
+was counted. In a lesson, people name the options that they teach.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+import math
+from typing import Any
+
+from humanopts_learner.demonstrations import demonstration_from_message, Kind
+from humanopts_learner.intervals import Interval
+from humanopts_teach.bags import BagError
+from humanopts_teach.bags.contents import DEMONSTRATION, domains_played, LESSON_STATE
+from humanopts_teach.bags.info import aligned
+from humanopts_teach.bags.reader import Bag
+from humanopts_teach.bags.rosbag2 import load
+from humanopts_teach.evaluation.measures import finite
+import numpy as np
+
+TABLE_1 = {  # share of the participants of a domain who gave a button, section 4
+    'taxi': {
+        'go to passenger and pickup': 0.6,
+        'go to destination and dropoff': 0.6,
+        'go to passenger': 0.4,
+        'go to destination': 0.4,
+        'pickup/dropoff': 0.4,
+        'move away from obstacles': 0.2,
+    },
+    'pacman': {
+        'go to the closest food': 1.0,
+        'avoid ghost': 1.0,
+        'go to the nearest power pellet': 1.0,
+        'eat the ghost': 0.4,
+    },
+}
+
+
+class MergeError(ValueError):
+    """A merge file cannot be used; the text says why."""
+
+
+def _plain(name: str) -> str:
+    """Return a name without the differences that mean nothing: case and spaces."""
+    return ' '.join(name.casefold().split())
+
+
+def read_merge(text: str) -> dict[str, str]:
+    """
+    Read a merge file: YAML, each canonical name with the list of its wordings.
+
+    :return: the canonical name of each wording, which is plain.
+    :raises MergeError: it is something else, or a wording belongs to two names.
+    """
+    try:
+        values = load(text)
+    except ValueError as error:
+        raise MergeError(f'it is not YAML: {error}') from error
+    if not isinstance(values, dict):
+        raise MergeError('it has to map each name to the list of its wordings')
+    canonical: dict[str, str] = {}
+    for name, wordings in values.items():
+        if not isinstance(name, str) or not _plain(name):
+            raise MergeError(f'{name!r} is not a name')
+        if not isinstance(wordings, list) or not all(isinstance(each, str) for each in wordings):
+            raise MergeError(f'{name!r} needs a list of wordings, such as [fetch, get him]')
+        for wording in (name, *wordings):
+            if canonical.setdefault(_plain(wording), name) != name:
+                raise MergeError(
+                    f'{wording!r} belongs to {canonical[_plain(wording)]!r} and to {name!r}'
+                )
+    return canonical
+
+
+@dataclass(frozen=True)
+class NamedOption:
+    """An option that somebody named in a lesson."""
+
+    domain: str
+    participant: str
+    name: str  # in the person's words; empty: none, the person was there
+    taught: bool  # it was demonstrated
+
+
+def named_options(bag: Bag) -> list[NamedOption]:
+    """
+    Return what people named in a bag, and who was there.
+
+    :raises BagError: the bag does not say which domain was played, or has several.
+    """
+    domains = {name for name, _ in domains_played(bag)}
+    if len(domains) != 1:
+        raise BagError(f'{bag.path} holds games of {len(domains)} domains; give bags of one')
+    (domain,) = domains
+    found: dict[tuple[str, str], bool] = {}
+    for lesson in bag.converted(LESSON_STATE, lambda m: (m.participant, m.option_name)):
+        if lesson[0]:
+            found.setdefault(lesson, False)
+    for demo in bag.converted(DEMONSTRATION, demonstration_from_message):
+        taught = demo.kind is Kind.TRAJECTORY and not demo.withdrawn
+        key = (demo.participant, demo.option_name)
+        found[key] = found.get(key, False) or taught
+    return [NamedOption(domain, *key, taught) for key, taught in found.items()]
+
+
+@dataclass(frozen=True)
+class ButtonRow:
+    """One row of the table."""
+
+    option: str
+    people: int  # who named it
+    share: Interval  # of the people of the domain, Wilson's interval
+    taught: int  # people who demonstrated it
+    paper: float | None  # share in the paper; None: nobody named it there
+    wordings: tuple[str, ...]  # those that people used
+
+
+@dataclass(frozen=True)
+class ButtonTable:
+    """The options that the people of one domain named."""
+
+    domain: str
+    people: tuple[str, ...]
+    rows: tuple[ButtonRow, ...]  # the paper's in its order, then the others, most named first
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the table as JSON data; null: the paper has no such row, or nobody was there."""
+        rows = [
+            {**asdict(row), 'share': {end: finite(v) for end, v in asdict(row.share).items()}}
+            for row in self.rows
+        ]
+        return {'domain': self.domain, 'people': list(self.people), 'rows': rows}
+
+
+def tally(named: Sequence[NamedOption], canonical: Mapping[str, str]) -> list[ButtonTable]:
+    """
+    Count how many people named each option; a person counts once, in however many bags.
+
+    :param canonical: of ``read_merge``; other names are the same where they differ in case and
+        spaces only, and the paper's are written as there.
+    :return: a table for each domain, in order of appearance.
+    """
+    return [
+        _tally(domain, [each for each in named if each.domain == domain], canonical)
+        for domain in dict.fromkeys(each.domain for each in named)
+    ]
+
+
+def _tally(domain: str, named: Iterable[NamedOption], canonical: Mapping[str, str]) -> ButtonTable:
+    paper = TABLE_1.get(domain, {})
+    names = {_plain(name): name for name in paper}
+    names = {**names, **{w: names.get(_plain(name), name) for w, name in canonical.items()}}
+    people: set[str] = set()
+    by_option: dict[str, list[NamedOption]] = {name: [] for name in paper}
+    for each in named:
+        people.add(each.participant)
+        if each.name:
+            name = names.setdefault(_plain(each.name), each.name)
+            by_option.setdefault(name, []).append(each)
+    rows = [_row(name, found, len(people), paper) for name, found in by_option.items()]
+    rows.sort(key=lambda row: (row.paper is None, -row.people if row.paper is None else 0))
+    return ButtonTable(domain, tuple(sorted(people)), tuple(rows))
+
+
+def _row(
+    name: str, named: Sequence[NamedOption], people: int, paper: Mapping[str, float]
+) -> ButtonRow:
+    who = {each.participant for each in named}
+    return ButtonRow(
+        name,
+        len(who),
+        Interval.of_share(np.arange(people) < len(who)),
+        len({each.participant for each in named if each.taught}),
+        paper.get(name),
+        tuple(dict.fromkeys(each.name for each in named)),
+    )
+
+
+def table_text(tables: Sequence[ButtonTable]) -> str:
+    """Return the tables as text for a person."""
+    parts = []
+    for found in tables:
+        count = len(found.people)
+        who = ', '.join(found.people) or 'nobody'
+        head = ('option', 'people', 'share', '95 % interval', 'paper', 'taught', 'other wordings')
+        rows = [
+            [
+                *(row.option, f'{row.people} of {count}'),
+                *(_percent(row.share.mean), _range(row.share), _percent(row.paper)),
+                str(row.taught),
+                ', '.join(each for each in row.wordings if each != row.option),
+            ]
+            for row in found.rows
+        ]
+        right = [False, True, True, True, True, True, False]
+        parts.append('\n'.join([f'{found.domain}: {who}', '', *aligned([head, *rows], right)]))
+    return '\n\n\n'.join(parts)
+
+
+def _percent(share: float | None) -> str:
+    return '-' if share is None or math.isnan(share) else f'{share:.0%}'
+
+
+def _range(share: Interval) -> str:
+    return '-' if math.isnan(share.low) else f'{share.low:.0%} to {share.high:.0%}'

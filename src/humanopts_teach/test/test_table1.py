@@ -1,0 +1,159 @@
+"""``bag table1``: what people named is counted as in Table 1 of the paper."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.ros.convert import domain_to_info
+from humanopts_interfaces.msg import Demonstration, LessonState
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.cli import main
+from humanopts_teach.evaluation.table1 import (
+    ButtonRow,
+    MergeError,
+    named_options,
+    NamedOption,
+    read_merge,
+    TABLE_1,
+    tally,
+)
+import pytest
+from scipy.stats import binomtest
+from teach_support.bags import write_messages
+
+PICKUP = 'go to passenger and pickup'
+MERGE = """
+go to passenger and pickup: [fetch  HIM, get the guy]
+wave: [say hello]
+"""
+
+
+def lesson(who: str, name: str = '') -> tuple[str, LessonState]:
+    """Return what a lesson says while a person names an option."""
+    return '/lesson_state', LessonState(participant=who, option_name=name)
+
+
+def shown(who: str, name: str, uuid: str, **fields: Any) -> tuple[str, Demonstration]:
+    """Return a demonstration of one step."""
+    demo = Demonstration(participant=who, option_name=name, uuid=uuid, kind=1, **fields)
+    demo.states, demo.actions, demo.rewards = ['a', 'b'], ['east'], [0.0]
+    return '/demonstrations', demo
+
+
+@pytest.fixture
+def bags(tmp_path: Path, taxi: Domain[Any]) -> list[str]:
+    """Two bags of Taxi with four people, and one of Pac-Man."""
+    first = [
+        ('/domain_info', domain_to_info(taxi)),
+        *(lesson('anna'), lesson('anna', PICKUP), lesson('ben'), lesson('ben', 'Fetch him')),
+        *(shown('anna', PICKUP, 'u1'), shown('ben', 'Fetch him', 'u2', withdrawn=True)),
+    ]
+    second = [
+        ('/domain_info', domain_to_info(taxi)),
+        *(lesson('anna', 'get the guy'), lesson('cleo', 'say Hello'), lesson('dora')),
+        shown('cleo', 'Wave', 'u3'),
+    ]
+    third = [
+        ('/domain_info', domain_to_info(make_domain('pacman'))),
+        lesson('ben', 'Avoid  ghost'),
+    ]
+    for name, entries in (('a', first), ('b', second), ('c', third)):
+        write_messages(tmp_path / name, entries)
+    return [str(tmp_path / name) for name in 'abc']
+
+
+def test_people_are_counted_once_beside_the_paper(
+    bags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'merge.yaml').write_text(MERGE)
+    merged = ['bag', 'table1', *bags, '--merge', str(tmp_path / 'merge.yaml')]
+    assert main([*merged, '--json']) == 0
+    taxi, pacman = json.loads(capsys.readouterr().out)
+    assert (taxi['domain'], taxi['people']) == ('taxi', ['anna', 'ben', 'cleo', 'dora'])
+    assert [row['option'] for row in taxi['rows']] == [*TABLE_1['taxi'], 'wave']
+    assert [row['people'] for row in taxi['rows']] == [2, 0, 0, 0, 0, 0, 1]
+    assert [row['taught'] for row in taxi['rows']] == [1, 0, 0, 0, 0, 0, 1]
+    assert [row['paper'] for row in taxi['rows']] == [*TABLE_1['taxi'].values(), None]
+    assert taxi['rows'][0]['wordings'] == [PICKUP, 'Fetch him', 'get the guy']
+    limits = binomtest(2, 4).proportion_ci(method='wilson')
+    assert taxi['rows'][0]['share'] == pytest.approx(
+        {'mean': 0.5, 'low': limits.low, 'high': limits.high}
+    )
+    assert {row['option']: row['people'] for row in pacman['rows']} == {
+        **dict.fromkeys(TABLE_1['pacman'], 0),
+        'avoid ghost': 1,
+    }
+    assert main(merged) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (line,) = [line for line in lines if line.startswith(PICKUP)]
+    counted = f'{PICKUP} 2 of 4 50% 15% to 85% 60% 1 Fetch him, get the guy'
+    assert ' '.join(line.split()) == counted
+    assert [line[-15:] for line in lines if line.startswith('wave')] == ['say Hello, Wave']
+
+
+def test_without_a_merge_file_only_case_and_spaces_are_the_same(bags: list[str]) -> None:
+    named = [
+        NamedOption('taxi', who, name, taught=True)
+        for who, name in (
+            ('a', 'Go  to Passenger'),
+            ('b', 'fetch'),
+            ('c', 'Fetch '),
+            ('c', 'fetch'),
+        )
+    ]
+    (table,) = tally(named, {})
+    rows = {row.option: row.people for row in table.rows if row.people}
+    assert rows == {'go to passenger': 1, 'fetch': 2}
+    (capitals,) = tally(named, read_merge('Go to PASSENGER: [fetch]'))
+    assert {row.option: row.people for row in capitals.rows if row.people} == {
+        'go to passenger': 3
+    }
+
+
+def test_a_domain_that_the_paper_lacks_has_no_column_of_it() -> None:
+    (table,) = tally([NamedOption('rooms', 'a', 'leave', taught=False)], {})
+    assert [(row.option, row.people, row.paper) for row in table.rows] == [('leave', 1, None)]
+    assert isinstance(table.rows[0], ButtonRow)
+
+
+@pytest.mark.parametrize(
+    ('text', 'why'),
+    [
+        ('[a, b]', 'has to map'),
+        ('', 'has to map'),
+        ('a: b', "'a' needs a list"),
+        ('a: [1]', "'a' needs a list"),
+        ('3: [b]', '3 is not a name'),
+        ('a: [b]\nc: [B]', "'B' belongs to 'a' and to 'c'"),
+        ('a: [', 'not YAML'),
+    ],
+)
+def test_a_merge_file_that_says_nothing_clear_is_refused(
+    text: str, why: str, bags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(MergeError, match=why):
+        read_merge(text)
+    (tmp_path / 'merge').write_text(text)
+    assert main(['bag', 'table1', *bags, '--merge', str(tmp_path / 'merge')]) == 2
+    assert why in capsys.readouterr().err
+
+
+def test_a_merge_file_that_is_not_there_and_a_bag_of_no_domain_are_refused(
+    bags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['bag', 'table1', *bags, '--merge', str(tmp_path / 'none')]) == 2
+    assert 'cannot read' in capsys.readouterr().err
+    write_messages(tmp_path / 'none', [lesson('anna', PICKUP)])
+    assert main(['bag', 'table1', str(tmp_path / 'none')]) == 2
+    assert 'games of 0 domains' in capsys.readouterr().err
+
+
+def test_what_is_taken_back_is_named_and_not_taught(bags: list[str], taxi: Domain[Any]) -> None:
+    found = {
+        (each.participant, each.name): each.taught for each in named_options(open_bag(bags[0]))
+    }
+    assert found[('ben', 'Fetch him')] is False
+    assert found[('anna', PICKUP)] is True
+    assert ('ben', '') in found
