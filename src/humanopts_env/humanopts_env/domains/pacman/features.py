@@ -167,7 +167,8 @@ class FeatureReader:
         self._place_and_way = np.concatenate((place, way), axis=2).reshape(
             -1, 4
         )  # (C * (C + 1), 4)
-        self._food, self._pills = self._nearest(maze.food), self._nearest(maze.pills)
+        self._direction = first.ravel()
+        self._food, self._pills = self._search(maze.food), self._search(maze.pills)
         self._distance = paths.distance.ravel()
         self._legal = paths.legal.astype(np.int32)
 
@@ -189,7 +190,7 @@ class FeatureReader:
             out = np.empty((len(batch), len(self.names)), dtype=np.int32)
         groups, here = len(batch.ghosts), batch.pacman
         seen = self._look(batch)
-        out[:, :2] = self._place[here]
+        out[:, :2] = self._place.take(here, axis=0)
         column = 2
         for thing in range(groups):
             out[:, column : column + 4] = seen[thing]
@@ -202,7 +203,7 @@ class FeatureReader:
             out[:, column : column + 2] = seen[thing, :, 2:]
             column += 2
         out[:, column] = batch.ate
-        out[:, column + 1] = self._legal[here]
+        out[:, column + 1] = self._legal.take(here)
         return out
 
     def first_moves(self, batch: PacManBatch, sought: NDArray[np.integer]) -> NDArray[np.int32]:
@@ -214,12 +215,14 @@ class FeatureReader:
         here, food, pill = batch.pacman, np.flatnonzero(sought == 0), np.flatnonzero(sought == 1)
         cells = np.full(len(batch), len(self._place) - 1, dtype=np.intp)
         if food.size:
-            cells[food] = self._find(self._food, here[food], batch.food_taken[food])
+            taken = batch.food_taken.take(food, axis=0)
+            cells[food] = self._find(self._food, here.take(food), taken)
         if pill.size:
-            cells[pill] = self._find(self._pills, here[pill], batch.pills_taken[pill])
+            taken = batch.pills_taken.take(pill, axis=0)
+            cells[pill] = self._find(self._pills, here.take(pill), taken)
         if batch.scared.any():
             np.copyto(cells, self._nearest_ghosts(batch)[1], where=sought == 2)
-        way: NDArray[np.int32] = self._place_and_way[here * len(self._place) + cells, 2]
+        way: NDArray[np.int32] = self._direction.take(here * len(self._place) + cells)
         return way
 
     def _look(self, batch: PacManBatch) -> NDArray[np.int32]:
@@ -231,16 +234,15 @@ class FeatureReader:
         cells[groups + 1] = self._find(self._pills, here, batch.pills_taken)
         cells[groups + 2] = np.where(batch.fruit > 0, batch.fruit_at, none)
         cells[groups + 3 :] = self._nearest_ghosts(batch)
-        seen: NDArray[np.int32] = self._place_and_way[here * len(self._place) + cells]
+        seen: NDArray[np.int32] = self._place_and_way.take(here * len(self._place) + cells, axis=0)
         return seen
 
     def _find(
         self, items: _Nearest, here: NDArray[np.intp], taken: NDArray[np.unsignedinteger]
     ) -> NDArray[np.intp]:
         """Return the cell of the nearest thing that is not taken; C where there is none."""
-        distance = items.distance[here]
-        np.bitwise_or(distance, taken, out=distance)
-        found: NDArray[np.intp] = items.cells[distance.argmin(axis=1)]
+        nearest = _nearest(items.distance, here, taken)[1]
+        found: NDArray[np.intp] = items.cells.take(nearest.argmax(axis=1))
         return found
 
     def _nearest_ghosts(self, batch: PacManBatch) -> NDArray[np.intp]:
@@ -248,7 +250,7 @@ class FeatureReader:
         none = len(self._place) - 1
         best = np.full((2, len(batch)), none, dtype=np.intp)
         least = np.full((2, len(batch)), self.far, dtype=self._distance.dtype)
-        distance = self._distance[batch.pacman * none + batch.ghosts]
+        distance = self._distance.take(batch.pacman * none + batch.ghosts)
         scared = batch.scared > 0
         for ghost, cells in enumerate(batch.ghosts):
             nearer = (scared[ghost] == DANGEROUS_AND_SCARED) & (distance[ghost] < least)
@@ -256,7 +258,7 @@ class FeatureReader:
             np.copyto(least, distance[ghost], where=nearer)
         return best
 
-    def _nearest(self, items: Sequence[int]) -> _Nearest:
+    def _search(self, items: Sequence[int]) -> _Nearest:
         """Prepare the search for the nearest of some things."""
         count = len(self.rules.maze.cells)
         distance = np.zeros((count, len(items) + 1), dtype=self.rules.paths.distance.dtype)
@@ -276,25 +278,22 @@ class Surroundings:
     to_food: Masks  # (N,)
     to_pill: Masks
     to_prey: Masks
-    food_at: NDArray[
-        np.intp
-    ]  # (N,) cell of the nearest, the first of several; any if there is none
-    pill_at: NDArray[np.intp]
     far: int
 
 
 def look_around(batch: PacManBatch) -> Surroundings:
     """Measure the distances in every game."""
     paths, maze = batch.rules.paths, batch.rules.maze
-    food, food_at, to_food = _nearest_things(batch, maze.food, batch.food_taken)
-    pill, pill_at, to_pill = _nearest_things(batch, maze.pills, batch.pills_taken)
-    steps = paths.distance[batch.ghosts, batch.pacman].astype(np.intp)  # (G, N)
+    food, to_food = _nearest_things(batch, maze.food, batch.food_taken)
+    pill, to_pill = _nearest_things(batch, maze.pills, batch.pills_taken)
+    way = batch.pacman * len(paths.step) + batch.ghosts  # (G, N); equally far in both directions
+    steps = paths.distance.ravel().take(way).astype(np.intp)
     scared = batch.scared > 0
     danger = np.where(scared, paths.far, steps).min(axis=0, initial=paths.far)
     hunted = np.where(scared, steps, paths.far)
     prey = hunted.min(axis=0, initial=paths.far)
     nearest = scared & (hunted == prey)
-    first = np.where(nearest, paths.shortest[batch.pacman, batch.ghosts], 0)
+    first = np.where(nearest, paths.shortest.ravel().take(way), 0)
     return Surroundings(
         food=food,
         pill=pill,
@@ -304,28 +303,40 @@ def look_around(batch: PacManBatch) -> Surroundings:
         to_food=to_food,
         to_pill=to_pill,
         to_prey=np.bitwise_or.reduce(first, axis=0).astype(np.uint8),
-        food_at=food_at,
-        pill_at=pill_at,
         far=paths.far,
     )
 
 
 def _nearest_things(
     batch: PacManBatch, cells: Sequence[int], taken: Taken
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Masks]:
-    """Return steps to the nearest thing left, its cell, and first moves to all as near."""
+) -> tuple[NDArray[np.intp], Masks]:
+    """Return steps to the nearest thing left, and first moves to all as near."""
     paths = batch.rules.paths
     if not cells:
         none = np.zeros(len(batch), dtype=np.intp)
-        return none + paths.far, none, none.astype(np.uint8)
+        return none + paths.far, none.astype(np.uint8)
     distance, shortest = _to_things(paths, tuple(cells))
-    steps = distance[batch.pacman] | taken[:, :-1]  # ``far`` where it is taken
-    at = steps.argmin(axis=1)
-    least = steps[np.arange(len(batch)), at]
-    first = np.where(steps == least[:, None], shortest[batch.pacman], 0)
-    masks: Masks = np.bitwise_or.reduce(first, axis=1).astype(np.uint8)
+    least, nearest = _nearest(distance, batch.pacman, taken[:, :-1])
+    first = shortest.take(batch.pacman, axis=0) * nearest
+    masks: Masks = np.bitwise_or.reduce(first, axis=1)
     masks[least == paths.far] = 0
-    return least.astype(np.intp), np.array(cells)[at], masks
+    return least.astype(np.intp), masks
+
+
+def _nearest(
+    distance: NDArray[np.unsignedinteger], here: NDArray[np.intp], taken: Taken
+) -> tuple[NDArray[np.unsignedinteger], Flags]:
+    """
+    Return the fewest steps to something that is not taken, (N,), and what is as near, (N, K).
+
+    :param distance: (C, K) from each cell to each thing.
+    :param here: (N,) cells.
+    :param taken: (N, K) marks: ``far`` where it is taken.
+    """
+    steps = distance.take(here, axis=0)
+    np.bitwise_or(steps, taken, out=steps)
+    least = steps.min(axis=1)
+    return least, steps == least[:, None]
 
 
 @lru_cache(maxsize=8)
@@ -338,10 +349,12 @@ def _to_things(paths: Paths, cells: tuple[int, ...]) -> tuple[NDArray[np.unsigne
 def flight(batch: PacManBatch) -> Flags:
     """Return (N, 4): the legal moves after which the nearest dangerous ghost is farthest."""
     paths = batch.rules.paths
-    after = paths.step[batch.pacman, :STAY]  # (N, 4)
-    steps = paths.distance[batch.ghosts[:, :, None], after].astype(np.intp)  # (G, N, 4)
-    steps = np.where(batch.scared[:, :, None] > 0, paths.far, steps)
+    after = paths.step.T[:STAY].take(batch.pacman, axis=1)  # (4, N)
+    ways = batch.ghosts[:, None] * len(paths.step) + after  # (G, 4, N)
+    steps = paths.distance.ravel().take(ways).astype(np.int32)
+    np.copyto(steps, paths.far, where=batch.scared[:, None] > 0)
     least = steps.min(axis=0, initial=paths.far)
-    least = np.where(HAS_MOVE[paths.legal[batch.pacman]], least, -1)
-    best: Flags = least == least.max(axis=1, keepdims=True)
-    return best
+    legal = HAS_MOVE.T.take(paths.legal.take(batch.pacman), axis=1)
+    np.copyto(least, -1, where=~legal)
+    best: Flags = least == least.max(axis=0)
+    return best.T

@@ -12,6 +12,7 @@ around Pac-Man, and the direction of each thing that is near enough to matter.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import zip_longest
 from typing import Any, TYPE_CHECKING
 
 from humanopts_env.arrays import Ints
@@ -75,7 +76,11 @@ ABSTRACT_FEATURES = (
     Bucketed('pills_left', (1, 2)),
     Bucketed('lives', (2,)),
 )
-_EDGES = [np.array(feature.edges) for feature in ABSTRACT_FEATURES]
+_NEVER = np.iinfo(np.int32).max  # above all numbers
+_EDGES = np.array(  # (E, P, 1) first, second, .. edge of every feature
+    list(zip_longest(*(feature.edges for feature in ABSTRACT_FEATURES), fillvalue=_NEVER)),
+    dtype=np.int32,
+)[:, :, None]
 CONTEXT = ('food_left', 'pills_left')  # remaining points, not things nearby
 
 
@@ -221,29 +226,38 @@ def abstract_features(batch: PacManBatch, seen: Surroundings | None = None) -> N
     """
     seen = seen or look_around(batch)
     paths, here = batch.rules.paths, batch.pacman
-    prey = _or_afar(seen.prey, seen)
     fruit_at = np.where(batch.fruit > 0, batch.fruit_at, here)
-    fruit = paths.distance[here, fruit_at].astype(np.intp)
+    way = here * len(paths.step) + fruit_at
+    fruit = paths.distance.ravel().take(way).astype(np.intp)
+    moves = np.stack(
+        [
+            *FIRST_MOVE.take(np.stack((seen.to_food, seen.to_pill, seen.to_prey))),
+            flight(batch).argmax(axis=1),
+            FIRST_MOVE.take(paths.shortest.ravel().take(way)),
+        ]
+    )  # (5, N)
+    cells = paths.step.ravel().take(here * (STAY + 1) + moves)
+    arrival = _arrival(batch, np.concatenate((here[None], cells)))  # (6, N)
+    np.copyto(arrival[1:], 0, where=moves == STAY)
+    *dangers, danger_to_fruit = arrival
+    prey = _or_afar(seen.prey, seen)
     numbers = (
-        _arrival(batch, here),
-        _after(batch, seen.to_food),
-        _after(batch, seen.to_pill),
-        _after(batch, seen.to_prey),
-        _arrival(batch, _refuge(batch)),
+        *dangers,
         seen.food,
         _or_afar(seen.pill, seen),
         prey,
         np.where(prey < AFAR, seen.fear - seen.prey, -1),
-        _after(batch, paths.shortest[here, fruit_at]),
+        danger_to_fruit,
         np.where(batch.fruit > 0, fruit, AFAR),
         batch.food_left,
-        (batch.pills_taken == 0).sum(axis=1),
+        np.ascontiguousarray(batch.pills_taken.T == 0).sum(axis=0),
         batch.lives,
     )
-    values = np.empty((len(batch), len(ABSTRACT_FEATURES)), dtype=np.int32)
-    for column, (edges, number) in enumerate(zip(_EDGES, numbers, strict=True)):
-        values[:, column] = edges.searchsorted(number, side='right')
-    return values
+    values = np.zeros((len(ABSTRACT_FEATURES), len(batch)), dtype=np.int32)
+    known = np.array(numbers, dtype=np.int32)
+    for edges in _EDGES:
+        values += known >= edges
+    return values.T
 
 
 @lru_cache(maxsize=8)
@@ -268,23 +282,14 @@ def arrival_steps(paths: Paths) -> NDArray[np.int16]:
         steps = found
 
 
-def _arrival(batch: PacManBatch, cell: Ints) -> Ints:
-    """Return the fewest steps (N,) in which a dangerous ghost can be in a cell (N,)."""
-    steps = arrival_steps(batch.rules.paths)[batch.ghosts, batch.headings, cell].astype(np.intp)
-    soonest: Ints = np.where(batch.scared > 0, AFAR, steps).min(axis=0, initial=AFAR)
-    return soonest
-
-
-def _after(batch: PacManBatch, ways: Masks) -> Ints:
-    """Return the arrival after the first of some moves (N,), 0 where there is none."""
-    move = FIRST_MOVE[ways]
-    return np.where(move < STAY, _arrival(batch, batch.rules.paths.step[batch.pacman, move]), 0)
-
-
-def _refuge(batch: PacManBatch) -> Ints:
-    """Return the cell a step away that is farthest from the nearest dangerous ghost, (N,)."""
-    refuge: Ints = batch.rules.paths.step[batch.pacman, flight(batch).argmax(axis=1)]
-    return refuge
+def _arrival(batch: PacManBatch, cells: Ints) -> NDArray[np.int16]:
+    """Return the fewest steps (K, N) in which a dangerous ghost can be in K cells (K, N)."""
+    steps = arrival_steps(batch.rules.paths)  # (C, 5, C)
+    ghosts = (batch.ghosts * steps.shape[1] + batch.headings) * steps.shape[2]  # (G, N)
+    soonest = steps.ravel().take(ghosts[:, None] + cells)  # (G, K, N)
+    np.copyto(soonest, AFAR, where=batch.scared[:, None] > 0)
+    found: NDArray[np.int16] = soonest.min(axis=0, initial=AFAR)
+    return found
 
 
 def _or_afar(steps: Ints, seen: Surroundings) -> Ints:

@@ -82,6 +82,8 @@ class Tables:
     item_at: Ints  # (C,) index in ``PacManBatch.taken`` of the food or pill in a cell; K: none
     is_food: Flags  # (C,) whether there is food in a cell
     lays_fruit: Flags  # (K + 1,) whether fruit is laid when so much food is left
+    from_middle: Ints  # (K,) food by its distance from the middle
+    middle_cells: Ints  # (K,) and its cells
     all_taken: Taken  # (K + P + 2,) marks of one game in which nothing is left
     homes: Ints  # (G, 1)
 
@@ -95,6 +97,7 @@ def _tables(maze: Maze, paths: Paths) -> Tables:
     all_taken = np.full(food + pills + 2, paths.far, dtype=paths.distance.dtype)
     all_taken[[food, -1]] = paths.far - 1
     left = np.arange(food + 1)
+    from_middle = np.array(maze.from_middle, dtype=np.intp)
     return Tables(
         step=paths.step.ravel(),
         allowed=paths.allowed.ravel(),
@@ -104,6 +107,8 @@ def _tables(maze: Maze, paths: Paths) -> Tables:
         item_at=read_only(item_at),
         is_food=read_only(item_at < food),
         lays_fruit=read_only(np.isin(food - left, FRUIT_AFTER) & (left > 0)),
+        from_middle=read_only(from_middle),
+        middle_cells=read_only(np.array(maze.food, dtype=np.intp)[from_middle]),
         all_taken=read_only(all_taken),
         homes=read_only(np.array(maze.homes, dtype=np.intp).reshape(-1, 1)),
     )
@@ -146,6 +151,11 @@ class Rules:
             score=0,
             ate=0,
         )
+
+    @cached_property
+    def first_game(self) -> 'PacManBatch':
+        """A batch of one game that has just begun, which must not be changed."""
+        return PacManBatch.from_states(self, [self.start()])
 
     def is_over(self, state: PacManState) -> bool:
         """Return whether the food is all eaten, or the last life lost."""
@@ -246,7 +256,7 @@ class PacManBatch:
 
         :param count: number of games, N.
         """
-        return cls.from_states(rules, [rules.start()]).take(np.zeros(count, dtype=np.intp))
+        return rules.first_game.take(np.zeros(count, dtype=np.intp))
 
     @classmethod
     def from_states(cls, rules: Rules, states: Sequence[PacManState]) -> 'PacManBatch':
@@ -306,21 +316,25 @@ class PacManBatch:
 
     def take(self, games: NDArray[Any]) -> 'PacManBatch':
         """Return copies of chosen games: their indices (M,), in any order and number."""
-        return PacManBatch(self.rules, self.numbers.take(games, axis=1), self.taken[games])
+        taken = self.taken.take(games, axis=0)
+        return PacManBatch(self.rules, self.numbers.take(games, axis=1), taken)
 
     def after(self, first: int) -> 'PacManBatch':
         """Return the games from number ``first`` on, which change with these."""
         return PacManBatch(self.rules, self.numbers[:, first:], self.taken[first:])
 
     def put(self, games: NDArray[Any], source: 'PacManBatch') -> None:
-        """Set chosen games, by their indices (M,), each once, to the M games of another batch."""
+        """
+        Set chosen games, by their indices (M,), each once, to those of another batch.
+
+        :param source: M games, or one for all.
+        """
         self.numbers[:, games] = source.numbers
         self.taken[games] = source.taken
 
     def restart(self, games: NDArray[Any]) -> None:
         """Begin chosen games again, by their indices (M,)."""
-        if len(games):
-            self.put(games, PacManBatch.begin(self.rules, len(games)))
+        self.put(games, self.rules.first_game)
 
     def draws(self, rng: np.random.Generator) -> Ints:
         """Return the random draws of one step, (G, N)."""
@@ -336,7 +350,7 @@ class PacManBatch:
         """
         live = ~self.over
         score, pacman, ghosts = self.score.copy(), self.pacman.copy(), self.ghosts.copy()
-        np.copyto(self.pacman, self.tables.step[pacman * 5 + moves], where=live)
+        np.copyto(self.pacman, self.tables.step.take(pacman * 5 + moves), where=live)
         self.move_ghosts(pacman, live, draws)
         np.copyto(self.ate, 0, where=live)
         self._eat(live)
@@ -376,13 +390,13 @@ class PacManBatch:
         at_fruit = ((self.pacman == self.fruit_at) & (self.fruit > 0) & live).nonzero()[0]
         if at_fruit.size:
             self._eat_fruit(at_fruit)
-        item = self.tables.item_at[self.pacman]
+        item = self.tables.item_at.take(self.pacman)
         item += np.arange(0, self.taken.size, self.taken.shape[1])
         taken = self.taken.reshape(-1)
-        games = ((taken[item] == 0) & live).nonzero()[0]
+        games = ((taken.take(item) == 0) & live).nonzero()[0]
         if games.size:
             taken[item[games]] = self.rules.paths.far
-            food = self.tables.is_food[self.pacman[games]]
+            food = self.tables.is_food.take(self.pacman.take(games))
             self._eat_food(games[food])
             self._eat_pill(games[~food])
 
@@ -396,10 +410,9 @@ class PacManBatch:
 
     def _lay_fruit(self, games: Ints) -> None:
         """Lay fruit on the food that is left nearest to the middle."""
-        maze = self.rules.maze
-        there = self.food_taken[games][:, maze.from_middle] == 0
-        cells = np.array(maze.food)[list(maze.from_middle)]
-        self.fruit_at[games] = cells[there.argmax(axis=1)]
+        tables = self.tables
+        there = self.taken.take(games, axis=0).take(tables.from_middle, axis=1) == 0
+        self.fruit_at[games] = tables.middle_cells.take(there.argmax(axis=1))
         self.fruit[games] = FRUIT_STEPS + 1  # one is counted down in this step
 
     def _eat_fruit(self, games: Ints) -> None:
@@ -418,7 +431,7 @@ class PacManBatch:
         tables, count = self.tables, len(self.rules.maze.cells)
         cells = self.ghosts * 5
         where = cells + self.headings
-        masks = tables.allowed[where]
+        masks = tables.allowed.take(where)
         if self.rules.chase_draws:
             ghost, game = (draws < self.rules.chase_draws).nonzero()
             masks[ghost, game] = tables.towards[where[ghost, game] * count + pacman[game]]
@@ -427,6 +440,6 @@ class PacManBatch:
         if ghost.size:
             masks[ghost, game] = tables.away[where[ghost, game] * count + pacman[game]]
             moving = live & (self.scared & 1 == 0)
-        move = tables.picks[masks * np.intp(DRAWS) + draws]
+        move = tables.picks.take(masks * np.intp(DRAWS) + draws)
         np.copyto(self.headings, move, where=moving)
-        np.copyto(self.ghosts, tables.step[cells + move], where=moving)
+        np.copyto(self.ghosts, tables.step.take(cells + move), where=moving)
