@@ -33,7 +33,11 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
     Sampling,
 )
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
+from humanopts_learner.planning.sampled.plan import (
+    make_sampled_plan,
+    make_sampled_plans,
+    play_in_step,
+)
 from humanopts_teach.evaluation.games import carried_over
 from humanopts_teach.evaluation.measures import finite
 import numpy as np
@@ -410,8 +414,8 @@ def plan_from_samples(
     named = {'action set': variant.name}
     few, most = effort.steps(variant)
 
-    def make(setting: Setting, budget: int, seed: int) -> SampledPlan:
-        request = PlanRequest(
+    def asked(setting: Setting, budget: int, seed: int) -> PlanRequest:
+        return PlanRequest(
             variant.action_set,
             gamma=setting.gamma,
             game_steps=budget,
@@ -419,36 +423,47 @@ def plan_from_samples(
             sampling=setting.sampling,
             execution=variant.execution,
         )
-        return make_sampled_plan(domain, options, request, clock=CLOCK)
 
     settings, search = settings_to_try(domain.gamma, effort.tried), _draw(seed, 'search')
-    tried = [
-        float(make(one, few, search).play(search, effort.search_games).total.mean())
-        for one in settings
-    ]
+    candidates = make_sampled_plans(domain, options, [asked(one, few, search) for one in settings])
+    searched = play_in_step([(plan, search, None) for plan in candidates], effort.search_games)
+    tried = [float(returns.total.mean()) for returns in searched]
     best = settings[int(np.argmax(tried))]
 
-    def judge(budget: int, number: int) -> tuple[SampledPlan, Returns, dict[str, Any]]:
-        plan = make(best, budget, _draw(seed, 'plan', number))
-        returns = plan.play(_draw(seed, 'games', number), effort.games, None)
-        return plan, returns, _record(budget, plan, returns, returns.outcomes['cleared'])
-
-    def gain(number: int, execution: Execution) -> float:
-        plan, returns, _ = judged[number]
-        other = plan.play(_draw(seed, 'games', number), effort.games, execution)
-        return float(other.total.mean() - returns.total.mean())
-
-    curve = [judge(budget, 0) for budget in effort.budgets(variant)]
-    judged = [curve[-1], *(judge(most, number) for number in range(1, plans))]
+    budgets = [*effort.budgets(variant), *[most] * (plans - 1)]
+    numbers = [0] * (len(budgets) - plans + 1) + list(range(1, plans))
+    made = [  # one after another, since their seconds are results
+        make_sampled_plan(
+            domain, options, asked(best, budget, _draw(seed, 'plan', number)), clock=CLOCK
+        )
+        for budget, number in zip(budgets, numbers)
+    ]
+    games = [_draw(seed, 'games', number) for number in numbers]
+    played = play_in_step([(plan, one, None) for plan, one in zip(made, games)], effort.games)
+    records = [
+        {**named, **_record(budget, plan, returns, returns.outcomes['cleared'])}
+        for budget, plan, returns in zip(budgets, made, played)
+    ]
+    others = [other for other in INTERRUPTING if variant == TO_END]
+    played_otherwise = play_in_step(
+        [
+            (plan, one, other.execution)
+            for other in others
+            for plan, one in zip(made[-plans:], games[-plans:])
+        ],
+        effort.games,
+    )
+    gained = [
+        float(otherwise.total.mean() - returns.total.mean())
+        for otherwise, returns in zip(played_otherwise, played[-plans:] * len(others))
+    ]
     chosen = {'return in the search': max(tried), 'mean of all tried': float(np.mean(tried))}
     return {
-        'curve': [{**named, **record} for _, _, record in curve],
-        'plans': [{**named, **record} for _, _, record in judged],
+        'curve': records[: len(records) - plans + 1],
+        'plans': records[-plans:],
         'settings': [{**named, **best.to_dict(), **chosen}],
         'gains': [
-            {'carried out as': other.name, 'mean': gain(number, other.execution)}
-            for other in INTERRUPTING
-            for number in range(plans)
-            if variant == TO_END
+            {'carried out as': other.name, 'mean': gain}
+            for other, gain in zip([one for one in others for _ in range(plans)], gained)
         ],
     }

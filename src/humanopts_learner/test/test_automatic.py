@@ -34,7 +34,7 @@ from humanopts_learner.planning.request import (
     select_options,
 )
 from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.games import Runs
+from humanopts_learner.planning.sampled.games import run_in_step, Runs
 from humanopts_learner.planning.sampled.plan import make_sampled_plan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 import numpy as np
@@ -178,13 +178,14 @@ def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
     games = batch_games(domain)
     actions = ActionSet(domain, 'human', to_learned_options(domain, found_here))
     rng = generator(0, 'test')
-    runs = Runs(actions, games.batch_reset(50, rng), rng)
+    batch = games.batch_reset(50, rng)
+    runs = Runs(actions, batch, actions.abstraction.observe(batch), rng)
     runs.decide(UniformPolicy(actions))
     began = runs.option < actions.first_fallback
     target = np.array([o.target.cell for o in found_here.options])[runs.option * began]
     came = np.zeros(50, dtype=np.bool_)
     for _ in range(10):
-        _, ended, _ = runs.step()
+        _, ended, _ = run_in_step(actions, [runs.step()])[0]
         assert (runs.batch.pacman[began & ended & ~came] == target[began & ended & ~came]).all()
         came |= ended
     assert began.any()

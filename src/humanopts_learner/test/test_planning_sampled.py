@@ -22,8 +22,19 @@ from humanopts_learner.planning.request import (
     Sampling,
 )
 from humanopts_learner.planning.sampled.action_set import ActionSet, StateAbstraction
-from humanopts_learner.planning.sampled.games import play_games, Recording, Runs, Sampler
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
+from humanopts_learner.planning.sampled.games import (
+    play_games,
+    Recording,
+    run_in_step,
+    Runs,
+    Sampler,
+)
+from humanopts_learner.planning.sampled.plan import (
+    make_sampled_plan,
+    make_sampled_plans,
+    play_in_step,
+    SampledPlan,
+)
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_learner.planning.sampled.sampled_models import (
     SampleCounts,
@@ -185,7 +196,8 @@ def test_sampling_keeps_to_its_budget() -> None:
     actions = ActionSet(games.domain, 'primitive', [])
     sampler = Sampler(actions, SampleCounts(actions.names), 50, GAMMA, generator(1, 'test'))
     reported: list[int] = []
-    assert sampler.play(UniformPolicy(actions), 5_049, reported.append) == 5_000
+    play = sampler.play(UniformPolicy(actions), 5_049, reported.append)
+    assert run_in_step(actions, [play]) == [5_000]
     assert reported[-1] == 5_000
 
 
@@ -195,6 +207,37 @@ def test_the_same_seed_gives_the_same_plan_and_another_another() -> None:
     other = rooms_plan('human', 20_000, seed=2)
     assert np.array_equal(first.solution.values, again.solution.values)
     assert not np.array_equal(first.solution.values, other.solution.values)
+
+
+def test_plans_in_step_are_those_made_and_played_one_by_one() -> None:
+    """With other rounds, budgets, seeds and executions, so that they end at different times."""
+    domain = BatchRooms()
+    options = rooms_options(domain)
+    few = Sampling(rounds=4, n_games=300, game_steps=50)
+    requests = [
+        PlanRequest('human', game_steps=20_000, seed=1, sampling=EXACT),
+        PlanRequest('human', game_steps=5_000, seed=2, sampling=few),
+        PlanRequest('human', 0.95, game_steps=8_000, execution=Execution.INTERRUPTED),
+    ]
+    together = make_sampled_plans(domain, options, requests)
+    alone = [make_sampled_plan(domain, options, request) for request in requests]
+    for one, other in zip(together, alone):
+        assert one.game_steps == other.game_steps
+        assert np.array_equal(one.solution.values, other.solution.values)
+        assert np.array_equal(one.policy.values.states, other.policy.values.states)
+    executions = (None, Execution.RUN_TO_END, Execution.MODULAR_MASS)
+    played = play_in_step(list(zip(together, (3, 3, 4), executions)), 40)
+    for plan, seed, execution, returns in zip(alone, (3, 3, 4), executions, played):
+        expected = plan.play(seed, 40, execution)
+        assert np.array_equal(returns.steps, expected.steps)
+        assert np.array_equal(returns.discounted, expected.discounted)
+        assert np.array_equal(returns.outcomes['state'], expected.outcomes['state'])
+
+
+def test_plans_in_step_have_one_action_set() -> None:
+    requests = [PlanRequest(name, game_steps=5_000) for name in ('human', 'primitive')]
+    with pytest.raises(PlanError, match='one action set'):
+        make_sampled_plans(BatchRooms(), rooms_options(BatchRooms()), requests)
 
 
 def test_a_plan_chooses_as_it_plays() -> None:
@@ -274,12 +317,12 @@ def test_games_that_begin_again_are_seen_as_they_are() -> None:
     games = TabularGames(BatchRooms())
     actions = ActionSet(games.domain, 'primitive', [])
     batch = games.batch_reset(50, generator(1, 'begin'))
-    runs = Runs(actions, batch, generator(1, 'play'))
+    runs = Runs(actions, batch, actions.abstraction.observe(batch), generator(1, 'play'))
     for _ in range(5):
         runs.decide(UniformPolicy(actions))
-        runs.step()
+        run_in_step(actions, [runs.step()])
     before = runs.batch.copy()
-    runs.restart(np.array([3, 40]))
+    run_in_step(actions, [runs.restart(np.array([3, 40]))])
     seen = actions.abstraction.observe(runs.batch)
     assert np.array_equal(runs.seen.states, seen.states)
     assert np.array_equal(runs.seen.rows, seen.rows)

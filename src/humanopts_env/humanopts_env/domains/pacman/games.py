@@ -25,7 +25,7 @@ from humanopts_env.domains.pacman.features import (
     SOUGHT,
     Surroundings,
 )
-from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, Masks, MOVES, Paths, STAY
+from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, MOVES, Paths, STAY
 from humanopts_env.domains.pacman.rules import PacManBatch, Rules
 from humanopts_env.domains.pacman.state import PacManState
 from humanopts_env.domains.tabular import read_only

@@ -35,13 +35,21 @@ class Observation:
 
     def take(self, chosen: Ints) -> 'Observation':
         """Return the observation of chosen games (M,)."""
-        startable = None if self.startable is None else self.startable[chosen]
-        return Observation(self.rows[chosen], self.states[chosen], startable)
+        startable = None if self.startable is None else self.startable.take(chosen, axis=0)
+        return Observation(self.rows.take(chosen, axis=0), self.states.take(chosen), startable)
+
+    def part(self, begin: int, end: int) -> 'Observation':
+        """Return the observation of the games from ``begin`` up to ``end``, in the same memory."""
+        startable = None if self.startable is None else self.startable[begin:end]
+        return Observation(self.rows[begin:end], self.states[begin:end], startable)
 
     def put(self, chosen: Ints, source: 'Observation') -> None:
         """Set chosen games (M,) to those of another observation."""
         self.rows[chosen], self.states[chosen] = source.rows, source.states
-        self.startable = None
+        if self.startable is not None and source.startable is not None:
+            self.startable[chosen] = source.startable
+        else:
+            self.startable = None
 
 
 class StateAbstraction:
@@ -115,6 +123,19 @@ class ActionSet:
         only = action_set in OPTIONS_ONLY
         self.first_fallback = len(self.options) if only else len(self.names)
         self.limits = np.array([*(o.max_steps for o in self.options), *[1] * self.n_actions])
+
+    def observe(self, batches: Sequence[Any]) -> list[Observation]:
+        """Return the observation of each of some batches, which are looked at as one."""
+        if len(batches) == 1:
+            return [self.abstraction.observe(batches[0])]
+        ends = np.cumsum([len(self.games.batch_over(batch)) for batch in batches]).tolist()
+        parts = list(zip([0, *ends], ends))
+        joined = self.games.batch_take(batches[0], np.zeros(ends[-1], dtype=np.intp))
+        for batch, (begin, end) in zip(batches, parts):
+            self.games.batch_put(joined, np.arange(begin, end), batch)
+        seen = self.abstraction.observe(joined)
+        self.startable(seen)
+        return [seen.part(begin, end) for begin, end in parts]
 
     def observe_state(self, state: Any) -> Observation:
         """Return the observation of one game that is in a state of the domain."""

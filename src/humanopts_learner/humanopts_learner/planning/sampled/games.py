@@ -1,6 +1,11 @@
 """
 Runs of options in many games side by side, to evaluate a policy or to sample option models.
 
+What one policy plays or samples with one generator is a *process*: a Python generator that yields
+a batch whenever it needs to see its games. Several processes with the same options go on in step,
+and their games are looked at as one batch, which costs little more than one of them. Games do not
+affect each other, so a process has the same result as alone.
+
 Sampling counts every suffix of a run. A run of option o from s0 to sk, where o could also have
 started at s1, .., sk-1, is a sample of running it from each of those states too, since a Markov
 option does not depend on earlier states (Precup 2000, chapter 4). From a state where o could not
@@ -9,15 +14,15 @@ length of an episode, or the end of the sampling) and runs that the policy stops
 ended where they were.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.request import ignore_progress, PlanError, Progress
-from humanopts_learner.planning.sampled.action_set import ActionSet
+from humanopts_learner.planning.sampled.action_set import ActionSet, Observation
 from humanopts_learner.planning.sampled.policies import Choice, Policy
 from humanopts_learner.planning.sampled.sampled_models import SampleCounts, Samples
 import numpy as np
@@ -25,6 +30,27 @@ from numpy.typing import NDArray
 
 BLOCK = 1_000_000  # game steps that are kept before they are counted
 FINISHED_SHARE = 0.3  # games that are over are dropped once they are so many of all
+Result = TypeVar('Result')
+Process = Generator[Any, Observation, Result]  # yields batches, and is sent what is seen of them
+
+
+def run_in_step(actions: ActionSet, processes: Sequence[Process[Result]]) -> list[Result]:
+    """
+    Run processes to their ends, and return their results in order.
+
+    :param actions: the action set of all.
+    """
+    results: dict[int, Result] = {}
+    seen: dict[int, Any] = dict.fromkeys(range(len(processes)))  # None begins a generator
+    while seen:
+        batches = {}
+        for number, observation in seen.items():
+            try:
+                batches[number] = processes[number].send(observation)
+            except StopIteration as end:
+                results[number] = end.value
+        seen = dict(zip(batches, actions.observe(list(batches.values())))) if batches else {}
+    return [results[number] for number in range(len(processes))]
 
 
 class Runs:
@@ -40,11 +66,11 @@ class Runs:
         self,
         actions: ActionSet,
         batch: Any,
+        seen: Observation,
         rng: np.random.Generator,
     ) -> None:
         self.actions, self._games, self._rng = actions, actions.games, rng
-        self._observe = actions.abstraction.observe
-        self.batch, self.seen = batch, self._observe(batch)
+        self.batch, self.seen = batch, seen
         self.option = np.full(len(self.seen.states), -1, dtype=np.intp)
         self.ran = np.zeros(len(self.option), dtype=np.intp)
 
@@ -60,29 +86,29 @@ class Runs:
         self.option[free], self.ran[free] = choice.option, 0
         return free, choice
 
-    def step(self) -> tuple[NDArray[Any], Flags, Flags]:
+    def step(self) -> Process[tuple[NDArray[Any], Flags, Flags]]:
         """Take one step; return rewards, which options ended and which games are over, (N,)."""
         games, actions = self._games, self.actions
         action = actions.actions(self.seen, self.option)
         reward = games.batch_step(self.batch, action, self._rng)
-        self.seen = self._observe(self.batch)
+        self.seen = yield self.batch
         self.ran += 1
         over = games.batch_over(self.batch)
         ended = over | (self.ran >= actions.limits[self.option])
         ended |= actions.ends(self.seen, self.option)
         return reward, ended, over
 
-    def restart(self, chosen: Ints) -> None:
+    def restart(self, chosen: Ints) -> Process[None]:
         """Begin chosen games (M,) again."""
         fresh = self._games.batch_reset(len(chosen), self._rng)
         self._games.batch_put(self.batch, chosen, fresh)
-        self.seen.put(chosen, self._observe(fresh))
+        self.seen.put(chosen, (yield fresh))
         self.option[chosen] = -1
 
     def keep(self, chosen: Ints) -> None:
         """Keep chosen games (M,) only."""
         self.batch = self._games.batch_take(self.batch, chosen)
-        self.seen = self._observe(self.batch)
+        self.seen = self.seen.take(chosen)
         self.option, self.ran = self.option[chosen], self.ran[chosen]
 
 
@@ -94,6 +120,18 @@ def play_games(
     episodes: int,
     progress: Progress = ignore_progress,
 ) -> Returns:
+    """Play games from the start of the task by a policy; as ``playing``."""
+    return run_in_step(actions, [playing(actions, policy, gamma, seed, episodes, progress)])[0]
+
+
+def playing(
+    actions: ActionSet,
+    policy: Policy,
+    gamma: float,
+    seed: int,
+    episodes: int,
+    progress: Progress = ignore_progress,
+) -> Process[Returns]:
     """
     Play games from the start of the task by a policy.
 
@@ -111,11 +149,11 @@ def play_games(
     outcomes = {name: values.copy() for name, values in games.batch_outcome(batch).items()}
     over = games.batch_over(batch)
     returns = Returns.of_none(over.copy(), outcomes)
-    runs, at = Runs(actions, batch, rng), np.arange(episodes)
+    runs, at = Runs(actions, batch, (yield batch), rng), np.arange(episodes)
     for step in range(limit):
         progress('evaluation', step / limit, 0, math.nan)
         if not over.all():
-            _play_step(returns, runs, policy, gamma, at, over)
+            yield from _play_step(returns, runs, policy, gamma, at, over)
             over = games.batch_over(runs.batch)
         if over.mean() >= FINISHED_SHARE:
             _keep_outcomes(returns, runs, at, over)
@@ -134,7 +172,7 @@ def _play_step(
     gamma: float,
     at: Ints,
     over: Flags,
-) -> None:
+) -> Process[None]:
     """
     Take one step in M games, and add it to their returns.
 
@@ -148,7 +186,7 @@ def _play_step(
     returns.decisions[deciding] += 1
     returns.fallbacks[deciding] += (choice.option >= runs.actions.first_fallback)[going]
     returns.unknown[deciding] += choice.unknown[going]
-    reward, ended, now_over = runs.step()
+    reward, ended, now_over = yield from runs.step()
     runs.option[ended] = -1
     returns.total[live] += reward[~over]
     returns.discounted[live] += gamma ** returns.steps[live] * reward[~over]
@@ -207,14 +245,13 @@ class Sampler:
         gamma: float,
         rng: np.random.Generator,
     ) -> None:
-        """Begin games at the start of the task."""
-        games = actions.games
-        self._actions, self._counts, self._gamma = actions, counts, gamma
-        self._limit = games.domain.max_steps or np.iinfo(np.intp).max
-        self._runs = Runs(actions, games.batch_reset(n_games, rng), rng)
+        """Begin games at the start of the task, with the first step."""
+        self._actions, self._counts, self._gamma, self._rng = actions, counts, gamma, rng
+        self._limit = actions.games.domain.max_steps or np.iinfo(np.intp).max
+        self._runs: Runs | None = None
         self._age = np.zeros(n_games, dtype=np.intp)
 
-    def play(self, policy: Policy, steps: int, on_steps: Callable[[int], object]) -> int:
+    def play(self, policy: Policy, steps: int, on_steps: Callable[[int], object]) -> Process[int]:
         """
         Continue by a policy, and count the runs.
 
@@ -223,20 +260,23 @@ class Sampler:
         :return: game steps taken.
         """
         n_games = len(self._age)
+        if self._runs is None:
+            batch = self._actions.games.batch_reset(n_games, self._rng)
+            self._runs = Runs(self._actions, batch, (yield batch), self._rng)
         left, done = steps // n_games, 0
         while left:
             recording = Recording(min(left, max(BLOCK // n_games, 1)), n_games)
             self._runs.option[:] = -1
             for t in range(len(recording.reward)):
-                self._step(policy, recording, t)
+                yield from self._step(self._runs, policy, recording, t)
                 done += n_games
                 on_steps(done)
             self._counts.add(recording.samples(self._gamma))
             left -= len(recording.reward)
         return done
 
-    def _step(self, policy: Policy, recording: Recording, t: int) -> None:
-        runs, fallback = self._runs, self._actions.first_fallback
+    def _step(self, runs: Runs, policy: Policy, recording: Recording, t: int) -> Process[None]:
+        fallback = self._actions.first_fallback
         self._actions.startable(runs.seen)  # asked for parts of the games below, more than once
         decided, _ = runs.decide(policy)
         if t:
@@ -245,7 +285,7 @@ class Sampler:
         recording.state[t] = runs.seen.states
         recording.option[t] = np.where(inside, runs.option, runs.option + fallback)
         recording.modelled[t] = runs.option < fallback
-        recording.reward[t], ended, over = runs.step()
+        recording.reward[t], ended, over = yield from runs.step()
         recording.successor[t], recording.over[t] = runs.seen.states, over
         self._age += 1
         last = over | (self._age >= self._limit)
@@ -253,5 +293,5 @@ class Sampler:
         runs.option[recording.ended[t]] = -1
         fresh = np.flatnonzero(last)
         if fresh.size:
-            runs.restart(fresh)
+            yield from runs.restart(fresh)
             self._age[fresh] = 0
