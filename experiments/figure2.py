@@ -25,7 +25,7 @@ from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.registry import domain_from_json, reference_options
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.intervals import all_hold, any_holds, Interval
-from humanopts_learner.options.accuracy import average_return, LONGEST
+from humanopts_learner.options.accuracy import average_returns, LONGEST
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.start_states import STRATEGIES
@@ -193,9 +193,10 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
         parameters['strategy'], ASKED * wanted, person.seed, until_no_failures=False
     )
     taught = teach(domain, person.teaching(name), rules, measure)
+    points, best = _points(list(learned.values()), domain, reference)
     return {
-        'points': [_point(option, domain, reference) for option in learned.values()],
-        'best_return': finite(average_return(None, domain, reference)),
+        'points': points,
+        'best_return': best,
         'others': others,
         'seconds': taught.seconds,
         'cut_short': taught.cut_short,
@@ -216,21 +217,33 @@ def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
             learned[option.n_demonstrations] = option
             if reference and demos[count - 1].kind is Kind.TRAJECTORY:
                 others += _others(option, demos[:count], domain, reference, lesson.seed)
+    points, best = _points(list(learned.values()), domain, reference)
     return {
-        'points': [_point(option, domain, reference) for option in learned.values()],
-        'best_return': finite(average_return(None, domain, reference)) if reference else None,
+        'points': points,
+        'best_return': best,
         'others': others,
         'seconds': sum(demo.seconds for demo in demos),
         'cut_short': '',
     }
 
 
-def _point(
-    option: LearnedOption, domain: Domain[Any], reference: ReferenceOption | None
-) -> list[float | None]:
-    measured = accuracies(option, domain, reference)
-    returns = finite(average_return(option, domain, reference)) if reference else None
-    return [option.n_demonstrations, option.n_not_here, returns, *measured]
+def _points(
+    options: Sequence[LearnedOption], domain: Domain[Any], reference: ReferenceOption | None
+) -> tuple[list[list[float | None]], float | None]:
+    """Return the point of each option, and the best return; without a reference, None for it."""
+    returns: list[float | None] = [None] * (len(options) + 1)
+    if reference:
+        returns = [finite(each) for each in average_returns([*options, None], domain, reference)]
+    points = [
+        [
+            option.n_demonstrations,
+            option.n_not_here,
+            its_return,
+            *accuracies(option, domain, reference),
+        ]
+        for option, its_return in zip(options, returns)
+    ]
+    return points, returns[-1]
 
 
 def _others(

@@ -29,6 +29,7 @@ from humanopts_env.domains.base import (
     Outcome,
 )
 from humanopts_env.domains.capabilities import (
+    DrawsAhead,
     feature_groups,
     HasBaselines,
     HasBatchGames,
@@ -296,6 +297,8 @@ class DomainContract:
         ours, theirs = ([_rng('each', n) for n in range(len(states))] for _ in range(2))
         batch = games.batch_of(states)
         rewards = games.batch_step_each(batch, actions, ours)
+        if isinstance(games, DrawsAhead):
+            self._test_draws_ahead(games, states, actions, rewards)
         outcomes = [domain.step(*each) for each in zip(states, actions.tolist(), theirs)]
         assert list(rewards) == [outcome.reward for outcome in outcomes]
         assert list(games.batch_over(batch)) == [outcome.terminated for outcome in outcomes]
@@ -303,6 +306,20 @@ class DomainContract:
             games.batch_features(batch), _rows(domain, [outcome.state for outcome in outcomes])
         )
         assert [own.random() for own in ours] == [own.random() for own in theirs]
+
+    def _test_draws_ahead(self, games: Any, states: list[Any], actions: Any, rewards: Any) -> None:
+        """Draws of several steps are those of one step after another."""
+        rngs = [_rng('each', n) for n in range(len(states))]
+        draws = np.array([games.draws_ahead(rng, 3) for rng in rngs])
+        again = [_rng('each', n) for n in range(len(states))]
+        assert all(
+            (games.draws_ahead(rng, 1) == ahead[:1]).all() for rng, ahead in zip(again, draws)
+        )
+        assert all(
+            (games.draws_ahead(rng, 2) == ahead[1:]).all() for rng, ahead in zip(again, draws)
+        )
+        batch = games.batch_of(states)
+        assert list(games.batch_step_drawn(batch, actions, draws[:, 0])) == list(rewards)
 
     def test_games_are_copied_set_and_over_by_themselves(self) -> None:
         """Copies are independent; games that are over do not change and earn nothing."""

@@ -4,6 +4,7 @@ Capabilities that a domain may have beside its rules; the learner and the teachi
 A domain has a capability by having the method or attribute; nothing is registered.
 
 - ``HasBatchGames``: it plays many games at once, so that plans can be made from samples.
+  ``DrawsAhead``: their chance can be drawn before they are played.
 - ``HasSearchSpace``: it defines where subgoals of automatic options are searched for.
 - ``HasTeachingDefaults``: it names the options to teach and the thresholds of the criteria.
 - ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
@@ -122,6 +123,28 @@ class HasBatchGames(Protocol):
 
     def batch_games(self) -> BatchGames:
         """Return the object that plays them."""
+        ...
+
+
+@runtime_checkable
+class DrawsAhead(Protocol):
+    """
+    ``BatchGames`` whose chance does not depend on states, so that it can be drawn ahead.
+
+    Games that are compared with the same chance then draw it once.
+    """
+
+    def draws_ahead(self, rng: np.random.Generator, steps: int) -> NDArray[Any]:
+        """Return (steps, D): what one game draws in so many steps of ``Domain.step``."""
+        ...
+
+    def batch_step_drawn(self, batch: Any, actions: Ints, draws: NDArray[Any]) -> NDArray[Any]:
+        """
+        Take the step of ``Domain.step`` in every game, in place; return the rewards (N,).
+
+        :param batch: games that are not over.
+        :param draws: (N, D) the chance of this step.
+        """
         ...
 
 

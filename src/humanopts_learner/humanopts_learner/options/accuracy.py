@@ -21,7 +21,7 @@ from typing import Any, Generic, TypeVar
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
-from humanopts_env.domains.capabilities import feature_rows
+from humanopts_env.domains.capabilities import DrawsAhead, feature_rows
 from humanopts_env.domains.reference import (
     judge_states,
     Judgement,
@@ -87,65 +87,95 @@ def action_accuracy(
 def average_return(
     option: LearnedOption | None, domain: Domain[Any], reference: ReferenceOption
 ) -> float:
+    """Return the average undiscounted return of one policy; as ``average_returns``."""
+    return average_returns([option], domain, reference)[0]
+
+
+def average_returns(
+    options: Sequence[LearnedOption | None], domain: Domain[Any], reference: ReferenceOption
+) -> list[float]:
     """
-    Return the average undiscounted return of the policy, in reward units.
+    Return the average undiscounted return of each of some policies, in reward units.
 
     Runs begin where the reference option can start, from the same states and with the same chance
     for every option. They end where the reference option ends, where the task is over, or after
     ``LONGEST`` steps: the learned beta is judged by itself, and one that ends a run too early
     would spare it the costs of steps.
 
-    :param option: None: the reference option itself, by the first of its optimal actions.
+    :param options: None: the reference option itself, by the first of its optimal actions.
     :return: NaN where the reference can start nowhere.
-    :raises OptionError: the option was not learned in this domain.
+    :raises OptionError: an option was not learned in this domain.
     """
-    if option is not None:
-        option.check_domain(domain)
+    for option in options:
+        if option is not None:
+            option.check_domain(domain)
     starts = _answers(domain, reference).starts
-    if not starts:
-        return float('nan')
+    if not starts or not options:
+        return [float('nan')] * len(options)
     if is_deterministic(domain) and isinstance(reference, TabularReferenceOption):
-        return float(_tabular_returns(option, domain, reference, starts).mean())
-    return float(_played_returns(option, domain, reference, starts).mean())
+        returns = _tabular_returns(options, domain, reference, starts)
+    else:
+        returns = _played_returns(options, domain, reference, starts)
+    return [float(each.mean()) for each in returns.reshape(len(options), -1)]
 
 
 def _tabular_returns(
-    option: LearnedOption | None,
+    options: Sequence[LearnedOption | None],
     domain: EnumerableDomain[Any],
     reference: TabularReferenceOption,
     starts: Sequence[Any],
 ) -> Floats:
-    """Return the undiscounted return from each start state, where there is no chance."""
-    run = TabularOption.of_reference(reference, LONGEST)
-    if option is not None:
-        run = replace(run, action=option.greedy_action(domain.feature_table()))
-    at = np.array([domain.index(state) for state in starts], dtype=np.intp)
-    limits = np.full_like(at, LONGEST)
-    return tabular_rollouts(domain, [run], np.zeros_like(at), at, limits).total_reward
+    """Return the undiscounted returns of each option from each state, where nothing is drawn."""
+    best = TabularOption.of_reference(reference, LONGEST)
+    runs = [
+        replace(best, action=option.greedy_action(domain.feature_table())) if option else best
+        for option in options
+    ]
+    which = np.repeat(np.arange(len(options)), len(starts))
+    at = np.tile([domain.index(state) for state in starts], len(options)).astype(np.intp)
+    return tabular_rollouts(domain, runs, which, at, np.full_like(at, LONGEST)).total_reward
 
 
 def _played_returns(
-    option: LearnedOption | None,
+    options: Sequence[LearnedOption | None],
     domain: Domain[Any],
     reference: ReferenceOption,
     starts: Sequence[Any],
 ) -> Floats:
-    """Return the undiscounted return of one run from each start state."""
+    """Return the undiscounted returns of each option, in one run from each start state."""
     games: Any = TabularGames(domain) if is_enumerable(domain) else games_of(domain)
+    count = len(starts)
 
     def judge(batch: Any) -> Judgement:
         if isinstance(reference, ManyGames):
             return reference.judge_games(batch)
         return judge_states(reference, games.batch_states(batch), len(domain.actions))
 
-    rngs = [generator(0, 'accuracy', 'return', domain.name, run) for run in range(len(starts))]
-    total, going, batch = np.zeros(len(starts)), np.arange(len(starts)), games.batch_of(starts)
-    for _ in range(LONGEST):
-        if option is None:
-            action = judge(batch).optimal.argmax(axis=1)
+    def chance(run: int) -> np.random.Generator:
+        return generator(0, 'accuracy', 'return', domain.name, run)
+
+    draws, rngs = np.empty(0), []
+    if isinstance(games, DrawsAhead):
+        draws = np.array([games.draws_ahead(chance(run), LONGEST) for run in range(count)])
+    else:
+        rngs = [chance(run) for _ in options for run in range(count)]
+    total, going = np.zeros(len(options) * count), np.arange(len(options) * count)
+    batch = games.batch_take(games.batch_of(starts), going % count)
+    for step in range(LONGEST):
+        rows, action = games.batch_features(batch), np.empty(len(going), dtype=np.intp)
+        ends = np.searchsorted(going, np.arange(1, len(options) + 1) * count).tolist()
+        for option, begin, end in zip(options, [0, *ends], ends):
+            if begin == end:
+                continue
+            if option is None:
+                its = games.batch_take(batch, np.arange(begin, end))
+                action[begin:end] = judge(its).optimal.argmax(axis=1)
+            else:
+                action[begin:end] = option.greedy_action(rows[begin:end])
+        if isinstance(games, DrawsAhead):
+            total[going] += games.batch_step_drawn(batch, action, draws[going % count, step])
         else:
-            action = option.greedy_action(games.batch_features(batch))
-        total[going] += games.batch_step_each(batch, action, [rngs[run] for run in going.tolist()])
+            total[going] += games.batch_step_each(batch, action, [rngs[run] for run in going])
         on = np.flatnonzero(~judge(batch).termination & ~games.batch_over(batch))
         if len(on) < len(going):
             going, batch = going[on], games.batch_take(batch, on)

@@ -26,7 +26,7 @@ from humanopts_env.domains.pacman.features import (
     Surroundings,
 )
 from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, MOVES, Paths, STAY
-from humanopts_env.domains.pacman.rules import PacManBatch, Rules
+from humanopts_env.domains.pacman.rules import DRAWS, PacManBatch, Rules
 from humanopts_env.domains.pacman.state import PacManState
 from humanopts_env.domains.tabular import read_only
 import numpy as np
@@ -124,6 +124,14 @@ class PacManGames:
         """Take one step in every game, each with chance of its own; return the points (N,)."""
         draws = [self._rules.draws(rng) for rng in rngs]
         return batch.step(actions, np.array(draws, dtype=np.intp).reshape(len(draws), -1).T)
+
+    def draws_ahead(self, rng: np.random.Generator, steps: int) -> Ints:
+        """Return (steps, G): what one game draws in so many steps."""
+        return rng.integers(DRAWS, size=(steps, len(self._rules.maze.homes)))
+
+    def batch_step_drawn(self, batch: PacManBatch, actions: Ints, draws: Ints) -> Ints:
+        """Take one step in every game, with draws (N, G); return the points (N,)."""
+        return batch.step(actions, draws.T)
 
     def batch_over(self, batch: PacManBatch) -> NDArray[np.bool_]:
         """Return (N,): whether each game is over."""
