@@ -1,9 +1,9 @@
 """
 Figure 4: steps per episode of Q-learning in Taxi, by action set (section 7.3).
 
-One trial is one person's options, or those of one extraction, or none, learned with by several
-learners. Every action set has the same budget: as many rates are tried, in as many runs, and the
-best of them learn anew with other random draws.
+A member is one person's options, or those of one extraction, or none, learned with by several
+learners; the members of a trial learn side by side. Every action set has the same budget: as many
+rates are tried, in as many runs, and the best of them learn anew with other random draws.
 """
 
 from collections.abc import Mapping
@@ -22,9 +22,10 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
 )
 from humanopts_learner.qlearning import (
-    best_rates,
+    best_rates_of_each,
     drawn_rates,
-    learn,
+    learn_in_step,
+    Learners,
     Method,
     Settings,
 )
@@ -76,13 +77,18 @@ STYLES = {  # colour and line of each action set
 METHODS = {'smdp': 'SMDP Q-learning', 'intra-option': 'intra-option Q-learning'}
 LIMIT = 1000  # steps of an episode at most; the domain's own 200 would hide how long they get
 TRIED, TRIALS = 10, 3  # rates that are tried, and learners for each
+TOGETHER = 6  # members in one trial, at most
 COST = 13.0  # of a trial, about processor seconds
 SIZE = (6.4, 3.8)  # inches
 KEYS = ['method', 'action set']
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial for each method, action set, and person, extraction or repetition."""
+    """
+    Return a trial for each method, action set, and up to ``TOGETHER`` members.
+
+    Members learn side by side, since that takes a fraction of the time.
+    """
     sources = owners(study, DOMAIN)
     return [
         Trial(
@@ -93,48 +99,62 @@ def trials(study: Study) -> list[Trial]:
                 'learners': study.seeds,
                 'episodes': paper.EPISODES,
                 'seed': study.seed,
-                **source,
+                'members': sources[whose][first : first + TOGETHER],
             },
-            learn_curve,
+            learn_curves,
             COST,
         )
         for method in METHODS
         for name, (whose, _) in SETS.items()
-        for source in sources[whose]
+        for first in range(0, len(sources[whose]), TOGETHER)
     ]
 
 
-def learn_curve(parameters: Mapping[str, Any]) -> dict[str, Any]:
+def learn_curves(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     """
     Learn with one action set.
 
-    :return: mean steps of the learners by episode, the rates, and the names of the options.
+    :return: for each member: mean steps of the learners by episode, the rates, and the names of
+        the options.
     """
     domain, chosen = Taxi(), SETS[parameters['set']][1]
-    options = [tabulate(o, domain) for o in options_of(parameters, domain).options]
-    choices = option_table(domain, chosen, options)
-    method, episodes = Method(parameters['method']), parameters['episodes']
+    members = [{**parameters, **member} for member in parameters['members']]
+    options = [
+        [tabulate(option, domain) for option in options_of(member, domain).options]
+        for member in members
+    ]
+    tables = [option_table(domain, chosen, each) for each in options]
     search, judging = (
-        owner_seed(parameters, 'figure 4', purpose) for purpose in ('search', 'judging')
+        [owner_seed(member, 'figure 4', purpose) for member in members]
+        for purpose in ('search', 'judging')
     )
     rates = drawn_rates(parameters['seed'], TRIED)
-    settings = Settings(episodes, method, max_steps=LIMIT)
-    best = best_rates(domain, choices, rates, TRIALS, settings, search)
-    learners = [best] * parameters['learners']
-    judged = learn(domain, choices, learners, settings, judging)
-    return {
-        'steps': judged.steps.mean(axis=0).tolist(),
-        'learning_rate': best.learning_rate,
-        'explore': best.explore,
-        'options': [option.name for option in options],
-    }
+    settings = Settings(parameters['episodes'], Method(parameters['method']), max_steps=LIMIT)
+    best = best_rates_of_each(domain, list(zip(tables, search)), rates, TRIALS, settings)
+    judged = learn_in_step(
+        domain,
+        [
+            Learners(table, [one] * parameters['learners'], seed)
+            for table, one, seed in zip(tables, best, judging)
+        ],
+        settings,
+    )
+    return [
+        {
+            'steps': learned.steps.mean(axis=0).tolist(),
+            'learning_rate': one.learning_rate,
+            'explore': one.explore,
+            'options': [option.name for option in each],
+        }
+        for learned, one, each in zip(judged, best, options)
+    ]
 
 
 def episode_table(done: Done) -> pd.DataFrame:
     """
-    Return a row for each episode of each trial.
+    Return a row for each episode of each member.
 
-    :return: method, action set, member (number of the trial), episode, steps, and of the trial:
+    :return: method, action set, member (its number among all), episode, steps, and of the member:
         options (how many), learning rate, exploring (share of decisions).
     """
     columns = [*KEYS, 'member', 'episode', 'steps', 'options', 'learning rate', 'exploring']
@@ -149,7 +169,9 @@ def episode_table(done: Done) -> pd.DataFrame:
             result['learning_rate'],
             result['explore'],
         ]
-        for member, (parameters, result) in enumerate(done)
+        for member, (parameters, result) in enumerate(
+            (parameters, one) for parameters, found in done for one in found
+        )
         for episode, steps in enumerate(result['steps'], start=1)
     ]
     return pd.DataFrame(rows, columns=columns)

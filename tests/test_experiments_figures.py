@@ -459,17 +459,32 @@ def test_every_option_is_numbered_on_the_map(extraction: dict[str, Any]) -> None
 def test_trial_of_figure_4_has_the_mean_steps_of_its_learners() -> None:
     trials = figure4.trials(Study(participants=1, seeds=2))
     human = next(trial for trial in trials if trial.parameters['set'] == 'human')
-    found = figure4.learn_curve({**human.parameters, 'episodes': 5})
+    (found,) = figure4.learn_curves({**human.parameters, 'episodes': 5})
     assert len(found['steps']) == 5
     assert found['options'] == ['go to passenger and pickup', 'go to destination and dropoff']
     assert all(2 <= steps <= figure4.LIMIT for steps in found['steps'])
-    assert figure4.learn_curve({**human.parameters, 'episodes': 5}) == found
+    assert figure4.learn_curves({**human.parameters, 'episodes': 5}) == [found]
 
 
-def test_every_action_set_has_as_many_trials() -> None:
-    trials = figure4.trials(Study(participants=3))
-    sets = [trial.parameters['set'] for trial in trials]
-    assert {name: sets.count(name) for name in figure4.SETS} == dict.fromkeys(figure4.SETS, 6)
+def test_members_learn_side_by_side_as_alone() -> None:
+    (trial,) = [
+        trial
+        for trial in figure4.trials(Study(participants=2, seeds=2))
+        if (trial.parameters['set'], trial.parameters['method']) == ('primitive', 'smdp')
+    ]
+    short = {**trial.parameters, 'episodes': 3}
+    alone = [figure4.learn_curves({**short, 'members': [one]}) for one in short['members']]
+    assert figure4.learn_curves(short) == [result for (result,) in alone]
+
+
+def test_every_action_set_has_as_many_members() -> None:
+    """Six of them at most in one trial, so more people leave trials of six as they are."""
+    trials = figure4.trials(Study(participants=7))
+    for name in figure4.SETS:
+        mine = [trial.parameters for trial in trials if trial.parameters['set'] == name]
+        assert [len(parameters['members']) for parameters in mine] == [6, 1] * 2
+    first = {trial.key for trial in figure4.trials(Study(participants=6))}
+    assert first < {trial.key for trial in trials}
     assert len({trial.key for trial in trials}) == len(trials)
 
 
@@ -486,13 +501,16 @@ def figure_4(level: Mapping[str, float], spread: float = 0.0) -> Section:
         [
             (
                 trial.parameters,
-                {
-                    'steps': [level[trial.parameters['set']] + spread * (number % 2)]
-                    * paper.EPISODES,
-                    **known,
-                },
+                [
+                    {
+                        'steps': [level[trial.parameters['set']] + spread * (number % 2)]
+                        * paper.EPISODES,
+                        **known,
+                    }
+                    for number in range(len(trial.parameters['members']))
+                ],
             )
-            for number, trial in enumerate(figure4.trials(Study(participants=2)))
+            for trial in figure4.trials(Study(participants=2))
             if trial.parameters['set'] in level
         ]
     )

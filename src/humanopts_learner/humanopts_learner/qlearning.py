@@ -16,9 +16,10 @@ ends:
 Intra-option learning ignores the step limits of options, which depend on more than the state.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
 from enum import Enum
+from functools import partial
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
@@ -28,6 +29,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.planning.exact import OptionTable
 from humanopts_learner.planning.request import PlanError
 import numpy as np
+from numpy.typing import NDArray
 
 # Called with the share of the episodes that is done, 0..1; raises ``PlanCanceled`` to stop
 Progress = Callable[[float], object]
@@ -79,6 +81,15 @@ class Learning:
     values: Floats  # (N, S, O) after the last episode
 
 
+@dataclass(frozen=True)
+class Learners:
+    """Learners with the same options and one generator; beside others, they learn as alone."""
+
+    options: OptionTable
+    rates: Sequence[Rates]  # of the N learners, which draw independently
+    seed: int
+
+
 def learn(
     domain: EnumerableDomain[Any],
     options: OptionTable,
@@ -87,99 +98,282 @@ def learn(
     seed: int,
     progress: Progress | None = None,
 ) -> Learning:
+    """Have some learners learn; as ``learn_in_step``."""
+    return learn_in_step(domain, [Learners(options, rates, seed)], settings, progress)[0]
+
+
+def learn_in_step(
+    domain: EnumerableDomain[Any],
+    groups: Sequence[Learners],
+    settings: Settings,
+    progress: Progress | None = None,
+) -> list[Learning]:
     """
-    Learn from values of 0, each option run to its end.
+    Learn from values of 0, each option run to its end; groups of learners step side by side.
 
     Where an episode is cut off, SMDP learning takes the running option as ended there.
 
-    :param rates: of the N learners, which draw independently.
+    :return: what each group learned.
     :raises PlanError: nothing limits the episodes, or there are no learners or no episodes.
     :raises PlanCanceled: from ``progress``.
     """
     limit = settings.max_steps or domain.max_steps
-    if limit < 1 or settings.episodes < 1 or not rates:
+    counts = [len(group.rates) for group in groups]
+    if limit < 1 or settings.episodes < 1 or min(counts, default=0) < 1:
         raise PlanError(
-            f'cannot learn with {len(rates)} learners in {settings.episodes} episodes of {limit} '
-            'steps: each must be 1 or more'
+            f'cannot learn with {min(counts, default=0)} learners in {settings.episodes} episodes '
+            f'of {limit} steps: each must be 1 or more'
         )
-    gamma, episodes, count = settings.gamma or domain.gamma, settings.episodes, len(rates)
-    rng = generator(seed, 'qlearning', settings.method.value)
+    gamma, episodes, count = settings.gamma or domain.gamma, settings.episodes, sum(counts)
+    chance = _Chance([generator(g.seed, 'qlearning', settings.method.value) for g in groups])
     simulator = TabularSimulator(domain.transitions(), domain.over())
     starts = domain.start_states().astype(np.intp)
-    rate = np.array([one.learning_rate for one in rates])
-    explore = np.array([one.explore for one in rates])
+    draw_start = partial(_draw_below, len(starts))
     steps, returns = np.zeros((count, episodes), dtype=np.intp), np.zeros((count, episodes))
-    values = np.zeros((count, domain.n_states, len(options.names)))
-    live = np.arange(count)  # learners with episodes left
-    episode = np.zeros(count, dtype=np.intp)
-    state = rng.choice(starts, count)
-    option = np.full(count, -1, dtype=np.intp)  # running; -1: to be decided
-    begun = np.zeros(count, dtype=np.intp)  # state in which the option began
-    ran = np.zeros(count, dtype=np.intp)  # its steps so far
-    gained, discount = np.zeros(count), np.ones(count)  # since it began; gamma**ran
-    rounds = 0
-    while live.size:
-        free = live[option[live] < 0]
-        option[free] = _choose(values[free, state[free]], options, state[free], explore[free], rng)
-        begun[free], ran[free], gained[free], discount[free] = state[free], 0, 0.0, 1.0
+    tables = _Tables([group.options for group in groups])
+    values = np.zeros((count, domain.n_states, tables.width))
+    live = _Live.begin(groups, tables, domain.n_states)
+    live.state = starts.take(chance.draw(live.group, draw_start))
+    rounds, finished = 0, 0
+    while live.number.size:
+        free = np.flatnonzero(live.option < 0)
+        if free.size:
+            live.option[free] = _choose(values, tables, live, free, chance)
+            live.begun[free], live.ran[free] = live.state.take(free), 0
+            live.gained[free], live.discount[free] = 0.0, 1.0
 
-        here, running = state[live], option[live]
-        action = options.action[running, here]
-        there, reward, over = simulator.step(here, action, simulator.draw(rng, len(live)))
-        at = live, episode[live]
-        steps[at] += 1
-        returns[at] += reward
-        gained[live] += discount[live] * reward
-        discount[live] *= gamma
-        ran[live] += 1
-        out_of_time = steps[at] >= limit
-        ended = over | out_of_time | options.ends[running, there]
-        ended |= ran[live] >= options.limits[running]
-
-        can = options.available[there]
-        best = np.where(can, values[live, there], -np.inf).max(axis=1)
-        ahead = np.where(over | ~can.any(axis=1), 0.0, best)
+        here, running = live.state, live.base + live.option
+        action = tables.action.take(running * domain.n_states + here)
+        drawn = None
+        if not simulator.deterministic:
+            drawn = chance.draw(live.group, simulator.draw)
+        there, reward, over = simulator.step(here, action, drawn)
+        live.steps += 1
+        live.returns += reward
+        live.gained += live.discount * reward
+        live.discount *= gamma
+        live.ran += 1
+        done = over | (live.steps >= limit)
+        ended = done | tables.ends.take(running * domain.n_states + there)
+        ended |= live.ran >= tables.limits.take(running)
         if settings.method is Method.SMDP:
-            learner = live[ended]
-            goal = gained[learner] + discount[learner] * ahead[ended]
-            at_option = learner, begun[learner], option[learner]
-        else:  # all options that would have done the same
-            game, same = np.nonzero(action[:, None] == options.action[:, here].T)
-            learner = live[game]
-            onward = np.where(over[game], 0.0, values[learner, there[game], same])
-            goes = np.where(options.ends[same, there[game]], ahead[game], onward)
-            goal = reward[game] + gamma * goes
-            at_option = learner, here[game], same
-        values[at_option] += rate[learner] * (goal - values[at_option])
+            _learn_of_runs(values, tables, live, np.flatnonzero(ended), there, over)
+        else:
+            _learn_of_steps(values, tables, live, action, there, reward, over, gamma)
 
-        state[live] = there
-        option[live[ended]] = -1
-        over_now = live[over | out_of_time]
-        episode[over_now] += 1
-        state[over_now] = rng.choice(starts, len(over_now))
-        live = live[episode[live] < episodes]
+        live.state = there
+        live.option[ended] = -1
+        at = np.flatnonzero(done)
+        if at.size:
+            episode = live.number[at], live.episode[at]
+            steps[episode], returns[episode] = live.steps[at], live.returns[at]
+            live.episode[at] += 1
+            live.steps[at], live.returns[at] = 0, 0.0
+            live.state[at] = starts.take(chance.draw(live.group[at], draw_start))
+            finished += len(at)
+            if (live.episode[at] == episodes).any():
+                live.keep(live.episode < episodes)
         rounds += 1
         if progress is not None and rounds % REPORT_EVERY == 0:
-            progress(float(episode.sum()) / steps.size)
+            progress(finished / steps.size)
     if progress is not None:
         progress(1.0)
-    return Learning(steps, returns, values)
+    first = np.cumsum([0, *counts])
+    return [
+        Learning(steps[i:k], returns[i:k], values[i:k, :, : len(group.options.names)])
+        for group, i, k in zip(groups, first, first[1:])
+    ]
 
 
-def _choose(
-    values: Floats, options: OptionTable, state: Ints, explore: Floats, rng: np.random.Generator
-) -> Ints:
+def _draw_below(limit: int, rng: np.random.Generator, count: int) -> Ints:
+    return rng.integers(limit, size=count)
+
+
+class _Chance:
+    """Draws for the learners of several groups, from the generator of each."""
+
+    def __init__(self, rngs: Sequence[np.random.Generator]) -> None:
+        self._rngs = rngs
+
+    def parts(self, group: Ints) -> Iterator[tuple[int, np.random.Generator, int, int]]:
+        """Yield the number, generator, and the first and last place of each group (n,) there."""
+        ends = group.searchsorted(np.arange(len(self._rngs)), side='right').tolist()
+        for number, (begin, end) in enumerate(zip([0, *ends], ends)):
+            if begin < end:
+                yield number, self._rngs[number], begin, end
+
+    def draw(self, group: Ints, draw: Callable[[np.random.Generator, int], Any]) -> NDArray[Any]:
+        """Return what each group (n,) draws for its learners, (n,)."""
+        parts = [draw(rng, end - begin) for _, rng, begin, end in self.parts(group)]
+        return np.concatenate(parts)
+
+
+class _Tables:
     """
-    Return an option (n,) for each of some learners: the best, any of equals, or now and then any.
+    The options of G groups as flat tables. Groups with fewer options than others are filled up.
 
-    :param values: (n, O) in their states.
-    :param explore: (n,) share of decisions that are drawn from all that is available.
+    :ivar width: the greatest number of options, O.
+    :ivar first: (G,) number of each group's first option among those of all, P.
+    :ivar action: (P * S,) primitive action of each option; as ``ends``.
+    :ivar limits: (P,).
+    :ivar acting: (G * S, O) actions of a group's options by state; -1: no option.
+    :ivar available: (G * S, O) whether they can be chosen.
     """
-    can = options.available[state]
-    values = np.where(can, values, -np.inf)
-    best = values == values.max(axis=1, keepdims=True)
-    explores = rng.random(len(state)) < explore
-    return draw_among(can & (best | explores[:, None]), rng)
+
+    def __init__(self, groups: Sequence[OptionTable]) -> None:
+        self.counts = [len(group.names) for group in groups]
+        self.width = max(self.counts)
+        self.first = np.cumsum([0, *self.counts[:-1]])
+        self.action = np.concatenate([group.action for group in groups]).ravel()
+        self.ends = np.concatenate([group.ends for group in groups]).ravel()
+        self.limits = np.concatenate([group.limits for group in groups])
+        self.acting = self._by_state([group.action.T for group in groups], -1)
+        self.available = self._by_state([group.available for group in groups], 0).astype(np.bool_)
+
+    def _by_state(self, tables: Sequence[NDArray[Any]], fill: int) -> Ints:
+        """Return tables (S, .) of the groups as one, filled up to the same width."""
+        found = np.full((len(tables), len(tables[0]), self.width), fill, dtype=np.intp)
+        for row, table in zip(found, tables):
+            row[:, : table.shape[1]] = table
+        return found.reshape(-1, self.width)
+
+
+@dataclass
+class _Live:
+    """The n learners with episodes left, in the order of their numbers."""
+
+    number: Ints  # (n,) and so all others
+    group: Ints
+    base: Ints  # number of the group's first option
+    place: Ints  # row of the group's state 0 in tables by state
+    row: Ints  # row of the learner's state 0 among all values
+    rate: Floats
+    explore: Floats
+    state: Ints
+    option: Ints  # running, of those of the group; -1: to be decided
+    begun: Ints  # state in which the option began
+    ran: Ints  # its steps so far
+    gained: Floats  # since it began, discounted
+    discount: Floats  # gamma**ran
+    episode: Ints
+    steps: Ints  # of the episode so far
+    returns: Floats  # undiscounted
+
+    @classmethod
+    def begin(cls, groups: Sequence[Learners], tables: _Tables, n_states: int) -> '_Live':
+        """Return all learners before their first episodes."""
+        rates = [one for group in groups for one in group.rates]
+        group = np.repeat(np.arange(len(groups)), [len(each.rates) for each in groups])
+        whole, real = np.zeros(len(rates), dtype=np.intp), np.zeros(len(rates))
+        return cls(
+            number=np.arange(len(rates)),
+            group=group,
+            base=tables.first[group],
+            place=group * n_states,
+            row=np.arange(len(rates)) * n_states,
+            rate=np.array([one.learning_rate for one in rates]),
+            explore=np.array([one.explore for one in rates]),
+            state=whole.copy(),
+            option=np.full(len(rates), -1, dtype=np.intp),
+            begun=whole.copy(),
+            ran=whole.copy(),
+            gained=real.copy(),
+            discount=np.ones(len(rates)),
+            episode=whole.copy(),
+            steps=whole.copy(),
+            returns=real.copy(),
+        )
+
+    def keep(self, chosen: Flags) -> None:
+        """Keep chosen learners (n,) only."""
+        for one in fields(self):
+            setattr(self, one.name, getattr(self, one.name)[chosen])
+
+
+def _learn_of_runs(
+    values: Floats, tables: _Tables, live: _Live, at: Ints, there: Ints, over: Flags
+) -> None:
+    """
+    Update by SMDP Q-learning.
+
+    :param at: (m,) which of the n learners' options ended in this step.
+    :param there: (n,) states after it.
+    """
+    row, after = live.row.take(at), there.take(at)
+    ahead = _ahead(values, tables, row + after, live.place.take(at) + after, over.take(at))
+    goal = live.gained.take(at) + live.discount.take(at) * ahead
+    place = (row + live.begun.take(at)) * tables.width + live.option.take(at)
+    _move(values, place, live.rate.take(at), goal)
+
+
+def _learn_of_steps(
+    values: Floats,
+    tables: _Tables,
+    live: _Live,
+    action: Ints,
+    there: Ints,
+    reward: Floats,
+    over: Flags,
+    gamma: float,
+) -> None:
+    """
+    Update by intra-option Q-learning all options that would have done the same.
+
+    :param there: (n,) states after the step.
+    """
+    ahead = _ahead(values, tables, live.row + there, live.place + there, over)
+    acting = tables.acting.take(live.place + live.state, axis=0)
+    at, same = np.nonzero(action[:, None] == acting)
+    row, after = live.row.take(at), there.take(at)
+    onward = values.reshape(-1).take((row + after) * tables.width + same)
+    onward[over.take(at)] = 0.0
+    ends = tables.ends.take((live.base.take(at) + same) * values.shape[1] + after)
+    goal = reward.take(at) + gamma * np.where(ends, ahead.take(at), onward)
+    place = (row + live.state.take(at)) * tables.width + same
+    _move(values, place, live.rate.take(at), goal)
+
+
+def _ahead(values: Floats, tables: _Tables, row: Ints, place: Ints, over: Flags) -> Floats:
+    """
+    Return the value of the best option, (n,); 0 where there is none, or the task is over.
+
+    :param row: (n,) of the states among all values.
+    :param place: (n,) of the states in tables by state.
+    """
+    can = tables.available.take(place, axis=0)
+    known = values.reshape(-1, tables.width).take(row, axis=0)
+    best: Floats = np.where(can, known, -np.inf).max(axis=1)
+    best[over | ~can.any(axis=1)] = 0.0
+    return best
+
+
+def _move(values: Floats, place: Ints, rate: Floats, goal: Floats) -> None:
+    """Move the values at some places, each once, towards goals."""
+    flat = values.reshape(-1)
+    known = flat.take(place)
+    flat[place] = known + rate * (goal - known)
+
+
+def _choose(values: Floats, tables: _Tables, live: _Live, free: Ints, chance: _Chance) -> Ints:
+    """
+    Return an option for some learners (m,): the best, any of equals, or now and then any.
+
+    :param free: (m,) which of the n learners.
+    """
+    state, group = live.state.take(free), live.group.take(free)
+    can = tables.available.take(live.place.take(free) + state, axis=0)
+    known = values.reshape(-1, tables.width).take(live.row.take(free) + state, axis=0)
+    known = np.where(can, known, -np.inf)
+    among = known == known.max(axis=1, keepdims=True)
+    draws, explores = np.zeros(can.shape), np.empty(len(free))
+    for number, rng, begin, end in chance.parts(group):
+        explores[begin:end] = rng.random(end - begin)
+        shape = end - begin, tables.counts[number]
+        draws[begin:end, : shape[1]] = rng.random(shape)
+    among |= (explores < live.explore.take(free))[:, None]
+    among &= can
+    chosen: Ints = np.where(among, draws, -1.0).argmax(axis=1)
+    return chosen
 
 
 def drawn_rates(seed: int, count: int) -> list[Rates]:
@@ -200,19 +394,35 @@ def best_rates(
     seed: int,
     progress: Progress | None = None,
 ) -> Rates:
+    """Return the best rates for some options; as ``best_rates_of_each``."""
+    each = [(options, seed)]
+    return best_rates_of_each(domain, each, candidates, runs, settings, progress)[0]
+
+
+def best_rates_of_each(
+    domain: EnumerableDomain[Any],
+    groups: Sequence[tuple[OptionTable, int]],
+    candidates: Sequence[Rates],
+    runs: int,
+    settings: Settings,
+    progress: Progress | None = None,
+) -> list[Rates]:
     """
     Return the rates with the fewest steps in all episodes, averaged over some runs.
 
     Give every action set the same candidates, runs and episodes: then the search is equally long
     for all. Learn anew with another seed to judge the rates that were chosen.
 
+    :param groups: options, each with the seed of its search.
     :param runs: learners for each candidate.
+    :return: the rates of each group.
     :raises PlanError: as ``learn``.
     """
     every = [rates for rates in candidates for _ in range(runs)]
-    learning = learn(domain, options, every, settings, seed, progress)
-    score = learning.steps.reshape(len(candidates), -1).mean(axis=1)
-    return candidates[int(score.argmin())]
+    learners = [Learners(options, every, seed) for options, seed in groups]
+    learned = learn_in_step(domain, learners, settings, progress)
+    scores = [one.steps.reshape(len(candidates), -1).mean(axis=1) for one in learned]
+    return [candidates[int(score.argmin())] for score in scores]
 
 
 def draw_among(among: Flags, rng: np.random.Generator) -> Ints:

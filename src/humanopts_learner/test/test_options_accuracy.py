@@ -16,6 +16,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.accuracy import (
     average_return,
+    average_returns,
     classification_accuracy,
     policy_accuracy,
 )
@@ -171,6 +172,8 @@ def test_average_return_is_higher_for_a_better_policy() -> None:
     best = average_return(None, PACMAN, reference)
     assert average_return(option, PACMAN, reference) == pytest.approx(best, abs=1.0)
     assert average_return(wrong, PACMAN, reference) < best - 2
+    alone = [average_return(each, PACMAN, reference) for each in (option, wrong)]
+    assert average_returns([option, None, wrong], PACMAN, reference) == [alone[0], best, alone[1]]
     domain = PacMan('%%%%%\n%P..%\n%%%%%')
     assert np.isnan(average_return(None, domain, reference_options(domain)[AVOID]))
 

@@ -18,6 +18,8 @@ from humanopts_learner.qlearning import (
     best_rates,
     drawn_rates,
     learn,
+    learn_in_step,
+    Learners,
     Learning,
     Method,
     Rates,
@@ -105,6 +107,23 @@ def taxi_options() -> list[TabularOption]:
     """Return the two options that the participants of the paper taught."""
     found = reference_options(TAXI)
     return [TabularOption.of_reference(found[name]) for name in (FETCH, DELIVER)]
+
+
+@pytest.mark.parametrize('method', Method)
+def test_groups_of_learners_side_by_side_learn_as_alone(method: Method) -> None:
+    """With other numbers of options, learners, and other seeds, where there is chance too."""
+    world = RandomWorld(seed=1, outcomes=2)
+    settings = Settings(20, method)
+    groups = [
+        Learners(option_table(world, 'primitive', []), [Rates(), WILD], 1),
+        Learners(option_table(world, MIXED, world.options()), [Rates()] * 3, 2),
+        Learners(option_table(world, 'human', world.options()), [WILD], 1),
+    ]
+    for group, beside in zip(groups, learn_in_step(world, groups, settings), strict=True):
+        alone = learn(world, group.options, group.rates, settings, group.seed)
+        assert np.array_equal(beside.steps, alone.steps)
+        assert np.array_equal(beside.returns, alone.returns)
+        assert np.array_equal(beside.values, alone.values)
 
 
 @pytest.mark.heavy

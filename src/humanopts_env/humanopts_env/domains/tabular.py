@@ -137,6 +137,14 @@ class TabularSimulator:
         """
         self.transitions, self._over = transitions, over
         self._limits = None if transitions.deterministic else outcome_limits(transitions)
+        tables = transitions.successor, transitions.reward, transitions.terminated
+        flat = all(table.flags.c_contiguous for table in tables)  # one look-up is quicker there
+        self._flat = [table.ravel() for table in tables] if flat else None
+
+    @property
+    def deterministic(self) -> bool:
+        """Whether every action has one outcome, so that nothing is drawn."""
+        return self._limits is None
 
     def draw(self, rng: np.random.Generator, count: int) -> Floats | None:
         """Draw what chooses the outcomes of N steps; None: every action has one outcome."""
@@ -151,7 +159,13 @@ class TabularSimulator:
         outcome: Ints | int = 0
         if self._limits is not None:
             outcome = draw_outcomes(self._limits, state, action, drawn)
-        at = state, action, outcome
-        there = self.transitions.successor[at].astype(np.intp)
-        over = self.transitions.terminated[at] | self._over[there]
-        return there, self.transitions.reward[at], over
+        if self._flat is not None:
+            _, actions, outcomes = self.transitions.successor.shape
+            place = (state * actions + action) * outcomes + outcome
+            successor, reward, terminated = (table.take(place) for table in self._flat)
+        else:
+            at = state, action, outcome
+            successor, reward = self.transitions.successor[at], self.transitions.reward[at]
+            terminated = self.transitions.terminated[at]
+        there = successor.astype(np.intp)
+        return there, reward, terminated | self._over.take(there)
