@@ -7,9 +7,10 @@ SEED ?= 1
 ROUNDS ?= 10
 LIMIT ?= 7200
 STEP := @tools/step.sh
-INTERFACES := $(shell find src/humanopts_interfaces -type f)
+PAGE := -name '*.md' -o -name '*.rst'
+INTERFACES := $(shell find src/humanopts_interfaces -type f -not \( $(PAGE) \))
 PACKAGES := $(shell find src -type f -not -path 'src/humanopts_interfaces/*' \
-  -not -path '*/test/*' -not -name '*.pyc')
+  -not -path '*/test/*' -not -name '*.pyc' -not \( $(PAGE) \))
 # What mypy checks: the packages, and what is built on them.
 PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*') \
   $(wildcard experiments/*.py benchmarks/*.py)
@@ -32,7 +33,7 @@ help:
 	@echo 'make test-quick  run the quick ones of pure code; make test-slow  the long ones'
 	@echo 'make test-stress  run the tests of the graph ten times while all cores are busy and nodes are'
 	@echo '             found late (ROUNDS=, SEED=, LIMIT= in seconds, ARGS= for files)'
-	@echo 'make lint    ruff, mypy --strict, package.xml checks'
+	@echo 'make lint    ruff, mypy --strict, rosdep keys and pages of the packages'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
 	@echo 'make setup   only the set-up that the others do when it is needed'
 	@echo 'make format  reformat the Python code'

@@ -9,7 +9,8 @@ built=install/humanopts_interfaces
 name=humanopts_interfaces
 
 key=$({
-  find "src/$name" tools/build_interfaces.sh tools/drop_missing_includes.cmake -type f -print0 |
+  find "src/$name" tools/build_interfaces.sh tools/drop_missing_includes.cmake \
+    -type f -not -name '*.md' -not -name '*.rst' -print0 |
     LC_ALL=C sort -z | xargs -0 sha256sum
   grep -E '^(ros-|numpy)' requirements.lock
   "$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_config_var("SOABI"))'

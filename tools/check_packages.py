@@ -1,10 +1,18 @@
-"""Checks every package.xml: valid, complete, and naming every package that its code imports."""
+"""
+Checks the packages of src/ as ROS tools see them, and names what is wrong.
+
+Every package.xml is valid, lists what its code imports and nothing else, and lists only keys that
+rosdep knows: those copied from rosdistro (rosdep/rosdistro_keys.txt), our own
+(rosdep/humanopts.yaml), and the packages of src/. Every package has a README.md, and a
+CHANGELOG.rst with a section of its version.
+"""
 
 import ast
 from pathlib import Path
 import sys
 
-from catkin_pkg.package import InvalidPackage, parse_package
+from catkin_pkg.package import InvalidPackage, Package, parse_package
+import yaml
 
 # Import name -> rosdep key, where the two differ.
 KEYS = {
@@ -14,8 +22,8 @@ KEYS = {
     'joblib': 'python3-joblib',
     'markupsafe': 'python3-jinja2',
     'matplotlib': 'python3-matplotlib',
-    'mcap': 'python3-mcap-pip',
-    'mcap_ros2': 'python3-mcap-ros2-support-pip',
+    'mcap': 'mcap-ros2-support',  # needs mcap, which has no key of its own
+    'mcap_ros2': 'mcap-ros2-support',
     'numpy': 'python3-numpy',
     'pandas': 'python3-pandas',
     'prompt_toolkit': 'python3-prompt-toolkit',
@@ -24,7 +32,7 @@ KEYS = {
     'scipy': 'python3-scipy',
     'setproctitle': 'python3-setproctitle',
     'sklearn': 'python3-sklearn',
-    'typer': 'python3-typer',
+    'typer': 'python3-typer-pip',
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }
@@ -36,6 +44,7 @@ OPTIONAL = {
     'quantecon',
 }  # used where they are installed
 UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # fields of messages; launch files
+SYSTEMS = ('debian', 'ubuntu')  # that a rule of our own is for
 
 
 def imported(package: Path) -> set[str]:
@@ -50,14 +59,8 @@ def imported(package: Path) -> set[str]:
     return names - set(sys.stdlib_module_names) - OPTIONAL - {package.name}
 
 
-def problems(package: Path) -> list[str]:
-    """Return what is wrong with the package's manifest, in words."""
-    try:
-        manifest = parse_package(str(package))
-    except InvalidPackage as error:
-        return [str(error)]
-    if manifest.package_format != 3:
-        return [f'{package}: package.xml is not format 3']
+def import_problems(package: Path, manifest: Package) -> list[str]:
+    """Return where the manifest and the imports of the package's code differ, in words."""
     declared = {depend.name for depend in (*manifest.exec_depends, *manifest.build_depends)}
     needed = {KEYS.get(name, name) for name in imported(package)}
     return [
@@ -69,7 +72,82 @@ def problems(package: Path) -> list[str]:
     ]
 
 
+def page_problems(package: Path, version: str) -> list[str]:
+    """Return which pages are missing, and what a changelog (REP 132) lacks, in words."""
+    found = [
+        f'{package} has no {name}'
+        for name in ('README.md', 'CHANGELOG.rst')
+        if not (package / name).is_file()
+    ]
+    if (changelog := package / 'CHANGELOG.rst').is_file():
+        titles = changelog.read_text(encoding='utf-8').splitlines()
+        if not any(t == 'Forthcoming' or t.startswith(f'{version} (') for t in titles):
+            found.append(f'{changelog} has no section "Forthcoming" or "{version} (DATE)"')
+    return found
+
+
+def key_problems(root: Path, manifests: dict[Path, Package]) -> list[str]:
+    """Return which keys rosdep does not know, and what is wrong with our lists of keys."""
+    lines = (root / 'rosdep/rosdistro_keys.txt').read_text(encoding='utf-8').splitlines()
+    copied = {line for line in lines if line and not line.startswith('#')}
+    own = yaml.safe_load((root / 'rosdep/humanopts.yaml').read_text(encoding='utf-8')) or {}
+    listed = {
+        package: {
+            depend.name
+            for depend in (
+                *manifest.buildtool_depends,
+                *manifest.build_depends,
+                *manifest.build_export_depends,
+                *manifest.buildtool_export_depends,
+                *manifest.exec_depends,
+                *manifest.test_depends,
+                *manifest.doc_depends,
+            )
+        }
+        for package, manifest in manifests.items()
+    }
+    used = set[str]().union(*listed.values())
+    known = copied | set(own) | {manifest.name for manifest in manifests.values()}
+    return [
+        *(
+            f'{package}/package.xml lists {name}, a key that rosdep does not know'
+            for package, names in listed.items()
+            for name in sorted(names - known)
+        ),
+        *(
+            f'rosdep/humanopts.yaml has {name}, as rosdistro does'
+            for name in sorted(copied & {*own})
+        ),
+        *(
+            f'rosdep has {name}, which no package.xml lists'
+            for name in sorted((copied | {*own}) - used)
+        ),
+        *(
+            f'rosdep/humanopts.yaml has no rule for {name} on {system}'
+            for name, rules in own.items()
+            for system in SYSTEMS
+            if not rules.get(system)
+        ),
+    ]
+
+
+def problems(root: Path) -> list[str]:
+    """Return what is wrong with the packages in src/ of a folder, in words."""
+    found: list[str] = []
+    manifests: dict[Path, Package] = {}
+    for package in sorted((root / 'src').glob('humanopts_*')):
+        try:
+            manifest = manifests[package] = parse_package(str(package))
+        except InvalidPackage as error:
+            found.append(str(error))
+            continue
+        if manifest.package_format != 3:
+            found.append(f'{package}: package.xml is not format 3')
+        found += import_problems(package, manifest) + page_problems(package, manifest.version)
+    return found + key_problems(root, manifests)
+
+
 if __name__ == '__main__':
-    found = [text for path in sorted(Path('src').glob('humanopts_*')) for text in problems(path)]
+    found = problems(Path())
     print('\n'.join(found), file=sys.stderr)
     sys.exit(1 if found else 0)
