@@ -110,12 +110,12 @@ GAMES = (
     ),
 )
 COSTS = {  # of a trial, about processor seconds, by domain and strategy
-    ('taxi', 'random'): 4.0,
+    ('taxi', 'random'): 2.0,
     ('taxi', 'coverage'): 3.0,
-    ('taxi', 'failures'): 2.0,
-    ('pacman', 'random'): 12.0,
-    ('pacman', 'coverage'): 30.0,
-    ('pacman', 'failures'): 12.0,
+    ('taxi', 'failures'): 1.5,
+    ('pacman', 'random'): 6.0,
+    ('pacman', 'coverage'): 18.0,
+    ('pacman', 'failures'): 7.0,
 }
 CASE = ['domain', 'features', 'option', 'people', 'start states by']  # what tells curves apart
 RETURN = 'return'

@@ -78,7 +78,7 @@ METHODS = {'smdp': 'SMDP Q-learning', 'intra-option': 'intra-option Q-learning'}
 LIMIT = 1000  # steps of an episode at most; the domain's own 200 would hide how long they get
 TRIED, TRIALS = 10, 3  # rates that are tried, and learners for each
 TOGETHER = 6  # members in one trial, at most
-COST = 13.0  # of a trial, about processor seconds
+COST = 8.0  # of a member, about processor seconds
 SIZE = (6.4, 3.8)  # inches
 KEYS = ['method', 'action set']
 
@@ -99,14 +99,15 @@ def trials(study: Study) -> list[Trial]:
                 'learners': study.seeds,
                 'episodes': paper.EPISODES,
                 'seed': study.seed,
-                'members': sources[whose][first : first + TOGETHER],
+                'members': members,
             },
             learn_curves,
-            COST,
+            COST * len(members),
         )
         for method in METHODS
         for name, (whose, _) in SETS.items()
         for first in range(0, len(sources[whose]), TOGETHER)
+        for members in [sources[whose][first : first + TOGETHER]]
     ]
 
 

@@ -67,9 +67,9 @@ SECTION_7, NAMED, ALSO_FRUIT = 'of section 7', 'named in the paper', 'the fruit 
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')
 REPEATS = 7  # makings of one exact plan, for its seconds
 COSTS = {  # of a trial, about processor seconds, by domain and kind of owner
-    ('pacman', NOBODY): 110.0,
-    ('pacman', PERSON): 330.0,
-    ('pacman', MACHINE): 200.0,
+    ('pacman', NOBODY): 90.0,
+    ('pacman', PERSON): 260.0,
+    ('pacman', MACHINE): 150.0,
     ('taxi', PERSON): 6.0,
     ('taxi', MACHINE): 9.0,
 }
