@@ -35,7 +35,7 @@ HELP = {
     (): ('demo', 'up', 'teach', 'bag', 'reproduce', 'bench'),
     ('demo',): ('--domain', '--episodes', '--games', '--error-rate', *LAUNCH),
     ('up',): ('DOMAIN', '--no-record', '--step-period', *LAUNCH),
-    ('teach',): ('DOMAIN', '--participant', *LAUNCH),
+    ('teach',): ('DOMAIN', 'pacman, rooms, taxi', '--participant', *LAUNCH),
     ('bag',): ('info', 'check', 'eval', 'diff', 'play', 'table1', 'export'),
     ('bag', 'info'): ('BAG', '--json'),
     ('bag', 'eval'): ('BAG', '--json', '--html', '--games'),

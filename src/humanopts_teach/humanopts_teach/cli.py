@@ -70,6 +70,18 @@ app = typer.Typer(
 )
 app.add_typer(bag_app, name='bag')
 
+
+class DomainCommand(TyperCommand):
+    """A command of a game, whose help names the games that there are."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Look for the domains only now: that takes a while."""
+        from humanopts_env.domains.registry import domain_names, GYMNASIUM
+
+        self.epilog = f'DOMAIN is one of {", ".join(domain_names())}, or {GYMNASIUM}ENV_ID.'
+        super().format_help(ctx, formatter)
+
+
 DomainArgument = Annotated[str, typer.Argument(metavar='DOMAIN')]
 
 
@@ -88,7 +100,7 @@ def humanopts(
     """Teach options to a game-playing agent, and plan with them."""
 
 
-@app.command()
+@app.command(cls=DomainCommand)
 @with_launch_options
 def demo(
     launch: LaunchOptions,
@@ -126,7 +138,7 @@ def demo(
     return run_demo(domain, launch, episodes, games, error_rate)
 
 
-@app.command()
+@app.command(cls=DomainCommand)
 @with_launch_options
 def up(
     launch: LaunchOptions,
@@ -155,7 +167,7 @@ def up(
     return 1 if running is not None and running.unclean else 0
 
 
-@app.command()
+@app.command(cls=DomainCommand)
 @with_launch_options
 def teach(
     launch: LaunchOptions,
@@ -163,15 +175,18 @@ def teach(
     participant: Annotated[
         str,
         typer.Option(
-            metavar='CODE', help='of the person: letters, digits, - and _, at most 60 of them'
+            metavar='CODE',
+            show_default=False,
+            help='of the person: letters, digits, - and _, at most 60 of them; default: ask',
         ),
-    ] = 'p1',
+    ] = '',
 ) -> int:
     """Launch, and teach from this terminal's keyboard."""
     from humanopts_teach.commands.session import check_folder, new_name, session, setup_from
     from humanopts_teach.lesson.store import CODE, CODE_RULE
 
-    if not CODE.fullmatch(participant):
+    given: dict[str, Any] = {'participant': participant, 'ask_participant': False}
+    if participant and not CODE.fullmatch(participant):
         raise CommandError(f'--participant {participant!r} is not a code: {CODE_RULE}')
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise CommandError('teaching needs a terminal for input and output')
@@ -179,7 +194,7 @@ def teach(
         domain,
         launch,
         bag_name=new_name('bags/teach'),
-        participant=participant,
+        **(given if participant else {}),
         keyboard=True,
         step_period=_WATCHED,
     )

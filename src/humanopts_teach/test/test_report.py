@@ -178,6 +178,31 @@ def test_an_option_that_nothing_is_known_of_is_drawn_without_accuracy(
     assert learning_curves([], 'curve', 'x') == []
 
 
+def test_a_plan_with_an_option_whose_criteria_do_not_hold_says_so(
+    evaluation: BagEvaluation,
+) -> None:
+    first, second = evaluation.options
+
+    def with_met(*met: bool) -> BagEvaluation:
+        options = tuple(
+            replace(
+                each, curve=(replace(each.last, block=replace(each.last.block, criteria_met=m)),)
+            )
+            for each, m in zip((first, second), met)
+        )
+        return replace(evaluation, options=options)
+
+    for met, named in (((True, True), []), ((True, False), TAUGHT[1:]), ((False, False), TAUGHT)):
+        told = with_met(*met)
+        lines = [line for line in evaluation_text(told).splitlines() if 'do not hold' in line]
+        texts = [finding.text for finding in findings(told) if 'uses' in finding.text]
+        assert lines == (
+            [f'human uses options whose criteria do not hold: {", ".join(named)}'] if named else []
+        )
+        assert [text.count('“') for text in texts] == ([len(named)] if named else [])
+        assert all(f'“{name}”' in texts[0] for name in named)
+
+
 def test_walls_and_moves_are_those_of_dietterichs_grid(taxi: Domain[Any]) -> None:
     assert is_enumerable(taxi)
     for layout in taxi.board_slices():

@@ -155,6 +155,22 @@ def test_enter_accepts_the_proposed_code_and_leads_to_the_menu(person: Person) -
     assert person.sees_words('Go on teaching an option')
 
 
+def test_a_code_that_was_given_is_not_asked_for(taxi: Domain[Any]) -> None:
+    person = Person(taxi)
+    person.app.screen = opening('anna', ask=False)
+    lesson, person.world.lesson = person.world.lesson, None
+    person.look()
+    assert person.asked == []  # the lesson is not there yet
+    person.world.lesson = lesson
+    request = person.look()
+    assert person.asked == [OpenSession('anna')]
+    person.answer(request, ok=False)
+    person.look()
+    assert person.sees_words('Who teaches? > anna')
+    assert person.asked == [OpenSession('anna')]  # refused: the person decides
+    assert person.press('enter') == OpenSession('anna')
+
+
 @pytest.mark.parametrize('erased', [0, 2])
 def test_another_code_can_be_typed_over_the_proposed_one(person: Person, erased: int) -> None:
     assert person.press(*['backspace'] * erased, *'anna-2', 'enter') == OpenSession('anna-2')
@@ -612,6 +628,21 @@ def test_watching_plans_first_and_plays_then(teacher: Person) -> None:
     assert teacher.sees_words('It runs: fetch')
     teacher.world.running = 'action:north'
     assert teacher.sees_words('It runs: one step north')
+
+
+@pytest.mark.parametrize(('item', 'named'), [('1', True), ('2', False), ('3', True)])
+def test_a_plan_names_its_options_whose_criteria_do_not_hold(
+    teacher: Person, item: str, named: bool
+) -> None:
+    teacher.world.progress = [
+        OptionStatus(name, who, criteria_met=met)
+        for who, name, met in (('p1', 'a', True), ('p1', 'fetch', False), ('p2', 'b', False))
+    ]
+    plan = teacher.answer(teacher.press('escape', '4', item, 'enter'))
+    teacher.answer(plan)
+    teacher.app.run_ended(plan, True, 'Planned.')
+    assert teacher.sees_words('Planned. The criteria of fetch do not hold yet.') is named
+    assert isinstance(teacher.look(), PlayEpisodes)
 
 
 def test_how_the_machine_plays_can_be_chosen_before_and_changed_while(teacher: Person) -> None:

@@ -159,6 +159,11 @@ class BagEvaluation:
         """Return the options of one participant."""
         return [option for option in self.options if option.participant == participant]
 
+    def unready(self, plan: PlanEvaluation) -> list[str]:
+        """Return the options of a plan whose criteria do not hold."""
+        blocks = [option.last.block for option in self.of(plan.participant)]
+        return [block.name for block in blocks if not block.criteria_met]
+
     @property
     def named_plans(self) -> dict[str, PlanEvaluation]:
         """The plans by action set and, where several people taught, person."""

@@ -40,6 +40,11 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
         lines += ['', 'plans']
         plans = evaluation.named_plans.items()
         lines += table(PLAN_HEAD, [_plan(name, plan.row) for name, plan in plans])
+        lines += [
+            f'{name} uses options whose criteria do not hold: {", ".join(unready)}'
+            for name, plan in plans
+            if (unready := evaluation.unready(plan))
+        ]
     for person, games in evaluation.games.items():
         whose = f' with the options of {person}' if len(evaluation.games) > 1 else ''
         lines += ['', f'{games.games} games each{whose}', *games_text(games)]

@@ -61,6 +61,7 @@ class Setup:
     learn: str = METHOD  # of learning, where the person asks for no other
     budget: int = BUDGET
     participant: str = 'p1'
+    ask_participant: bool = True  # at the keyboard, where that code is only proposed
     teach: bool = True  # lesson and learner run
     taught: tuple[str, ...] = ()  # options that a simulated teacher teaches; empty: no teacher
     teacher_error_rate: float = 0.0
@@ -159,7 +160,11 @@ def processes(setup: Setup) -> list[ProcessSpec]:
             setup.keyboard,
             'keyboard_teleop',
             'humanopts_teach.ros.keyboard_teleop',
-            {'participant': setup.participant, 'seed': setup.seed},
+            {
+                'participant': setup.participant,
+                'ask_participant': setup.ask_participant,
+                'seed': setup.seed,
+            },
         ),
     ]
     return [

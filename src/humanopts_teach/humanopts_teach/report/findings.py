@@ -44,6 +44,7 @@ def findings(
         yield _execution(live.execution, sampled=sampled)
     if not evaluation.games:
         yield from _sampled_plans(planning) if sampled else _exact_plans(evaluation, planning)
+    yield from _unready(evaluation)
     if topics:
         yield _loss(topics)
     if live is not None:
@@ -65,6 +66,18 @@ def planning_rows(evaluation: BagEvaluation, live: Live | None) -> dict[str, Pla
     if live is not None:
         return {row.action_set: row for row in live.planning}
     return {name: plan.row for name, plan in evaluation.named_plans.items()}
+
+
+def _unready(evaluation: BagEvaluation) -> Iterator[Finding]:
+    """Name the plans that use options whose criteria do not hold."""
+    for name, plan in evaluation.named_plans.items():
+        if unready := evaluation.unready(plan):
+            listed = ', '.join(f'“{option}”' for option in unready)
+            yield Finding(
+                False,
+                f'The plan with the action set {name} uses {listed}: the criteria do not hold, '
+                'so what is learned may differ from what was meant.',
+            )
 
 
 def _execution(execution: Execution, *, sampled: bool) -> Finding:

@@ -50,11 +50,12 @@ class KeyboardTeleopNode(NodeBase):
     def __init__(self) -> None:
         super().__init__('keyboard_teleop')
         participant = self.setting('participant', 'p1', 'code that is proposed to the person')
+        ask = self.setting('ask_participant', True, 'ask who teaches; false: it is participant')
         seed = self.setting('seed', 0, 'of the start states of free play and of plans', SEEDS)
         services = {**LESSON_SERVICES, **TERMINAL_SERVICES}
         self._client = LessonClient(self, services, on_news=self._on_news)
         self._world = self._client.world
-        self.app = App(opening(participant), self._world, seed=seed)
+        self.app = App(opening(participant, ask=ask), self._world, seed=seed)
         self._runs = Runs(self, self.app)
         self._held: Request | None = None  # its server is not there yet
         self._came: set[str] = set()  # nodes that were there once

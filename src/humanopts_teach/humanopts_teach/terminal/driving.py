@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.request import Execution
+from humanopts_learner.planning.request import Execution, HUMAN, HUMAN_AND_PRIMITIVE
 from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,
@@ -170,8 +170,21 @@ class WatchScreen(PlayScreen):
         app.ask(SetControl(hold=False), PlanOptions(self.action_set, app.participant, app.seed))
 
     def run_ended(self, run: Run, well: bool, app: App) -> None:
-        """Play once it is planned."""
+        """Play once it is planned, and name the options that are not yet learned well enough."""
         if well and isinstance(run, PlanOptions):
+            if unready := self._unready(app):
+                names = ', '.join(unready)
+                app.say(f'{app.message.text} The criteria of {names} do not hold yet.', bad=True)
             app.ask(
                 PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
             )
+
+    def _unready(self, app: App) -> list[str]:
+        """Return the options of the plan whose criteria do not hold."""
+        if self.action_set not in (HUMAN, HUMAN_AND_PRIMITIVE):
+            return []
+        return [
+            option.option_name
+            for option in app.world.progress
+            if option.participant == app.participant and not option.criteria_met
+        ]

@@ -1,6 +1,7 @@
 """The way from screen to screen: who teaches, what to do, which option."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from humanopts_env.domains.base import is_enumerable
 from humanopts_learner.demonstrations import GOAL, METHODS, TREES
@@ -18,18 +19,38 @@ from humanopts_teach.terminal.entry import Item, ListScreen, TextScreen
 from humanopts_teach.terminal.teaching import LessonScreen
 
 
-def opening(participant: str) -> TextScreen:
+@dataclass
+class OpeningScreen(TextScreen):
+    """
+    The first screen: who teaches.
+
+    :ivar known: the code need not be asked for: it is taken once the lesson is there. The person
+        is asked only where it is refused.
+    """
+
+    known: bool = False
+
+    def tick(self, app: App) -> None:
+        """Take the code that is known, once."""
+        if self.known and app.world.lesson is not None:
+            self.known = False
+            self.submit(self.typed, app)
+
+
+def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
     """
     Return the first screen.
 
-    :param participant: code that is proposed.
+    :param participant: code that is proposed, or taken.
+    :param ask: whether the person is asked.
     """
-    return TextScreen(
+    return OpeningScreen(
         'Who teaches?',
         'Your code keeps your options apart from those of others. Enter accepts it.',
         typed=participant,
         submit=_enter,
         answered=_entered,
+        known=not ask,
     )
 
 
