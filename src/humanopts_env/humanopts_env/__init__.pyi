@@ -7,8 +7,9 @@ from .domains.base import (
     FeatureKind,
     is_enumerable,
 )
+from .domains.names import domain_names
 from .domains.reference import ReferenceOption
-from .domains.registry import domain_names, make_domain, reference_options
+from .domains.registry import make_domain, reference_options
 from .domains.table_domain import TableDomain
 from .gym_env import DomainEnv
 from .seeding import generator

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from humanopts_env.domains.base import DomainError
-from humanopts_env.domains.registry import domain_names, make_domain, reference_options
+from humanopts_env.domains.names import domain_names
+from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.taxi import Taxi
 import pytest
 

@@ -75,8 +75,8 @@ class DomainCommand(TyperCommand):
     """A command of a game, whose help names the games that there are."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Look for the domains only now: that takes a while."""
-        from humanopts_env.domains.registry import domain_names, GYMNASIUM
+        """Look for the domains only when help is asked for."""
+        from humanopts_env.domains.names import domain_names, GYMNASIUM
 
         self.epilog = f'DOMAIN is one of {", ".join(domain_names())}, or {GYMNASIUM}ENV_ID.'
         super().format_help(ctx, formatter)

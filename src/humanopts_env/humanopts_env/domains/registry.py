@@ -8,19 +8,13 @@ from typing import Any, cast
 
 from humanopts_env.contract import check_domain
 from humanopts_env.domains.base import Domain, DomainError, Parameter
+from humanopts_env.domains.names import domain_names, DOMAINS, GYMNASIUM
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_ros.limits import JsonError, parse_json
 
-DOMAINS = 'humanopts.domains'
 REFERENCE_OPTIONS = 'humanopts.reference_options'
-GYMNASIUM = 'gymnasium:'  # before the id of a Gymnasium environment
 OURS = 'humanopts_env.'
 MOST_PARAMETERS = 10**6  # characters of the JSON text of a domain's parameters
-
-
-def domain_names() -> list[str]:
-    """Return the registered names, sorted."""
-    return sorted({point.name for point in entry_points(group=DOMAINS)})
 
 
 def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) -> Domain[Any]:
