@@ -180,7 +180,7 @@ def test_options_values_and_executions_that_cannot_be_are_refused(attacked: Atta
     values = OptionValues(plan_id='x', names=['a'], states=[1, 2], option_values=[1.0])
     attacked.check_refused('option_values', values, 'option_values has 1 values')
     attacked.check_refused('execution', ExecutionState(execution='fly'), "'fly'")
-    attacked.check_refused('learned_options', OPTIONS, 'nested too deeply')
+    attacked.check_refused('learned_options', OPTIONS, 'nested more than')
 
 
 DEMO = walk(START, ['north'], FETCH, ['taxi_row'])
