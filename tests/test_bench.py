@@ -98,7 +98,10 @@ def test_chosen_sections_are_measured_shown_and_written(
     assert list(data) == ['format', 'version', 'quick', 'machine', 'planning', 'games']
     for row in (*data['planning'], *data['games']):
         assert row['ratio'] == row['seconds'] / row['yardstick_seconds']
-    assert all(row['error'] < 1e-6 for row in data['planning'])
+    errors = {row['solver']: row['error'] for row in data['planning'] if 'error' in row}
+    (sweep,) = {row['solver'] for row in data['planning']} - set(errors)  # it has no plan
+    assert sweep.startswith("quantecon's sweep")
+    assert max(errors.values()) < 1e-6
     assert out.index('Planning on Taxi') < out.index('Game steps')
     assert 'Pac-Man: rules and every feature' in out
     assert figure.read_text('utf-8').count('options by composition') >= 2
@@ -160,8 +163,9 @@ def test_a_reader_that_is_too_slow_gets_fewer_messages_and_loses_none(tmp_path: 
 @pytest.mark.slow
 def test_a_reader_that_stops_ends_its_turn_in_bounded_time(tmp_path: Path) -> None:
     def stop_reader(share: float) -> None:
-        for child in psutil.Process().children():
-            child.send_signal(signal.SIGSTOP)
+        for child in psutil.Process().children(recursive=True):
+            if 'bench_reader' in child.cmdline()[0]:
+                child.send_signal(signal.SIGSTOP)
 
     with own_domain():
         found = read(Load(20_000, 0, 1, longest=1.0), CALLBACK, tmp_path, stop_reader)

@@ -244,6 +244,19 @@ def test_nodes_end_when_the_server_that_forked_them_is_killed(launch: Launch, li
     live.until(lambda: not node.exists(), 'the end of the node')
 
 
+def test_a_server_that_is_stopped_holds_nobody_up(
+    launch: Launch, live: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    others = set(children())
+    launcher = launch(spec('game', GAME))
+    live.ready('/game')
+    (server,) = set(children()) - others
+    os.kill(server, signal.SIGSTOP)
+    monkeypatch.setattr('humanopts_teach.launching.launcher._STOP_SECONDS', 0.5)
+    assert launcher.stop() == ['game did not stop when asked and was killed']
+    assert server not in children()
+
+
 def test_a_wait_goes_on_as_long_as_there_is_progress(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -25,6 +25,7 @@ from typing import NoReturn
 from humanopts_ros.environment import LAUNCHER_PID
 from setproctitle import setproctitle
 
+_LAST_SECONDS = 1.0  # that the server has to end
 _MESSAGE_BYTES = 1 << 20  # at most; an order holds an environment
 
 
@@ -135,7 +136,11 @@ class ForkServer:
     def close(self) -> None:
         """End the server."""
         self._channel.close()
-        self._process.wait()
+        try:
+            self._process.wait(_LAST_SECONDS)
+        except subprocess.TimeoutExpired:  # it is stopped, say
+            self._process.kill()
+            self._process.wait()
 
 
 def main() -> int:

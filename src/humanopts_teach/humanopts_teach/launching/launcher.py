@@ -1,7 +1,7 @@
 """Starts one process for each node, watches them, and stops them all, the recorder last."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 import fcntl
 import hashlib
@@ -23,6 +23,7 @@ from humanopts_teach.launching.processes import ProcessSpec, RECORDER
 
 TAIL_LINES = 12
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
+_LAST_SECONDS = 1.0  # for the end of what was killed to be known
 _ENDS_AS_ASKED = (0, -signal.SIGTERM)  # the second: before the node had a handler for it
 
 
@@ -192,7 +193,10 @@ class Launcher:
                 entry.process.wait(max(0.0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
                 entry.process.kill()
-                entry.process.wait()
+                with suppress(
+                    subprocess.TimeoutExpired
+                ):  # who would say it does not go on, either
+                    entry.process.wait(_LAST_SECONDS)
                 problems.append(f'{entry.spec.name} did not stop when asked and was killed')
                 continue
             if entry.process.wait() not in _ENDS_AS_ASKED:
