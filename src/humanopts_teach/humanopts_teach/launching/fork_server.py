@@ -123,7 +123,8 @@ class ForkServer:
         """Take what the server says of its processes; wait for it at most so long, s."""
         while select.select([self._channel], [], [], seconds)[0]:
             seconds = 0.0
-            said = self._channel.recv(_MESSAGE_BYTES)
+            # Taken when it is understood: Ctrl-C between the two loses nothing.
+            said = self._channel.recv(_MESSAGE_BYTES, socket.MSG_PEEK)
             if not said:  # the server is gone, and with it all that it started
                 status = self._process.wait()
                 for process in self._started:
@@ -132,6 +133,7 @@ class ForkServer:
                 return
             number, pid, status = json.loads(said)
             self._started[number].known_pid, self._started[number].returncode = pid, status
+            self._channel.recv(_MESSAGE_BYTES)
 
     def close(self) -> None:
         """End the server."""

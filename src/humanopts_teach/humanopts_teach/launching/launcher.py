@@ -193,9 +193,8 @@ class Launcher:
                 entry.process.wait(max(0.0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
                 entry.process.kill()
-                with suppress(
-                    subprocess.TimeoutExpired
-                ):  # who would say it does not go on, either
+                # Where the fork server is stopped, nobody tells that it ended.
+                with suppress(subprocess.TimeoutExpired):
                     entry.process.wait(_LAST_SECONDS)
                 problems.append(f'{entry.spec.name} did not stop when asked and was killed')
                 continue
