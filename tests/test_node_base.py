@@ -66,6 +66,24 @@ def test_a_node_that_cannot_start_says_so_in_one_line_and_ends_with_2(shared: Gr
         assert arguments[-1] in line
 
 
+def test_a_node_that_the_middleware_holds_up_ends_all_the_same(shared: Graph) -> None:
+    code = (
+        'import sys, time\n'
+        'from humanopts_ros import node_base, process\n'
+        'class Held(node_base.NodeBase):\n'
+        '    def destroy_node(self):\n'
+        '        time.sleep(60)\n'
+        'process._LEAVING = 1\n'
+        "sys.exit(process.run_node(lambda: Held('held')))\n"
+    )
+    shared.watch('/')
+    held = shared.run(['-c', code], 'held')
+    held.expected = {-signal.SIGALRM}
+    shared.ready('/held')
+    assert held.kill(signal.SIGTERM) == -signal.SIGALRM
+    shared.until(lambda: shared.state('/held') == NodeStatus.STATE_STOPPING, 'its last status')
+
+
 def test_a_node_tells_its_life_and_ends_cleanly(shared: Graph) -> None:
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     names = [f'/{how.name.lower()}' for how in signals]

@@ -481,6 +481,8 @@ class NodeBase(Node):
         ):
             return
         self._start_timer.cancel()
+        if self._expect_recorder:
+            self.drain()  # the first status, which the next one replaces
         self.ready = True
         self.on_ready()
         self.set_status(NodeStatus.STATE_READY)

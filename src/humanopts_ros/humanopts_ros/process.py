@@ -16,6 +16,10 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
+# s to leave the graph after a clean end. Where all participants leave at once, Fast DDS hangs now
+# and then; the node is closed and what it sent is taken by then, so SIGALRM may end the process.
+_LEAVING = 5
+
 
 class _Stop:
     """Set by SIGINT, SIGTERM or SIGHUP, or when the launcher that started the process is gone."""
@@ -69,6 +73,7 @@ def run_node(
             node.close()
         node.set_status(NodeStatus.STATE_STOPPING)
         node.drain()
+        signal.alarm(0 if node.failed else _LEAVING)
     except StartError as error:
         print(f'humanopts: {error}', file=sys.stderr)
         return 2
@@ -82,4 +87,5 @@ def run_node(
         if node is not None:
             node.destroy_node()
         try_shutdown()
+        signal.alarm(0)
     return int(node is not None and node.failed)

@@ -24,7 +24,8 @@ from humanopts_teach.launching.processes import ProcessSpec, RECORDER
 TAIL_LINES = 12
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
 _LAST_SECONDS = 1.0  # for the end of what was killed to be known
-_ENDS_AS_ASKED = (0, -signal.SIGTERM)  # the second: before the node had a handler for it
+# The second: before the node had a handler for it. The third: Fast DDS held it up.
+_ENDS_AS_ASKED = (0, -signal.SIGTERM, -signal.SIGALRM)
 
 
 @contextmanager
