@@ -10,6 +10,8 @@ from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.options.criteria import Criterion, FEWEST
+from humanopts_teach.dialogue.app import App, REPLY_SECONDS, SETTLE_SECONDS
+from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
@@ -34,9 +36,7 @@ from humanopts_teach.lesson.requests import (
     Verdict,
     WithdrawDemonstration,
 )
-from humanopts_teach.terminal.app import App, REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.terminal.drawing import frame
-from humanopts_teach.terminal.menu import opening
 import pytest
 
 START = 'taxi 2,3 passenger R destination B'

@@ -3,7 +3,8 @@
 from typing import Any
 
 from humanopts_env.domains.base import Action, Domain
-from humanopts_teach.terminal.keys import Command, key_of, key_table
+from humanopts_teach.dialogue.keys import Command, key_table
+from humanopts_teach.terminal.device import key_of
 from prompt_toolkit.key_binding.key_processor import KeyPress
 from prompt_toolkit.keys import Keys
 import pytest

@@ -12,6 +12,8 @@ from humanopts_ros.node_base import NodeBase, SEEDS
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, DISPLAY
+from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,
@@ -27,10 +29,8 @@ from humanopts_teach.ros.convert import (
 )
 from humanopts_teach.ros.lesson_client import LessonClient
 from humanopts_teach.ros.runs import Runs
-from humanopts_teach.terminal.app import App
 from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.drawing import frame
-from humanopts_teach.terminal.menu import opening
 from rclpy.executors import Executor
 from rclpy.task import Future
 
@@ -45,7 +45,7 @@ _NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # and what shows 
 
 
 class KeyboardTeleopNode(NodeBase):
-    """Owns the terminal; ``terminal.app`` and its screens decide everything."""
+    """Owns the terminal; ``dialogue.app`` and its screens decide everything."""
 
     def __init__(self) -> None:
         super().__init__('keyboard_teleop')

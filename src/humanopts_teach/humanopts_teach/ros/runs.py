@@ -6,10 +6,10 @@ from typing import Any
 from humanopts_env.game import Transition
 from humanopts_interfaces import action as actions
 from humanopts_interfaces.msg import OptionResult, PlanResult
+from humanopts_teach.dialogue.app import App
 from humanopts_teach.lesson import requests
 from humanopts_teach.lesson.requests import Answer, RequestStatus, Run, RunOption, server
 from humanopts_teach.ros.convert import encode
-from humanopts_teach.terminal.app import App
 from rclpy.action.client import ActionClient
 from rclpy.node import Node
 from rclpy.task import Future

@@ -1,1 +1,1 @@
-"""The person's terminal as pure code: keys, screens, what they ask of the graph, drawing."""
+"""The dialogue drawn in a terminal: keys in, lines out; and the replay of a bag."""

@@ -1,6 +1,6 @@
 """The terminal itself: raw keys in, lines out, and everything put back at the end."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import os
 import select
 import sys
@@ -8,14 +8,38 @@ import time
 from types import TracebackType
 from typing import cast
 
+from humanopts_teach.dialogue.keys import (
+    BACKSPACE,
+    CLEAR,
+    DOWN,
+    END_OF_FILE,
+    ENTER,
+    ESCAPE,
+    INTERRUPT,
+    UP,
+)
 from humanopts_teach.terminal.drawing import Colours
-from humanopts_teach.terminal.keys import key_of
 from prompt_toolkit.input.vt100 import Vt100Input
+from prompt_toolkit.key_binding.key_processor import KeyPress
+from prompt_toolkit.keys import Keys
 from rich.console import Console
 
 ESCAPE_SECONDS = 0.1  # after which an escape character was the key, not the head of a sequence
 _ENTER = '\x1b[?1049h\x1b[?25l\x1b[2J'  # alternate screen, hidden cursor, cleared
 _LEAVE = '\x1b[0m\x1b[?25h\x1b[?1049l'
+_NAMED: Mapping[str, str] = {
+    Keys.Up: UP,
+    Keys.Down: DOWN,
+    Keys.Left: 'left',
+    Keys.Right: 'right',
+    Keys.ControlM: ENTER,
+    Keys.ControlJ: ENTER,
+    Keys.Escape: ESCAPE,
+    Keys.ControlH: BACKSPACE,
+    Keys.ControlC: INTERRUPT,
+    Keys.ControlD: END_OF_FILE,
+    Keys.ControlU: CLEAR,
+}
 _HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
 
 
@@ -26,6 +50,14 @@ def why_not() -> str:
     if os.environ.get('TERM', '') in ('', 'dumb'):
         return 'the teaching terminal needs a terminal that can move its cursor; TERM is not set'
     return ''
+
+
+def key_of(press: KeyPress) -> str:
+    """Return our name of a key press; empty: a key that we do not use."""
+    if press.key in _NAMED:
+        return _NAMED[press.key]
+    key = str(press.key)
+    return key if len(key) == 1 and key.isprintable() else ''
 
 
 def usable_colours(console: Console) -> Colours | None:

@@ -6,11 +6,11 @@ from typing import Any, Literal
 
 from humanopts_env.colours import GREEN, RED
 from humanopts_env.domains.base import Domain
+from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen
+from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson.requests import Phase
-from humanopts_teach.terminal.app import App
-from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen
 from humanopts_teach.terminal.panels import KEY, panel
-from humanopts_teach.terminal.teaching import LessonScreen
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.padding import Padding

@@ -5,13 +5,13 @@ from functools import singledispatch
 import math
 
 from humanopts_env.colours import GREEN, ORANGE, TEAL
+from humanopts_teach.dialogue.app import App, Screen
+from humanopts_teach.dialogue.driving import EXECUTIONS, PlayScreen, WatchScreen
+from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen, ListScreen, TextScreen
+from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson import presentation
 from humanopts_teach.lesson.presentation import Line, Tone
 from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
-from humanopts_teach.terminal.app import App, Screen
-from humanopts_teach.terminal.driving import EXECUTIONS, PlayScreen, WatchScreen
-from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen, ListScreen, TextScreen
-from humanopts_teach.terminal.teaching import LessonScreen
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text

@@ -7,8 +7,8 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import effect_between
 from humanopts_teach.bags.contents import actor_of, Actors, Episode, source_of
+from humanopts_teach.dialogue.keys import END_OF_FILE, ESCAPE, INTERRUPT, SPACE
 from humanopts_teach.terminal.drawing import board_text, Colours, fit, key_bar, lines_of
-from humanopts_teach.terminal.keys import END_OF_FILE, ESCAPE, INTERRUPT, SPACE
 from rich.cells import set_cell_size
 from rich.console import Group
 from rich.text import Text

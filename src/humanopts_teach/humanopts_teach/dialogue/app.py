@@ -1,5 +1,5 @@
 """
-The terminal's state machine: keys and news in, requests out.
+The dialogue's state machine: keys and news in, requests out.
 
 One request is under way at a time, and keys that are typed meanwhile wait for it. A key that would
 answer what the lesson asks for counts only if that was on the screen when it was pressed.
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from humanopts_env.domains.base import Domain
+from humanopts_teach.dialogue.keys import END_OF_FILE, INTERRUPT, label
 from humanopts_teach.lesson.question_groups import QuestionGroups
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -29,7 +30,6 @@ from humanopts_teach.lesson.requests import (
     WithdrawDemonstration,
     World,
 )
-from humanopts_teach.terminal.keys import END_OF_FILE, INTERRUPT, label
 
 REPLY_SECONDS = 5.0  # for a node to answer
 SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed

@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.keys import BACKSPACE, CLEAR, DOWN, ENTER, ESCAPE, label, UP
 from humanopts_teach.lesson.requests import Answer, Request, Run
-from humanopts_teach.terminal.app import App
-from humanopts_teach.terminal.keys import BACKSPACE, CLEAR, DOWN, ENTER, ESCAPE, label, UP
 
 MOST_CHARACTERS = 60
 Keys = list[tuple[str, str]]

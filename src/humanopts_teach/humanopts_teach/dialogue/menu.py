@@ -5,6 +5,10 @@ from dataclasses import dataclass
 
 from humanopts_env.domains.base import is_enumerable
 from humanopts_learner.demonstrations import GOAL, METHODS, TREES
+from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.driving import PlayScreen, RunScreen, WatchScreen
+from humanopts_teach.dialogue.entry import Item, ListScreen, TextScreen
+from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson.requests import (
     Answer,
     DefineOption,
@@ -13,10 +17,6 @@ from humanopts_teach.lesson.requests import (
     Phase,
     Request,
 )
-from humanopts_teach.terminal.app import App
-from humanopts_teach.terminal.driving import PlayScreen, RunScreen, WatchScreen
-from humanopts_teach.terminal.entry import Item, ListScreen, TextScreen
-from humanopts_teach.terminal.teaching import LessonScreen
 
 
 @dataclass

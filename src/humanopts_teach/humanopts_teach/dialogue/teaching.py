@@ -5,6 +5,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from humanopts_env.domains.capabilities import FeatureGroup
+from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen, Keys, PlainScreen
+from humanopts_teach.dialogue.keys import Command, ENTER, key_table, KeyTable, label, SPACE
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -18,9 +21,6 @@ from humanopts_teach.lesson.requests import (
     Verdict,
     WithdrawDemonstration,
 )
-from humanopts_teach.terminal.app import App
-from humanopts_teach.terminal.entry import ConfirmScreen, HelpScreen, Keys, PlainScreen
-from humanopts_teach.terminal.keys import Command, ENTER, key_table, KeyTable, label, SPACE
 
 _ALWAYS = (Command.QUESTIONS, Command.MENU, Command.HELP, Command.QUIT)
 _IN_PHASE: dict[Phase, tuple[Command, ...]] = {

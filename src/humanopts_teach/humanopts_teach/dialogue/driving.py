@@ -5,6 +5,9 @@ from dataclasses import dataclass, field
 
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.request import Execution, HUMAN, HUMAN_AND_PRIMITIVE
+from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.entry import HelpScreen, Keys, PlainScreen
+from humanopts_teach.dialogue.keys import Command, key_table, KeyTable, label
 from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,
@@ -18,9 +21,6 @@ from humanopts_teach.lesson.requests import (
     SetControl,
     SetExecution,
 )
-from humanopts_teach.terminal.app import App
-from humanopts_teach.terminal.entry import HelpScreen, Keys, PlainScreen
-from humanopts_teach.terminal.keys import Command, key_table, KeyTable, label
 
 EPISODES = 5  # that are watched
 EXECUTIONS = {

@@ -6,25 +6,10 @@ from enum import Enum
 import string
 
 from humanopts_env.domains.base import Action
-from prompt_toolkit.key_binding.key_processor import KeyPress
-from prompt_toolkit.keys import Keys
 
 ENTER, ESCAPE, BACKSPACE, SPACE = 'enter', 'escape', 'backspace', ' '
 INTERRUPT, END_OF_FILE, CLEAR = 'ctrl-c', 'ctrl-d', 'ctrl-u'
 UP, DOWN = 'up', 'down'
-_NAMED: Mapping[str, str] = {
-    Keys.Up: UP,
-    Keys.Down: DOWN,
-    Keys.Left: 'left',
-    Keys.Right: 'right',
-    Keys.ControlM: ENTER,
-    Keys.ControlJ: ENTER,
-    Keys.Escape: ESCAPE,
-    Keys.ControlH: BACKSPACE,
-    Keys.ControlC: INTERRUPT,
-    Keys.ControlD: END_OF_FILE,
-    Keys.ControlU: CLEAR,
-}
 _LABELS = {UP: '↑', DOWN: '↓', 'left': '←', 'right': '→', ENTER: 'Enter', ESCAPE: 'Esc'}
 _LABELS |= {BACKSPACE: 'Backspace', SPACE: 'Space', INTERRUPT: 'Ctrl-C'}
 
@@ -95,14 +80,6 @@ def key_table(actions: Sequence[Action], commands: Iterable[Command]) -> KeyTabl
         wanted = (*_WANTED[command], *_SPARE)
         table[next(key for key in wanted if key not in taken and key not in table)] = command
     return KeyTable({action.key: action.name for action in actions}, table)
-
-
-def key_of(press: KeyPress) -> str:
-    """Return our name of a key press; empty: a key that we do not use."""
-    if press.key in _NAMED:
-        return _NAMED[press.key]
-    key = str(press.key)
-    return key if len(key) == 1 and key.isprintable() else ''
 
 
 def label(key: str) -> str:
