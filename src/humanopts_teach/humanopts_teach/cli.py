@@ -156,7 +156,7 @@ def up(
         with session(setup, launch.namespace) as running:
             print('ready: ' + ', '.join(running.launcher.node_names))
             print(f'logs and data in {setup.directory}; Ctrl-C stops everything', flush=True)
-            check = partial(running.launcher.check, RECORDER)
+            check = partial(running.check, RECORDER)
             try:
                 running.graph.stay(check, partial(print, file=sys.stderr, flush=True))
             except KeyboardInterrupt:
@@ -201,7 +201,7 @@ def teach(
     check_folder(setup)
     print('starting ...', flush=True)
     with session(setup, launch.namespace) as running:
-        status = running.launcher.run_terminal()
+        status = running.launcher.run_terminal(running.interrupts.check)
         print(f'demonstrations and options are in {setup.directory}')
         print(f'the bag is {setup.bag}')
         running.graph.catch_up()

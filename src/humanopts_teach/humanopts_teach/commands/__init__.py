@@ -1,11 +1,11 @@
 """What the commands do, and how they end early; their options are in ``humanopts_teach.cli``."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import signal
 from types import FrameType
 
-ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class CommandError(Exception):
@@ -15,7 +15,7 @@ class CommandError(Exception):
 @contextmanager
 def interruptible() -> Iterator[None]:
     """
-    Raise KeyboardInterrupt for SIGINT, SIGTERM and SIGHUP.
+    Raise KeyboardInterrupt for SIGINT, SIGTERM and SIGHUP, wherever the command is.
 
     A shell without job control starts background commands with SIGINT ignored; they hear it here
     all the same. SIGHUP stays ignored where it was, since ``nohup`` asks for that.
@@ -24,10 +24,50 @@ def interruptible() -> Iterator[None]:
     def interrupt(signum: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
+    with _handled(interrupt):
+        yield
+
+
+class Interrupts:
+    """Whether SIGINT, SIGTERM or SIGHUP has come, for those who look."""
+
+    def __init__(self) -> None:
+        self.came = False
+
+    def check(self) -> None:
+        """
+        Look.
+
+        :raises KeyboardInterrupt: one has come.
+        """
+        if self.came:
+            raise KeyboardInterrupt
+
+
+@contextmanager
+def noticed_interrupts() -> Iterator[Interrupts]:
+    """
+    Note these signals, and raise KeyboardInterrupt only where somebody looks, or at the end.
+
+    An exception that a signal raises anywhere is lost where Python or a library ignores errors:
+    while an object is deleted, or in a callback of C code.
+    """
+    interrupts = Interrupts()
+
+    def note(signum: int, frame: FrameType | None) -> None:
+        interrupts.came = True
+
+    with _handled(note):
+        yield interrupts
+    interrupts.check()
+
+
+@contextmanager
+def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     kept = signal.SIGHUP if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else None
-    before = {number: signal.signal(number, interrupt) for number in ENDING if number is not kept}
+    before = {number: signal.signal(number, handler) for number in _ENDING if number is not kept}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, former in before.items():
+            signal.signal(number, former)

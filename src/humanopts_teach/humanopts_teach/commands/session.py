@@ -7,7 +7,6 @@ import json
 import os
 from pathlib import Path
 import re
-import signal
 import sys
 import tempfile
 import time
@@ -19,7 +18,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_ros.recording import Selection
-from humanopts_teach.commands import CommandError, ENDING, interruptible
+from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher, only_launch
@@ -125,7 +124,19 @@ class Session:
     setup: Setup
     launcher: Launcher
     graph: GraphClient
+    interrupts: Interrupts
     unclean: list[str] = field(default_factory=list)  # nodes that failed at their end, in words
+
+    def check(self, *besides: str) -> None:
+        """
+        Look after the processes, and whether the session is to end.
+
+        :param besides: nodes that may end by themselves.
+        :raises LaunchError: one ended.
+        :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come.
+        """
+        self.interrupts.check()
+        self.launcher.check(*besides)
 
     def check_recording(self) -> None:
         """
@@ -181,25 +192,24 @@ def session(
 
     :param progress: called about twenty times a second while something is waited for.
     :raises LaunchError: a node died or does not become ready, or another launch is in the way.
-    :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP; a second one is ignored while stopping.
+    :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come; the graph is stopped all the same.
     """
     launcher = Launcher(processes(setup), setup.directory / 'log', namespace)
 
     def watch() -> None:
+        interrupts.check()
         launcher.check()
         progress(graph)
 
-    with only_launch(namespace), interruptible():
+    with only_launch(namespace), noticed_interrupts() as interrupts:
         graph = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
-        running = Session(setup, launcher, graph)
+        running = Session(setup, launcher, graph, interrupts)
         try:
             for late in (False, True):
                 launcher.start(late=late)
                 graph.wait_ready(launcher.node_names)
             yield running
         finally:
-            for number in ENDING:
-                signal.signal(number, signal.SIG_IGN)
             try:
                 graph.close()
             finally:

@@ -1,6 +1,6 @@
 """Starts one process for each node, watches them, and stops them all, the recorder last."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 import fcntl
@@ -113,10 +113,11 @@ class Launcher:
             self.stop()
             raise LaunchError(f'cannot write logs in {self._directory}: {error}') from error
 
-    def run_terminal(self) -> int:
+    def run_terminal(self, watch: Callable[[], object]) -> int:
         """
         Run the process that takes over the terminal, to its end, and restore the terminal.
 
+        :param watch: called ten times a second meanwhile; what it raises ends the process, too.
         :return: its exit status.
         :raises LaunchError: another node died meanwhile, whose process is needed: without the
             recorder the lesson pauses, and says so. The terminal's process is ended.
@@ -126,6 +127,7 @@ class Launcher:
         try:
             running = self._start(spec)
             while running.process.poll() is None:
+                watch()
                 self.check(spec.name, RECORDER)
                 time.sleep(0.1)
             self._running.remove(running)

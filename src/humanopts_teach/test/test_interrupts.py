@@ -1,0 +1,46 @@
+"""A signal that is to end a command is heard, wherever it finds the command."""
+
+import os
+import signal
+
+from humanopts_teach.commands import noticed_interrupts
+import pytest
+
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Deleted:
+    """An object during whose end a signal comes; Python ignores what is raised there."""
+
+    def __init__(self, number: signal.Signals) -> None:
+        self.number = number
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), self.number)
+
+
+@pytest.mark.parametrize('number', ENDING)
+def test_a_signal_that_comes_where_errors_are_ignored_is_heard_at_the_next_look(
+    number: signal.Signals,
+) -> None:
+    reached = False
+    with pytest.raises(KeyboardInterrupt), noticed_interrupts() as interrupts:
+        interrupts.check()
+        Deleted(number)
+        reached = True
+        interrupts.check()
+        raise AssertionError('it was not heard')
+    assert reached
+
+
+def test_a_signal_after_the_last_look_is_heard_at_the_end_and_the_handlers_are_restored() -> None:
+    before = [signal.getsignal(number) for number in ENDING]
+    with pytest.raises(KeyboardInterrupt), noticed_interrupts():
+        os.kill(os.getpid(), signal.SIGTERM)
+    assert [signal.getsignal(number) for number in ENDING] == before
+
+
+def test_an_error_of_the_work_is_not_replaced_by_a_signal() -> None:
+    with pytest.raises(ValueError, match='of the work'), noticed_interrupts():
+        os.kill(os.getpid(), signal.SIGINT)
+        raise ValueError('of the work')
