@@ -23,14 +23,19 @@ class Deleted:
 def test_a_signal_that_comes_where_errors_are_ignored_is_heard_at_the_next_look(
     number: signal.Signals,
 ) -> None:
-    reached = False
-    with pytest.raises(KeyboardInterrupt), noticed_interrupts() as interrupts:
-        interrupts.check()
-        Deleted(number)
-        reached = True
-        interrupts.check()
-        raise AssertionError('it was not heard')
-    assert reached
+    reached = []
+
+    def work() -> None:
+        with noticed_interrupts() as interrupts:
+            interrupts.check()
+            Deleted(number)
+            reached.append('what follows')
+            interrupts.check()
+            raise AssertionError('it was not heard')
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert reached == ['what follows']
 
 
 def test_a_signal_after_the_last_look_is_heard_at_the_end_and_the_handlers_are_restored() -> None:
@@ -41,6 +46,10 @@ def test_a_signal_after_the_last_look_is_heard_at_the_end_and_the_handlers_are_r
 
 
 def test_an_error_of_the_work_is_not_replaced_by_a_signal() -> None:
-    with pytest.raises(ValueError, match='of the work'), noticed_interrupts():
-        os.kill(os.getpid(), signal.SIGINT)
-        raise ValueError('of the work')
+    def work() -> None:
+        with noticed_interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+            raise ValueError('of the work')
+
+    with pytest.raises(ValueError, match='of the work'):
+        work()

@@ -192,7 +192,7 @@ def session(
 
     :param progress: called about twenty times a second while something is waited for.
     :raises LaunchError: a node died or does not become ready, or another launch is in the way.
-    :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come; the graph is stopped all the same.
+    :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come; everything is stopped.
     """
     launcher = Launcher(processes(setup), setup.directory / 'log', namespace)
 
