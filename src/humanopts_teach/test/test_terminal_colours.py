@@ -6,7 +6,7 @@ import re
 
 from humanopts_env import colours
 from humanopts_env.domains.registry import make_domain
-from humanopts_teach.terminal import drawing, panels
+from humanopts_teach.terminal import drawing
 from humanopts_teach.terminal.device import usable_colours
 import pytest
 from rich.color import ColorType
@@ -34,8 +34,8 @@ def contrasts(style: Style) -> tuple[float, float]:
 def styles() -> Iterator[tuple[str, str]]:
     """Yield each style that is used, with where it is from."""
     yield from ((name, value) for name, value in vars(colours).items() if name.isupper())
-    yield from ((str(tone), style) for tone, style in panels.STYLES.items())
-    yield from (('key', panels.KEY), ('bad', drawing.BAD))
+    yield from ((str(tone), style) for tone, style in drawing.STYLES.items())
+    yield 'key', drawing.KEY
     for name in DOMAINS:
         yield from ((f'{name} {g}', s) for g, s in make_domain(name).glyph_styles.items())
 
@@ -51,7 +51,7 @@ def test_every_colour_can_be_read_on_black_and_on_white(name: str, style: str) -
 
 
 def test_no_colour_of_a_theme_is_used_in_the_terminal() -> None:
-    folder = Path(panels.__file__).parent
+    folder = Path(drawing.__file__).parent
     named = re.compile(
         r"'[a-z ]*\b(white|yellow|cyan|red|green|blue|magenta|bright_\w+)\b[a-z ]*'"
     )

@@ -8,7 +8,8 @@ from humanopts_ros.limits import printable
 from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.ros.convert import option_status_from_message
 from humanopts_teach.ros.graph_client import GraphClient
-from humanopts_teach.terminal.drawing import board_text
+from humanopts_teach.state_drawing import draw_state
+from humanopts_teach.terminal.drawing import state_text
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
@@ -67,7 +68,7 @@ class DemoProgress:
     def _picture(self, graph: GraphClient) -> Group:
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
         if graph.domain is not None and graph.state is not None:
-            parts += board_text(graph.domain, graph.state.state)
+            parts += state_text(draw_state(graph.domain, graph.state.state))
         if graph.learning is not None and graph.learning.options:
             parts.append(_criteria_table(graph.learning))
         if hasattr(graph.feedback, 'fallbacks'):

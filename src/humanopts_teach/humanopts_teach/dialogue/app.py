@@ -90,6 +90,7 @@ class App:
         self.groups = QuestionGroups()
         self.can_start_again: dict[str, bool] = {}  # what was last said with done, by option
         self.ended = False
+        self.way_out = 'Ctrl-C quits'  # what a person can do when nodes are missing
         self._seen: object = None  # what the lesson asked for in the last frame
         self._outbox: deque[Request] = deque()
         self._keys: deque[tuple[str, object]] = deque()  # with what was seen when it was pressed

@@ -17,6 +17,8 @@ from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.criteria import Criterion, fewest, likely_range, RETURN
 from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase, World
 
+TARGET = 1 / 3  # of the length of a bar: where a criterion begins to hold
+
 
 class Tone(Enum):
     """What kind of thing a line says."""
@@ -26,6 +28,7 @@ class Tone(Enum):
     NEWS = 'news'  # where we are now
     GOOD = 'good'
     WARNING = 'warning'
+    BAD = 'bad'
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +37,8 @@ class Line:
 
     text: str
     tone: Tone = Tone.PLAIN
+    strong: bool = False
+    more: tuple['Line', ...] = ()  # goes on in the same line, with tones of its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +58,7 @@ class CriterionShown:
     now: str
     needs: str
     tone: Tone
+    share: float | None  # of a bar that is filled, 0 to 1; None: it is not measured
 
 
 def plain(name: str) -> str:
@@ -82,7 +88,7 @@ def ending(world: World) -> Line | None:
 
 
 def place(world: World, lesson: LessonView) -> Line:
-    """Return where the lesson stands."""
+    """Return where the lesson stands, and how much was shown."""
     game, shown = world.game, lesson.n_demonstrations + lesson.n_not_here
     where = f'Enter shows start {shown + 1}.'
     if lesson.phase is Phase.DEMONSTRATING and game is not None:
@@ -93,14 +99,9 @@ def place(world: World, lesson: LessonView) -> Line:
         where = 'This lesson is finished.'
     elif lesson.paused:
         where = 'The lesson is paused.'
-    return Line(where, Tone.NEWS)
-
-
-def counts(lesson: LessonView) -> str:
-    """Return how much was shown."""
-    return (
-        f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here; at most {lesson.budget}'
-    )
+    counts = f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here'
+    shown_so_far = Line(f'  ({counts}; at most {lesson.budget})', Tone.QUIET)
+    return Line(where, Tone.NEWS, more=(shown_so_far,))
 
 
 def features(world: World, lesson: LessonView) -> list[FeatureShown]:
@@ -143,7 +144,7 @@ def question(
         text = f"Does the '{lesson.option_name}' option depend on anything about {group.words}?"
         where = f'At yes, {len(group.features)} features of {group.words} are asked about.'
     yes = ', '.join(map(plain, lesson.chosen_features)) or 'nothing yet'
-    return [Line(text), Line(where, Tone.QUIET), Line(f'It depends on: {yes}')]
+    return [Line(text, strong=True), Line(where, Tone.QUIET), Line(f'It depends on: {yes}')]
 
 
 def heading(progress: OptionStatus) -> Line:
@@ -173,7 +174,15 @@ def _criterion(criterion: Criterion) -> CriterionShown:
         now or 'not measured',
         f'≤ {needs}',
         Tone.GOOD if criterion.met else Tone.WARNING,
+        None if value is None else _share(value, threshold),
     )
+
+
+def _share(value: float, threshold: float) -> float:
+    """Return how far a bar is filled whose mark, at ``TARGET``, is the threshold."""
+    if threshold <= 0:
+        return 0.0 if value <= threshold else 1.0
+    return min(max(TARGET * value / threshold, 0.0), 1.0)
 
 
 def estimate(lesson: LessonView, progress: OptionStatus) -> Line:

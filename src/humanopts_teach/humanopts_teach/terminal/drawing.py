@@ -1,16 +1,24 @@
 """The whole screen as lines of a given size."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import singledispatch
 from io import StringIO
-from typing import Any, Literal
+from typing import Literal
 
-from humanopts_env.colours import GREEN, RED
-from humanopts_env.domains.base import Domain
+from humanopts_env.colours import GREEN, ORANGE, RED, TEAL
 from humanopts_teach.dialogue.app import App
-from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen
-from humanopts_teach.dialogue.teaching import LessonScreen
-from humanopts_teach.lesson.requests import Phase
-from humanopts_teach.terminal.panels import KEY, panel
+from humanopts_teach.dialogue.panel import (
+    Block,
+    Choices,
+    Criteria,
+    Features,
+    KeyTable,
+    TypedText,
+    View,
+    view,
+)
+from humanopts_teach.lesson.presentation import Line, Tone
+from humanopts_teach.state_drawing import StateDrawing
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.padding import Padding
@@ -22,8 +30,15 @@ SMALLEST = (70, 20)  # columns, rows
 _WIDE_BESIDE = 50  # columns beside the board that hold everything
 _ROOMY = 24  # rows; above, there is a gap below the head
 Colours = Literal['auto', 'standard', '256', 'truecolor', 'windows']
-BAD = f'bold {RED}'
-_BARE = {Phase.READY, Phase.DEMONSTRATING, Phase.LEARNING}  # only chosen features are shown
+KEY = f'bold {TEAL}'  # a key that can be pressed
+STYLES = {
+    Tone.PLAIN: '',
+    Tone.QUIET: 'dim',
+    Tone.NEWS: TEAL,
+    Tone.GOOD: GREEN,
+    Tone.WARNING: ORANGE,
+    Tone.BAD: f'bold {RED}',
+}
 
 
 def frame(app: App, width: int, height: int, colours: Colours | None = None) -> list[str]:
@@ -34,11 +49,13 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
     """
     if width < SMALLEST[0] or height < SMALLEST[1]:
         return fit(lines_of(_too_small(width, height), width, colours), height)
-    bottom = lines_of(_foot(app, width), width, colours)
+    shown = view(app)
+    rule = Text('─' * width, 'dim')
+    foot = Group(rule, drawn(shown.said), *key_bar(shown.keys, width))
+    bottom = lines_of(foot, width, colours)
     gap = [Text()] if height > _ROOMY else []
-    top = lines_of(
-        Group(_head(app, width), *_pause(app, height), *gap, _middle(app, width)), width, colours
-    )
+    middle = Group(_head(shown, width), *_pause(shown, height), *gap, _middle(shown, width))
+    top = lines_of(middle, width, colours)
     return fit(top, height - len(bottom)) + bottom
 
 
@@ -91,69 +108,39 @@ def _too_small(width: int, height: int) -> Text:
     )
 
 
-def _head(app: App, width: int) -> Text:
-    world = app.world
-    parts = ['humanopts']
-    if world.domain is not None:
-        parts.append(world.domain.name)
-    if app.participant:
-        parts.append(app.participant)
-        if world.lesson is not None and world.lesson.session:
-            parts.append(f'session {world.lesson.session}')
-    if world.holder:
-        parts.append('you drive' if world.i_drive else 'another person drives')
-    return Text(set_cell_size(f' {" · ".join(parts)}', width), 'reverse')
+def _head(view: View, width: int) -> Text:
+    return Text(set_cell_size(f' {" · ".join(view.head)}', width), 'reverse')
 
 
-def _pause(app: App, height: int) -> list[RenderableType]:
+def _pause(view: View, height: int) -> list[RenderableType]:
     """Return why nothing new can be taught now; in a low window its beginning."""
-    if not app.world.paused:
+    if not view.paused:
         return []
-    why = Text.assemble(('PAUSED: ', 'bold'), app.world.paused, overflow='ellipsis')
+    why = Text.assemble(('PAUSED: ', 'bold'), view.paused, overflow='ellipsis')
     why.no_wrap = height < _ROOMY
     return [Padding(why, (0, 1), style=f'color(231) on {RED}')]
 
 
-def _middle(app: App, width: int) -> RenderableType:
-    if app.world.domain is None:
-        return Text('Waiting for the game ...')
-    shown = panel(app.screen, app)
-    if isinstance(app.screen, HelpScreen):
-        return shown.beside
-    board, notes = _board(app)
+def _middle(view: View, width: int) -> RenderableType:
+    beside, below = (Group(*map(drawn, part)) for part in (view.panel.beside, view.panel.below))
+    if view.board is None:
+        return beside
+    board, notes = state_text(view.board)
     board_width = max(cell_len(line) for line in board.plain.split('\n'))
     table = Table.grid(padding=(0, 3, 0, 0), expand=True)
     table.add_column(width=board_width, no_wrap=True)
     table.add_column(ratio=1)
     if width - board_width < _WIDE_BESIDE:
-        table.add_row(board, shown.beside)
-        return Group(table, notes, shown.below)
-    table.add_row(board, Group(shown.beside, shown.below))
+        table.add_row(board, beside)
+        return Group(table, notes, below)
+    table.add_row(board, Group(beside, below))
     return Group(table, notes)
 
 
-def _board(app: App) -> tuple[Text, Text]:
-    """Return the board, and the lines below it, which may be wider."""
-    game, domain = app.world.game, app.domain
-    if game is None or not game.state:
-        return Text(), Text()
-    return board_text(domain, domain.decode(game.state), _shown(app))
-
-
-def board_text(
-    domain: Domain[Any], state: Any, shown: Collection[str] | None = None
-) -> tuple[Text, Text]:
-    """
-    Draw a state in the domain's colours.
-
-    :param shown: names of the features that may be revealed; None: all.
-    :return: the board, and the lines below it, which may be wider.
-    """
-    lines = domain.render(state, shown).split('\n')
-    width = cell_len(lines[0])
-    end = next((n for n, line in enumerate(lines) if cell_len(line) != width), len(lines))
-    styles = domain.glyph_styles
-    return _coloured(lines[:end], styles), _coloured(lines[end:], styles, alone=True)
+def state_text(drawing: StateDrawing) -> tuple[Text, Text]:
+    """Return a drawn state in colour: the board, and the lines below it, which may be wider."""
+    styles = drawing.styles
+    return _coloured(drawing.board, styles), _coloured(drawing.notes, styles, alone=True)
 
 
 def _coloured(lines: Sequence[str], styles: Mapping[str, str], *, alone: bool = False) -> Text:
@@ -172,20 +159,70 @@ def _coloured(lines: Sequence[str], styles: Mapping[str, str], *, alone: bool = 
     return text
 
 
-def _shown(app: App) -> Collection[str] | None:
-    """Return the features that the board may reveal; None: all."""
-    lesson = app.world.lesson
-    if (
-        isinstance(app.screen, LessonScreen | ConfirmScreen)
-        and lesson is not None
-        and lesson.phase in _BARE
-    ):
-        return lesson.chosen_features
-    return None
+@singledispatch
+def drawn(block: Block) -> RenderableType:
+    """Draw a part of a panel."""
+    raise TypeError(f'{type(block).__name__} cannot be drawn')
 
 
-def _foot(app: App, width: int) -> Group:
-    return Group(Text('─' * width, 'dim'), _said(app), *key_bar(app.screen.keys(app), width))
+@drawn.register
+def _line(line: Line) -> RenderableType:
+    text = Text(line.text, _style(line))
+    for piece in line.more:
+        text.append(piece.text, _style(piece))
+    return text
+
+
+def _style(line: Line) -> str:
+    return ' '.join(filter(None, (STYLES[line.tone], 'bold' if line.strong else '')))
+
+
+@drawn.register
+def _typed(typed: TypedText) -> RenderableType:
+    return Text.assemble('> ', (typed.text, 'bold'), ('█', TEAL), overflow='fold')
+
+
+@drawn.register
+def _choices(choices: Choices) -> RenderableType:
+    table = Table.grid()
+    for number, item in enumerate(choices.items):
+        chosen = number == choices.at
+        mark = Text('> ' if chosen else '  ', KEY, no_wrap=True)
+        name = (f'{number + 1} {item.text}', 'bold' if chosen else '')
+        table.add_row(mark, Text.assemble(name, (f'  {item.note}', 'dim')))
+    return table
+
+
+@drawn.register
+def _key_table(keys: KeyTable) -> RenderableType:
+    table = Table.grid(padding=(0, 2))
+    for key, words in keys.rows:
+        table.add_row(Text(key, KEY, justify='right'), Text(words))
+    return table
+
+
+@drawn.register
+def _features(features: Features) -> RenderableType:
+    text = Text('depends on: ', 'dim')
+    for number, feature in enumerate(features.shown):
+        text.append(', ' if number else '', 'dim')
+        text.append(feature.name, 'not dim')
+        if feature.value:
+            text.append(f' {feature.value}', f'not dim bold {TEAL}')
+    if features.hidden:
+        text.append(f'; {features.hidden}', 'dim')
+    return text
+
+
+@drawn.register
+def _criteria(criteria: Criteria) -> RenderableType:
+    table = Table.grid(padding=(0, 2, 0, 0))
+    for shown in criteria.rows:
+        style = STYLES[shown.tone]
+        name = Text(f'{shown.mark} {shown.name}')
+        name.stylize(style, 0, 1)
+        table.add_row(name, Text(shown.now, style), Text(shown.needs, 'dim'))
+    return table
 
 
 def key_bar(keys: Sequence[tuple[str, str]], width: int) -> list[Text]:
@@ -197,13 +234,3 @@ def key_bar(keys: Sequence[tuple[str, str]], width: int) -> list[Text]:
             lines.append(Text())
         lines[-1].append('  ' if lines[-1].plain else '').append_text(entry)
     return lines
-
-
-def _said(app: App) -> Text:
-    if app.world.missing:
-        names = ', '.join(app.world.missing)
-        return Text(f'{names}: not there. Everything taught is saved; Ctrl-C quits.', BAD)
-    if app.message.text:
-        return Text(app.message.text, BAD if app.message.bad else GREEN)
-    lesson = app.world.lesson
-    return Text(lesson.text if isinstance(app.screen, LessonScreen) and lesson else '', GREEN)

@@ -8,7 +8,8 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.game import effect_between
 from humanopts_teach.bags.contents import actor_of, Actors, Episode, source_of
 from humanopts_teach.dialogue.keys import END_OF_FILE, ESCAPE, INTERRUPT, SPACE
-from humanopts_teach.terminal.drawing import board_text, Colours, fit, key_bar, lines_of
+from humanopts_teach.state_drawing import draw_state
+from humanopts_teach.terminal.drawing import Colours, fit, key_bar, lines_of, state_text
 from rich.cells import set_cell_size
 from rich.console import Group
 from rich.text import Text
@@ -120,7 +121,7 @@ class Replay:
 
     def _board(self) -> tuple[Text, Text]:
         state = self._episode.transitions[self._step].state
-        return board_text(self._domain, self._domain.decode(state))
+        return state_text(draw_state(self._domain, self._domain.decode(state)))
 
     def _words(self) -> str:
         """Return where we are, who did what, and what it brought."""

@@ -1,0 +1,225 @@
+"""
+What the person sees, as plain values: the terminal and the page in the browser only draw them.
+
+A screen of a new kind registers with ``panel`` what it shows beside and below the board.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import singledispatch
+import math
+
+from humanopts_teach.dialogue.app import App, Screen
+from humanopts_teach.dialogue.driving import EXECUTIONS, PlayScreen, WatchScreen
+from humanopts_teach.dialogue.entry import (
+    ConfirmScreen,
+    HelpScreen,
+    Item,
+    Keys,
+    ListScreen,
+    TextScreen,
+)
+from humanopts_teach.dialogue.teaching import LessonScreen
+from humanopts_teach.lesson import presentation
+from humanopts_teach.lesson.presentation import CriterionShown, FeatureShown, Line, Tone
+from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
+from humanopts_teach.state_drawing import draw_state, StateDrawing
+
+_BARE = {Phase.READY, Phase.DEMONSTRATING, Phase.LEARNING}  # only chosen features are shown
+GAP = Line('')
+
+
+@dataclass(frozen=True, slots=True)
+class TypedText:
+    """The line that the person types."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """Things to pick from."""
+
+    items: Sequence[Item]
+    at: int  # index of the one that Enter picks
+
+
+@dataclass(frozen=True, slots=True)
+class KeyTable:
+    """Keys and what they do, a row each."""
+
+    rows: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """What the option depends on, and what is not shown because it does not."""
+
+    shown: Sequence[FeatureShown]
+    hidden: str  # empty: nothing is
+
+
+@dataclass(frozen=True, slots=True)
+class Criteria:
+    """The criteria of an option, a row each."""
+
+    rows: Sequence[CriterionShown]
+
+
+Block = Line | TypedText | Choices | KeyTable | Features | Criteria
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """What a screen shows besides the board, from top to bottom."""
+
+    beside: Sequence[Block] = ()
+    below: Sequence[Block] = ()  # may stand beside it where that is wide
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Everything that is shown."""
+
+    head: Sequence[str]  # where the person is, in a few words each
+    paused: str  # why nothing new can be taught now; empty: it can
+    board: StateDrawing | None  # None: it has no place on this screen
+    panel: Panel
+    said: Line
+    keys: Keys
+
+
+def view(app: App) -> View:
+    """Return everything that is shown now."""
+    shown, board = Panel((Line('Waiting for the game ...'),)), None
+    if app.world.domain is not None:
+        shown = panel(app.screen, app)
+        board = None if isinstance(app.screen, HelpScreen) else _board(app)
+    return View(_head(app), app.world.paused, board, shown, _said(app), app.screen.keys(app))
+
+
+def _head(app: App) -> list[str]:
+    world, parts = app.world, ['humanopts']
+    if world.domain is not None:
+        parts.append(world.domain.name)
+    if app.participant:
+        parts.append(app.participant)
+        if world.lesson is not None and world.lesson.session:
+            parts.append(f'session {world.lesson.session}')
+    if world.holder:
+        parts.append('you drive' if world.i_drive else 'another person drives')
+    return parts
+
+
+def _board(app: App) -> StateDrawing:
+    game, domain = app.world.game, app.domain
+    if game is None or not game.state:
+        return StateDrawing()
+    return draw_state(domain, domain.decode(game.state), _revealed(app))
+
+
+def _revealed(app: App) -> Collection[str] | None:
+    """Return the features that the board may reveal; None: all."""
+    lesson = app.world.lesson
+    if (
+        isinstance(app.screen, LessonScreen | ConfirmScreen)
+        and lesson is not None
+        and lesson.phase in _BARE
+    ):
+        return lesson.chosen_features
+    return None
+
+
+def _said(app: App) -> Line:
+    """Return the last thing that was said, or what the lesson says."""
+    if app.world.missing:
+        names = ', '.join(app.world.missing)
+        return Line(f'{names}: not there. Everything taught is saved; {app.way_out}.', Tone.BAD)
+    if app.message.text:
+        return Line(app.message.text, Tone.BAD if app.message.bad else Tone.GOOD)
+    lesson = app.world.lesson
+    return Line(lesson.text if isinstance(app.screen, LessonScreen) and lesson else '', Tone.GOOD)
+
+
+@singledispatch
+def panel(screen: Screen, app: App) -> Panel:
+    """Return what a screen shows besides the board."""
+    return Panel()
+
+
+@panel.register
+def _text(screen: TextScreen, app: App) -> Panel:
+    title, explanation = Line(screen.title, strong=True), Line(screen.explanation, Tone.QUIET)
+    return Panel((title, GAP, TypedText(screen.typed), GAP, explanation))
+
+
+@panel.register
+def _list(screen: ListScreen, app: App) -> Panel:
+    return Panel((Line(screen.title, strong=True), GAP, Choices(screen.items, screen.at)))
+
+
+@panel.register
+def _confirm(screen: ConfirmScreen, app: App) -> Panel:
+    return Panel((Line(screen.question, strong=True),))
+
+
+@panel.register
+def _help(screen: HelpScreen, app: App) -> Panel:
+    return Panel((Line('Keys', strong=True), KeyTable(screen.table)))
+
+
+@panel.register
+def _play(screen: PlayScreen, app: App) -> Panel:
+    game, running = app.world.game, app.run is not None
+    lines = [Line(screen.title, strong=True), Line(screen.text, Tone.QUIET)]
+    if isinstance(screen, WatchScreen):
+        lines.append(Line(f'Arbitration: {EXECUTIONS[screen.in_force(app)]}.'))
+    lines.append(GAP)
+    if running:
+        lines.append(Line(f'The machine drives. {app.run_text}', Tone.NEWS))
+        if isinstance(screen, WatchScreen) and app.world.running:
+            lines.append(Line(f'It runs: {app.world.running.replace("action:", "one step ")}'))
+    if game is not None and game.episode:
+        lines.append(Line(f'episode {game.episode}, step {game.step}'))
+        lines += _given(presentation.last_step(app.world), presentation.ending(app.world))
+    return Panel(lines)
+
+
+@panel.register
+def _lesson(screen: LessonScreen, app: App) -> Panel:
+    lesson = app.world.lesson
+    if lesson is None:
+        return Panel((GAP,))
+    title = Line('Teaching: ', more=(Line(lesson.option_name, strong=True),))
+    if lesson.phase is Phase.ASKING:
+        group = app.groups.open_group(app.domain, lesson)
+        asked, *rest = presentation.question(app.domain, lesson, group)
+        return Panel((title, GAP, asked, GAP, *rest))
+    progress = app.world.progress_of(lesson.participant, lesson.option_name)
+    parts: list[Block] = [title, presentation.place(app.world, lesson)]
+    if lesson.phase is Phase.DEMONSTRATING:
+        parts += _given(presentation.last_step(app.world))
+    features = presentation.features(app.world, lesson)
+    parts.append(Features(features, presentation.hidden(app.domain, lesson)))
+    parts += _given(presentation.planned(lesson))
+    parts += _criteria(lesson, progress)
+    if progress is None:
+        return Panel(parts)
+    below = _given(
+        None if math.isnan(progress.mean_return_policy) else presentation.returns(progress),
+        presentation.outdated(lesson, progress),
+        *presentation.conflicts(progress, screen.questions_key(app)),
+        presentation.ends(progress, *screen.ending_keys(app)),
+    )
+    return Panel(parts, below)
+
+
+def _criteria(lesson: LessonView, progress: OptionStatus | None) -> list[Block]:
+    if progress is None or not progress.criteria:
+        return [Line('Nothing is learned yet.')]
+    rows = Criteria(presentation.criteria(progress))
+    return [presentation.heading(progress), rows, presentation.estimate(lesson, progress)]
+
+
+def _given(*lines: Line | None) -> list[Line]:
+    return [line for line in lines if line is not None]

@@ -1,0 +1,86 @@
+"""What the terminal and the page in the browser draw, as plain values."""
+
+from dataclasses import replace
+
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.game import Transition
+from humanopts_learner.options.criteria import Criterion
+from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.menu import opening, to_lesson, to_menu
+from humanopts_teach.dialogue.panel import Choices, Criteria, Features, TypedText, view
+from humanopts_teach.lesson.presentation import Line, TARGET, Tone
+from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
+import pytest
+
+NAME = 'fetch <b>&'
+CHOSEN = ('taxi_row', 'taxi_col')
+
+
+@pytest.fixture
+def app() -> App:
+    """A dialogue in whose lesson a demonstration is under way."""
+    app = App(opening('p1'))
+    app.participant = 'p1'
+    app.world.domain = make_domain('taxi')
+    app.world.game = Transition(episode=2, step=0, state='taxi 2,3 passenger R destination B')
+    app.world.lesson = LessonView(
+        Phase.DEMONSTRATING, 'p1', 's1', NAME, chosen_features=CHOSEN, budget=100, episode=2
+    )
+    return app
+
+
+def test_a_person_who_has_just_come_is_asked_for_a_code(app: App) -> None:
+    shown = view(app)
+    assert shown.panel.beside[0] == Line('Who teaches?', strong=True)
+    assert TypedText('p1') in shown.panel.beside
+    assert list(shown.head) == ['humanopts', 'taxi', 'p1', 'session s1']
+
+
+def test_the_menu_has_choices_of_which_one_is_marked(app: App) -> None:
+    to_menu(app)
+    (choices,) = [block for block in view(app).panel.beside if isinstance(block, Choices)]
+    assert [item.text for item in choices.items][:1] == ['Teach a new option']
+    assert choices.at == 0
+
+
+def test_a_lesson_shows_the_chosen_features_with_their_values_and_no_others(app: App) -> None:
+    to_lesson(app)
+    shown = view(app)
+    (features,) = [block for block in shown.panel.beside if isinstance(block, Features)]
+    values = [(feature.name, feature.value) for feature in features.shown]
+    assert values == [('taxi row', '2'), ('taxi col', '3')]
+    assert features.hidden == 'all else is hidden'
+    assert shown.board is not None
+    assert '⚑' not in ''.join(shown.board.board)
+    assert shown.panel.beside[0] == Line('Teaching: ', more=(Line(NAME, strong=True),))
+
+
+@pytest.mark.parametrize(
+    ('value', 'threshold', 'share'),
+    [
+        *((0.05, 0.05, TARGET), (0.0, 0.05, 0.0), (0.1, 0.05, 2 * TARGET), (0.9, 0.05, 1.0)),
+        *((-3.0, 0.5, 0.0), (0.0, 0.0, 0.0), (0.1, 0.0, 1.0), (None, 0.05, None)),
+    ],
+)
+def test_a_bar_reaches_its_mark_at_the_threshold_and_its_end_at_three_times_that(
+    app: App, value: float | None, threshold: float, share: float | None
+) -> None:
+    to_lesson(app)
+    found = Criterion('initiation', value, threshold, met=False)
+    app.world.progress = [OptionStatus(NAME, 'p1', criteria=(found,))]
+    (criteria,) = [block for block in view(app).panel.beside if isinstance(block, Criteria)]
+    assert criteria.rows[0].share == pytest.approx(share)
+
+
+def test_nodes_that_are_missing_are_said_before_anything_else(app: App) -> None:
+    app.say('well done')
+    assert view(app).said == Line('well done', Tone.GOOD)
+    app.world.missing, app.way_out = ('lesson',), 'come back later'
+    saved = 'lesson: not there. Everything taught is saved; come back later.'
+    assert view(app).said == Line(saved, Tone.BAD)
+
+
+def test_a_lesson_that_is_paused_says_why(app: App) -> None:
+    assert app.world.lesson is not None
+    app.world.lesson = replace(app.world.lesson, paused='the disk is full')
+    assert view(app).paused == 'the disk is full'
