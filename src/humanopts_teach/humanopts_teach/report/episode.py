@@ -1,9 +1,7 @@
 """The last episode of a bag as a strip of pictures of its board."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-import html
-from itertools import groupby
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -18,9 +16,7 @@ from humanopts_teach.bags.contents import (
 )
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.report.pages import MINUS
-from rich.color import ColorSystem
-from rich.errors import StyleSyntaxError
-from rich.style import Style
+from humanopts_teach.state_drawing import board_svg, draw_state
 
 COLOURS = 4  # of options, classes o0 to o3
 MOST_PICTURES = 60  # of longer episodes only the ends of runs are shown
@@ -91,7 +87,7 @@ class Picture:
     """One state, ready for the page."""
 
     number: int  # step
-    board: str  # HTML
+    board: str  # SVG
     option: str
     action: str
     reward: str
@@ -121,7 +117,7 @@ def episode_strip(domain: Domain[Any], frames: Sequence[Frame]) -> Strip:
     ends = list(range(len(frames))) if whole else _ends(frames)
     last = MOST_PICTURES - FIRST
     shown = [*ends[:FIRST], *ends[-last:]] if len(ends) > MOST_PICTURES else ends
-    boards = [_board(domain.render(domain.decode(frames[number].state))) for number in shown]
+    boards = [draw_state(domain, domain.decode(frames[number].state)) for number in shown]
     pictures = []
     for before, number, board in zip([-1, *shown], shown, boards):
         frame, steps = frames[number], frames[before + 1 : number + 1]
@@ -129,14 +125,14 @@ def episode_strip(domain: Domain[Any], frames: Sequence[Frame]) -> Strip:
         pictures.append(
             Picture(
                 number,
-                board_html(board, domain.glyph_styles),
+                board_svg(board),
                 frame.option.removeprefix(PRIMITIVE_PREFIX),
                 frame.action if len(steps) == 1 else f'{len(steps)} steps',
                 '' if not frame.action else f'{reward:+g}'.replace('-', MINUS) if reward else '0',
                 f'o{options.index(frame.option) % COLOURS}' if frame.option else '',
             )
         )
-    width = REM * max((len(line) for board in boards for line in board.splitlines()), default=0)
+    width = REM * max((len(line) for drawn in boards for line in drawn.board), default=0)
     left_out = len(ends) - len(shown)
     return Strip(pictures, len(frames) - 1, whole, left_out, last, max(LEAST_WIDTH, width))
 
@@ -149,33 +145,3 @@ def _ends(frames: Sequence[Frame]) -> list[int]:
         for number, (frame, after) in enumerate(zip(frames, later))
         if number == 0 or frame.ends_run or frame.option != after.option
     ]
-
-
-def _board(text: str) -> str:
-    """Return the drawing without the words below it."""
-    lines = text.splitlines()
-    drawn = [number for number, line in enumerate(lines) if any('─' <= c <= '╿' for c in line)]
-    return '\n'.join(lines[: drawn[-1] + 1] if drawn else lines)
-
-
-def board_html(text: str, styles: Mapping[str, str]) -> str:
-    """Return a drawing with its characters in the domain's colours."""
-    classes = {glyph: _classes(style) for glyph, style in styles.items()}
-    parts = []
-    for name, run in groupby(text, lambda glyph: classes.get(glyph, '')):
-        drawn = html.escape(''.join(run))
-        parts.append(f'<b class="{name}">{drawn}</b>' if name else drawn)
-    return ''.join(parts)
-
-
-def _classes(style: str) -> str:
-    """Return CSS classes for a style in rich's notation: the nearest of eight colours."""
-    try:
-        parsed = Style.parse(style)
-    except StyleSyntaxError:
-        return ''
-    names = ['dim'] if parsed.dim else []
-    if parsed.color is not None and not parsed.color.is_default:
-        nearest = parsed.color.downgrade(ColorSystem.STANDARD)
-        names.append(f'g{(nearest.number or 0) % 8}')
-    return ' '.join(names)
