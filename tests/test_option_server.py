@@ -18,7 +18,7 @@ from humanopts_interfaces.msg import (
     OptionGoal,
     OptionResult,
 )
-from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
+from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption, SetPace
 from humanopts_learner.execution import Run
 from humanopts_learner.options.files import option_to_json, save_option
 from humanopts_learner.options.learn import learn_option
@@ -289,6 +289,36 @@ def test_control_taken_without_a_move_interrupts_too(runs: Runs) -> None:
     assert 'control is held by the person' in result.detail
     runs.steps(result)
     assert runs.player.do('north', PERSON).step == result.step_count + 1
+
+
+def test_a_run_waits_for_a_person_takes_single_steps_and_goes_on_when_the_person_is_gone(
+    live: Graph, folder: Path
+) -> None:
+    live.start(GAME)
+    live.start(OPTION_SERVER, options_directory=folder, no_progress_seconds=0.3)
+    live.ready('/game', '/option_server')
+    runs = Runs(live)
+    bad = live.ask(SetPace, 'set_pace', step_period=61.0, paused=True, holder_id='/person#2')
+    nobody = live.ask(SetPace, 'set_pace', paused=True, holder_id='/nobody#1')
+    assert (bad.status, nobody.status) == (bad.STATUS_BAD_PERIOD, bad.STATUS_NOT_HOLDER)
+    paused = live.ask(SetPace, 'set_pace', paused=True, steps=2, holder_id='/person#2')
+    assert paused.status == paused.STATUS_OK
+    goal = runs.begin(FETCH)
+    live.until(lambda: runs.player.state.step == 2, 'the two steps')
+    ended = live.node.get_clock().now()
+    live.until(lambda: not runs.player.controls[-1].paused_by, 'the end of the pause')
+    waited = live.node.get_clock().now() - ended  # the terminal is silent for that long
+    assert waited.nanoseconds > 0.3e9
+    third = next(s for s in runs.steps(goal.result()[1]) if s.step == 3)
+    stamp = runs.player.controls[-1].header.stamp
+    assert (third.header.stamp.sec, third.header.stamp.nanosec) >= (stamp.sec, stamp.nanosec)
+    assert goal.result()[1].status == OptionResult.STATUS_REACHED
+
+    live.ask(SetPace, 'set_pace', paused=True, steps=1, holder_id='/person#2')
+    goal = runs.begin(FETCH)
+    runs.player.hold(True)  # also while it waits
+    assert goal.result()[1].status == OptionResult.STATUS_INTERRUPTED
+    assert runs.player.state.step == 1
 
 
 def test_a_reset_interrupts_a_run(runs: Runs) -> None:

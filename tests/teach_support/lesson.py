@@ -111,9 +111,9 @@ class Table:
         assert self.answer_all().ok
         return self
 
-    def began(self, start_state: str = '') -> 'Table':
+    def began(self, start_state: str = '', *, watch: bool = False) -> 'Table':
         """Let the game begin the episode that the lesson asks for."""
-        prepared = self.ask(BeginDemonstration(start_state))
+        prepared = self.ask(BeginDemonstration(start_state, watch))
         assert prepared.ok, prepared
         self.episode += 1
         self.arrives(prepared.state)
@@ -145,10 +145,17 @@ class Table:
             self.lesson.add_transition(self.here)
         return self
 
-    def end(self, verdict: Verdict | None = Verdict.DONE, again: bool = False) -> Answer:
+    def end(
+        self,
+        verdict: Verdict | None = Verdict.DONE,
+        again: bool = False,
+        *,
+        machine: bool = False,
+    ) -> Answer:
         """Give a verdict on the state that is there."""
         assert self.here is not None
-        return self.ask(EndDemonstration(verdict, self.here.episode, self.here.step, again))
+        seen = self.here.episode, self.here.step
+        return self.ask(EndDemonstration(verdict, *seen, again, machine))
 
     def learned(self, *, met: bool = False, features: tuple[str, ...] = CHOSEN) -> None:
         """Let the learner tell that the newest demonstration is counted in."""

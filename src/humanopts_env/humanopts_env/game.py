@@ -344,21 +344,44 @@ def _no_such_source(source: int) -> str:
 Result = Accepted | Refused
 
 
+LONGEST_PERIOD = 60.0  # s between steps of the machine
+
+
 class Pacing:
     """
     Delays one command of a machine at a time; commands of a person are never delayed.
+
+    A person who watches can change the pace, have the machine wait, and let single steps through.
 
     A step belongs to the first command that answers it, as without pacing: while that one waits,
     others for the same step are refused as stale. A command that would be refused anyway does not
     wait.
 
     :ivar waiting: the delayed command; None: there is none.
+    :ivar period: least time between steps of the machine, s.
+    :ivar paused_by: publisher id of the terminal that has the machine wait; empty: none.
     """
 
-    def __init__(self, game: Game) -> None:
+    def __init__(self, game: Game, period: float = 0.0) -> None:
         """Begin without a delayed command."""
         self._game = game
         self.waiting: Command | None = None
+        self.period = period
+        self.paused_by = ''
+        self._steps = 0  # that are let through while it waits
+
+    def set_pace(self, period: float, paused_by: str, steps: int = 0) -> list[Result]:
+        """
+        Change the pace.
+
+        :param period: 0 to LONGEST_PERIOD, s.
+        :param paused_by: publisher id of the terminal that has the machine wait; empty: none.
+        :param steps: that are let through first, where it waits.
+        :return: the result of a delayed command that need not wait any more.
+        """
+        self.period, self.paused_by = period, paused_by
+        self._steps = steps if paused_by else 0
+        return self.due()
 
     def offer(self, command: Command) -> list[Result]:
         """
@@ -378,9 +401,17 @@ class Pacing:
             detail = f'step {command.step} is answered: {before.action!r} waits for step_period'
             return [game.refuse(command, Reason.STALE, detail)]
         self.waiting = command
-        return [] if overtaken is None else [overtaken]
+        results: list[Result] = [] if overtaken is None else [overtaken]
+        return results if self.period and not self._steps else results + self.due()
 
     def due(self) -> list[Result]:
-        """Carry out the delayed command, if there is one."""
-        command, self.waiting = self.waiting, None
-        return [] if command is None else [self._game.command(command)]
+        """Carry out the delayed command, if there is one and the person lets it through."""
+        command = self.waiting
+        if command is None:
+            return []
+        if self.paused_by and self._game.refusal(command) is None:
+            if not self._steps:
+                return []
+            self._steps -= 1
+        self.waiting = None
+        return [self._game.command(command)]

@@ -22,7 +22,7 @@ def game() -> Game:
 @pytest.fixture
 def pacing(game: Game) -> Pacing:
     """Return a pace in which one command waits."""
-    pacing = Pacing(game)
+    pacing = Pacing(game, 0.3)
     assert pacing.offer(FIRST) == []
     assert pacing.waiting is FIRST
     return pacing
@@ -56,7 +56,7 @@ def test_another_command_for_the_same_step_is_refused_as_stale(game: Game, pacin
 
 def test_what_is_refused_in_any_case_does_not_wait(game: Game) -> None:
     """Nor keep others waiting."""
-    pacing = Pacing(game)
+    pacing = Pacing(game, 0.3)
     wrong = replace(FIRST, action='fly')
     assert reasons(pacing.offer(wrong)) == [(wrong, Reason.NO_SUCH_ACTION)]
     assert pacing.waiting is None
@@ -80,3 +80,44 @@ def test_after_a_reset_a_new_command_takes_the_place_of_the_old(
     assert pacing.waiting is new
     (result,) = pacing.due()
     assert isinstance(result, Accepted)
+
+
+def test_without_a_period_nothing_waits(game: Game) -> None:
+    (result,) = Pacing(game).offer(FIRST)
+    assert isinstance(result, Accepted)
+
+
+@pytest.mark.parametrize('period', [0.0, 0.3])
+def test_while_it_is_paused_only_the_steps_that_are_let_through_are_taken(
+    game: Game, period: float
+) -> None:
+    pacing = Pacing(game)
+    assert pacing.set_pace(period, 'anna-1') == []
+    assert pacing.offer(FIRST) == pacing.due() == []
+    (taken,) = pacing.set_pace(period, 'anna-1', steps=2)
+    assert isinstance(taken, Accepted)
+    (second,) = pacing.offer(replace(FIRST, step=1))  # the second step was let through before
+    assert isinstance(second, Accepted)
+    third = replace(FIRST, step=2)
+    assert pacing.offer(third) == pacing.due() == []
+    (result,) = pacing.set_pace(period, '')
+    assert isinstance(result, Accepted)
+    assert game.transition.step == 3
+
+
+def test_a_key_is_carried_out_while_the_machine_waits_for_a_person(game: Game) -> None:
+    pacing = Pacing(game)
+    pacing.set_pace(0.0, 'anna-1')
+    assert pacing.offer(FIRST) == []
+    (result,) = pacing.offer(KEY)
+    assert isinstance(result, Accepted)
+    assert reasons(pacing.due()) == [(FIRST, Reason.HELD_BY_PERSON)]
+
+
+def test_steps_that_were_let_through_and_not_taken_are_forgotten_with_the_pause(
+    game: Game,
+) -> None:
+    pacing = Pacing(game)
+    pacing.set_pace(0.0, 'anna-1', steps=5)
+    pacing.set_pace(0.3, '')
+    assert pacing.offer(FIRST) == []

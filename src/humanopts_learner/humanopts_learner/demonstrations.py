@@ -84,6 +84,9 @@ class Demonstration:
     seconds: float = 0.0
     withdrawn: bool = False  # taken back by the person; nothing is learned from it
     method: str = TREES  # one of METHODS; that of the newest demonstration counts
+    machine_steps: int = (
+        0  # so many of its first steps were the machine's; the person let them pass
+    )
 
     @cached_property
     def feature_rows(self) -> Rows:
@@ -139,7 +142,11 @@ class Demonstration:
             raise DemonstrationError(f'a field of the demonstration is wrong: {error}') from error
 
 
-_OPTIONAL = {'withdrawn': False, 'method': TREES}  # of the form that is written: left out so
+_OPTIONAL = {
+    'withdrawn': False,
+    'method': TREES,
+    'machine_steps': 0,
+}  # of the form that is written: left out so
 
 
 def make_demonstration(
@@ -357,6 +364,8 @@ def _check_steps(demo: Demonstration, domain: Domain[Any]) -> None:
             f'{steps} actions need {steps + 1} states and {steps} rewards, not '
             f'{len(demo.states)} and {len(demo.rewards)}'
         )
+    if not 0 <= demo.machine_steps <= steps:
+        raise DemonstrationError(f"{demo.machine_steps} of its {steps} steps are the machine's")
     if not all(math.isfinite(value) for value in (*demo.rewards, demo.seconds)):
         raise DemonstrationError('it holds a number that is not finite (NaN or infinity)')
     try:

@@ -232,16 +232,29 @@ def test_a_lesson_that_was_finished_goes_on_without_what_made_it_so(table: Table
     assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
 
 
-def test_only_the_newest_of_the_option_that_is_taught_can_be_taken_back(table: Table) -> None:
+def test_any_demonstration_of_the_option_that_is_taught_can_be_taken_back_and_no_other(
+    table: Table,
+) -> None:
     table.ready().shown()
     older = table.lesson.view.last_uuid
-    table.shown()
-    refused = table.ask(WithdrawDemonstration(older))
-    assert refused.status is RequestStatus.NO_DEMONSTRATION
-    assert older in refused.detail
+    newest = table.shown().lesson.view.last_uuid
     table.ask(DefineOption('another'))
-    assert table.ask(WithdrawDemonstration()).status is RequestStatus.NO_DEMONSTRATION
-    assert table.lesson.demonstrations()[1].withdrawn is False
+    assert table.ask(WithdrawDemonstration(older)).status is RequestStatus.NO_DEMONSTRATION
+    table.ask(OpenSession('p2', 's1'))
+    table.ask(DefineOption(OPTION))
+    assert table.ask(WithdrawDemonstration(older)).status is RequestStatus.NO_DEMONSTRATION
+    table.ask(OpenSession('p1', 's1'))
+    table.ask(DefineOption(OPTION))
+    unknown = table.ask(WithdrawDemonstration('no such'))
+    assert unknown.status is RequestStatus.NO_DEMONSTRATION
+    assert 'no such' in unknown.detail
+    assert table.ask(WithdrawDemonstration(older)).ok
+    table.lesson.update_progress([status(n_demonstrations=2, last_uuid=newest)])
+    assert table.lesson.phase is Phase.LEARNING  # the learner still counts both
+    table.lesson.update_progress([status(n_demonstrations=1, last_uuid=newest)])
+    assert table.lesson.phase is Phase.READY
+    assert table.ask(WithdrawDemonstration(older)).status is RequestStatus.NO_DEMONSTRATION
+    assert [demo.withdrawn for demo in table.lesson.demonstrations()] == [True, False]
 
 
 def test_what_was_taken_back_stays_so_after_a_restart_and_is_told_to_the_learner(

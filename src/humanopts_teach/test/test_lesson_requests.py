@@ -4,9 +4,11 @@ from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
     BeginDemonstration,
+    ChangeOption,
     DefineOption,
     EndDemonstration,
     LessonRequest,
+    ListDemonstrations,
     OpenSession,
     Phase,
     RequestStatus,
@@ -35,14 +37,22 @@ TABLE: dict[LessonRequest, dict[Phase, RequestStatus]] = {
     | dict.fromkeys((Phase.NO_SESSION, Phase.DEMONSTRATING), RequestStatus.WRONG_PHASE),
     AnswerQuestion(1, yes=True): dict.fromkeys(Phase, RequestStatus.NOT_ASKED)
     | {Phase.ASKING: RequestStatus.OK},
-    BeginDemonstration(): _EVERYWHERE_WRONG | {Phase.READY: RequestStatus.OK},
+    BeginDemonstration(): _EVERYWHERE_WRONG
+    | dict.fromkeys((Phase.READY, Phase.FINISHED), RequestStatus.OK),
+    AnswerQuestion(0, back=True): dict.fromkeys(Phase, RequestStatus.NOT_ASKED)
+    | dict.fromkeys((Phase.READY, Phase.LEARNING, Phase.FINISHED), RequestStatus.OK),
+    ChangeOption(OPTION, 'another'): _EVERYWHERE_OK
+    | dict.fromkeys((Phase.DEMONSTRATING, Phase.LEARNING), RequestStatus.WRONG_PHASE)
+    | dict.fromkeys((Phase.NO_SESSION, Phase.NO_OPTION), RequestStatus.NO_OPTION),
     WithdrawDemonstration(): _EVERYWHERE_WRONG
     | dict.fromkeys((Phase.ASKING, Phase.READY), RequestStatus.NO_DEMONSTRATION)
     | {Phase.FINISHED: RequestStatus.OK},
+    ListDemonstrations(): _EVERYWHERE_OK
+    | dict.fromkeys((Phase.NO_SESSION, Phase.NO_OPTION), RequestStatus.NO_OPTION),
     EndDemonstration(Verdict.DONE, 1, 0): _EVERYWHERE_WRONG
     | {Phase.DEMONSTRATING: RequestStatus.NO_STEPS},
 }
-NEW_THINGS = list(TABLE)[:-1]
+NEW_THINGS = list(TABLE)[:-2]
 FULL = 'recording stopped: the disk is full'
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError, FeatureKind
 from humanopts_env.domains.registry import domain_from_json, parameters_json
-from humanopts_env.game import Command, Control, Refused, Transition
+from humanopts_env.game import Command, Control, Pacing, Refused, Transition
 from humanopts_interfaces.msg import (
     ActionCommand,
     ActionInfo,
@@ -93,8 +93,12 @@ def refusal_to_message(refused: Refused) -> ActionRefusal:
     )
 
 
-def control_to_message(control: Control) -> ControlState:
-    """Encode who holds control."""
+def control_to_message(control: Control, pacing: Pacing) -> ControlState:
+    """Encode who holds control, and the pace of the machine."""
     return ControlState(
-        holder=int(control.holder), holder_id=control.holder_id, reason=control.reason
+        holder=int(control.holder),
+        holder_id=control.holder_id,
+        reason=control.reason,
+        step_period=pacing.period,
+        paused_by=pacing.paused_by,
     )

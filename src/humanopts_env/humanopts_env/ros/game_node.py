@@ -7,7 +7,17 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
-from humanopts_env.game import Accepted, Control, Game, Holder, Pacing, Result, Source, Transition
+from humanopts_env.game import (
+    Accepted,
+    Control,
+    Game,
+    Holder,
+    LONGEST_PERIOD,
+    Pacing,
+    Result,
+    Source,
+    Transition,
+)
 from humanopts_env.lease import Lease
 from humanopts_env.ros.convert import (
     command_from_message,
@@ -24,7 +34,7 @@ from humanopts_interfaces.msg import (
     GameState,
     NodeStatus,
 )
-from humanopts_interfaces.srv import ResetGame, SetControl
+from humanopts_interfaces.srv import ResetGame, SetControl, SetPace
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
@@ -42,11 +52,11 @@ class GameNode(NodeBase):
         super().__init__('game', **options)
         self._game = Game(self._read_domain())
         self._seed = self.setting('seed', 0, 'of the first episode', SEEDS)
-        self._period = self.setting(
+        period = self.setting(
             'step_period',
             0.0,
             'least time between steps of the machine, s, for people who watch',
-            (0.0, 60.0),
+            (0.0, LONGEST_PERIOD),
         )
         self._info = self.stamped_publisher(DomainInfo, 'domain_info', LATCHED)
         self._stream = self.stamped_publisher(GameState, 'game_state')
@@ -56,12 +66,13 @@ class GameNode(NodeBase):
         self.create_subscription(ActionCommand, 'action', self._on_action, STREAM)
         self.recorded_service(ResetGame, 'reset_game', self._on_reset)
         self.recorded_service(SetControl, 'set_control', self._on_set_control)
+        self.recorded_service(SetPace, 'set_pace', self._on_set_pace)
         topics = (self._stream, self._current, self._control, self._refusals)
         self._unsent: dict[StampedPublisher[Any], deque[Any]] = {t: deque() for t in topics}
-        self._pacing = Pacing(self._game)
-        self._pace = self.create_timer(self._period or 1.0, self._on_pace, autostart=False)
+        self._pacing = Pacing(self._game, period)
+        self._pace = self.create_timer(period or 1.0, self._on_pace, autostart=False)
         self._retry = self.create_timer(_RETRY_PERIOD, self._on_retry, autostart=False)
-        self._lease = Lease()
+        self._lease, self._pause_lease = Lease(), Lease()
         self._lease_timer = self.create_timer(_LEASE_PERIOD, self._check_lease, autostart=False)
         self.create_subscription(NodeStatus, 'node_status', self._on_status, LATCHED_ALL)
 
@@ -84,17 +95,16 @@ class GameNode(NodeBase):
         command = command_from_message(message)
         if command.source == Source.PERSON:
             self._lease.renew(command.publisher_id)
-        if not self._period:
-            self._send_result(self._game.command(command))
-            return
-        for result in self._pacing.offer(command):
-            self._send_result(result)
+        self._send_results(self._pacing.offer(command))
         if self._pacing.waiting is command:
             self._pace.reset()
 
     def _on_pace(self) -> None:
         self._pace.cancel()
-        for result in self._pacing.due():
+        self._send_results(self._pacing.due())
+
+    def _send_results(self, results: list[Result]) -> None:
+        for result in results:
             self._send_result(result)
 
     def _send_result(self, result: Result) -> None:
@@ -127,7 +137,31 @@ class GameNode(NodeBase):
         response.status, response.detail = int(reply.status), reply.detail
         if reply.control is not None:
             self._send_control(reply.control)
+            if request.hold:
+                self._send_results(self._pacing.due())  # what waits is refused at once
         return response
+
+    def _on_set_pace(
+        self, request: SetPace.Request, response: SetPace.Response
+    ) -> SetPace.Response:
+        if not 0.0 <= request.step_period <= LONGEST_PERIOD:
+            response.status = response.STATUS_BAD_PERIOD
+            response.detail = f'step_period is {request.step_period}, not 0 to {LONGEST_PERIOD} s'
+        elif request.paused and not self._is_there(request.holder_id):
+            response.status = response.STATUS_NOT_HOLDER
+            response.detail = f'no node {shown(request.holder_id)!r} is there to have it wait'
+        else:
+            response.status = response.STATUS_OK
+            paused_by = request.holder_id if request.paused else ''
+            self._set_pace(request.step_period, paused_by, request.steps)
+        return response
+
+    def _set_pace(self, period: float, paused_by: str, steps: int = 0) -> None:
+        self._pace.timer_period_ns = int(period * 1e9) or 1
+        self._pause_lease.begin(paused_by)
+        results = self._pacing.set_pace(period, paused_by, steps)
+        self._send_control(self._game.control)
+        self._send_results(results)
 
     def _is_there(self, publisher_id: str) -> bool:
         """Return whether a node has told its life under this id, or is listed by its name."""
@@ -138,25 +172,28 @@ class GameNode(NodeBase):
         }
 
     def _on_status(self, status: NodeStatus) -> None:
-        """Renew the control of a node that tells its life, or free that of one that ended."""
+        """Renew what a node holds that tells its life, or free what one held that ended."""
         ended = status.state == NodeStatus.STATE_STOPPING
-        self._release(self._lease.heard(status.publisher_id, ended=ended))
+        leases = self._lease, self._pause_lease
+        self._release(*(lease.heard(status.publisher_id, ended=ended) for lease in leases))
 
     def _check_lease(self) -> None:
-        self._release(self._lease.look())
+        self._release(self._lease.look(), self._pause_lease.look())
 
-    def _release(self, reason: str) -> None:
-        """Free control for a reason; empty: it stays as it is."""
-        if reason and self._game.control.holder is Holder.PERSON:
-            self._send_control(self._game.release(reason))
+    def _release(self, control: str, pause: str) -> None:
+        """Free control, and end a pause, for a reason each; empty: it stays as it is."""
+        if control and self._game.control.holder is Holder.PERSON:
+            self._send_control(self._game.release(control))
+        if pause and self._pacing.paused_by:
+            self._set_pace(self._pacing.period, '')
 
     def _send_control(self, control: Control) -> None:
         self._lease.begin(control.holder_id)
-        if control.holder_id:
+        if control.holder_id or self._pacing.paused_by:
             self._lease_timer.reset()
         else:
             self._lease_timer.cancel()
-        self._send(self._control, control_to_message(control))
+        self._send(self._control, control_to_message(control, self._pacing))
 
     def _send_transition(self, transition: Transition) -> None:
         for publisher in (self._stream, self._current):

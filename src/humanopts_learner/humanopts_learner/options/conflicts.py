@@ -6,13 +6,14 @@ policy, initiation set or termination condition over these features can learn.
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.arrays import Rows
 from humanopts_env.domains.base import Domain
-from humanopts_learner.options.learn import Dataset, Examples
+from humanopts_learner.demonstrations import Demonstration, Kind, TREES
+from humanopts_learner.options.learn import Dataset, Examples, make_dataset
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,15 +52,9 @@ def find_conflicts(data: Dataset, domain: Domain[Any]) -> Conflicts:
     A feature is suggested when it separates more than half of the situations, without slips.
     """
     chosen = sorted({encoded.index for encoded in data.encoding})
-    actions = [action.name for action in domain.actions]
-    parts: list[tuple[Examples, Callable[[int], str], bool]] = [
-        (data.termination, lambda label: ('not the end', 'the end')[label], False),
-        (data.initiation, lambda label: (NO_START, 'can start here')[label], False),
-        (data.policy, lambda label: actions[label], True),
-    ]
     found = [
         conflict
-        for examples, word, may_slip in parts
+        for examples, word, may_slip in _parts(data, domain)
         for conflict in _conflicts(examples, chosen, domain, word, may_slip)
     ]
     found.sort(key=lambda conflict: -len(conflict.labels))
@@ -71,6 +66,65 @@ def find_conflicts(data: Dataset, domain: Domain[Any]) -> Conflicts:
     if best is not None and 2 * separated[best] > len(structural):
         suggested = domain.features[best].name
     return Conflicts(tuple(conflict.text for conflict in found[:MOST_TEXTS]), suggested)
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Where a demonstration differs from all that were given before it."""
+
+    text: str
+    earlier: Demonstration  # the last one that showed otherwise
+    step: int  # of the new demonstration
+
+
+def contradiction(
+    newest: Demonstration, earlier: Sequence[Demonstration], domain: Domain[Any]
+) -> Contradiction | None:
+    """
+    Return the first situation in which a demonstration shows what none before it has shown there.
+
+    Ends are looked at before starts, and starts before actions; by the method ``goal`` actions are
+    not looked at, because nothing is learned from them.
+
+    :param earlier: demonstrations of the same option that count, by number.
+    :return: None: it agrees with one demonstration in every situation that was shown before.
+    """
+    if not any(demo.kind is Kind.TRAJECTORY for demo in (newest, *earlier)):
+        return None
+    data = make_dataset([*earlier, newest], domain)
+    chosen, last = sorted({encoded.index for encoded in data.encoding}), len(earlier)
+    for examples, word, is_action in _parts(data, domain):
+        if is_action and data.method != TREES:
+            continue
+        keys = list(map(tuple, examples.rows[:, chosen].tolist()))
+        shown = list(zip(keys, examples.labels.tolist(), examples.source.tolist()))
+        before = {key: (label, source) for key, label, source in shown if source < last}
+        agreed = {(key, label) for key, label, source in shown if source < last}
+        agreed_now = {
+            key for key, label, source in shown if source == last and (key, label) in agreed
+        }
+        for at, (key, label, source) in enumerate(shown):
+            if source < last or key not in before or key in agreed_now:
+                continue
+            other, number = before[key]
+            row = examples.rows[at]
+            demo = data.demonstrations[number]
+            text = (
+                f'{_situation(row, chosen, domain)}: now {word(label)}, '
+                f'in demonstration {demo.number} {word(other)}'
+            )
+            return Contradiction(text, demo, newest.features.index(tuple(row.tolist())))
+    return None
+
+
+def _parts(
+    data: Dataset, domain: Domain[Any]
+) -> Iterator[tuple[Examples, Callable[[int], str], bool]]:
+    """Yield the examples of beta, I and policy, the words of their labels, and if it may slip."""
+    actions = [action.name for action in domain.actions]
+    yield data.termination, lambda label: ('not the end', 'the end')[label], False
+    yield data.initiation, lambda label: (NO_START, 'can start here')[label], False
+    yield data.policy, lambda label: actions[label], True
 
 
 def _conflicts(

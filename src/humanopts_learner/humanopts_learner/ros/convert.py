@@ -43,6 +43,7 @@ def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
         seconds=demo.seconds,
         withdrawn=demo.withdrawn,
         method=demo.method,
+        machine_steps=demo.machine_steps,
     )
 
 

@@ -11,6 +11,7 @@ from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import (
     ActionCommand,
     ActionRefusal,
+    ControlState,
     OptionGoal,
     OptionResult,
 )
@@ -31,7 +32,7 @@ from humanopts_learner.ros.convert import end_to_message
 from humanopts_learner.ros.policy_subscriber import PolicySubscriber
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import STREAM
+from humanopts_ros.qos import CURRENT, STREAM
 from rclpy.task import Future
 
 _STOPS = 'option_server stops'
@@ -110,6 +111,8 @@ class Runner:
         game.follow('game_state', self._on_state)
         self._current = game.newest()  # what game published before it was heard on the stream
         node.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
+        self._pace = ControlState()  # the newest
+        node.create_subscription(ControlState, 'control', self._on_control, CURRENT)
         node.create_timer(_CHECK_PERIOD, self._check)
 
     @property
@@ -272,7 +275,7 @@ class Runner:
             action=action,
             option_name=active.run.acting.name,
         )
-        active.deadline = self._node.monotonic() + self._patience
+        active.deadline = self._node.monotonic() + self._pace.step_period + self._patience
         self._actions.publish(command)
         active.command = self._actions.sequence
 
@@ -346,11 +349,19 @@ class Runner:
         status = RunStatus.INTERRUPTED if message.reason in interrupted else RunStatus.FAILED
         self._finish(active.run.end(status, message.detail))
 
+    def _on_control(self, control: ControlState) -> None:
+        """Begin the deadline of a command anew where the pace has changed."""
+        self._pace = control
+        if self._active is not None:
+            self._active.deadline = self._node.monotonic() + control.step_period + self._patience
+
     def _check(self) -> None:
         """Handle a state that the stream did not bring, or the silence of game."""
         self.newest_state()
         active = self._active
-        if active is not None and self._node.monotonic() > active.deadline:
+        if active is None or self._pace.paused_by:
+            return
+        if self._node.monotonic() > active.deadline:
             self._finish(active.run.end(RunStatus.NO_PROGRESS, f'{self._patience:g} s'))
 
     def _finish(self, end: RunResult) -> None:

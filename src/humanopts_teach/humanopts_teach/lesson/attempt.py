@@ -26,6 +26,7 @@ class Attempt:
     """
 
     start_state: str  # in the domain's notation
+    watch: bool = False  # the machine may move until the person does
     episode: int = 0  # of the demonstration; 0: game has not answered yet
     began: float = 0.0  # clock at the start, s
     transitions: list[Transition] = field(default_factory=list)
@@ -37,6 +38,12 @@ class Attempt:
         """Episode and step of the newest state; (0, -1) before the first."""
         newest = self.transitions[-1] if self.transitions else Transition(step=-1)
         return newest.episode, newest.step
+
+    @property
+    def machine_steps(self) -> int:
+        """How many of the first steps are the machine's."""
+        by_machine = [step.action_source is Source.MACHINE for step in self.transitions[1:]]
+        return [*by_machine, False].index(False)
 
     def add(self, transition: Transition) -> None:
         """Append the next state; step 0 or another episode begins a new trajectory."""
@@ -65,7 +72,8 @@ class Attempt:
             return f'states of the game were lost ({self.gap})'
         if transition.step == 0 and transition.state != self.start_state:
             return f'the game began in {transition.state} and not in {self.start_state}'
-        if transition.action_source is Source.MACHINE:
+        watched = self.watch and self.machine_steps == transition.step
+        if transition.action_source is Source.MACHINE and not watched:
             return 'an option or a policy moved in this episode; stop it first'
         return ''
 
@@ -91,7 +99,14 @@ class Attempt:
         if verdict is Verdict.DONE and last == 0:
             detail = 'nothing was shown yet: drive first, or say not here, or discard'
             raise RefusalError(RequestStatus.NO_STEPS, detail)
-        if verdict is Verdict.NOT_HERE and last > 0:
+        if (
+            verdict is Verdict.DONE
+            and last == self.machine_steps
+            and not request.count_machine_steps
+        ):
+            detail = 'only the machine has moved: drive, or say that its steps count as shown'
+            raise RefusalError(RequestStatus.NO_STEPS, detail)
+        if verdict is Verdict.NOT_HERE and last > self.machine_steps:
             detail = f'{last} steps were taken, so it is not a "not here": say done, or discard'
             raise RefusalError(RequestStatus.STEPS_TAKEN, detail)
 
@@ -100,41 +115,60 @@ class Attempt:
         who: tuple[str, str, str, str],
         option: OptionHistory,
         feature_names: tuple[str, ...],
+        request: EndDemonstration,
         *,
         method: str,
         seconds: float,
-        can_start_at_end: bool,
     ) -> Demonstration:
         """
         Return the demonstration that the episode is; "not here" when it has no steps.
 
-        Its uuid is derived from all its content but ``seconds``, so that the same lesson with the
-        same seed gives the same uuids, and with them the same folds in learning.
+        Steps of the machine that do not count as shown are left out: it begins where the person
+        took over.
 
         :param who: domain, its parameters, participant and session.
         :param feature_names: of all features of the domain.
+        :param request: that was checked.
         :param method: with which the option is to be learned.
         """
-        steps = self.transitions[1:]
+        shown, machine_steps = self.transitions, self.machine_steps
+        if request.verdict is Verdict.NOT_HERE:
+            shown, machine_steps = shown[:1], 0
+        elif not request.count_machine_steps:
+            shown, machine_steps = shown[machine_steps:], 0
+        steps = shown[1:]
         domain, parameters, participant, session = who
-        draft = Demonstration(
-            kind=Kind.TRAJECTORY if steps else Kind.NOT_HERE,
-            uuid='',
-            domain=domain,
-            domain_parameters=parameters,
-            participant=participant,
-            session=session,
-            option_name=option.name,
-            number=option.number,
-            chosen_features=option.questions.chosen,
-            feature_names=feature_names,
-            features=tuple(transition.features for transition in self.transitions),
-            states=tuple(transition.state for transition in self.transitions),
-            actions=tuple(step.previous_action for step in steps),
-            rewards=tuple(step.reward for step in steps),
-            terminated=self.transitions[-1].terminated,
-            can_start_at_end=can_start_at_end,
-            method=method,
+        return with_uuid(
+            Demonstration(
+                kind=Kind.TRAJECTORY if steps else Kind.NOT_HERE,
+                uuid='',
+                domain=domain,
+                domain_parameters=parameters,
+                participant=participant,
+                session=session,
+                option_name=option.name,
+                number=option.number,
+                chosen_features=option.questions.chosen,
+                feature_names=feature_names,
+                features=tuple(transition.features for transition in shown),
+                states=tuple(transition.state for transition in shown),
+                actions=tuple(step.previous_action for step in steps),
+                rewards=tuple(step.reward for step in steps),
+                terminated=shown[-1].terminated,
+                can_start_at_end=request.can_start_at_end and request.verdict is Verdict.DONE,
+                seconds=seconds,
+                method=method,
+                machine_steps=machine_steps,
+            )
         )
-        named = replace(draft, uuid=str(uuid.uuid5(_NAMESPACE, draft.to_json())))
-        return replace(named, seconds=seconds)
+
+
+def with_uuid(demo: Demonstration) -> Demonstration:
+    """
+    Return a demonstration with the uuid of its content, ``seconds`` left out.
+
+    So the same lesson with the same seed gives the same uuids, and with them the same folds in
+    learning.
+    """
+    draft = replace(demo, uuid='', seconds=0.0)
+    return replace(demo, uuid=str(uuid.uuid5(_NAMESPACE, draft.to_json())))

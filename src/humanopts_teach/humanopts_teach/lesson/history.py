@@ -7,7 +7,14 @@ from typing import Any
 from humanopts_env.domains.base import Domain, Feature
 from humanopts_env.domains.registry import parameters_json
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_teach.lesson.store import Entry, FeatureAnswered, OptionDefined, SessionOpened
+from humanopts_teach.lesson.store import (
+    AnswerTakenBack,
+    Entry,
+    FeatureAnswered,
+    OptionDefined,
+    OptionDeleted,
+    SessionOpened,
+)
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,10 @@ class Questions:
             answers = {}
         return replace(self, answers=answers)
 
+    def back(self) -> 'Questions':
+        """Return the questions without the last answer."""
+        return replace(self, answers=dict(list(self.answers.items())[:-1]))
+
     def again(self) -> 'Questions':
         """Return the questions without answers; ``earlier`` keeps what was chosen before."""
         earlier = self.chosen if self.open is None else self.earlier
@@ -53,14 +64,14 @@ class Questions:
 class OptionHistory:
     """One option: the answers and the demonstrations."""
 
-    def __init__(self, name: str, features: Sequence[Feature]) -> None:
+    def __init__(self, name: str, features: Sequence[Feature], number: int = 1) -> None:
         self.name = name
         self.questions = Questions(name, features)
         self.method = ''  # of learning, that was asked for; empty: none was
         self.demonstrations: list[Demonstration] = []  # those that count
         self.withdrawn: set[str] = set()  # uuids
         self.start_states: list[str] = []  # of what was withdrawn and not shown anew; last first
-        self.number = 1  # of the next demonstration; it also keys the draw of its start state
+        self.number = number  # of the next demonstration; it also keys the draw of its start state
 
     @property
     def n_trajectories(self) -> int:
@@ -80,7 +91,8 @@ class OptionHistory:
             self.start_states.append(demo.states[0])
             self.demonstrations = [d for d in self.demonstrations if d.uuid != demo.uuid]
         else:
-            del self.start_states[-1:]
+            if demo.states[0] in self.start_states:
+                self.start_states.remove(demo.states[0])
             self.demonstrations.append(demo)
 
 
@@ -96,9 +108,17 @@ class History:
         self.options: dict[str, OptionHistory] = {}
         self.sessions: dict[str, str] = {}  # the last option of each; empty: none was named
         self.n_answers = 0
+        self._numbers: dict[
+            str, int
+        ] = {}  # of the next demonstration of options that were deleted
         self._features = domain.features
         for entry in entries:
             self.add(entry)
+
+    def number(self, option_name: str) -> int:
+        """Return the number of the next demonstration of an option; none is used twice."""
+        option = self.options.get(option_name)
+        return option.number if option is not None else self._numbers.get(option_name, 1)
 
     def add(self, entry: Entry) -> None:
         """Add one more entry."""
@@ -108,9 +128,16 @@ class History:
         if isinstance(entry, SessionOpened):
             return
         name = entry.option_name
-        option = self.options.setdefault(name, OptionHistory(name, self._features))
+        number = self.number(name)
+        option = self.options.setdefault(name, OptionHistory(name, self._features, number))
         if isinstance(entry, Demonstration):
             option.add(entry)
+        elif isinstance(entry, OptionDeleted):
+            self._numbers[name] = number
+            del self.options[name]
+        elif isinstance(entry, AnswerTakenBack):
+            self.n_answers += 1
+            option.questions = option.questions.back()
         elif isinstance(entry, OptionDefined):
             self.sessions[entry.session] = name
             option.method = entry.method or option.method

@@ -12,7 +12,7 @@ from itertools import count
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
-from humanopts_env.game import Transition
+from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import (
     check_demonstration,
     check_method,
@@ -21,16 +21,19 @@ from humanopts_learner.demonstrations import (
     each_once,
     option_name_fault,
 )
-from humanopts_teach.lesson.attempt import Attempt
+from humanopts_learner.options.conflicts import contradiction
+from humanopts_teach.lesson.attempt import Attempt, with_uuid
 from humanopts_teach.lesson.history import History, OptionHistory
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
     BeginDemonstration,
+    ChangeOption,
     DefineOption,
     EndDemonstration,
     LessonRequest,
     LessonView,
+    ListDemonstrations,
     OpenSession,
     OptionStatus,
     Phase,
@@ -41,12 +44,14 @@ from humanopts_teach.lesson.requests import (
 )
 from humanopts_teach.lesson.seeded_starts import SeededStarts
 from humanopts_teach.lesson.store import (
+    AnswerTakenBack,
     CODE,
     CODE_RULE,
     DemonstrationStore,
     Entry,
     FeatureAnswered,
     OptionDefined,
+    OptionDeleted,
     SessionOpened,
     StoreError,
 )
@@ -71,7 +76,7 @@ _HINTS = {
     Phase.READY: 'Begin the next demonstration.',
     Phase.DEMONSTRATING: 'Show the option, then say done; or say not here, or discard.',
     Phase.LEARNING: 'The learner works on the demonstration.',
-    Phase.FINISHED: 'Name the next option to teach.',
+    Phase.FINISHED: 'Name the next option to teach, or show this one once more.',
 }
 _GOES_ON = (Phase.DEMONSTRATING, Phase.LEARNING)  # also while the lesson is paused
 
@@ -146,7 +151,7 @@ class Lesson:
         return (
             known is not None
             and known.criteria_met
-            and known.last_uuid not in self._option.withdrawn  # the learner still counts that one
+            and self._counts_nothing_withdrawn(known, self._option)
             and known.method == self._method(self._option)
             and set(known.features) == set(self._option.questions.chosen)
         )
@@ -180,6 +185,7 @@ class Lesson:
                 last_uuid=option.newest.uuid if option.newest is not None else '',
                 start_state=attempt.start_state if attempt is not None else '',
                 episode=attempt.episode if attempt is not None else 0,
+                machine_steps=attempt.machine_steps if attempt is not None else 0,
                 criteria_met=self.criteria_met,
             )
         return replace(view, text=f'{self._notice} {_hint(view)}'.strip())
@@ -190,9 +196,12 @@ class Lesson:
 
         Of one that was taken back, only the withdrawal is returned.
         """
+        return self._demonstrations(*self._store.participants())
+
+    def _demonstrations(self, *participants: str) -> list[Demonstration]:
         return each_once(
             entry
-            for participant in self._store.participants()
+            for participant in participants
             for entry in self._store.entries(participant)
             if isinstance(entry, Demonstration)
             and (entry.domain, entry.domain_parameters) == self._history.key
@@ -221,6 +230,10 @@ class Lesson:
                     return self._end_demonstration(request)
                 case WithdrawDemonstration():
                     return self._withdraw(request)
+                case ListDemonstrations():
+                    return self._list(request)
+                case ChangeOption():
+                    return self._change_option(request)
         except RefusalError as refusal:
             return refusal.answer
 
@@ -300,11 +313,18 @@ class Lesson:
         option, demo = self._option, self._awaited
         if option is not None and demo is not None:
             known = self._learned.get((demo.participant, demo.option_name))
-            is_newest = known is not None and known.last_uuid == demo.uuid
-            if is_newest == demo.withdrawn or not self._starts.counts(option, demo):
+            if demo.withdrawn:
+                done = known is None or self._counts_nothing_withdrawn(known, option)
+            else:
+                done = known is not None and known.last_uuid == demo.uuid
+            if not done or not self._starts.counts(option, demo):
                 return
             self._awaited = None
         self._check_done()
+
+    def _counts_nothing_withdrawn(self, known: OptionStatus, option: OptionHistory) -> bool:
+        counted = known.n_demonstrations + known.n_not_here
+        return known.last_uuid not in option.withdrawn and counted <= len(option.demonstrations)
 
     def _wait_no_more(self, notice: str) -> None:
         self._awaited, self._notice = None, notice
@@ -346,12 +366,13 @@ class Lesson:
     def _refusal_while_paused(self) -> RefusalError:
         return RefusalError(RequestStatus.PAUSED, f'the lesson is paused: {self._paused}')
 
-    def _write(self, entry: Entry, history: History | None = None) -> None:
+    def _write(self, *entries: Entry, history: History | None = None) -> None:
         try:
-            self._store.append(entry)
+            self._store.append(*entries)
         except StoreError as error:
             raise RefusalError(RequestStatus.NOT_SAVED, str(error)) from error
-        (history or self._history).add(entry)
+        for entry in entries:
+            (history or self._history).add(entry)
 
     def _open_session(self, request: OpenSession) -> Answer:
         """Begin a session, or go on with it where it was left."""
@@ -364,7 +385,7 @@ class Lesson:
         history = History(self._domain, self._store.entries(participant))
         codes = (f'{self._today()}-{number}' for number in count(1))
         session = session or next(code for code in codes if code not in history.sessions)
-        self._write(SessionOpened(*history.key, participant, session), history)
+        self._write(SessionOpened(*history.key, participant, session), history=history)
         self._history, self._participant, self._session = history, participant, session
         self._turn_to(history.options.get(history.sessions[session]))
         return Answer(
@@ -408,6 +429,8 @@ class Lesson:
         if self._paused:
             raise self._refusal_while_paused()
         option = self._option
+        if request.back:
+            return self._back(request, option)
         feature = option.questions.open if option is not None else None
         if self._attempt is not None or option is None or feature is None:
             raise RefusalError(RequestStatus.NOT_ASKED, 'no question is open')
@@ -424,18 +447,29 @@ class Lesson:
             return Answer(RequestStatus.NO_FEATURE, _ALL_NO)
         return Answer(RequestStatus.OK, f'{feature.name}: {"yes" if request.yes else "no"}')
 
+    def _back(self, request: AnswerQuestion, option: OptionHistory | None) -> Answer:
+        """Take back the last answer, so that its question is open again."""
+        asked = self._attempt is None and request.question_id == self._question_id
+        if option is None or not asked or not option.questions.answers:
+            detail = 'there is no question before this one to go back to'
+            raise RefusalError(RequestStatus.NOT_ASKED, detail)
+        self._write(AnswerTakenBack(*self._who, option.name))
+        self._notice = ''
+        self._check_done()
+        return Answer(RequestStatus.OK, 'the question before is open again')
+
     def _prepare(self, request: BeginDemonstration) -> Answer:
         if self._paused:
             raise self._refusal_while_paused()
         option = self._option
         if self._attempt is not None:
             raise _wrong_phase('a demonstration is under way; end it first')
-        if option is None or self.phase is not Phase.READY:
+        if option is None or self.phase not in (Phase.READY, Phase.FINISHED) or self._spent:
             spent = self._spent and self.phase is Phase.FINISHED
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
             raise RefusalError(status, _hint(self.view))
         state = self._start_state(request.start_state, option)
-        self._attempt = Attempt(state)
+        self._attempt = Attempt(state, request.watch)
         seed = self._starts.episode_seed(self._participant, option)
         return Answer(RequestStatus.OK, 'the start state is chosen', state=state, seed=seed)
 
@@ -464,10 +498,10 @@ class Lesson:
         if over and transition.episode == attempt.episode:
             self._notice = _OVER if transition.terminated else _AT_LIMIT
             return True
-        return False
+        return transition.action_source is Source.MACHINE
 
     def _give_up(self, notice: str) -> None:
-        if self._under_way is not None:
+        if self._under_way is not None and not self._under_way.watch:
             self._again = self._under_way.start_state
         self._attempt = None
         self._notice = notice
@@ -485,8 +519,8 @@ class Lesson:
             self._who,
             option,
             tuple(feature.name for feature in self._domain.features),
+            request,
             seconds=round(self._clock() - attempt.began, 3),
-            can_start_at_end=request.can_start_at_end and request.verdict is Verdict.DONE,
             method=self._method(option),
         )
         try:
@@ -494,6 +528,7 @@ class Lesson:
         except DemonstrationError as error:
             self._give_up(f'The demonstration was refused and discarded: {error}.')
             raise RefusalError(RequestStatus.REFUSED, str(error)) from error
+        found = contradiction(demo, option.demonstrations, self._domain)
         self._write(demo)
         self._attempt, self._again, self._notice = None, '', ''
         self._awaited = demo
@@ -501,31 +536,93 @@ class Lesson:
         if self._paused:
             self._notice = f'The demonstration is {_UNRECORDED}.'
             text = f'{text} {_UNRECORDED}'
-        return Answer(RequestStatus.OK, text, uuid=demo.uuid, demonstration=demo)
+        answer = Answer(RequestStatus.OK, text, uuid=demo.uuid, unsent=(demo,))
+        if found is None:
+            return answer
+        return replace(
+            answer,
+            contradiction=found.text,
+            contradicts=found.earlier.uuid,
+            situation=demo.states[found.step],
+        )
 
     def _withdraw(self, request: WithdrawDemonstration) -> Answer:
-        """Take back the newest demonstration of the option."""
+        """Take back a demonstration of the option."""
         self._check_free()
         if self._awaited is not None:
             raise _wrong_phase('the learner still works on a demonstration; wait for it')
         if self._option is None:
             raise _wrong_phase('name the option first')
-        name, newest = self._option.name, self._option.newest
-        if newest is None:
+        name, demonstrations = self._option.name, self._option.demonstrations
+        if not demonstrations:
             detail = f'no demonstration of {name} is left to take back'
             raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
-        if request.uuid not in ('', newest.uuid):
-            detail = f'{request.uuid} is not the newest demonstration of {name}'
+        wanted = request.uuid or demonstrations[-1].uuid
+        demo = next((demo for demo in demonstrations if demo.uuid == wanted), None)
+        if demo is None:
+            detail = f'{wanted} is no demonstration of {name} that counts'
             raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
-        withdrawn = replace(newest, withdrawn=True)
+        withdrawn = replace(demo, withdrawn=True)
         self._write(withdrawn)
         self._again = self._notice = ''  # the option's history has the start state
         self._awaited = withdrawn
-        steps = len(newest.actions)
+        steps = len(demo.actions)
         plural = 's' if steps > 1 else ''
         what = f'the demonstration of {steps} step{plural}' if steps else 'the "not here"'
         text = f'{what} is taken back; its start comes again'
-        return Answer(RequestStatus.OK, text, uuid=withdrawn.uuid, demonstration=withdrawn)
+        return Answer(RequestStatus.OK, text, uuid=withdrawn.uuid, unsent=(withdrawn,))
+
+    def _list(self, request: ListDemonstrations) -> Answer:
+        """List the demonstrations of an option, also those that were taken back."""
+        option = self._known(request.option_name) if request.option_name else self._option
+        if option is None:
+            raise RefusalError(RequestStatus.NO_OPTION, 'no option is taught now: name one')
+        found = self._demonstrations(self._participant)
+        found = [demo for demo in found if demo.option_name == option.name]
+        return Answer(
+            RequestStatus.OK, f'{len(found)} of {option.name}', demonstrations=tuple(found)
+        )
+
+    def _known(self, option_name: str) -> OptionHistory:
+        option = self._history.options.get(option_name)
+        if option is None:
+            detail = f'{self._participant or "nobody"} has no option {option_name!r}'
+            raise RefusalError(RequestStatus.NO_OPTION, detail)
+        return option
+
+    def _change_option(self, request: ChangeOption) -> Answer:
+        """Delete an option; or rename it: begin it anew with its answers and demonstrations."""
+        self._check_free()
+        if self._awaited is not None:
+            raise _wrong_phase('the learner still works on a demonstration; wait for it')
+        option, new = self._known(request.name), request.new_name.strip()
+        begun: list[Entry] = []
+        moved: list[Demonstration] = []
+        if request.new_name:
+            if fault := option_name_fault(new):
+                raise RefusalError(RequestStatus.BAD_NAME, fault)
+            if new in self._history.options:
+                detail = f'there is an option {new!r} already'
+                raise RefusalError(RequestStatus.NAME_TAKEN, detail)
+            begun.append(OptionDefined(*self._who, new, ask_again=False, method=option.method))
+            answers = option.questions.answers.items()
+            begun += [FeatureAnswered(*self._who, new, *answer) for answer in answers]
+            moved = [
+                with_uuid(replace(demo, option_name=new, number=number))
+                for number, demo in enumerate(option.demonstrations, self._history.number(new))
+            ]
+        withdrawn = [replace(demo, withdrawn=True) for demo in option.demonstrations]
+        self._write(*begun, *moved, *withdrawn, OptionDeleted(*self._who, option.name))
+        if new or option is self._option:
+            self._turn_to(self._history.options.get(new))
+        if moved:
+            self._awaited = moved[-1]
+        return Answer(
+            RequestStatus.OK,
+            f'{option.name} is now called {new}' if new else f'{option.name} is deleted',
+            known_options=tuple(self._history.options),
+            unsent=(*moved, *withdrawn),
+        )
 
 
 def _wrong_phase(detail: str) -> RefusalError:

@@ -45,9 +45,11 @@ class RequestStatus(Enum):
     OK = 'ok'
     BAD_METHOD = 'bad method'
     BAD_NAME = 'bad name'
+    BAD_PERIOD = 'bad period'
     BAD_STATE = 'bad state'
     BAD_VERDICT = 'bad verdict'
     BUDGET_SPENT = 'budget spent'
+    NAME_TAKEN = 'name taken'
     NOT_ASKED = 'not asked'
     NOT_CURRENT = 'not current'
     NOT_HOLDER = 'not holder'
@@ -55,6 +57,7 @@ class RequestStatus(Enum):
     NO_DEMONSTRATION = 'no demonstration'
     NO_FEATURE = 'no feature'
     NO_GAME = 'no game'
+    NO_OPTION = 'no option'
     NO_STEPS = 'no steps'
     PAUSED = 'paused'
     REFUSED = 'refused'
@@ -81,10 +84,11 @@ class DefineOption:
 
 @dataclass(frozen=True, slots=True)
 class AnswerQuestion:
-    """Answer the open question."""
+    """Answer the open question, or go back to the one before."""
 
-    question_id: int
-    yes: bool
+    question_id: int  # of the open question; 0: none is open
+    yes: bool = False
+    back: bool = False  # take the last answer back
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +96,7 @@ class BeginDemonstration:
     """Choose a start state and begin an episode there."""
 
     start_state: str = ''  # in the domain's notation; empty: drawn by the lesson's strategy
+    watch: bool = False  # the machine may move until the person does
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +107,29 @@ class EndDemonstration:
     episode: int  # of the last state that the person saw
     step: int
     can_start_at_end: bool = False  # with DONE: the option could start again there
+    count_machine_steps: bool = False  # with DONE: those before the person's count as shown
 
 
 @dataclass(frozen=True, slots=True)
 class WithdrawDemonstration:
-    """Take back the newest demonstration of the option."""
+    """Take back a demonstration of the option."""
 
-    uuid: str = ''  # of the demonstration that is meant; empty: whichever is the newest
+    uuid: str = ''  # empty: whichever is the newest
+
+
+@dataclass(frozen=True, slots=True)
+class ListDemonstrations:
+    """List the demonstrations of an option of the person, also those that were taken back."""
+
+    option_name: str = ''  # empty: the one that is taught
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeOption:
+    """Rename or delete an option of the person."""
+
+    name: str
+    new_name: str = ''  # empty: it is deleted
 
 
 LessonRequest = (
@@ -118,6 +139,8 @@ LessonRequest = (
     | BeginDemonstration
     | EndDemonstration
     | WithdrawDemonstration
+    | ListDemonstrations
+    | ChangeOption
 )
 
 
@@ -135,6 +158,15 @@ class SetControl:
     """Take control of the game for a person, or give it back to the machine."""
 
     hold: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SetPace:
+    """Have the machine move faster or slower, wait, or take single steps."""
+
+    step_period: float  # s
+    paused: bool
+    steps: int = 0  # with paused: that are let through first
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,14 +225,14 @@ class CancelRun:
 
 
 Run = RunOption | PlanOptions | PlayEpisodes  # goals of actions: they go on once accepted
-ServiceRequest = LessonRequest | SetControl | NewEpisode | ListOptions | SetExecution
+ServiceRequest = LessonRequest | SetControl | SetPace | NewEpisode | ListOptions | SetExecution
 Request = ServiceRequest | Drive | Run | CancelRun
 
 
 def server(request: Request) -> str:
     """Return the node that answers a request."""
     match request:
-        case Drive() | SetControl() | NewEpisode():
+        case Drive() | SetControl() | SetPace() | NewEpisode():
             return 'game'
         case ListOptions() | RunOption():
             return 'option_server'
@@ -226,7 +258,16 @@ class Answer:
     state: str = ''  # its first, in the domain's notation
     uuid: str = ''  # of the demonstration that was kept or taken back
     seed: int = 0  # of the chance in the episode to begin; for game only
-    demonstration: Demonstration | None = None  # kept or taken back; for the learner only
+    demonstrations: tuple[Demonstration, ...] = ()  # that were asked for
+    contradiction: str = ''  # between what was kept and what was shown earlier, in words
+    contradicts: str = ''  # uuid of the earlier demonstration
+    situation: str = ''  # where they differ: the state of what was kept, in the domain's notation
+    unsent: tuple[Demonstration, ...] = ()  # kept or taken back; for the learner only
+
+    @property
+    def demonstration(self) -> Demonstration | None:
+        """The one that was kept or taken back last; None: nothing was."""
+        return self.unsent[-1] if self.unsent else None
 
     @property
     def ok(self) -> bool:
@@ -289,6 +330,7 @@ class LessonView:
     method: str = ''  # with which the option is learned from its next demonstration on
     start_state: str = ''
     episode: int = 0
+    machine_steps: int = 0  # so many of its first steps were the machine's
     criteria_met: bool = False
     paused: str = ''  # why nothing new can be begun; empty: it can
     text: str = ''
@@ -309,6 +351,8 @@ class World:
     execution: str = ''  # of the policy that runs or ran last; empty: none did
     holder: str = ''  # publisher_id of the terminal that drives; empty: nobody
     me: str = ''  # our own publisher_id
+    step_period: float = 0.0  # least time between steps of the machine, s
+    paused_by: str = ''  # publisher_id of the terminal that has the machine wait; empty: none
     missing: Sequence[str] = ()  # nodes that are gone or have not come
 
     @property
@@ -352,8 +396,12 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
     """
     lesson, game = world.lesson, world.game
     match request:
-        case Drive() | ListOptions() | CancelRun() | RunOption() | PlanOptions() | PlayEpisodes():
+        case Drive() | CancelRun() | RunOption() | PlanOptions() | PlayEpisodes():
             return True
+        case ListOptions() | ListDemonstrations():
+            return True
+        case SetPace(period, paused):
+            return (world.step_period, bool(world.paused_by)) == (period, paused)
         case SetControl(hold):
             return world.i_drive == hold
         case SetExecution(execution):
@@ -376,3 +424,5 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
             return lesson.episode != episode
         case WithdrawDemonstration():
             return lesson.last_uuid != answer.uuid
+        case ChangeOption(name):
+            return lesson.option_name != name

@@ -62,11 +62,34 @@ class FeatureAnswered(_SessionEntry):
     yes: bool
 
 
-Entry = SessionOpened | OptionDefined | FeatureAnswered | Demonstration
+@dataclass(frozen=True, slots=True)
+class AnswerTakenBack(_SessionEntry):
+    """The last answer about an option was taken back."""
+
+    option_name: str
+
+
+@dataclass(frozen=True, slots=True)
+class OptionDeleted(_SessionEntry):
+    """An option was deleted or renamed; its demonstrations were taken back before."""
+
+    option_name: str
+
+
+Entry = (
+    SessionOpened
+    | OptionDefined
+    | FeatureAnswered
+    | AnswerTakenBack
+    | OptionDeleted
+    | Demonstration
+)
 _KINDS: Mapping[str, type[Entry]] = {
     'session': SessionOpened,
     'option': OptionDefined,
     'answer': FeatureAnswered,
+    'answer taken back': AnswerTakenBack,
+    'option deleted': OptionDeleted,
     'demonstration': Demonstration,
 }
 _NAMES = {kind: name for name, kind in _KINDS.items()}
@@ -158,21 +181,22 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
         """Return the entries of one participant, in the order in which they were written."""
         return tuple(self._entries.get(participant, ()))
 
-    def append(self, entry: Entry) -> None:
+    def append(self, *entries: Entry) -> None:
         """
-        Keep an entry, whose participant names the file; it is on disk when this returns.
+        Keep entries of one participant, who names the file; they are on disk when this returns.
 
         :raises StoreError: it could not be written (disk full, folder gone); nothing of it is
             kept, and the same call can be tried again.
         """
-        path = self.directory / f'{entry.participant}{_SUFFIX}'
+        participant = entries[0].participant
+        path = self.directory / f'{participant}{_SUFFIX}'
         try:
-            if entry.participant not in self._logs:
-                self._logs[entry.participant] = AppendOnlyLog(path)
-            self._logs[entry.participant].append(entry_to_line(entry))
+            if participant not in self._logs:
+                self._logs[participant] = AppendOnlyLog(path)
+            self._logs[participant].append('\n'.join(map(entry_to_line, entries)))
         except OSError as error:
             raise _explained(error, f'write to {path}') from error
-        self._entries.setdefault(entry.participant, []).append(entry)
+        self._entries.setdefault(participant, []).extend(entries)
 
     def _load(self, path: Path) -> list[Entry]:
         def entry_of(line: str) -> Entry:

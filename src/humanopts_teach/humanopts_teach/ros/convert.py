@@ -6,7 +6,9 @@ from enum import Enum
 from typing import Any, TypeVar
 
 from humanopts_interfaces import msg, srv
+from humanopts_learner.demonstrations import Demonstration, demonstration_from_message
 from humanopts_learner.options.criteria import Criterion
+from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.lesson import requests
 from humanopts_teach.lesson.requests import OptionStatus, Phase, RequestStatus, Verdict
 
@@ -20,11 +22,14 @@ LESSON_SERVICES: Mapping[type, tuple[Any, str]] = {
     requests.BeginDemonstration: (srv.BeginDemonstration, 'lesson/begin_demonstration'),
     requests.EndDemonstration: (srv.EndDemonstration, 'lesson/end_demonstration'),
     requests.WithdrawDemonstration: (srv.WithdrawDemonstration, 'lesson/withdraw_demonstration'),
+    requests.ListDemonstrations: (srv.ListDemonstrations, 'lesson/list_demonstrations'),
+    requests.ChangeOption: (srv.ChangeOption, 'lesson/change_option'),
 }
 CONTROL_SERVICES: Mapping[type, tuple[Any, str]] = {
     requests.SetControl: (srv.SetControl, 'set_control')
 }
 TERMINAL_SERVICES: Mapping[type, tuple[Any, str]] = {
+    requests.SetPace: (srv.SetPace, 'set_pace'),
     requests.NewEpisode: (srv.ResetGame, 'reset_game'),
     requests.ListOptions: (srv.ListOptions, 'list_options'),
     requests.SetExecution: (srv.SetExecution, 'set_execution'),
@@ -44,7 +49,9 @@ def encode(value: Any, message: Any) -> Any:
         if isinstance(found, Enum) and name in _ENUMS:
             found = getattr(type(message), f'{name.upper()}_{found.name}')
         elif isinstance(found, tuple):
-            found = list(found)
+            found = [
+                demonstration_to_message(v) if isinstance(v, Demonstration) else v for v in found
+            ]
         if found is not None:
             setattr(message, name, found)
     return message
@@ -66,6 +73,8 @@ def decode(kind: type[V], message: Any) -> V:
         value = getattr(message, field.name)
         if field.name in _ENUMS:
             value = _enum_value(field.name, message)
+        elif field.name == 'demonstrations':
+            value = list(map(demonstration_from_message, value))
         found[field.name] = tuple(value) if isinstance(value, list) else value
     return kind(**found)
 

@@ -28,6 +28,7 @@ from humanopts_teach.lesson.requests import (
     RequestStatus,
     ServiceRequest,
     SetControl,
+    SetPace,
     settled,
     World,
 )
@@ -214,7 +215,7 @@ class LessonClient:
             self._driven.append((request, self._action.sequence, answer))
             return answer
         message = encode(request, self._services[type(request)][0].Request())
-        if isinstance(request, SetControl):
+        if isinstance(request, SetControl | SetPace):
             message.holder_id = self._node.publisher_id
         elif isinstance(request, NewEpisode):
             message.source = srv.ResetGame.Request.SOURCE_PERSON
@@ -252,9 +253,11 @@ class LessonClient:
         )
 
     def _on_control(self, control: msg.ControlState) -> None:
-        """Renew control as long as it is this node's."""
-        self.world.holder = control.holder_id
-        if self.world.i_drive:
+        """Renew control, or the machine's pause, as long as it is this node's."""
+        world = self.world
+        world.holder, world.paused_by = control.holder_id, control.paused_by
+        world.step_period = control.step_period
+        if world.me in (world.holder, world.paused_by):
             self._node.tell_life()
             self._renewal.reset()
         else:

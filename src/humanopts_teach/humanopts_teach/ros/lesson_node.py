@@ -173,9 +173,9 @@ class LessonNode(NodeBase):
             answer = self._lesson.carry_out(request)
             if isinstance(request, BeginDemonstration) and answer.ok:
                 answer = await self._begin(answer)
-            if answer.demonstration is not None:  # kept, or taken back
+            if answer.unsent:
                 self._asked_learner = self.monotonic()
-                self._unsent.append(answer.demonstration)
+                self._unsent.extend(answer.unsent)
             self._show()
             return encode(answer, response)
 
