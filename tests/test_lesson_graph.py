@@ -15,7 +15,9 @@ from humanopts_interfaces.msg import (
 from humanopts_interfaces.srv import (
     AnswerQuestion,
     BeginDemonstration,
+    ChangeOption,
     EndDemonstration,
+    ListDemonstrations,
     ListOptions,
     OpenSession,
     ResetGame,
@@ -133,9 +135,9 @@ def test_what_is_taken_back_is_unlearned_and_run_no_more(graph: Graph, person: P
     def served() -> list[str]:
         return list(graph.ask(ListOptions, 'list_options').option_names)
 
-    stale = person.ask(WithdrawDemonstration, uuid=first)
-    assert stale.status == WithdrawDemonstration.Response.STATUS_NO_DEMONSTRATION
-    for uuid, left in ((second, [(1, first)]), (first, [])):
+    unknown = person.ask(WithdrawDemonstration, uuid='unknown')
+    assert unknown.status == WithdrawDemonstration.Response.STATUS_NO_DEMONSTRATION
+    for uuid, left in ((first, [(1, second)]), (second, [])):
         taken = person.ask(WithdrawDemonstration, uuid=uuid)
         assert (taken.status, taken.uuid) == (WithdrawDemonstration.Response.STATUS_OK, uuid)
         graph.until(lambda left=left: learned() == left, 'the learner to count it out')
@@ -155,6 +157,22 @@ def test_what_is_taken_back_is_unlearned_and_run_no_more(graph: Graph, person: P
     graph.until(lambda: LearningStatus in person.latest, 'the new learner')
     third = person.demonstrate()
     graph.until(lambda: learned() == [(1, third)], 'the new learner to know what counts')
+    person.phase(LessonState.PHASE_READY)
+
+    listed = person.ask(ListDemonstrations).demonstrations
+    assert [(demo.uuid, demo.withdrawn) for demo in listed] == [
+        (first, True),
+        (second, True),
+        (third, False),
+    ]
+    assert person.ask(ChangeOption, name=person.lesson.option_name, new_name='fetch').status == 1
+    graph.until(
+        lambda: [o.option_name for o in person.latest[LearningStatus].options] == ['fetch'],
+        'the learner to know the option by its new name only',
+    )
+    assert person.latest[LearningStatus].options[0].n_demonstrations == 1
+    graph.until(lambda: person.lesson.option_name == 'fetch', 'the lesson to say so')
+    person.phase(LessonState.PHASE_READY)
 
 
 @pytest.mark.parametrize('refuses', [False, True])

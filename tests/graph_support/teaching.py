@@ -14,8 +14,10 @@ from humanopts_interfaces.msg import (
 from humanopts_interfaces.srv import (
     AnswerQuestion,
     BeginDemonstration,
+    ChangeOption,
     DefineOption,
     EndDemonstration,
+    ListDemonstrations,
     OpenSession,
     WithdrawDemonstration,
 )
@@ -34,6 +36,8 @@ SERVICES: dict[type, str] = {
     BeginDemonstration: 'lesson/begin_demonstration',
     EndDemonstration: 'lesson/end_demonstration',
     WithdrawDemonstration: 'lesson/withdraw_demonstration',
+    ListDemonstrations: 'lesson/list_demonstrations',
+    ChangeOption: 'lesson/change_option',
 }
 
 
