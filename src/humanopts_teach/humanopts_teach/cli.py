@@ -164,7 +164,7 @@ def up(
                 raise
     except KeyboardInterrupt:
         print('stopped')
-    return 1 if running is not None and running.unclean else 0
+    return 0 if running is None else running.end()
 
 
 @app.command(cls=DomainCommand)
@@ -182,7 +182,7 @@ def teach(
     ] = '',
 ) -> int:
     """Launch, and teach from this terminal's keyboard."""
-    from humanopts_teach.commands.session import check_folder, new_name, session, setup_from
+    from humanopts_teach.commands.session import check_folder, new_name, session, setup_from, tell
     from humanopts_teach.lesson.store import CODE, CODE_RULE
 
     given: dict[str, Any] = {'participant': participant, 'ask_participant': False}
@@ -200,13 +200,18 @@ def teach(
     )
     check_folder(setup)
     print('starting ...', flush=True)
-    with session(setup, launch.namespace) as running:
-        status = running.launcher.run_terminal(running.interrupts.check)
-        print(f'demonstrations and options are in {setup.directory}')
-        print(f'the bag is {setup.bag}')
-        running.graph.catch_up()
-        running.check_recording()
-    return status or (1 if running.unclean else 0)
+    said: list[str] = []  # while the terminal is not ours
+    try:
+        with session(setup, launch.namespace, tell=said.append) as running:
+            status = running.launcher.run_terminal(running.interrupts.check)
+            print(f'demonstrations and options are in {setup.directory}')
+            print(f'the bag is {running.bags[-1]}')
+            running.graph.catch_up()
+            running.check_recording()
+    finally:
+        for line in said:
+            tell(line)
+    return running.end() or status
 
 
 def main(argv: Sequence[str] | None = None) -> int:

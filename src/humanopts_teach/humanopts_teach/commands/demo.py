@@ -1,6 +1,8 @@
 """``humanopts demo``: the whole graph with a simulated teacher, a bag and a report."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 import sys
 from typing import Any
@@ -79,7 +81,7 @@ def run_demo(
             live = _teach_plan_play(running, domain, played, judged, progress)
         progress.stage('evaluating the bag')
         try:
-            bag = open_bag(setup.bag)
+            bag = open_bag(running.bags[-1])
             evaluation = evaluate_bag(bag, progress.evaluating, judged)
             if games and not exact:
                 progress.stage(f'playing {games} games with each')
@@ -88,7 +90,7 @@ def run_demo(
             raise LaunchError(f'the recording cannot be evaluated: {error}') from error
         progress.stage('writing the report')
         holds = {
-            'path': str(setup.bag.relative_to(setup.directory)),
+            'path': str(bag.path.relative_to(setup.directory)),
             'messages': bag.n_messages,
             'topics': len(bag.topics),
         }
@@ -96,14 +98,16 @@ def run_demo(
 
         page = setup.directory / 'report.html'
         try:
-            write_json(setup.directory / 'summary.json', summary(live, evaluation, holds))
+            restarts = [asdict(end) for end in running.launcher.ends]
+            found = {**summary(live, evaluation, holds), 'ended_nodes': restarts}
+            write_json(setup.directory / 'summary.json', found)
             topics = write_evaluation_report(page, evaluation, bag, live).topics
         except SummaryError as error:
             raise CommandError(str(error)) from error
     _print_results(live, evaluation)
     print(f'the bag holds {bag.n_messages} messages on {len(bag.topics)} topics')
     print(f'report: {page}')
-    problems = _problems(setup.taught, live, evaluation, topics)
+    problems = _problems(setup.taught, live, evaluation, topics) + running.restarts()
     for problem in problems:
         print(f'humanopts demo: {problem}', file=sys.stderr)
     return 1 if problems or running.unclean else 0
@@ -158,9 +162,11 @@ def _teach_plan_play(
         option, _ = option_from_json(model)
         options.append(option_block(option, status, domain, references.get(option.name)))
     progress.stage('planning')
-    plans = [graph.plan(name, judged, setup.seed) for name in (HUMAN, PRIMITIVE)]
+    plans = [
+        graph.persist(partial(graph.plan, name, judged, setup.seed)) for name in (HUMAN, PRIMITIVE)
+    ]
     progress.stage(f'playing {episodes} episodes')
-    played = graph.play(HUMAN, episodes, setup.seed)
+    played = graph.persist(partial(graph.play, HUMAN, episodes, setup.seed))
     execution = Execution(played.episodes, played.successes, played.fallbacks, played.mean_return)
     return Live(tuple(options), tuple(map(row_of_result, plans)), execution)
 

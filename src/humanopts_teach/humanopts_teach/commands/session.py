@@ -1,5 +1,6 @@
 """A launch for the length of one command: what is asked for, checked, and the graph that runs."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -18,11 +19,13 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_ros.recording import Selection
+from humanopts_teach.bags.parts import parts
 from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher, only_launch
 from humanopts_teach.launching.processes import common_parameters, processes, Recording, Setup
+from humanopts_teach.launching.restarts import Ended
 from humanopts_teach.ros.graph_client import GraphClient
 
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
@@ -127,12 +130,17 @@ class Session:
     interrupts: Interrupts
     unclean: list[str] = field(default_factory=list)  # nodes that failed at their end, in words
 
+    @property
+    def bags(self) -> list[Path]:
+        """The bags of the session: one, and another for each time that the recorder ended."""
+        return parts(self.setup.bag) or [self.setup.bag]
+
     def check(self, *besides: str) -> None:
         """
         Look after the processes, and whether the session is to end.
 
-        :param besides: nodes that may end by themselves.
-        :raises LaunchError: one ended.
+        :param besides: as of ``Launcher.check``.
+        :raises LaunchError: a node ended, and is not started again.
         :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come.
         """
         self.interrupts.check()
@@ -147,6 +155,26 @@ class Session:
         self.launcher.check()
         if unrecorded := self.graph.unrecorded():
             raise LaunchError(unrecorded)
+
+    def restarts(self) -> list[str]:
+        """Return a sentence for each node that ended and was started again, and what it cost."""
+        counts = Counter((end.node, end.how) for end in self.launcher.ends if end.again)
+        said = [
+            f'the node {node} ended {"once" if count == 1 else f"{count} times"} ({how}) and was '
+            'started again'
+            for (node, how), count in sorted(counts.items())
+        ]
+        if len(self.bags) > 1:
+            names = ', '.join(map(str, self.bags))
+            said.append(f'the recording is in several bags, and has gaps between them: {names}')
+        return said
+
+    def end(self) -> int:
+        """Say what did not go well although the session came to its end; return its status."""
+        restarts = self.restarts()
+        for line in restarts:
+            tell(line)
+        return 1 if restarts or self.unclean else 0
 
 
 def check_folder(setup: Setup, *, new: bool = False) -> None:
@@ -183,15 +211,26 @@ def _try_writing(folder: Path) -> None:
                 path.rmdir()
 
 
+def tell(line: str) -> None:
+    """Print a line of the command on standard error, at once."""
+    print(f'humanopts: {line}', file=sys.stderr, flush=True)
+
+
 @contextmanager
 def session(
-    setup: Setup, namespace: str, progress: Callable[[GraphClient], None] = lambda _: None
+    setup: Setup,
+    namespace: str,
+    progress: Callable[[GraphClient], None] = lambda _: None,
+    tell: Callable[[str], object] = tell,
 ) -> Iterator[Session]:
     """
     Launch a graph, wait until it is ready, and stop it whatever happens, the recorder last.
 
+    A node that ends meanwhile is started again; that is told here, on the graph and in its log.
+
     :param progress: called about twenty times a second while something is waited for.
-    :raises LaunchError: a node died or does not become ready, or another launch is in the way.
+    :param tell: called with a line about a node that ended, was stopped or goes on.
+    :raises LaunchError: a node ended and is not started again or does not become ready, or another launch is in the way.
     :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come; everything is stopped.
     """
     launcher = Launcher(processes(setup), setup.directory / 'log', namespace)
@@ -204,6 +243,13 @@ def session(
     with only_launch(namespace), noticed_interrupts() as interrupts:
         graph = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
         running = Session(setup, launcher, graph, interrupts)
+
+        def on_end(end: Ended) -> None:
+            graph.note_end(end)
+            if end.again:  # the other is an error of the session
+                tell(end.text)
+
+        launcher.on_end, launcher.tell = on_end, tell
         try:
             for late in (False, True):
                 launcher.start(late=late)
@@ -215,4 +261,4 @@ def session(
             finally:
                 running.unclean.extend(launcher.stop())
                 for problem in running.unclean:
-                    print(f'humanopts: {problem}', file=sys.stderr)
+                    tell(problem)

@@ -135,6 +135,11 @@ class ForkServer:
             self._started[number].known_pid, self._started[number].returncode = pid, status
             self._channel.recv(_MESSAGE_BYTES)
 
+    @property
+    def ended(self) -> bool:
+        """Whether the server is gone, and with it all that it started."""
+        return self._process.poll() is not None
+
     def close(self) -> None:
         """End the server."""
         self._channel.close()

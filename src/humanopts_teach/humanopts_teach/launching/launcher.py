@@ -1,4 +1,8 @@
-"""Starts one process for each node, watches them, and stops them all, the recorder last."""
+"""
+Starts one process for each node, watches them, and stops them all, the recorder last.
+
+A node that ends without being asked is started again, while the others go on.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -20,10 +24,13 @@ from humanopts_ros.environment import LAUNCHER_PID
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer
 from humanopts_teach.launching.processes import ProcessSpec, RECORDER
+from humanopts_teach.launching.restarts import Ended, how, Lives, MOST
+import psutil
 
 TAIL_LINES = 12
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
 _LAST_SECONDS = 1.0  # for the end of what was killed to be known
+_STOPPED_PERIOD = 1.0  # s between looks whether a process is stopped
 # The second: before the node had a handler for it. The third: Fast DDS held it up.
 _ENDS_AS_ASKED = (0, -signal.SIGTERM, -signal.SIGALRM)
 
@@ -54,11 +61,23 @@ def only_launch(namespace: str) -> Iterator[None]:
         yield
 
 
-@dataclass(frozen=True)
+Process = subprocess.Popen[bytes] | ForkedProcess
+
+
+@dataclass
 class _Running:
     spec: ProcessSpec
-    process: 'subprocess.Popen[bytes] | ForkedProcess'
+    process: Process
     log: Path
+    lives: Lives
+    due: float | None = None  # when it is started again, s; None: it runs, or does so no more
+    given_up: Ended | None = None  # how it ended for the last time; None: it did not
+    stopped: bool = False  # by SIGSTOP
+
+    @property
+    def runs(self) -> bool:
+        """Whether its process is not known to have ended."""
+        return self.due is None and self.given_up is None
 
 
 class Launcher:
@@ -67,15 +86,35 @@ class Launcher:
 
     Each writes to a log of its own below ``log_directory``. They run in process groups of their
     own, so that Ctrl-C reaches only the launcher, which then stops them in order. A node whose
-    launcher is gone ends by itself.
+    launcher is gone ends by itself. A node that ends before is started again by ``check``, but for
+    the terminal's, a limited number of times in a row and after a pause that grows.
+
+    :ivar ends: of nodes that nobody asked to end, in order.
+    :ivar on_end: called with each of them.
+    :ivar tell: called with a line about a process that is stopped, and when it goes on.
     """
 
     def __init__(
-        self, specs: Sequence[ProcessSpec], log_directory: Path, namespace: str = '/'
+        self,
+        specs: Sequence[ProcessSpec],
+        log_directory: Path,
+        namespace: str = '/',
+        *,
+        restarts: int = MOST,
     ) -> None:
+        """
+        Start nothing yet.
+
+        :param restarts: times in a row that a node is started again.
+        """
         self._specs = list(specs)
         self._directory = log_directory
         self._namespace = namespace
+        self._restarts = restarts
+        self.ends: list[Ended] = []
+        self.on_end: Callable[[Ended], object] = lambda ended: None
+        self.tell: Callable[[str], object] = lambda line: None
+        self._looked = 0.0  # when it was last looked for stopped processes, s
         self._running: list[_Running] = []
         self._terminal: list[Any] | None = None
         self._server: ForkServer | None = None  # None: nothing is started
@@ -89,7 +128,7 @@ class Launcher:
     @property
     def pids(self) -> list[int]:
         """All processes that run."""
-        return [running.process.pid for running in self._running]
+        return [running.process.pid for running in self._running if running.runs]
 
     def pid(self, name: str) -> int:
         """Return the process of a node that runs."""
@@ -119,8 +158,8 @@ class Launcher:
 
         :param watch: called ten times a second meanwhile; what it raises ends the process, too.
         :return: its exit status.
-        :raises LaunchError: another node died meanwhile, whose process is needed: without the
-            recorder the lesson pauses, and says so. The terminal's process is ended.
+        :raises LaunchError: another node ended meanwhile, is not started again, and is needed:
+            without the recorder the lesson pauses, and says so. The terminal's process is ended.
         """
         (spec,) = [spec for spec in self._specs if spec.terminal]
         self._save_terminal()
@@ -128,7 +167,7 @@ class Launcher:
             running = self._start(spec)
             while running.process.poll() is None:
                 watch()
-                self.check(spec.name, RECORDER)
+                self.check(RECORDER)
                 time.sleep(0.1)
             self._running.remove(running)
             return self._terminal_status(running)
@@ -138,15 +177,25 @@ class Launcher:
 
     def check(self, *besides: str) -> None:
         """
-        Look whether every process is alive.
+        Look whether every process but the terminal's is alive, and start again those that ended.
 
-        :param besides: nodes that may end by themselves.
-        :raises LaunchError: one ended; the text names it and holds its last lines.
+        :param besides: nodes without which the others go on where they are not started again.
+        :raises LaunchError: another one ended and is not started again; the text names it and
+            holds its last lines.
         """
+        now = time.monotonic()
         for running in self._running:
-            status = running.process.poll()
-            if status is not None and running.spec.name not in besides:
-                raise LaunchError(_end_of(running, ' while it was needed'))
+            if running.spec.terminal:
+                continue
+            if running.due is not None and now >= running.due:
+                self._start_again(running)
+            elif running.runs and (status := running.process.poll()) is not None:
+                self._ended(running, status, now)
+            if running.given_up is not None and running.spec.name not in besides:
+                raise LaunchError(running.given_up.text)
+        if now - self._looked > _STOPPED_PERIOD:
+            self._looked = now
+            self._look_for_stopped()
 
     def stop(self) -> list[str]:
         """
@@ -166,17 +215,49 @@ class Launcher:
 
     def _start(self, spec: ProcessSpec) -> _Running:
         log = self._directory / f'{spec.name}.log'
-        arguments = ['--ros-args', '-r', f'__ns:={self._namespace}']
-        arguments += ['--params-file', str(self._parameters(spec))]
         log.write_bytes(b'')  # of an earlier launch
-        process: subprocess.Popen[bytes] | ForkedProcess
-        if spec.terminal or self._server is None:
-            process = _of_terminal(spec.module, arguments, log)
-        else:
-            process = self._server.start(spec.module, arguments, os.environ, log)
-        running = _Running(spec, process, log)
+        running = _Running(spec, self._process(spec, log), log, Lives(self._restarts))
+        running.lives.begin(time.monotonic())
         self._running.append(running)
         return running
+
+    def _process(self, spec: ProcessSpec, log: Path) -> Process:
+        arguments = ['--ros-args', '-r', f'__ns:={self._namespace}']
+        arguments += ['--params-file', str(self._parameters(spec))]
+        if spec.terminal or self._server is None:
+            return _of_terminal(spec.module, arguments, log)
+        return self._server.start(spec.module, arguments, os.environ, log)
+
+    def _start_again(self, running: _Running) -> None:
+        running.process = self._process(running.spec, running.log)
+        running.due, running.stopped = None, False
+        running.lives.begin(time.monotonic())
+
+    def _ended(self, running: _Running, status: int, now: float) -> None:
+        """Plan when a node that ended is started again, and tell that it ended."""
+        spec, lives = running.spec, running.lives
+        if self._server is not None and not self._server.ended:
+            running.due = lives.end(now, status)
+        again = running.due is not None
+        end = Ended(spec.name, how(status), _last_lines(running.log), lives.restarts, again)
+        if not again:
+            running.given_up = end
+        with running.log.open('a', encoding='utf-8') as log:
+            log.write(f'humanopts: {end.sentence}\n')
+        self.ends.append(end)
+        self.on_end(end)
+
+    def _look_for_stopped(self) -> None:
+        """Tell which processes are stopped, and which go on."""
+        for running in self._running:
+            if not running.runs:
+                continue
+            stopped = _is_stopped(running.process.pid)
+            if stopped != running.stopped:
+                running.stopped = stopped
+                name = running.spec.name
+                what = f'is stopped; kill -CONT {running.process.pid} lets it go on'
+                self.tell(f'the node {name} {what if stopped else "goes on"}')
 
     def _parameters(self, spec: ProcessSpec) -> Path:
         path = self._directory / f'{spec.name}.yaml'
@@ -237,19 +318,25 @@ def _of_terminal(module: str, arguments: Sequence[str], log: Path) -> 'subproces
         )
 
 
-def _end_of(running: _Running, when: str = '') -> str:
-    """Say how a process ended that did, and what it wrote last."""
-    status = running.process.wait()
-    how = f'by signal {signal.Signals(-status).name}' if status < 0 else f'exit status {status}'
-    return f'the node {running.spec.name} ended ({how}){when}{_last_lines(running.log)}'
+def _end_of(running: _Running) -> str:
+    """Say how a process ended that was asked to, or had the terminal, and what it wrote last."""
+    lines = _last_lines(running.log)
+    said = f'; its last lines:{lines}' if lines else '; its log is empty'
+    return f'the node {running.spec.name} ended ({how(running.process.wait())}){said}'
 
 
 def _last_lines(log: Path) -> str:
+    """Return the last lines of a log, each after a line break."""
     try:
         lines = log.read_text(encoding='utf-8', errors='replace').splitlines()
     except OSError:
         return ''
     tail = [line for line in lines if line.strip()][-TAIL_LINES:]
-    if not tail:
-        return '; its log is empty'
-    return '; its last lines:\n' + '\n'.join(f'  {line}' for line in tail)
+    return ''.join(f'\n  {line}' for line in tail)
+
+
+def _is_stopped(pid: int) -> bool:
+    try:
+        return psutil.Process(pid).status() == psutil.STATUS_STOPPED
+    except psutil.Error:  # it ended just now
+        return False

@@ -73,7 +73,7 @@ class Setup:
 
     @property
     def bag(self) -> Path:
-        """Where the recorder writes."""
+        """Where the recorder writes; where it was started again, beside that."""
         return self.directory / self.bag_name
 
     @property
@@ -93,6 +93,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
             'humanopts_teach.ros.recorder',
             {
                 'path': str(setup.bag),
+                'go_on': True,
                 'metadata': json.dumps(recorded_facts(setup)),
                 'max_bytes': recording.split_bytes,
                 'max_seconds': recording.split_seconds,

@@ -1,11 +1,13 @@
 """The command line's own node: sees that the graph is ready, and asks it for work."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import partial
 import json
+import math
 from pathlib import Path
 import time
-from typing import Any
+from typing import Any, TypeVar
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
@@ -16,6 +18,7 @@ from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, LATCHED_ALL
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import RECORDER, Value
+from humanopts_teach.launching.restarts import Ended
 from humanopts_teach.lesson.simulated_teacher import FINISHED
 import rclpy
 from rclpy.action.client import ActionClient
@@ -24,8 +27,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 _PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
+_LEASE = 20.0  # s that readers that were killed still hold up those who write to them
 _WORK_SECONDS = 600.0  # for a plan, or for episodes
 _ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
+
+T = TypeVar('T')
 
 
 class GraphClient(NodeBase):
@@ -36,8 +42,9 @@ class GraphClient(NodeBase):
     after the processes and has a deadline; ``watch`` is called about twenty times a second
     meanwhile: it checks the processes, and shows progress.
 
-    :ivar statuses: by full name of the node, of its first process.
+    :ivar statuses: by full name of the node, of its newest process.
     :ivar duplicates: names of nodes that two processes use.
+    :ivar restarts: how often each node has ended and was to be started again, by full name.
     :ivar feedback: of the action under way; None: none has come.
     """
 
@@ -64,6 +71,9 @@ class GraphClient(NodeBase):
         super().__init__('conductor')
         self.statuses: dict[str, msg.NodeStatus] = {}
         self.duplicates: set[str] = set()
+        self.restarts: Counter[str] = Counter()
+        self._ended: dict[str, float] = {}  # when each node ended last, s
+        self._gone: set[str] = set()  # publisher_ids of processes that have ended
         self._awaited: set[str] = set()  # nodes of this launch; others may be started again
         self.feedback: Any = None
         self._record, self._bag = bool(parameters['expect_recorder']), bag
@@ -160,10 +170,15 @@ class GraphClient(NodeBase):
         """
         Have the planner play episodes through the option server.
 
+        Where it has no plan, or not with the newest options, it plans first.
+
         :raises LaunchError: it refused, failed or did not answer.
         """
         goal = RunPolicy.Goal(action_set=action_set, episodes=episodes, seed=seed)
         result: msg.PolicyResult = self._act(self._policy_client, goal, 'the episodes')
+        if result.status == result.STATUS_NO_PLAN:
+            self.plan(action_set, 0, seed)
+            result = self._act(self._policy_client, goal, 'the episodes')
         if result.status != msg.PolicyResult.STATUS_DONE:
             raise LaunchError(f'playing by the {action_set} plan failed: {result.detail}')
         return result
@@ -194,7 +209,8 @@ class GraphClient(NodeBase):
             self._check_duplicates(self._full_name(RECORDER))  # a new one takes over from ours
             paused = self._paused()
             for name in sorted(reported.keys() - paused.keys()):
-                if self.statuses[name].state == msg.NodeStatus.STATE_READY:
+                status = self.statuses.get(name)
+                if status is not None and status.state == msg.NodeStatus.STATE_READY:
                     tell(f'{name} goes on')
             for name, text in paused.items():
                 if reported.get(name) != text:
@@ -250,16 +266,54 @@ class GraphClient(NodeBase):
         handle = sent.result()
         if not handle.accepted:
             raise LaunchError(f'the planner refused {what}')
-        reply = handle.get_result_async()
-        self.wait(reply.done, _WORK_SECONDS, what)
+        reply, planner = handle.get_result_async(), self._full_name('planner')
+        before = self.restarts[planner]
+        self.wait(
+            lambda: reply.done() or self.restarts[planner] != before, _WORK_SECONDS, what
+        )
+        if not reply.done():
+            raise LaunchError(f'the planner ended before {what}')
         return reply.result().result.result
 
+    def persist(self, work: Callable[[], T]) -> T:
+        """
+        Do work that can be done again, and do so where it failed while a node ended.
+
+        :param work: raises a LaunchError where it fails.
+        :raises LaunchError: it failed although every node went on, or a node is given up.
+        """
+        while True:
+            before = self.restarts.total()
+            try:
+                return work()
+            except LaunchError:
+                self._watch()  # a node may have ended just now
+                if self.restarts.total() == before:
+                    raise
+                self.wait_ready(sorted(self._awaited))
+
+    def note_end(self, end: Ended) -> None:
+        """Publish that a node ended; the next process of that name is then no other node."""
+        node = self._full_name(end.node)
+        self.restarts[node] += end.again
+        self._ended[node] = time.monotonic()
+        if (known := self.statuses.pop(node, None)) is not None:
+            self._gone.add(known.publisher_id)
+        self.get_logger().error(end.sentence)
+        self.set_status(msg.NodeStatus.STATE_READY, end.sentence)
+
     def _keep_status(self, status: msg.NodeStatus) -> None:
-        known = self.statuses.get(status.node, status)
-        if status.publisher_id == known.publisher_id or known.state == known.STATE_STOPPING:
-            self.statuses[status.node] = status
-        else:
-            self.duplicates.add(status.node)
+        node = status.node
+        known = self.statuses.get(node, status)
+        if status.publisher_id in self._gone:
+            return
+        if status.publisher_id != known.publisher_id:
+            late = time.monotonic() - self._ended.get(node, -math.inf) < _PATIENCE
+            if not late and known.state != known.STATE_STOPPING:
+                self.duplicates.add(node)
+                return
+            self._gone.add(known.publisher_id)  # it ended before its status had come here
+        self.statuses[node] = status
 
     def _full_name(self, name: str) -> str:
         return f'{self.get_namespace().rstrip("/")}/{name}'
@@ -298,7 +352,7 @@ class GraphClient(NodeBase):
         paused, now = self._paused(), time.monotonic()
         if not paused:
             self._fine = now
-        elif now - self._fine > _PATIENCE:
+        elif now - max([self._fine, *(t + _LEASE for t in self._ended.values())]) > _PATIENCE:
             name, text = next(iter(paused.items()))
             raise LaunchError(f'{name} cannot go on: {text}')
 

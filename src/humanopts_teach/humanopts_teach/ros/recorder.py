@@ -21,6 +21,7 @@ from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
 from humanopts_ros.recording import MOST_BYTES, Selection
 from humanopts_teach.bags import BagWriteError, SchemaError
+from humanopts_teach.bags.parts import next_part, parts
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp
 from humanopts_teach.bags.writer import BagWriter, Limits
@@ -140,6 +141,9 @@ class Recorder(NodeBase):
         :raises StartError: it cannot be begun there, or a parameter cannot be used.
         """
         path = self.setting('path', '', 'directory of the bag; must not exist')
+        go_on = self.setting(
+            'go_on', False, 'where it exists, take path-2, path-3, ...: it is started again'
+        )
         facts = self.setting('metadata', '{}', 'JSON object of facts to keep in the bag')
         limits = Limits(
             self.setting('max_bytes', 0, 'size of a file; 0: any', (0, MOST_BYTES)),
@@ -148,8 +152,11 @@ class Recorder(NodeBase):
         if not path:
             raise StartError('parameter path: name the directory of the bag')
         try:
+            bag, before = Path(path), parts(Path(path)) if go_on else []
             known = {**_facts(facts), **software(), **_selected(self.selection)}
-            return BagWriter(Path(path), known, limits=limits)
+            if before:
+                bag, known['continues'] = next_part(bag), before[-1].name
+            return BagWriter(bag, known, limits=limits)
         except BagWriteError as error:
             raise StartError(str(error)) from error
 
