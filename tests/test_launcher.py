@@ -39,8 +39,8 @@ def launch(live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
     launchers = []
 
-    def start(*specs: ProcessSpec) -> Launcher:
-        launchers.append(Launcher(specs, tmp_path / 'log'))
+    def start(*specs: ProcessSpec, **options: int) -> Launcher:
+        launchers.append(Launcher(specs, tmp_path / 'log', **options))
         launchers[-1].start()
         return launchers[-1]
 
@@ -75,15 +75,53 @@ def test_a_node_that_ends_is_named_with_its_last_lines(launch: Launch) -> None:
     assert last.startswith("  humanopts: no domain 'chess'; there is")
 
 
-def test_a_node_that_was_killed_in_silence_is_named_with_the_signal(
+def test_a_node_that_was_killed_is_started_again_in_a_limited_number(
+    launch: Launch, live: Graph
+) -> None:
+    launcher = launch(spec('game', GAME), restarts=2)
+    for count in range(3):
+        live.until(lambda n=count: starts(live) == n + 1, 'the next life', 30.0)
+        assert [end.again for end in launcher.ends] == [True] * count
+        os.kill(launcher.pid('game'), signal.SIGKILL)
+        if count < 2:
+            live.until(lambda n=count: looked(launcher) == n + 1, 'its end to be seen')
+            live.until(lambda n=count: looked(launcher) and launcher.pids, 'the restart')
+    first, *others = death(launcher).splitlines()
+    ended = 'the node game ended (by signal SIGKILL)'
+    assert first == f'{ended} after 2 restarts in a row while it was needed; its last lines:'
+    again = f'  humanopts: {ended}, and is started again'
+    assert [line for line in others if line.startswith('  humanopts')] == [again, again]
+    assert [end.again for end in launcher.ends] == [True, True, False]
+    assert launcher.pids == []
+
+
+def starts(live: Graph) -> int:
+    """Return how many processes of the game have become ready."""
+    ready = [s for s in live.statuses.get('/game', []) if s.state == NodeStatus.STATE_READY]
+    return len({status.publisher_id for status in ready})
+
+
+def looked(launcher: Launcher) -> int:
+    """Look after the processes; return how many have ended so far."""
+    launcher.check()
+    return len(launcher.ends)
+
+
+def test_a_node_that_is_stopped_is_told_by_name_and_when_it_goes_on(
     launch: Launch, live: Graph
 ) -> None:
     launcher = launch(spec('game', GAME))
+    said: list[str] = []
+    launcher.tell = said.append
     live.ready('/game')
-    os.kill(launcher.pid('game'), signal.SIGKILL)
-    assert death(launcher) == (
-        'the node game ended (by signal SIGKILL) while it was needed; its log is empty'
-    )
+    pid = launcher.pid('game')
+    os.kill(pid, signal.SIGSTOP)
+    live.until(lambda: not launcher.check() and said, 'a line')
+    os.kill(pid, signal.SIGCONT)
+    live.until(lambda: not launcher.check() and len(said) > 1, 'another line')
+    stopped = f'the node game is stopped; kill -CONT {pid} lets it go on'
+    assert said == [stopped, 'the node game goes on']
+    assert launcher.ends == []
 
 
 def test_the_recorder_is_stopped_when_the_others_are_gone(

@@ -354,12 +354,19 @@ class NodeBase(Node):
         """Return whether that many recorders subscribe, and their subscriptions are matched."""
         return publisher.is_matched() and self.is_recorded(publisher.topic, recorders)
 
-    async def answer(self, client: Client, request: Any, seconds: float) -> Any:
+    async def answer(
+        self,
+        client: Client,
+        request: Any,
+        seconds: float,
+        lost: Callable[[], bool] = lambda: False,
+    ) -> Any:
         """
         Call a service from a coroutine.
 
         A request that is sent before the server is found is lost, so this waits for the server.
 
+        :param lost: returns whether the server was started again since, and knows nothing of it.
         :return: the response; None when there is none after ``seconds``, or the server is gone.
         """
         if not await self.waiting.until(client.service_is_ready, min(seconds, _PRESENCE_PERIOD)):
@@ -367,7 +374,7 @@ class NodeBase(Node):
         future, deadline = client.call_async(request), self.monotonic() + seconds
 
         def check() -> None:
-            if self.monotonic() >= deadline or not client.service_is_ready():
+            if self.monotonic() >= deadline or lost() or not client.service_is_ready():
                 future.cancel()
 
         timer = self.create_timer(

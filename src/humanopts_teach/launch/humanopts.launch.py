@@ -5,13 +5,19 @@ The whole graph, where ROS 2 is installed: ``ros2 launch humanopts_teach humanop
 ``ros2 run humanopts_teach keyboard_teleop``.
 """
 
+from collections.abc import Callable
+
 from humanopts_teach.launching.processes import processes, ProcessSpec
+from humanopts_teach.launching.restarts import CANNOT_START, MOST
 from humanopts_teach.launching.ros_launch import ARGUMENTS, setup_from_launch
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+
+_RESPAWN_DELAY = 0.5  # s
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -42,5 +48,21 @@ def _node(spec: ProcessSpec) -> Node:
         namespace=LaunchConfiguration('namespace'),
         parameters=[parameters],
         output='screen',
-        on_exit=Shutdown(reason=f'the node {spec.name} ended'),
+        respawn=True,
+        respawn_delay=_RESPAWN_DELAY,
+        on_exit=_give_up(spec.name),
     )
+
+
+def _give_up(name: str) -> Callable[[ProcessExited, LaunchContext], list[Shutdown] | None]:
+    """Return what ends the launch when a node cannot start, or has been started often enough."""
+    ends = 0
+
+    def on_exit(event: ProcessExited, context: LaunchContext) -> list[Shutdown] | None:
+        nonlocal ends
+        ends += 1
+        if event.returncode != CANNOT_START and ends <= MOST:
+            return None
+        return [Shutdown(reason=f'the node {name} ended')]
+
+    return on_exit

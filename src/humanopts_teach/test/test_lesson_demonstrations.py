@@ -249,3 +249,29 @@ def test_the_same_lesson_gives_the_same_uuids_and_any_difference_others(tmp_path
 
     assert uuid('a', 'west') == uuid('b', 'west', seconds=9.0)
     assert uuid('c', 'south') != uuid('d', 'west')
+
+
+def test_a_game_that_is_started_again_ends_the_demonstration_under_way(table: Table) -> None:
+    table.ready().began(START).drive('west')
+    assert table.lesson.game_restarted()
+    view = table.lesson.view
+    assert view.phase is Phase.READY
+    assert 'the game was started again' in view.text
+    assert table.end().status is RequestStatus.WRONG_PHASE
+    assert not table.lesson.game_restarted()  # nothing is under way
+    table.began()
+    assert table.lesson.view.start_state == START  # it is asked for again
+
+
+def test_a_lesson_that_is_started_again_goes_on_where_the_other_was(table: Table) -> None:
+    table.ready().shown()
+    table.began(START).drive('west')
+    again = Table(table.store)
+    assert again.lesson.resume('p1', 's1').ok
+    view = again.lesson.view
+    assert (view.session, view.option_name, view.chosen_features) == ('s1', OPTION, CHOSEN)
+    assert (view.phase, view.n_demonstrations) == (Phase.LEARNING, 1)
+    assert 'was started again; a demonstration that was under way is given up' in view.text
+    again.learned()  # the newest, of which the lesson does not know whether it is counted in
+    assert again.lesson.phase is Phase.READY
+    assert again.shown().lesson.view.n_demonstrations == 2

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from humanopts_teach.lesson.recorders import PATIENCE, Recorders, SILENT
+from humanopts_teach.lesson.recorders import AGAIN, PATIENCE, Recorders, SILENT
 import pytest
 
 STARTING: dict[str, Any] = {'complete': False, 'stopped': False, 'text': ''}
@@ -67,3 +67,16 @@ def test_a_recorder_that_works_is_enough_until_it_leaves(recorders: Recorders) -
         recorders.update('b', **STOPPED)
         assert recorders.look(True) == ''
     assert recorders.look(True).startswith('recording stopped: no space')
+
+
+def test_another_recorder_is_a_fault_for_a_look_though_it_has_every_topic(
+    recorders: Recorders,
+) -> None:
+    recorders.update('a', **WORKS)
+    assert recorders.look(True) == ''
+    recorders.update('b', **WORKS)  # the first was killed just now, and still is on the graph
+    assert [recorders.look(True) for _ in range(3)] == [AGAIN, '', '']
+    recorders.update('c', **STARTING)
+    assert [recorders.look(True) for _ in range(2)] == [AGAIN, '']  # the other two may go on
+    recorders.update('c', **WORKS)
+    assert recorders.look(True) == ''

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from humanopts_teach.launching import processes as table
-from humanopts_teach.launching import ros_launch
+from humanopts_teach.launching import restarts, ros_launch
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
 from humanopts_teach.launching.ros_launch import (
     ARGUMENTS,
@@ -122,6 +122,8 @@ def test_launch_file_declares_every_argument_and_uses_what_there_is() -> None:
         'setup_from_launch': ros_launch,
         'processes': table,
         'ProcessSpec': table,
+        'CANNOT_START': restarts,
+        'MOST': restarts,
     }
     assert all(hasattr(module, name) for name, module in ours.items())
     functions = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
@@ -130,7 +132,7 @@ def test_launch_file_declares_every_argument_and_uses_what_there_is() -> None:
 
 
 def _imports(tree: ast.Module) -> Iterator[tuple[str, Any]]:
-    modules = {module.__name__: module for module in (ros_launch, table)}
+    modules = {module.__name__: module for module in (ros_launch, table, restarts)}
     for node in tree.body:
         if isinstance(node, ast.ImportFrom) and (node.module or '').startswith('humanopts'):
             yield from ((alias.name, modules[str(node.module)]) for alias in node.names)

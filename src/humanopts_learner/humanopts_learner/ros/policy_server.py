@@ -23,6 +23,7 @@ from humanopts_learner.planning.request import Execution, MODULAR, PRIMITIVE
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_learner.ros.planner_actions import in_thread, MadePlan, PlannerState, STOPS
 from humanopts_ros.node_base import end_goal, NodeBase
+from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
@@ -101,6 +102,7 @@ class PolicyServer:
         self._results = node.stamped_publisher(PolicyResult, 'policy_results')
         self._values = node.stamped_publisher(OptionValues, 'option_values', LATCHED)
         self._executions = node.stamped_publisher(ExecutionState, 'execution', LATCHED)
+        self._restarts = NodeRestarts(node)
         self._reset_client = node.recorded_client(ResetGame, 'reset_game', group)
         self._run_client = node.recorded_client(RunOption, 'run_option', group)
         node.recorded_action(RunPolicy, 'run_policy', self._execute, group, self._on_cancel)
@@ -277,9 +279,14 @@ class PolicyServer:
             plan_id=run.made.plan_id,
             execution_sequence=run.execution_sequence,
         )
-        answer = await self._node.answer(self._run_client, request, _RUN_SECONDS)
+        counts, server = self._restarts.counts, 'option_server'
+        before = counts[server]
+        answer = await self._node.answer(
+            self._run_client, request, _RUN_SECONDS, lambda: counts[server] != before
+        )
         if answer is None:
-            raise _Ended(PolicyResult.STATUS_FAILED, 'option_server did not answer run_option')
+            what = 'was started again' if counts[server] != before else 'did not answer run_option'
+            raise _Ended(PolicyResult.STATUS_FAILED, f'{server} {what}')
         result: OptionResult = answer.result
         return result
 

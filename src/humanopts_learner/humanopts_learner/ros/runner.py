@@ -290,7 +290,9 @@ class Runner:
         active = self._active
         if active is None:
             return
-        if episode != active.episode:
+        if not same_game:
+            self._finish(active.run.end(RunStatus.INTERRUPTED, 'the game was started again'))
+        elif episode != active.episode:
             self._finish(active.run.end(RunStatus.INTERRUPTED, 'the game was reset'))
         elif step > active.step:
             self._on_step(active, observed)

@@ -1,5 +1,5 @@
 """
-The bags of one recording: where a recorder was started again, the next bag stands beside the first.
+The bags of one recording: a recorder that is started again begins the next, beside the first.
 
 They are ``bag``, ``bag-2``, ``bag-3``: a bag whose recorder died stays as it was left.
 """

@@ -230,7 +230,8 @@ def session(
 
     :param progress: called about twenty times a second while something is waited for.
     :param tell: called with a line about a node that ended, was stopped or goes on.
-    :raises LaunchError: a node ended and is not started again or does not become ready, or another launch is in the way.
+    :raises LaunchError: a node ended and is not started again, or does not become ready, or
+        another launch is in the way.
     :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come; everything is stopped.
     """
     launcher = Launcher(processes(setup), setup.directory / 'log', namespace)

@@ -69,6 +69,8 @@ _SILENT = {
     True: 'The learner does not answer. That the demonstration is taken back is on disk, and is '
     'sent again to the next learner that starts.',
 }
+_GAME_AGAIN = 'The demonstration is given up: the game was started again.'
+_RESUMED = 'The lesson was started again; a demonstration that was under way is given up.'
 _HINTS = {
     Phase.NO_SESSION: 'Open a session to begin.',
     Phase.NO_OPTION: 'Name the option that you want to teach.',
@@ -276,6 +278,29 @@ class Lesson:
             return False
         self._attempt.add(transition)
         return self._watch(transition)
+
+    def game_restarted(self) -> bool:
+        """
+        Give up the demonstration under way: a game that is started again is another one.
+
+        :return: whether the view has changed.
+        """
+        if self._under_way is None:
+            return False
+        self._give_up(_GAME_AGAIN)
+        return True
+
+    def resume(self, participant: str, session: str) -> Answer:
+        """
+        Go on with a session in whose middle the process of the lesson has ended.
+
+        The newest demonstration may not have reached the learner.
+        """
+        answer = self.carry_out(OpenSession(participant, session))
+        if answer.ok:
+            self._notice = _RESUMED
+            self._awaited = self._option.newest if self._option is not None else None
+        return answer
 
     def reached(self, episode: int, step: int) -> bool:
         """Return whether the stream has come so far, or waiting for it is of no use."""

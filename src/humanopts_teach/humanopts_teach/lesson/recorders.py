@@ -7,6 +7,7 @@ _ADVICE = 'Everything taught so far is on disk: quit, and the same command takes
 SILENT = (
     'nothing is heard of the recorder any more, and the bag may lack the last seconds. ' + _ADVICE
 )
+AGAIN = 'another recorder has come, and gets the topics'
 
 
 @dataclass(slots=True)
@@ -33,7 +34,8 @@ class Recorders:
         """
         self._expected = expected
         self._known: dict[str, _Recorder] = {}  # by publisher_id
-        self._any = False  # a status has come
+        self._heard: set[str] = set()  # recorders that have published a status
+        self._again = False  # since the last look, the first of another recorder has come
         self._fault = ''
 
     def update(self, recorder: str, *, complete: bool, stopped: bool, text: str) -> None:
@@ -42,14 +44,16 @@ class Recorders:
 
         :param recorder: its publisher_id; the rest is as in RecorderStatus.
         """
-        self._any = True
+        self._again |= bool(self._heard) and recorder not in self._heard and not stopped
+        self._heard.add(recorder)
         self._known[recorder] = _Recorder(complete, stopped, text)
 
     def look(self, there: bool) -> str:
         """
         Return why nothing is recorded and what to do; empty: it is recorded.
 
-        A new recorder ends a fault once it has every topic.
+        A new recorder ends a fault once it has every topic. One that follows another without a
+        fault is one itself for a look: a lesson has to publish everything again for it.
 
         :param there: a recorder is on the graph; one that was killed stays there for a while.
         """
@@ -61,10 +65,13 @@ class Recorders:
             if there and recorder.looks <= PATIENCE
         }
         known = self._known.values()
-        if any(recorder.complete and not recorder.stopped for recorder in known):
+        again, self._again = self._again, False
+        if again:
+            self._fault = self._fault or AGAIN
+        elif any(recorder.complete and not recorder.stopped for recorder in known):
             self._fault = ''
         elif known and all(recorder.stopped for recorder in known):
             self._fault = f'{next(iter(known)).text}. {_ADVICE}'
-        elif not known and self._expected and (self._any or not there):
+        elif not known and self._expected and (self._heard or not there):
             self._fault = self._fault or SILENT
         return self._fault

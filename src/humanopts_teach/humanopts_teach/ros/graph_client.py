@@ -26,6 +26,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
+LESSON = 'lesson'
 _PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
 _LEASE = 20.0  # s that readers that were killed still hold up those who write to them
 _WORK_SECONDS = 600.0  # for a plan, or for episodes
@@ -74,6 +75,7 @@ class GraphClient(NodeBase):
         self.restarts: Counter[str] = Counter()
         self._ended: dict[str, float] = {}  # when each node ended last, s
         self._gone: set[str] = set()  # publisher_ids of processes that have ended
+        self._resent = 0  # sequence of the lesson's status from which all is in the newest bag
         self._awaited: set[str] = set()  # nodes of this launch; others may be started again
         self.feedback: Any = None
         self._record, self._bag = bool(parameters['expect_recorder']), bag
@@ -183,6 +185,15 @@ class GraphClient(NodeBase):
             raise LaunchError(f'playing by the {action_set} plan failed: {result.detail}')
         return result
 
+    def all_recorded(self) -> bool:
+        """Return whether a recorder that was started again has been sent all that was shown."""
+        lesson = self.statuses.get(self._full_name(LESSON))
+        return not self._resent or (
+            lesson is not None
+            and lesson.state == lesson.STATE_READY
+            and lesson.sequence >= self._resent
+        )
+
     def learned(self) -> list[tuple[str, msg.OptionStatus]]:
         """Return the option file's JSON and the status of every learned option."""
         if self.options is None or self.learning is None:
@@ -268,9 +279,7 @@ class GraphClient(NodeBase):
             raise LaunchError(f'the planner refused {what}')
         reply, planner = handle.get_result_async(), self._full_name('planner')
         before = self.restarts[planner]
-        self.wait(
-            lambda: reply.done() or self.restarts[planner] != before, _WORK_SECONDS, what
-        )
+        self.wait(lambda: reply.done() or self.restarts[planner] != before, _WORK_SECONDS, what)
         if not reply.done():
             raise LaunchError(f'the planner ended before {what}')
         return reply.result().result.result
@@ -299,6 +308,11 @@ class GraphClient(NodeBase):
         self._ended[node] = time.monotonic()
         if (known := self.statuses.pop(node, None)) is not None:
             self._gone.add(known.publisher_id)
+        lesson = self.statuses.get(self._full_name(LESSON))
+        if end.node == LESSON:  # the next one sends everything
+            self._resent = min(self._resent, 1)
+        if end.node == RECORDER and lesson is not None:  # it pauses, and then goes on
+            self._resent = lesson.sequence + (1 if lesson.state == lesson.STATE_PAUSED else 2)
         self.get_logger().error(end.sentence)
         self.set_status(msg.NodeStatus.STATE_READY, end.sentence)
 

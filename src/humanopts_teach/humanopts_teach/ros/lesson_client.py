@@ -12,10 +12,11 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Transition
-from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
+from humanopts_env.ros.game_subscriber import GAME, GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
 from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase
+from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.qos import CURRENT, DISPLAY
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -26,6 +27,7 @@ from humanopts_teach.lesson.requests import (
     NewEpisode,
     Phase,
     RequestStatus,
+    server,
     ServiceRequest,
     SetControl,
     SetPace,
@@ -39,6 +41,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
+LESSON = 'lesson'  # name of the node
+_LOST = Answer(RequestStatus.REFUSED, 'a node was started again meanwhile; look where it stands')
 _PATIENCE = 30.0  # s
 _GIVE_BACK = 5.0  # s for game to take control back
 _RENEWAL = 0.5  # s between signs that this node goes on, while it holds control
@@ -88,6 +92,7 @@ class LessonClient:
         self._patience = patience
         self._on_news = on_news
         self._driven: list[tuple[Drive, int, Future]] = []  # with its sequence; not answered yet
+        self._asked: list[tuple[str, Future]] = []  # node and answer; not answered yet
         self._services = {**services, **CONTROL_SERVICES}
         self._clients: dict[type, Client] = {
             kind: node.recorded_client(*service) for kind, service in self._services.items()
@@ -96,6 +101,7 @@ class LessonClient:
         self._renewal = node.create_timer(_RENEWAL, node.tell_life, autostart=False)
         self._game = GameSubscriber(node, self._on_domain)
         lesson = msg.LessonState, 'lesson_state', partial(decode, LessonView)
+        self._restarts = NodeRestarts(node, self._on_restart)
         self._subscriptions = [
             self._game.follow('current_state', self._on_game, CURRENT),
             node.subscribe(*lesson, self._on_lesson, CURRENT),
@@ -139,13 +145,17 @@ class LessonClient:
         """
         what = self.name_of(request)
         await self.until(lambda: self.is_ready(request), f'{what} to be there')
-        future = self.send(request)
+        future, before = self.send(request), self._lives()
         await self.until(future.done, f'an answer of {what}')
         answer: Answer = future.result()
         if not answer.carried_out:
             raise RefusedError(what, answer)
         shown = f'the lesson to show what came of {what}'
-        await self.until(lambda: settled(request, answer, self.world), shown)
+        await self.until(
+            lambda: settled(request, answer, self.world) or self._lives() != before, shown
+        )
+        if not settled(request, answer, self.world):
+            raise RefusedError(what, _LOST)
         return answer
 
     async def drive(self, action: str) -> Transition:
@@ -221,12 +231,16 @@ class LessonClient:
             message.source = srv.ResetGame.Request.SOURCE_PERSON
 
         def on_response(done: Future) -> None:
+            if answer.done():  # its server was started again
+                return
             found = decode(Answer, done.result())
             if isinstance(request, ListOptions):  # that there are none is an answer, too
                 found = replace(found, status=RequestStatus.OK)
             answer.set_result(found)
             self._node.waiting.look()
 
+        self._asked = [asked for asked in self._asked if not asked[1].done()]
+        self._asked.append((server(request), answer))
         self._clients[type(request)].call_async(message).add_done_callback(on_response)
         return answer
 
@@ -235,6 +249,19 @@ class LessonClient:
         if isinstance(request, Drive):
             return f'action {request.action}'
         return str(self._clients[type(request)].srv_name)
+
+    def _lives(self) -> tuple[int, int]:
+        """Return how often the nodes were started again that change what requests have changed."""
+        return self._restarts.counts[GAME], self._restarts.counts[LESSON]
+
+    def _on_restart(self, name: str) -> None:
+        """Answer what a node that was started again has not answered, and never will."""
+        if name == GAME:
+            self._answer_driven(lambda drive, sequence: True, _LOST)
+        for asked, answer in self._asked:
+            if asked == name and not answer.done():
+                answer.set_result(_LOST)
+        self._changed()
 
     def _on_domain(self, domain: Domain[Any]) -> None:
         self.world.domain = domain

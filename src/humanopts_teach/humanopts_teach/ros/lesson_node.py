@@ -17,10 +17,12 @@ from humanopts_learner.options.option import OptionError
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_ros.node_base import NodeBase, PATIENCE, SEEDS, StartError
+from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from humanopts_teach.lesson.lesson import Lesson
+from humanopts_teach.lesson.open_place import OpenPlace
 from humanopts_teach.lesson.recorders import Recorders
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -76,6 +78,7 @@ class LessonNode(NodeBase):
             self._store = DemonstrationStore(Path(directory))
         except StoreError as error:
             raise StartError(str(error)) from error
+        self._place = OpenPlace(Path(directory))
         for damage in self._store.damage:
             self.get_logger().warning(damage)
         self._opened: Lesson | None = None  # once the game is known
@@ -93,6 +96,7 @@ class LessonNode(NodeBase):
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
         self.create_timer(_TICK, self._tick)
         game = GameSubscriber(self, self._on_domain)
+        NodeRestarts(self, self._on_restart)
         self._game_states = game.follow('game_state', self._on_game_state)
         self._recorder_status = self.create_subscription(
             msg.RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
@@ -135,7 +139,8 @@ class LessonNode(NodeBase):
         self._show()
 
     def close(self) -> None:
-        """Let another lesson use the folder."""
+        """Let another lesson use the folder, and begin without a session."""
+        self._place.forget()
         self._store.close()
 
     def _on_domain(self, domain: Domain[Any]) -> None:
@@ -147,10 +152,14 @@ class LessonNode(NodeBase):
             clock=self.monotonic,
             today=lambda: datetime.now(UTC).strftime('%Y%m%d'),
         )
-        if self._participant:
+        left = self._place.left()
+        if left is not None:
+            answer = self._opened.resume(*left)
+            self._asked_learner = self.monotonic()
+        elif self._participant:
             answer = self._opened.carry_out(OpenSession(self._participant, self._session))
-            if not answer.ok:
-                raise StartError(answer.detail)
+        if (left is not None or self._participant) and not answer.ok:
+            raise StartError(answer.detail)
         for kind, (service, name) in LESSON_SERVICES.items():
             self.recorded_service(service, name, self._handler(kind), self._reentrant)
         self.create_subscription(
@@ -171,6 +180,8 @@ class LessonNode(NodeBase):
                 seen = request.episode, request.step
                 await self.waiting.until(lambda: self._lesson.reached(*seen), _GAME_DEADLINE)
             answer = self._lesson.carry_out(request)
+            if isinstance(request, OpenSession) and answer.ok:
+                self._place.keep(request.participant, answer.session)
             if isinstance(request, BeginDemonstration) and answer.ok:
                 answer = await self._begin(answer)
             if answer.unsent:
@@ -216,6 +227,10 @@ class LessonNode(NodeBase):
         return matched and bool(self._reset.service_is_ready())
 
     # What game, the learner and the recorder publish.
+
+    def _on_restart(self, name: str) -> None:
+        if name == 'game' and self._opened is not None and self._opened.game_restarted():
+            self._show()
 
     def _on_game_state(self, observed: Observed) -> None:
         if self._lesson.add_transition(observed.transition):

@@ -6,12 +6,13 @@ from typing import Any
 from humanopts_env.game import Transition
 from humanopts_interfaces import action as actions
 from humanopts_interfaces.msg import OptionResult, PlanResult
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.lesson import requests
 from humanopts_teach.lesson.requests import Answer, RequestStatus, Run, RunOption, server
 from humanopts_teach.ros.convert import encode
 from rclpy.action.client import ActionClient
-from rclpy.node import Node
 from rclpy.task import Future
 
 _ACTIONS: dict[type[Run], tuple[Any, str]] = {
@@ -25,8 +26,9 @@ _WELL = ('REACHED', 'EPISODE_OVER', 'CONVERGED', 'NOT_CONVERGED', 'DONE')
 class Runs:
     """Starts one run after the other, and reports to the app how it goes and how it ended."""
 
-    def __init__(self, node: Node, app: App) -> None:
+    def __init__(self, node: NodeBase, app: App) -> None:
         self._app = app
+        NodeRestarts(node, self._on_restart)
         self._clients = {kind: ActionClient(node, *spec) for kind, spec in _ACTIONS.items()}
         self._handle: Any = None  # of the run under way
 
@@ -55,6 +57,12 @@ class Runs:
     def check_server(self) -> None:
         """End the run when its server is gone."""
         if self._app.run is not None and not self.is_ready(self._app.run):
+            self._app.lost_server()
+
+    def _on_restart(self, name: str) -> None:
+        """End the run of a server that was started again, and does not know it."""
+        if self._app.run is not None and server(self._app.run) == name:
+            self._handle = None
             self._app.lost_server()
 
     def _accepted(self, run: Run, done: Future) -> None:

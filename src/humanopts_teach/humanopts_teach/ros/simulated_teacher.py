@@ -7,7 +7,13 @@ from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase, PATIENCE, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
-from humanopts_teach.lesson.requests import Drive, LessonRequest
+from humanopts_teach.lesson.requests import (
+    Drive,
+    EndDemonstration,
+    LessonRequest,
+    Phase,
+    Verdict,
+)
 from humanopts_teach.lesson.simulated_teacher import (
     Finish,
     FINISHED,
@@ -41,6 +47,7 @@ class SimulatedTeacherNode(NodeBase):
             PATIENCE,
         )
         self._teacher: SimulatedTeacher | None = None
+        self._first = True  # it has not done anything yet
         self._client = LessonClient(self, patience=self._deadline, on_news=self._meet)
 
     def waits_for(self) -> str | None:
@@ -117,6 +124,8 @@ class SimulatedTeacherNode(NodeBase):
         """
         client, teacher, reason, since = self._client, self._teacher, '', 0.0
         assert teacher is not None, 'the node waited for the game'
+        if (left := self._left()) is not None:
+            return left
         while True:
             lesson, game = client.lesson, client.game
             assert lesson is not None, 'the node waited for the lesson'
@@ -131,6 +140,14 @@ class SimulatedTeacherNode(NodeBase):
 
             if not await self.waiting.until(is_news, since + self._deadline - self.monotonic()):
                 raise NoAnswerError(f'gave up after {self._deadline:g} s of waiting for {reason}')
+
+    def _left(self) -> EndDemonstration | None:
+        """Discard, first of all, what a teacher before this one has begun; None: it has not."""
+        lesson, first = self._client.lesson, self._first
+        self._first = False
+        if not first or lesson is None or lesson.phase is not Phase.DEMONSTRATING:
+            return None
+        return EndDemonstration(Verdict.DISCARD, lesson.episode, 0)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -1,0 +1,42 @@
+"""Which nodes were started again: what was asked of them before is not answered any more."""
+
+from collections import Counter
+from collections.abc import Callable
+
+from humanopts_interfaces.msg import NodeStatus
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.qos import LATCHED_ALL
+
+
+class NodeRestarts:
+    """
+    Counts how often each node of a namespace was started again, by what it publishes of its life.
+
+    :ivar counts: by name without the namespace.
+    """
+
+    def __init__(
+        self, node: NodeBase, on_restart: Callable[[str], object] = lambda name: None
+    ) -> None:
+        """
+        Subscribe to ``node_status``.
+
+        :param on_restart: called with the name of a node that was started again.
+        """
+        self.counts: Counter[str] = Counter()
+        self._prefix = f'{node.get_namespace().rstrip("/")}/'
+        self._on_restart = on_restart
+        self._lives: dict[str, str] = {}  # publisher_id by name
+        node.create_subscription(NodeStatus, 'node_status', self._on_status, LATCHED_ALL)
+
+    def _on_status(self, status: NodeStatus) -> None:
+        """Notice another life; what does not sign with the node's own name tells nothing."""
+        path, _, _ = status.publisher_id.partition('#')
+        if path != status.node or not path.startswith(self._prefix):
+            return
+        name = path.removeprefix(self._prefix)
+        known = self._lives.setdefault(name, status.publisher_id)
+        if known != status.publisher_id and status.state != status.STATE_STOPPING:
+            self._lives[name] = status.publisher_id
+            self.counts[name] += 1
+            self._on_restart(name)
