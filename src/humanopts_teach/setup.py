@@ -8,7 +8,9 @@ setup(
     name=NAME,
     version='0.1.0',
     packages=find_packages(exclude=['test']),
-    package_data={NAME: ['py.typed', '__init__.pyi', 'report/*.html', 'report/*.css']},
+    package_data={
+        NAME: ['py.typed', '__init__.pyi', 'report/*.html', 'report/*.css', 'browser/page.*']
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

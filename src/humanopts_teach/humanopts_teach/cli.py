@@ -26,6 +26,9 @@ from humanopts_teach.commands.options import (
     whole,
     with_launch_options,
 )
+from humanopts_teach.commands.options import (
+    linger as linger_seconds,
+)
 from humanopts_teach.launching import LaunchError
 import typer
 from typer.core import TyperCommand
@@ -180,16 +183,36 @@ def teach(
             help='of the person: letters, digits, - and _, at most 60 of them; default: ask',
         ),
     ] = '',
+    browser: Annotated[
+        bool,
+        typer.Option('--browser', help='serve pages; several people can teach at once'),
+    ] = False,
+    host: Annotated[
+        str,
+        typer.Option(metavar='ADDRESS', help='with --browser: to serve at; 0.0.0.0: all'),
+    ] = '127.0.0.1',
+    port: Annotated[
+        int,
+        typer.Option(min=0, max=65535, metavar='N', help='with --browser; 0: any that is free'),
+    ] = 8080,
+    linger: Annotated[
+        float,
+        typer.Option(
+            parser=linger_seconds,
+            metavar='SECONDS',
+            help='with --browser: how long a game goes on whose page is closed',
+        ),
+    ] = 120.0,
 ) -> int:
-    """Launch, and teach from this terminal's keyboard."""
+    """Launch, and teach from this terminal's keyboard, or from browsers."""
     from humanopts_teach.commands.session import check_folder, new_name, session, setup_from, tell
     from humanopts_teach.lesson.store import CODE, CODE_RULE
 
     given: dict[str, Any] = {'participant': participant, 'ask_participant': False}
     if participant and not CODE.fullmatch(participant):
         raise CommandError(f'--participant {participant!r} is not a code: {CODE_RULE}')
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise CommandError('teaching needs a terminal for input and output')
+    if not browser and not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise CommandError('teaching needs a terminal for input and output, or --browser')
     setup = setup_from(
         domain,
         launch,
@@ -199,6 +222,10 @@ def teach(
         step_period=_WATCHED,
     )
     check_folder(setup)
+    if browser:
+        from humanopts_teach.commands.browser import Address, teach_in_browser
+
+        return teach_in_browser(setup, launch.namespace, Address(host, port), participant, linger)
     print('starting ...', flush=True)
     said: list[str] = []  # while the terminal is not ours
     try:

@@ -256,6 +256,26 @@ def test_a_key_pressed_while_the_learner_works_does_not_answer_the_next_start(
     assert not shower.sees_words('Take back')
 
 
+def test_a_key_of_an_earlier_frame_counts_only_while_its_screen_is_shown(person: Person) -> None:
+    first = person.app.drawn()
+    person.app.type(['backspace'], first)
+    person.look()
+    assert person.sees_words('> p')
+    second = person.app.drawn()
+    person.app.type(['7', 'enter'], first)  # the same screen, one frame late
+    opened = person.look()
+    assert opened == OpenSession('p7')
+    person.lesson(Phase.NO_OPTION, participant='p7')
+    person.answer(opened)
+    person.app.type(['1'], second)  # the menu came meanwhile
+    assert person.look() is None
+    assert person.sees_words('1 came before this was shown, and is not taken.')
+    assert person.sees_words('What next?')
+    person.app.type(['1'], 10**6)  # of no frame that is known
+    person.look()
+    assert person.sees_words('What next?')
+
+
 def test_keys_of_one_demonstration_can_be_typed_ahead(shower: Person) -> None:
     assert shower.press('left', 'p', 'enter') == Drive('west', 2, 0)
     assert shower.game(step=1) == Drive('pickup', 2, 1)

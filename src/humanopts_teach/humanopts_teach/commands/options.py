@@ -74,6 +74,7 @@ def several_games(count: int) -> int:
 any_number = number('a number', lambda value: True)
 share = number('from 0 to below 1', lambda value: 0 <= value < 1)
 seconds = number('from 0 to 60', lambda value: 0 <= value <= 60)
+linger = number('from 1 to 86400', lambda value: 1 <= value <= 86400)
 split_seconds = number('a number of seconds up to 1000000', lambda value: 0 < value <= 10**6)
 
 

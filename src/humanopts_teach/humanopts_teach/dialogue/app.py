@@ -34,6 +34,7 @@ from humanopts_teach.lesson.requests import (
 REPLY_SECONDS = 5.0  # for a node to answer
 SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed
 MOST_KEYS = 64  # typed ahead; what comes then is dropped
+MOST_FRAMES = 64  # on which a key may have been pressed that comes now
 _PAUSED = 'Not now: the lesson is paused; the top of the screen says why.'
 
 
@@ -68,6 +69,17 @@ class Message:
     bad: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What a frame showed."""
+
+    asked_for: object = None  # by the lesson
+    screen: object = None  # None: any
+
+
+_FORGOTTEN = _Seen(object(), object())  # a frame that is too old: no key of it counts
+
+
 @dataclass
 class _Waiting:
     request: Request
@@ -91,9 +103,10 @@ class App:
         self.can_start_again: dict[str, bool] = {}  # what was last said with done, by option
         self.ended = False
         self.way_out = 'Ctrl-C quits'  # what a person can do when nodes are missing
-        self._seen: object = None  # what the lesson asked for in the last frame
+        self._frame = 0  # number of the last one
+        self._seen: dict[int, _Seen] = {}  # by number of the frame
         self._outbox: deque[Request] = deque()
-        self._keys: deque[tuple[str, object]] = deque()  # with what was seen when it was pressed
+        self._keys: deque[tuple[str, _Seen]] = deque()  # with what was seen when it was pressed
         self._waiting: _Waiting | None = None
 
     @property
@@ -140,17 +153,33 @@ class App:
         """Leave the terminal."""
         self.ended = True
 
-    def type(self, keys: Iterable[str]) -> None:
-        """Queue key presses; Ctrl-C does not wait for anything."""
+    def type(self, keys: Iterable[str], frame: int | None = None) -> None:
+        """
+        Queue key presses; Ctrl-C does not wait for anything.
+
+        :param frame: on which they were pressed: they count only while its screen is shown. None:
+            the last one, from where people also type ahead for the screens that follow.
+        """
+        if frame is None:
+            seen = replace(self._seen.get(self._frame, _Seen()), screen=None)
+        else:
+            seen = self._seen.get(frame, _FORGOTTEN)
         for key in keys:
             if key in (INTERRUPT, END_OF_FILE):
                 self.end()
             elif key and len(self._keys) < MOST_KEYS:
-                self._keys.append((key, self._seen))
+                self._keys.append((key, seen))
 
-    def drawn(self) -> None:
-        """Keep what the lesson asks for: keys that come now are pressed by one who has seen it."""
-        self._seen = self._asked_for
+    def drawn(self) -> int:
+        """
+        Keep what is asked for: keys that come now are pressed by one who has seen it.
+
+        :return: number of the frame.
+        """
+        self._frame += 1
+        self._seen[self._frame] = _Seen(self._asked_for, self.screen)
+        self._seen.pop(self._frame - MOST_FRAMES, None)
+        return self._frame
 
     def advance(self, now: float) -> Request | None:
         """
@@ -168,7 +197,8 @@ class App:
             if self._keys:
                 self.message = Message()
                 key, seen = self._keys.popleft()
-                if self.screen.answers_lesson and seen != self._asked_for:
+                other = seen.screen is not None and seen.screen is not self.screen
+                if other or (self.screen.answers_lesson and seen.asked_for != self._asked_for):
                     self.say(f'{label(key)} came before this was shown, and is not taken.')
                 else:
                     self.screen.press(key, self)

@@ -87,6 +87,14 @@ def label(key: str) -> str:
     return _LABELS.get(key, key)
 
 
+def key_of(label: str) -> str:
+    """Return the key that a label on the screen stands for; empty: for no single key."""
+    if label in ('any key', 'any other key'):
+        return ESCAPE
+    named = {shown: key for key, shown in _LABELS.items()}
+    return named.get(label, label if len(label) == 1 else '')
+
+
 def _other_case(key: str, exact: Mapping[str, object]) -> str:
     """Return the key in the other case, unless ``exact`` means it as it is."""
     return '' if key in exact or len(key) != 1 else key.swapcase()

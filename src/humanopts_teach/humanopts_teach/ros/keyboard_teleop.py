@@ -2,77 +2,20 @@
 
 from collections.abc import Callable
 from functools import partial
-from operator import attrgetter
 import sys
 import time
-from typing import Any
 
-from humanopts_interfaces.msg import ExecutionState, LearningStatus, OptionGoal
-from humanopts_ros.node_base import NodeBase, SEEDS
 from humanopts_ros.process import run_node
-from humanopts_ros.publisher import PublishError
-from humanopts_ros.qos import CURRENT, DISPLAY
-from humanopts_teach.dialogue.app import App
-from humanopts_teach.dialogue.menu import opening
-from humanopts_teach.lesson.requests import (
-    Answer,
-    CancelRun,
-    OptionStatus,
-    Request,
-    RequestStatus,
-    Run,
-)
-from humanopts_teach.ros.convert import (
-    LESSON_SERVICES,
-    option_status_from_message,
-    TERMINAL_SERVICES,
-)
-from humanopts_teach.ros.lesson_client import LessonClient
-from humanopts_teach.ros.runs import Runs
+from humanopts_teach.ros.teleop import PARTING_SECONDS, POLL_SECONDS, TeleopNode
 from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.drawing import frame
 from rclpy.executors import Executor
-from rclpy.task import Future
 
 _FAREWELL = 'Everything taught is saved; the same command takes it up again.'
-_POLL_SECONDS = 0.015  # between looks at the keyboard
-_FRAME_SECONDS = 0.03  # least time between frames
-_SETTLING_SECONDS = 0.1  # a frame waits so long for the answer to what was just asked
-_PRESENCE_SECONDS = 0.5  # between looks who is on the graph
-_START_SECONDS = 5.0  # before a node that has not come is called missing
-_PARTING_SECONDS = 1.0  # for the last requests
-_NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # and what shows that they are there
 
 
-class KeyboardTeleopNode(NodeBase):
-    """Owns the terminal; ``dialogue.app`` and its screens decide everything."""
-
-    def __init__(self) -> None:
-        super().__init__('keyboard_teleop')
-        participant = self.setting('participant', 'p1', 'code that is proposed to the person')
-        ask = self.setting('ask_participant', True, 'ask who teaches; false: it is participant')
-        seed = self.setting('seed', 0, 'of the start states of free play and of plans', SEEDS)
-        services = {**LESSON_SERVICES, **TERMINAL_SERVICES}
-        self._client = LessonClient(self, services, on_news=self._on_news)
-        self._world = self._client.world
-        self.app = App(opening(participant, ask=ask), self._world, seed=seed)
-        self._runs = Runs(self, self.app)
-        self._held: Request | None = None  # its server is not there yet
-        self._came: set[str] = set()  # nodes that were there once
-        self._started = self._looked = time.monotonic()
-        self._drawn = self._asked = 0.0
-        self._news = True  # something came in since the last frame
-        self._seen: object = None  # what the last frame showed
-        for kind, topic, shown, read, qos in (
-            (LearningStatus, 'learning_status', 'progress', _progress, CURRENT),
-            (ExecutionState, 'execution', 'execution', attrgetter('execution'), CURRENT),
-            (OptionGoal, 'option_goals', 'running', attrgetter('option_name'), DISPLAY),
-        ):
-            self.create_subscription(kind, topic, partial(self._show, shown, read), qos)
-
-    def waits_for(self) -> str | None:
-        """Wait for the rules of the game."""
-        return None if self._world.domain is not None else 'domain_info'
+class KeyboardTeleopNode(TeleopNode):
+    """Owns the terminal."""
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
         """Serve the person until they quit, the terminal is gone, or the process is to end."""
@@ -82,87 +25,18 @@ class KeyboardTeleopNode(NodeBase):
         self._part(executor)
 
     def _turn(self, executor: Executor, device: Device) -> None:
-        self.turn(executor, _POLL_SECONDS)
-        keys = device.read()
-        self.app.type(keys)
-        now = time.monotonic()
-        request = self.app.advance(now) if self.ready else None
-        if request is not None:
-            self._asked = now
-        self._send(request or self._held)
-        self._look_around(now)
-        self._news |= bool(keys) or device.resized()
-        self._news |= self._seen != self.app.shown
-        unsettled = self.app.waits_for is not None and now - self._asked < _SETTLING_SECONDS
-        if self._news and not unsettled and now - self._drawn > _FRAME_SECONDS:
+        self.turn(executor, POLL_SECONDS)
+        self.press(device.read())
+        self.go_on()
+        if self.frame_due() or device.resized():
             device.draw(partial(frame, self.app))
-            self.app.drawn()
-            self._drawn, self._seen, self._news = time.monotonic(), self.app.shown, False
-
-    def _send(self, request: Request | None) -> None:
-        """Send the request that is under way, or hold it until its server is there."""
-        self._held = None
-        if request is None or request is not self.app.waits_for:
-            return
-        if isinstance(request, CancelRun):
-            self._runs.cancel()
-            self._answer(request, Answer(RequestStatus.OK, ''))
-        elif isinstance(request, Run):
-            if self._runs.is_ready(request):
-                self._runs.start(request)
-            else:
-                self._held = request
-        elif not self._client.is_ready(request):
-            self._held = request
-        else:
-            try:
-                sent = self._client.send(request)
-            except PublishError as error:
-                self._answer(request, Answer(RequestStatus.REFUSED, str(error)))
-            else:
-                sent.add_done_callback(lambda done: self._answer(request, done.result()))
-
-    def _answer(self, request: Request, answer: Answer) -> None:
-        self.app.replied(request, answer, time.monotonic())
-
-    def _look_around(self, now: float) -> None:
-        """Notice nodes that are gone."""
-        if now - self._looked < _PRESENCE_SECONDS:
-            return
-        self._looked = now
-        there = {node for node, topic in _NEEDED.items() if self.count_publishers(topic)}
-        self._came |= there
-        late = now - self._started > _START_SECONDS
-        self._world.missing = tuple(
-            node for node in _NEEDED if node not in there and (late or node in self._came)
-        )
-        self._runs.check_server()
+            self.drawn()
 
     def _part(self, executor: Executor) -> None:
         """Make the last requests, as far as somebody is there to answer them."""
-        until = time.monotonic() + _PARTING_SECONDS
-        pending = [self._send_last(request) for request in self.app.parting()]
-        while any(future and not future.done() for future in pending) and time.monotonic() < until:
-            self.turn(executor, _POLL_SECONDS)
-
-    def _send_last(self, request: Request) -> Future | None:
-        """Send one of the last requests; None: nobody is there to answer it."""
-        if isinstance(request, CancelRun):
-            return self._runs.cancel()
-        assert not isinstance(request, Run), 'a terminal that ends begins nothing'
-        return self._client.send(request) if self._client.is_ready(request) else None
-
-    def _on_news(self) -> None:
-        self._news = True
-
-    def _show(self, shown: str, read: Callable[[Any], object], message: Any) -> None:
-        """Show what a message holds, in one field of the world."""
-        setattr(self._world, shown, read(message))
-        self._news = True
-
-
-def _progress(message: LearningStatus) -> list[OptionStatus]:
-    return [option_status_from_message(status) for status in message.options]
+        until, pending = time.monotonic() + PARTING_SECONDS, self.part()
+        while not all(future.done() for future in pending) and time.monotonic() < until:
+            self.turn(executor, POLL_SECONDS)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -1,0 +1,59 @@
+// Keys and buttons: sent with the number of the frame on which they were pressed.
+(() => {
+  const NAMES = {
+    ArrowUp: 'up', ArrowDown: 'down', ArrowLeft: 'left', ArrowRight: 'right',
+    Enter: 'enter', Escape: 'escape', Backspace: 'backspace',
+  };
+  const frame = () => Number(document.querySelector('.frame')?.textContent ?? 0);
+  const send = (keys) => emitEvent('press', { keys, frame: frame() });
+  const input = () => document.querySelector('form.typed input');
+
+  document.addEventListener('keydown', (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.isComposing) return;
+    const key = NAMES[event.key] ?? (event.key.length === 1 ? event.key : '');
+    const field = input();
+    if (field) {
+      if (key === 'escape') send([key]);
+      else if (document.activeElement !== field) field.focus();
+      return; // the field itself edits, and its form sends
+    }
+    const button = event.target.closest?.('[data-keys]');
+    if (button && (key === 'enter' || key === ' ')) return; // it is clicked
+    if (!key) return;
+    event.preventDefault();
+    send([key]);
+  });
+
+  // A mouse acts when it goes down, a finger when it is lifted: it may have scrolled. A button gets
+  // no focus by either, so that Enter keeps its meaning.
+  let pointed = 0;
+  const press = (event) => {
+    const button = event.target.closest?.('[data-keys]');
+    if (button) send(JSON.parse(button.dataset.keys));
+    return button;
+  };
+  document.addEventListener('pointerdown', (event) => {
+    if (event.button === 0 && event.pointerType === 'mouse' && press(event)) pointed = Date.now();
+  });
+  document.addEventListener('mousedown', (event) => {
+    if (event.target.closest?.('[data-keys]')) event.preventDefault();
+  });
+  document.addEventListener('click', (event) => {
+    if (event.detail > 0 && Date.now() - pointed < 1000) return;
+    press(event);
+  });
+  document.addEventListener('submit', (event) => {
+    event.preventDefault();
+    const text = input().value;
+    if (text.trim()) send(['ctrl-u', ...text, 'enter']);
+  });
+
+  // Once a field appears, what is typed goes there.
+  new MutationObserver(() => {
+    const field = input();
+    if (field && !field.dataset.met) {
+      field.dataset.met = 'yes';
+      if (matchMedia('(pointer: fine)').matches) { field.focus(); field.select(); }
+    }
+  }).observe(document.documentElement, { childList: true, subtree: true });
+})();

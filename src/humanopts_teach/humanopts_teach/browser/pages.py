@@ -1,0 +1,164 @@
+"""The pages that are served: who teaches, and the seat of a participant; made with NiceGUI."""
+
+import asyncio
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from html import escape
+from secrets import compare_digest
+import socket
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.responses import HTMLResponse
+from humanopts_teach.browser.markup import head_html, PARTS, parts
+from humanopts_teach.browser.seats import Press, Seats
+from humanopts_teach.dialogue.app import App, MOST_KEYS
+from humanopts_teach.dialogue.entry import TextScreen
+from humanopts_teach.dialogue.menu import opening
+from humanopts_teach.dialogue.panel import panel, View
+from humanopts_teach.lesson.presentation import Line, Tone
+from humanopts_teach.lesson.store import CODE, CODE_RULE
+from nicegui import Client, ui
+import uvicorn
+
+_STRANGER = 'This address is not complete. Open the one that was printed where the game runs.'
+_RECONNECTING = 10.0  # s that a page which lost its connection is kept as it is
+_LOOK = 0.1  # s between looks whether the server is to end
+
+
+class PageWindow:
+    """One page: it shows frames, and hands on what is pressed on them."""
+
+    def __init__(self) -> None:
+        """Lay out the page that is being built."""
+        self._press: Press = lambda keys, frame: None
+        self._client = ui.context.client
+        ui.add_head_html(head_html())
+        self._parts = {name: ui.html('', sanitize=False).classes(name) for name in PARTS}
+        self._frame = ui.html('0', sanitize=False).classes('frame')
+        ui.on('press', self._on_press)
+
+    def show(self, view: View, frame: int) -> None:
+        """Show a frame; parts that have not changed are left as they are."""
+        for name, html in parts(view).items():
+            if self._parts[name].content != html:
+                self._parts[name].set_content(html)
+        self._frame.set_content(str(frame))
+
+    def listen(self, press: Press) -> None:
+        """Hand on from now on what is pressed."""
+        self._press = press
+
+    def reload(self) -> None:
+        """Load the page again."""
+        self._client.run_javascript('location.reload()')
+
+    def go_to(self, path: str) -> None:
+        """Open another page."""
+        self._client.open(path)
+
+    def _on_press(self, event: Any) -> None:
+        """Take what is pressed, if it is as ``page.js`` sends it."""
+        given = event.args if isinstance(event.args, dict) else {}
+        keys, frame = given.get('keys'), given.get('frame')
+        if isinstance(keys, list) and len(keys) <= MOST_KEYS and isinstance(frame, int):
+            self._press([key for key in keys if isinstance(key, str) and len(key) <= 9], frame)
+
+
+def add_pages(seats: Seats, token: str, proposed: str) -> None:
+    """
+    Define the pages.
+
+    :param token: without which nothing is served.
+    :param proposed: code that is proposed to who teaches.
+    """
+
+    def refused(given: str) -> HTMLResponse | None:
+        if compare_digest(given.encode(), token.encode()):
+            return None
+        return HTMLResponse(f'<!doctype html><title>humanopts</title><p>{_STRANGER}</p>', 404)
+
+    @ui.page('/{given}')
+    def who(given: str) -> HTMLResponse | None:
+        if (answer := refused(given)) is None:
+            _ask_code(PageWindow(), seats.domain, token, proposed)
+        return answer
+
+    @ui.page('/{given}/{participant}')
+    def lesson(given: str, participant: str, client: Client) -> HTMLResponse | None:
+        if (answer := refused(given)) is not None:
+            return answer
+        if not CODE.fullmatch(participant):
+            text = f'{escape(participant)} is not a code: {CODE_RULE}.'
+            return HTMLResponse(f'<!doctype html><title>humanopts</title><p>{text}</p>', 404)
+        window = PageWindow()
+        client.on_connect(lambda: seats.enter(participant, window))
+        client.on_disconnect(lambda: seats.leave(participant, window))
+        return None
+
+
+def _ask_code(window: PageWindow, domain: str, token: str, proposed: str) -> None:
+    """Ask who teaches, and go to the page of their seat."""
+
+    def go(code: str, app: App) -> None:
+        if CODE.fullmatch(code):
+            window.go_to(f'/{token}/{code}')
+        else:
+            app.say(f'{code!r} is not a code: {CODE_RULE}.', bad=True)
+
+    screen: TextScreen = opening(proposed)
+    screen.submit = go
+    app = App(screen)
+
+    def show() -> None:
+        said = Line(app.message.text, Tone.BAD)
+        head = ('humanopts', domain)
+        window.show(View(head, '', None, panel(screen, app), said, []), app.drawn())
+
+    def press(keys: list[str], frame: int) -> None:
+        app.type([key for key in keys if len(key) == 1 or key in ('ctrl-u', 'enter')], frame)
+        app.advance(0.0)
+        show()
+
+    window.listen(press)
+    show()
+
+
+class _Server(uvicorn.Server):
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave the signals to the command."""
+        yield
+
+
+async def serve(
+    seats: Seats, listening: socket.socket, token: str, proposed: str, stop: Callable[[], bool]
+) -> None:
+    """
+    Serve the pages until ``stop`` returns True, then end all games.
+
+    :param listening: socket on which browsers connect.
+    """
+    add_pages(seats, token, proposed)
+    web = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    ui.run_with(
+        web,
+        title='humanopts',
+        dark=None,
+        tailwind=False,
+        reconnect_timeout=_RECONNECTING,
+        show_welcome_message=False,
+        viewport='width=device-width, initial-scale=1, viewport-fit=cover',
+    )
+    settings = uvicorn.Config(
+        web, log_level='warning', ws='wsproto', timeout_graceful_shutdown=1, server_header=False
+    )
+    server = _Server(settings)
+    serving = asyncio.create_task(server.serve(sockets=[listening]))
+    try:
+        while not (stop() or serving.done()):
+            await asyncio.sleep(_LOOK)
+        await seats.close('The game was stopped where it runs. Everything taught is saved.')
+    finally:
+        server.should_exit = True
+        await serving

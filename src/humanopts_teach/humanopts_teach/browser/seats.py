@@ -1,0 +1,192 @@
+"""
+The participants who teach at the same time: each has a seat, which has a game of its own.
+
+A seat outlives its window for a while: a page that is loaded again goes on where it was.
+"""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from typing import Protocol
+
+from humanopts_teach.dialogue.panel import Panel, View
+from humanopts_teach.lesson.presentation import Line, Tone
+
+FAREWELL = 'Everything taught is saved.'
+Press = Callable[[list[str], int], None]  # keys, and the number of the frame they were pressed on
+
+
+class Window(Protocol):
+    """A page that is open in a browser."""
+
+    def show(self, view: View, frame: int) -> None:
+        """Show a frame."""
+
+    def listen(self, press: Press) -> None:
+        """Hand on from now on what is pressed."""
+
+    def reload(self) -> None:
+        """Load the page again."""
+
+
+class GameError(Exception):
+    """A participant's game cannot be started, or has ended; the text says why."""
+
+
+# Opens the game of a seat; it shows frames, and may end the seat. Its value takes keys.
+OpenGame = Callable[['Seat'], AbstractAsyncContextManager[Press]]
+
+
+class Seat:
+    """
+    The place of one participant.
+
+    :ivar number: from 1; no other seat has it meanwhile.
+    :ivar window: on which it is shown; None: none is open.
+    """
+
+    def __init__(self, participant: str, number: int, domain: str) -> None:
+        self.participant, self.number = participant, number
+        self.window: Window | None = None
+        self.over = asyncio.Event()
+        self.farewell = FAREWELL
+        self._head = ('humanopts', domain, participant)
+        self._shown = message(self._head, f'Starting the game of {participant} ...'), 0
+        self._press: Press = lambda keys, frame: None
+        self._leaving: asyncio.TimerHandle | None = None
+
+    def show(self, view: View, frame: int) -> None:
+        """Show a frame, now or when a window comes."""
+        self._shown = view, frame
+        if self.window is not None:
+            self.window.show(view, frame)
+
+    def listen(self, press: Press) -> None:
+        """Hand on from now on what is pressed."""
+        self._press = press
+
+    def enter(self, window: Window) -> None:
+        """Show the seat in a window; another one that shows it is told so."""
+        if self._leaving is not None:
+            self._leaving.cancel()
+        if self.window is not None and self.window is not window:
+            text = 'The lesson goes on in another window.'
+            tell(self.window, message(self._head, text, 'teach here again'), self.window.reload)
+        self.window = window
+        window.listen(lambda keys, frame: self._press(keys, frame))
+        window.show(*self._shown)
+
+    def leave(self, window: Window, seconds: float) -> None:
+        """Give the seat up after a time, unless a window comes."""
+        if self.window is window:
+            self.window = None
+            loop = asyncio.get_running_loop()
+            self._leaving = loop.call_later(seconds, self.over.set)
+
+    def end(self, farewell: str = FAREWELL) -> None:
+        """Give the seat up now."""
+        self.farewell = farewell
+        self.over.set()
+
+    def closed(self) -> None:
+        """Say farewell; from now on a key loads the page again."""
+        if self._leaving is not None:
+            self._leaving.cancel()
+        if self.window is not None:
+            tell(self.window, message(self._head, self.farewell, 'go on'), self.window.reload)
+
+
+class Seats:
+    """
+    Those who teach now.
+
+    :ivar linger: how long a seat is kept without a window, s.
+    """
+
+    def __init__(self, domain: str, open_game: OpenGame, linger: float) -> None:
+        self.domain, self.linger = domain, linger
+        self._open_game = open_game
+        self._seats: dict[str, Seat] = {}  # by participant
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._waiting: dict[str, list[Window]] = {}  # at a seat that another window shows
+
+    def enter(self, participant: str, window: Window) -> None:
+        """Show a participant's seat in a window, or ask where another window shows it."""
+        seat = self._seats.get(participant)
+        if seat is None or seat.over.is_set():
+            seat = self._begin(participant, window)
+        elif seat.window not in (None, window):
+            self._ask(seat, window)
+            return
+        seat.enter(window)
+
+    def leave(self, participant: str, window: Window) -> None:
+        """Note that a window is gone; one that waits for its seat gets it."""
+        waiting = self._waiting.get(participant, [])
+        if window in waiting:
+            waiting.remove(window)
+        seat = self._seats.get(participant)
+        if seat is not None and seat.window is window:
+            seat.leave(window, self.linger)
+            if waiting:
+                seat.enter(waiting.pop(0))
+
+    async def close(self, farewell: str) -> None:
+        """End all games."""
+        for seat in self._seats.values():
+            seat.end(farewell)
+        await asyncio.gather(*self._tasks.values())
+
+    def _begin(self, participant: str, window: Window) -> Seat:
+        taken = {seat.number for seat in self._seats.values()}
+        number = next(n for n in range(1, len(taken) + 2) if n not in taken)
+        before = self._tasks.get(participant)
+        seat = self._seats[participant] = Seat(participant, number, self.domain)
+        self._tasks[participant] = asyncio.create_task(self._play(seat, before))
+        return seat
+
+    async def _play(self, seat: Seat, before: 'asyncio.Task[None] | None') -> None:
+        """Keep a game from its begin to its end."""
+        if before is not None:
+            await before  # of the same participant, whose files are still in use
+        try:
+            async with self._open_game(seat) as press:
+                seat.listen(press)
+                await seat.over.wait()
+                seat.listen(lambda keys, frame: None)
+        except GameError as error:
+            seat.end(f'{error} {FAREWELL}')
+        finally:
+            if self._seats.get(seat.participant) is seat:
+                del self._seats[seat.participant], self._tasks[seat.participant]
+            seat.closed()
+
+    def _ask(self, seat: Seat, window: Window) -> None:
+        """Ask whether to go on here; the other window keeps the seat until then."""
+        waiting = self._waiting.setdefault(seat.participant, [])
+        if window not in waiting:
+            waiting.append(window)
+
+        def take() -> None:
+            if window in waiting:
+                waiting.remove(window)
+                seat.enter(window)
+
+        text = f'{seat.participant} teaches in another window just now. Nothing is lost there.'
+        tell(window, message(('humanopts', self.domain), text, 'teach here instead'), take)
+
+
+def message(head: tuple[str, ...], text: str, enter: str = '') -> View:
+    """
+    Return a view that says something.
+
+    :param enter: what Enter does; empty: nothing.
+    """
+    keys = [('Enter', enter)] if enter else []
+    return View(head, '', None, Panel((Line(text, strong=True),)), Line('', Tone.PLAIN), keys)
+
+
+def tell(window: Window, view: View, then: Callable[[], None]) -> None:
+    """Show a view on which Enter does something."""
+    window.listen(lambda keys, frame: then() if 'enter' in keys else None)
+    window.show(view, 0)

@@ -1,0 +1,215 @@
+"""The command ``humanopts teach --browser``: a page and a graph for each participant."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+import json
+import pickle
+import secrets
+import select
+import socket
+import sys
+from typing import Any
+
+from humanopts_teach.browser.pages import serve
+from humanopts_teach.browser.seats import GameError, Press, Seat, Seats
+from humanopts_teach.commands import CommandError, noticed_interrupts
+from humanopts_teach.commands.session import check_folder, new_name, session, tell
+from humanopts_teach.dialogue.panel import View
+from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.processes import processes, RECORDER, Setup
+from humanopts_teach.ros.browser_teleop import BrowserTeleopNode, TeleopThread
+from humanopts_teach.ros.graph_client import GraphClient
+
+_TOKEN_BYTES = 12
+_STOPPING_SECONDS = 40.0  # for the processes of a graph to end; each has less
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where the pages are served."""
+
+    host: str
+    port: int
+
+
+def teach_in_browser(
+    setup: Setup, namespace: str, address: Address, participant: str, linger: float
+) -> int:
+    """
+    Serve pages until Ctrl-C.
+
+    :param setup: of each participant's graph, besides its folder and bag.
+    :param namespace: in which each graph has one of its own.
+    :param participant: code that is proposed; empty: none.
+    :param linger: how long a game goes on whose page is closed, s.
+    :raises CommandError: the address cannot be used.
+    """
+    listening, token = _listen(address), secrets.token_urlsafe(_TOKEN_BYTES)
+    host, port = _name(address.host), listening.getsockname()[1]
+    thread = TeleopThread()
+    try:
+        with noticed_interrupts() as interrupts:
+            seats = Seats(setup.domain, partial(_game, setup, namespace, thread), linger)
+            print(f'Open http://{host}:{port}/{token} in a browser; Ctrl-C stops everything.')
+            print(f'Each participant has a folder in {setup.directory}.', flush=True)
+            asyncio.run(
+                serve(seats, listening, token, participant, lambda: interrupts.came), debug=False
+            )
+            interrupts.came = False  # it is answered
+    finally:
+        thread.stop()
+    print('stopped')
+    return 0
+
+
+def _listen(address: Address) -> socket.socket:
+    try:
+        family = socket.AF_INET6 if ':' in address.host else socket.AF_INET
+        return socket.create_server((address.host, address.port), family=family)
+    except OSError as error:
+        raise CommandError(
+            f'cannot serve at {address.host}, port {address.port}: {error.strerror}; choose '
+            'another --host or --port'
+        ) from error
+
+
+def _name(host: str) -> str:
+    """Return what a browser calls the host; of all addresses of the machine, the outward one."""
+    if host not in ('0.0.0.0', '::'):
+        return f'[{host}]' if ':' in host else host
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(('192.0.2.1', 9))  # an address for examples; nothing is sent
+        except OSError:
+            return socket.gethostname()
+        return str(probe.getsockname()[0])
+
+
+@asynccontextmanager
+async def _game(
+    setup: Setup, namespace: str, thread: TeleopThread, seat: Seat
+) -> AsyncIterator[Press]:
+    """Keep the graph of a seat, and the node that its participant teaches by."""
+    place = f'{namespace.rstrip("/")}/seat_{seat.number}'
+    own = replace(
+        setup,
+        directory=setup.directory / seat.participant,
+        participant=seat.participant,
+        ask_participant=False,
+        bag_name=new_name('bags/teach'),
+    )
+    loop = asyncio.get_running_loop()
+    (spec,) = [spec for spec in processes(own) if spec.terminal]
+    async with _graph(own, place, seat):
+        found: asyncio.Future[Any] = loop.create_future()
+
+        def show(view: View, frame: int) -> None:
+            loop.call_soon_threadsafe(seat.show, view, frame)
+
+        def end() -> None:
+            loop.call_soon_threadsafe(seat.end)
+
+        thread.open(
+            lambda: BrowserTeleopNode(place, spec.parameters, show, end),
+            lambda node: loop.call_soon_threadsafe(found.set_result, node),
+        )
+        node = await found
+        if isinstance(node, Exception):
+            raise GameError(f'The game cannot be joined: {node}')
+        try:
+            yield lambda keys, frame: thread.call(partial(node.press, keys, frame))
+        finally:
+            gone = asyncio.Event()
+            thread.close(node, partial(loop.call_soon_threadsafe, gone.set))
+            await gone.wait()
+
+
+@asynccontextmanager
+async def _graph(setup: Setup, namespace: str, seat: Seat) -> AsyncIterator[None]:
+    """Run a graph in processes of its own until the end; the seat ends if it does."""
+    try:
+        check_folder(setup)
+    except CommandError as error:
+        raise GameError(f'The game cannot be started: {error}.') from error
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, '-m', __name__),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        process_group=0,  # Ctrl-C is ours
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    output = process.stdout
+    process.stdin.write(pickle.dumps((setup, namespace)))
+
+    async def said() -> str:
+        """Return the next thing that the process says; empty: it is ready."""
+        line = await output.readline()
+        return str(json.loads(line)) if line else 'it ended, see the terminal where it runs'
+
+    async def watch() -> None:
+        seat.end(f'The game has ended: {await said()}. Everything taught is saved.')
+
+    watching = None
+    try:
+        starting, leaving = asyncio.create_task(said()), asyncio.create_task(seat.over.wait())
+        await asyncio.wait((starting, leaving), return_when=asyncio.FIRST_COMPLETED)
+        leaving.cancel()
+        if starting.done() and starting.result():
+            raise GameError(f'The game cannot be started: {starting.result()}.')
+        watching = asyncio.create_task(watch()) if starting.done() else starting
+        yield
+    finally:
+        if watching is not None:
+            watching.cancel()
+        process.stdin.close()
+        try:
+            await asyncio.wait_for(process.wait(), _STOPPING_SECONDS)
+        except TimeoutError:
+            process.kill()
+            await process.wait()
+
+
+def main() -> int:
+    """Run the graph that standard input describes, until its end or a signal."""
+    setup, namespace = pickle.load(sys.stdin.buffer)
+
+    def check(*_: GraphClient) -> None:
+        if select.select([sys.stdin], [], [], 0)[0]:  # the server has closed it, or is gone
+            raise KeyboardInterrupt
+
+    def say(text: str) -> None:
+        with suppress(BrokenPipeError):
+            print(json.dumps(text), flush=True)
+
+    def report(line: str) -> None:
+        tell(f'{setup.participant}: {line}')
+
+    running = None
+    try:
+        with session(setup, namespace, check, report) as running:
+            say('')
+
+            def look() -> None:
+                check()
+                running.check(RECORDER)
+
+            try:
+                running.graph.stay(look, report)
+            except KeyboardInterrupt:
+                running.check_recording()
+                raise
+    except LaunchError as error:
+        say(str(error).splitlines()[0])
+        report(str(error))
+        return 1
+    except KeyboardInterrupt:
+        pass
+    return 0 if running is None else running.end()
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,152 @@
+"""The nodes ``keyboard_teleop`` of all who teach in a browser, in one thread of its server."""
+
+from collections.abc import Callable, Mapping
+import threading
+import time
+import traceback
+from typing import Any
+
+from humanopts_interfaces.msg import NodeStatus
+from humanopts_ros.environment import prepare_discovery
+from humanopts_ros.node_base import NodeBase
+from humanopts_teach.dialogue.panel import View, view
+from humanopts_teach.ros.teleop import PARTING_SECONDS, POLL_SECONDS, TeleopNode
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import try_shutdown
+
+_IDLE_SECONDS = 0.1  # between looks at what is due where nothing happens
+_WAY_OUT = 'this page can be closed'
+Show = Callable[[View, int], object]
+
+
+class BrowserTeleopNode(TeleopNode):
+    """Shows the dialogue of one participant as frames, which somebody else draws."""
+
+    def __init__(
+        self,
+        namespace: str,
+        parameters: Mapping[str, Any],
+        show: Show,
+        ended: Callable[[], object],
+    ) -> None:
+        """
+        Join the graph of a participant.
+
+        :param show: called with each frame and its number, in the thread of the nodes.
+        :param ended: called once when the person quits, or when an error ends the dialogue.
+        """
+        given = [Parameter(name, value=value) for name, value in parameters.items()]
+        super().__init__(namespace=namespace, parameter_overrides=given)
+        self.app.way_out = _WAY_OUT
+        self._show_frame, self._tell_end = show, ended
+        self._said_end = False
+        self.answers: list[Future] | None = None  # to the last requests; None: it goes on
+        self._until = 0.0
+
+    def turn_once(self) -> None:
+        """Do what is due; an error ends this dialogue and no other."""
+        try:
+            self.go_on()
+            if self.frame_due():
+                self._show_frame(view(self.app), self.drawn())
+        except Exception:
+            self.get_logger().error(traceback.format_exc())
+            self.app.end()
+        if self.app.ended and not self._said_end:
+            self._said_end = True
+            self._tell_end()
+
+    def begin_parting(self) -> None:
+        """Make the last requests."""
+        self.answers, self._until = self.part(), time.monotonic() + PARTING_SECONDS
+
+    @property
+    def parted(self) -> bool:
+        """Whether the last requests are answered, or nobody answers them in time."""
+        late = time.monotonic() > self._until
+        return self.answers is not None and (late or all(f.done() for f in self.answers))
+
+
+class TeleopThread:
+    """Runs the nodes of all participants, from one context of ROS."""
+
+    def __init__(self) -> None:
+        prepare_discovery()
+        quiet = ['--ros-args', '--disable-stdout-logs']
+        rclpy.init(args=quiet, signal_handler_options=SignalHandlerOptions.NO)
+        self._executor = SingleThreadedExecutor()
+        self._nodes: dict[BrowserTeleopNode, Callable[[], object] | None] = {}  # called when gone
+        self._ending = False
+        self._thread = threading.Thread(target=self._run, name='nodes')
+        self._thread.start()
+
+    def call(self, work: Callable[[], object]) -> None:
+        """Have something done in the thread of the nodes; from any thread."""
+        self._executor.create_task(work)
+
+    def open(self, made: Callable[[], BrowserTeleopNode], then: Callable[[Any], object]) -> None:
+        """
+        Make a node in the thread of the nodes.
+
+        :param then: called there with the node, or with the error that it could not be made.
+        """
+
+        def make() -> None:
+            try:
+                node = made()
+            except Exception as error:
+                then(error)
+                return
+            self._executor.add_node(node)
+            self._nodes[node] = None
+            then(node)
+
+        self.call(make)
+
+    def close(self, node: BrowserTeleopNode, then: Callable[[], object]) -> None:
+        """Have a node make its last requests and leave the graph, and call ``then``."""
+
+        def part() -> None:
+            node.begin_parting()
+            self._nodes[node] = then
+
+        self.call(part)
+
+    def stop(self) -> None:
+        """End the thread, and the context of ROS."""
+        self._ending = True
+        self._thread.join()
+        for node in self._nodes:
+            node.destroy_node()
+        self._executor.shutdown()
+        try_shutdown()
+
+    def _run(self) -> None:
+        while not self._ending:
+            busy = any(node.busy or node.answers is not None for node in self._nodes)
+            self._spin(POLL_SECONDS if busy else _IDLE_SECONDS)
+            for node, then in list(self._nodes.items()):
+                if node.answers is None:
+                    node.turn_once()
+                elif node.parted:
+                    self._leave(node)
+                    if then is not None:
+                        then()
+
+    def _spin(self, seconds: float) -> None:
+        if not self._nodes:
+            self._executor.spin_once(seconds)
+            return
+        first: NodeBase = next(iter(self._nodes))
+        first.turn(self._executor, seconds)
+
+    def _leave(self, node: BrowserTeleopNode) -> None:
+        node.set_status(NodeStatus.STATE_STOPPING)
+        node.drain()
+        self._executor.remove_node(node)
+        node.destroy_node()
+        del self._nodes[node]

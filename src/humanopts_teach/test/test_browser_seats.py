@@ -1,0 +1,213 @@
+"""Seats of participants: a game each, which outlives its page for a while and no longer."""
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+
+from humanopts_teach.browser.seats import FAREWELL, GameError, message, Press, Seat, Seats
+from humanopts_teach.dialogue.panel import View
+from humanopts_teach.lesson.presentation import Line
+
+LINGER = 0.05  # s
+PATIENCE = 5.0  # s
+
+
+class Page:
+    """A window that keeps what it shows."""
+
+    def __init__(self) -> None:
+        self.shown: tuple[str, int] = ('', 0)
+        self.press: Press = lambda keys, frame: None
+        self.reloaded = 0
+
+    def show(self, view: View, frame: int) -> None:
+        """Keep the first line."""
+        (line, *_) = view.panel.beside
+        assert isinstance(line, Line)
+        self.shown = line.text, frame
+
+    def listen(self, press: Press) -> None:
+        """Keep who is told what is pressed."""
+        self.press = press
+
+    def reload(self) -> None:
+        """Count."""
+        self.reloaded += 1
+
+
+class Games:
+    """Games that show what was pressed, and how many there are."""
+
+    def __init__(self) -> None:
+        self.open: list[tuple[str, int]] = []
+        self.opened = 0
+        self.fault = ''
+
+    @asynccontextmanager
+    async def __call__(self, seat: Seat) -> AsyncIterator[Press]:
+        """Keep one."""
+        if self.fault:
+            raise GameError(self.fault)
+        place = seat.participant, seat.number
+        assert place[0] not in [participant for participant, _ in self.open]
+        assert place[1] not in [number for _, number in self.open]
+        self.open.append(place)
+        self.opened += 1
+        seat.show(message((), 'begun'), 1)
+
+        def press(keys: list[str], frame: int) -> None:
+            if keys == ['q']:
+                seat.end()
+            seat.show(message((), f'{keys} on {frame}'), frame + 1)
+
+        try:
+            yield press
+        finally:
+            await asyncio.sleep(0)
+            self.open.remove(place)
+
+
+def run(story: Callable[[Seats, Games], Awaitable[None]], linger: float = PATIENCE) -> None:
+    """Tell a story with seats."""
+
+    async def told() -> None:
+        games = Games()
+        seats = Seats('taxi', games, linger)
+        await story(seats, games)
+        await seats.close('stopped')
+        assert games.open == []
+
+    asyncio.run(told())
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Wait for something."""
+    async with asyncio.timeout(PATIENCE):
+        while not condition():
+            await asyncio.sleep(0.001)
+
+
+def test_each_participant_has_a_game_of_their_own() -> None:
+    async def story(seats: Seats, games: Games) -> None:
+        anna, ben = Page(), Page()
+        seats.enter('anna', anna)
+        seats.enter('ben', ben)
+        assert anna.shown == ('Starting the game of anna ...', 0)
+        await until(lambda: len(games.open) == 2)
+        anna.press(['a'], 1)
+        ben.press(['b'], 1)
+        assert (anna.shown, ben.shown) == (("['a'] on 1", 2), ("['b'] on 1", 2))
+        assert games.open == [('anna', 1), ('ben', 2)]
+
+    run(story)
+
+
+def test_a_page_that_is_loaded_again_goes_on_where_it_was() -> None:
+    async def story(seats: Seats, games: Games) -> None:
+        before, after = Page(), Page()
+        seats.enter('anna', before)
+        await until(lambda: bool(games.open))
+        before.press(['a'], 1)
+        seats.leave('anna', before)
+        seats.enter('anna', after)
+        assert after.shown == ("['a'] on 1", 2)
+        after.press(['b'], 2)
+        assert after.shown == ("['b'] on 2", 3)
+        await asyncio.sleep(3 * LINGER)
+        assert (games.opened, len(games.open)) == (1, 1)
+
+    run(story, LINGER)
+
+
+def test_a_page_that_stays_closed_ends_its_game_and_frees_its_place() -> None:
+    async def story(seats: Seats, games: Games) -> None:
+        anna, again, ben = Page(), Page(), Page()
+        seats.enter('anna', anna)
+        await until(lambda: bool(games.open))
+        seats.leave('anna', anna)
+        await until(lambda: not games.open)
+        seats.enter('ben', ben)
+        seats.enter('anna', again)
+        await until(lambda: len(games.open) == 2)
+        assert games.open == [('ben', 1), ('anna', 2)]
+
+    run(story, LINGER)
+
+
+def test_a_second_page_asks_before_it_takes_the_seat() -> None:
+    async def story(seats: Seats, games: Games) -> None:
+        first, second = Page(), Page()
+        seats.enter('anna', first)
+        await until(lambda: bool(games.open))
+        seats.enter('anna', second)
+        assert second.shown[0].startswith('anna teaches in another window just now.')
+        second.press(['x'], 0)
+        first.press(['a'], 1)
+        assert first.shown == ("['a'] on 1", 2)
+        second.press(['enter'], 0)
+        assert first.shown[0] == 'The lesson goes on in another window.'
+        assert second.shown == ("['a'] on 1", 2)
+        first.press(['b'], 2)
+        assert second.shown == ("['a'] on 1", 2)  # the first is heard no more
+        first.press(['enter'], 0)
+        assert first.reloaded == 1
+        seats.leave('anna', first)
+        second.press(['c'], 2)
+        assert second.shown == ("['c'] on 2", 3)
+        assert games.opened == 1
+
+    run(story)
+
+
+def test_a_second_page_gets_the_seat_when_the_first_is_closed() -> None:
+    async def story(seats: Seats, games: Games) -> None:
+        first, second, third = Page(), Page(), Page()
+        seats.enter('anna', first)
+        await until(lambda: bool(games.open))
+        seats.enter('anna', second)
+        seats.enter('anna', third)
+        seats.leave('anna', second)
+        seats.leave('anna', first)
+        assert third.shown == ('begun', 1)
+
+    run(story)
+
+
+def test_who_quits_reads_that_everything_is_saved_and_can_come_back() -> None:
+    async def story(seats: Seats, games: Games) -> None:
+        page, again = Page(), Page()
+        seats.enter('anna', page)
+        await until(lambda: bool(games.open))
+        page.press(['q'], 1)
+        seats.enter('anna', again)  # before the first game is closed
+        await until(lambda: games.opened == 2)
+        await until(lambda: page.shown[0] == FAREWELL)
+        page.press(['enter'], 0)
+        assert page.reloaded == 1
+        await until(lambda: again.shown == ('begun', 1))
+
+    run(story)
+
+
+def test_a_game_that_cannot_be_started_says_why() -> None:
+    async def story(seats: Seats, games: Games) -> None:
+        games.fault = 'The disk is full.'
+        page = Page()
+        seats.enter('anna', page)
+        await until(lambda: page.shown[0] == f'The disk is full. {FAREWELL}')
+        games.fault = ''
+        seats.enter('anna', page)
+        await until(lambda: page.shown == ('begun', 1))
+
+    run(story)
+
+
+def test_all_games_end_with_the_server() -> None:
+    async def story(seats: Seats, games: Games) -> None:
+        page = Page()
+        seats.enter('anna', page)
+        await until(lambda: bool(games.open))
+        await seats.close('stopped')
+        assert page.shown[0] == 'stopped'
+
+    run(story)
