@@ -88,7 +88,7 @@ def test_a_lesson_survives_the_death_of_a_node(start: Start, tmp_path: Path, nod
     assert shown_in_bag(bag) == shown
     assert len({demo.uuid for demo in shown}) == len(shown)
     conductor = [r.message.text for r in bag.messages(['/node_status']) if is_conductor(r)]
-    assert f'the node {node} ended ({KILLED}), and is started again' in conductor
+    assert f'the node {node} ended ({KILLED}), and is started again; so far {node} 1' in conductor
 
 
 def is_conductor(recorded: Any) -> bool:

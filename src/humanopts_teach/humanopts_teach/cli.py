@@ -241,6 +241,25 @@ def teach(
     return running.end() or status
 
 
+@app.command()
+def status(
+    namespace: Annotated[
+        str, typer.Option(metavar='NAME', help='of the nodes; begins with /')
+    ] = '/',
+    json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
+) -> int:
+    """Show how a running graph stands: nodes, rates, recorder, restarts."""
+    import json as json_text
+
+    from humanopts_teach.commands.session import check_place
+    from humanopts_teach.ros.graph_probe import look_at_graph
+
+    check_place(namespace)
+    report = look_at_graph(namespace)
+    print(json_text.dumps(report.to_dict(), indent=2) if json else printable(report.to_text()))
+    return report.status
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit status: 0, 1 for a failure, 2 for bad input."""
     words = list(sys.argv[1:] if argv is None else argv)

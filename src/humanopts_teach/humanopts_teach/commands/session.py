@@ -45,7 +45,7 @@ def setup_from(
         not valid, the namespace or ROS_DOMAIN_ID is none, or the bag would not hold what an
         evaluation needs.
     """
-    _check_place(launch.namespace)
+    check_place(launch.namespace)
     parameters = domain_parameters(launch)
     given = {name: getattr(launch, name) for name in THRESHOLDS}
     try:
@@ -101,7 +101,12 @@ def default_folder(domain: str) -> Path:
     return Path('runs') / re.sub(r'[^\w.-]+', '-', domain)
 
 
-def _check_place(namespace: str) -> None:
+def check_place(namespace: str) -> None:
+    """
+    Check where nodes are to run, or run.
+
+    :raises CommandError: the namespace or ROS_DOMAIN_ID is none.
+    """
     if not _NAMESPACE.fullmatch(namespace):
         raise CommandError(f'{namespace!r} is not a namespace; one reads / or /room_1/left')
     number = os.environ.get('ROS_DOMAIN_ID') or '0'

@@ -27,12 +27,34 @@ from humanopts_teach.launching.processes import ProcessSpec, RECORDER
 from humanopts_teach.launching.restarts import Ended, how, Lives, MOST
 import psutil
 
+CONDUCTOR = 'conductor'  # the node in the launcher's own process
 TAIL_LINES = 12
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
 _LAST_SECONDS = 1.0  # for the end of what was killed to be known
 _STOPPED_PERIOD = 1.0  # s between looks whether a process is stopped
 # The second: before the node had a handler for it. The third: Fast DDS held it up.
 _ENDS_AS_ASKED = (0, -signal.SIGTERM, -signal.SIGALRM)
+
+
+def _place(namespace: str) -> tuple[int, Path]:
+    """Return the ROS_DOMAIN_ID, and the file that is locked by a launch in it."""
+    domain = int(os.environ.get('ROS_DOMAIN_ID') or 0)
+    key = hashlib.sha256(f'{domain} {namespace}'.encode()).hexdigest()[:12]
+    return domain, Path(tempfile.gettempdir()) / f'humanopts-{os.getuid()}-{key}.lock'
+
+
+def process_of_launch(namespace: str, name: str) -> psutil.Process | None:
+    """Return the process of a node of the launch in this place, on this machine; None: none is."""
+    try:
+        launcher = psutil.Process(int(_place(namespace)[1].read_text('utf-8')))
+        if name == CONDUCTOR:
+            return launcher
+        for process in launcher.children(recursive=True):
+            if any(word.endswith(f'/{name}.yaml') for word in process.cmdline()):
+                return process
+    except (OSError, ValueError, psutil.Error):
+        pass
+    return None
 
 
 @contextmanager
@@ -42,9 +64,7 @@ def only_launch(namespace: str) -> Iterator[None]:
 
     :raises LaunchError: another one holds it; the text names its process.
     """
-    domain = int(os.environ.get('ROS_DOMAIN_ID') or 0)
-    key = hashlib.sha256(f'{domain} {namespace}'.encode()).hexdigest()[:12]
-    path = Path(tempfile.gettempdir()) / f'humanopts-{os.getuid()}-{key}.lock'
+    domain, path = _place(namespace)
     with path.open('a+', encoding='utf-8') as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -17,8 +17,10 @@ from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, LATCHED_ALL
 from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.launcher import CONDUCTOR
 from humanopts_teach.launching.processes import RECORDER, Value
 from humanopts_teach.launching.restarts import Ended
+from humanopts_teach.launching.status import restarts_text
 from humanopts_teach.lesson.simulated_teacher import FINISHED
 import rclpy
 from rclpy.action.client import ActionClient
@@ -69,7 +71,7 @@ class GraphClient(NodeBase):
             arguments += ['-p', f'{name}:={json.dumps(value)}']
         prepare_discovery()
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-        super().__init__('conductor')
+        super().__init__(CONDUCTOR)
         self.statuses: dict[str, msg.NodeStatus] = {}
         self.duplicates: set[str] = set()
         self.restarts: Counter[str] = Counter()
@@ -314,7 +316,9 @@ class GraphClient(NodeBase):
         if end.node == RECORDER and lesson is not None:  # it pauses, and then goes on
             self._resent = lesson.sequence + (1 if lesson.state == lesson.STATE_PAUSED else 2)
         self.get_logger().error(end.sentence)
-        self.set_status(msg.NodeStatus.STATE_READY, end.sentence)
+        counts = {name.rpartition('/')[2]: count for name, count in self.restarts.items() if count}
+        told = restarts_text(counts) if counts else ''
+        self.set_status(msg.NodeStatus.STATE_READY, f'{end.sentence}{told}')
 
     def _keep_status(self, status: msg.NodeStatus) -> None:
         node = status.node

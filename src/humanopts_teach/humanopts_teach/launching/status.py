@@ -1,0 +1,188 @@
+"""How a graph stands: its nodes, what they do, the recording; as text and as JSON data."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+import re
+from typing import Any
+
+from humanopts_ros.limits import shown
+
+NO_GRAPH = 2  # exit status: there is nothing in this ROS_DOMAIN_ID and namespace
+LITTLE_DISK = 10**9  # bytes that are left on the disk of the recording, below which it is told
+_SO_FAR = re.compile(r'; so far (.+)$')
+_SILENT = 'does not answer'
+
+
+def restarts_text(counts: Mapping[str, int]) -> str:
+    """Return how often nodes were started again, for the status of the conductor."""
+    return f'; so far {", ".join(f"{name} {count}" for name, count in sorted(counts.items()))}'
+
+
+def restarts_in(text: str) -> Counter[str]:
+    """Return what ``restarts_text`` has told at the end of a status; nothing else is read."""
+    found = _SO_FAR.search(text)
+    parts = [part.rpartition(' ') for part in found[1].split(', ')] if found else []
+    return Counter({name: int(count) for name, _, count in parts if count.isdigit()})
+
+
+@dataclass(frozen=True)
+class NodeReport:
+    """
+    One node.
+
+    :ivar state: starting, ready, paused or stopping; empty: it has not told.
+    :ivar answer: s that it took to answer a request; None: it did not.
+    :ivar served: it is a node that answers requests all the time; the conductor does not.
+    :ivar text: what it says: why it is paused, what it refused, what failed.
+    :ivar stopped: its process is stopped (SIGSTOP).
+    :ivar pid: of its process, where that is one of a launch on this machine; None: not known.
+    :ivar memory: bytes of it.
+    :ivar threads: of it.
+    """
+
+    name: str
+    state: str = ''
+    answer: float | None = None
+    served: bool = True
+    text: str = ''
+    restarts: int = 0
+    stopped: bool = False
+    pid: int | None = None
+    memory: int | None = None
+    threads: int | None = None
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with it; empty: nothing."""
+        if self.stopped:
+            return f'is stopped; kill -CONT {self.pid} lets it go on'
+        if self.served and self.answer is None:
+            return _SILENT
+        if self.state == 'paused':
+            return f'is paused: {self.text}'
+        return '' if self.state == 'ready' else f'is {self.state or "silent"}'
+
+
+@dataclass(frozen=True)
+class RecorderReport:
+    """The recording; fields as in RecorderStatus."""
+
+    path: str
+    messages: int
+    bytes: int
+    lag: float  # s
+    missing: int
+    complete: bool
+    behind: bool
+    stopped: bool
+    text: str
+    rate: float | None = None  # messages/s; None: it was not seen twice
+    disk_left: int | None = None  # bytes; None: its disk is not here
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with it; empty: nothing."""
+        if self.stopped or self.behind:
+            return self.text
+        if self.missing:
+            return f'{self.missing} messages are missing in the bag'
+        if not self.complete:
+            return 'the recorder has not got every topic'
+        little = self.disk_left is not None and self.disk_left < LITTLE_DISK
+        return f'{_size(self.disk_left or 0)} are left on the disk' if little else ''
+
+
+@dataclass(frozen=True)
+class GraphReport:
+    """All of a namespace."""
+
+    domain_id: int
+    namespace: str
+    nodes: Sequence[NodeReport]
+    recorder: RecorderReport | None = None  # None: nothing records
+    game: str = ''  # its name
+    episode: int = 0
+    step: int = 0
+    steps_per_second: float | None = None  # None: no state has come
+    holder: str = ''  # publisher_id of who drives; empty: nobody
+
+    @property
+    def faults(self) -> list[str]:
+        """What is wrong, in words; empty: nothing."""
+        found = [f'{node.name} {node.fault}' for node in self.nodes if node.fault]
+        if self.recorder is not None and self.recorder.fault:
+            found.append(self.recorder.fault)
+        return found
+
+    @property
+    def status(self) -> int:
+        """Exit status: 0 where all is well, 1 where something is wrong, 2 where nothing is."""
+        if not self.nodes:
+            return NO_GRAPH
+        return 1 if self.faults else 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as JSON data."""
+        return {**asdict(self), 'faults': self.faults}
+
+    def to_text(self) -> str:
+        """Return the report as plain text."""
+        if not self.nodes:
+            return f'no node of humanopts is in {self._place}'
+        heads = ('node', 'state', 'answers', 'restarts', 'process', 'memory', 'threads', 'says')
+        rows = [heads, *map(_row, self.nodes)]
+        widths = [max(len(row[at]) for row in rows) for at in range(len(heads) - 1)]
+        lines = [
+            '  '.join([*(cell.ljust(w) for cell, w in zip(row, widths)), row[-1]]).rstrip()
+            for row in rows
+        ]
+        lines += ['', *self._game_lines(), *self._recorder_lines()]
+        faults = self.faults
+        lines += [f'fault: {fault}' for fault in faults] or ['all is well']
+        return '\n'.join(lines)
+
+    @property
+    def _place(self) -> str:
+        return f'ROS_DOMAIN_ID {self.domain_id}, namespace {self.namespace}'
+
+    def _game_lines(self) -> list[str]:
+        if self.steps_per_second is None:
+            return []
+        who = self.holder or 'nobody'
+        return [
+            f'{self.game}: episode {self.episode}, step {self.step}, '
+            f'{self.steps_per_second:.1f} steps/s; control: {who}'
+        ]
+
+    def _recorder_lines(self) -> list[str]:
+        bag = self.recorder
+        if bag is None:
+            return ['nothing is recorded']
+        rate = '' if bag.rate is None else f' ({bag.rate:.0f}/s)'
+        left = '' if bag.disk_left is None else f', {_size(bag.disk_left)} left on the disk'
+        return [
+            f'{bag.path}: {bag.messages} messages{rate}, {_size(bag.bytes)}, lag {bag.lag:.3f} s, '
+            f'{bag.missing} missing{left}'
+        ]
+
+
+def _row(node: NodeReport) -> tuple[str, ...]:
+    answer = _SILENT if node.served else '-'
+    return (
+        node.name,
+        'stopped' if node.stopped else node.state or '?',
+        answer if node.answer is None else f'{1000.0 * node.answer:.0f} ms',
+        str(node.restarts),
+        '-' if node.pid is None else str(node.pid),
+        '-' if node.memory is None else _size(node.memory),
+        '-' if node.threads is None else str(node.threads),
+        shown(node.text, 200),
+    )
+
+
+def _size(count: int) -> str:
+    for unit, size in (('GB', 10**9), ('MB', 10**6), ('kB', 10**3)):
+        if count >= size:
+            return f'{count / size:.1f} {unit}'
+    return f'{count} bytes'

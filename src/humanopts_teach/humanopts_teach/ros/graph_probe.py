@@ -1,0 +1,195 @@
+"""Looks at a running graph from outside, for ``humanopts status``: it publishes nothing."""
+
+from collections.abc import Callable
+import os
+import shutil
+import time
+from typing import Any
+
+from humanopts_interfaces import msg
+from humanopts_ros.environment import prepare_discovery
+from humanopts_ros.qos import CURRENT, LATCHED_ALL
+from humanopts_teach.launching.launcher import CONDUCTOR, process_of_launch
+from humanopts_teach.launching.status import (
+    GraphReport,
+    NodeReport,
+    RecorderReport,
+    restarts_in,
+)
+import psutil
+from rcl_interfaces.srv import GetParameters
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+_SEARCH = 0.6  # s in which nodes are found, at least
+_PATIENCE = 2.0  # s for nodes that were found to tell their state, and to answer
+_WINDOW = 1.0  # s between the two looks from which rates are
+_STATES = {
+    msg.NodeStatus.STATE_STARTING: 'starting',
+    msg.NodeStatus.STATE_READY: 'ready',
+    msg.NodeStatus.STATE_PAUSED: 'paused',
+    msg.NodeStatus.STATE_STOPPING: 'stopping',
+}
+
+
+def look_at_graph(namespace: str) -> GraphReport:
+    """Look at the nodes of a namespace in this ROS_DOMAIN_ID; takes about two seconds."""
+    prepare_discovery()
+    context = Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor(context=context)
+    try:
+        probe = _Probe(namespace, context, executor)
+        return probe.look()
+    finally:
+        executor.shutdown()
+        context.try_shutdown()
+
+
+class _Probe:
+    """A node that listens, asks every other node for a parameter, and takes the time."""
+
+    def __init__(self, namespace: str, context: Context, executor: SingleThreadedExecutor) -> None:
+        self._namespace = namespace
+        self._node = Node(
+            'status',
+            namespace=namespace,
+            context=context,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._executor = executor
+        executor.add_node(self._node)
+        self._statuses: dict[str, msg.NodeStatus] = {}  # the newest of each node
+        self._newest: dict[str, Any] = {}  # message by topic
+        self._answers: dict[str, float] = {}  # s, by node
+        self._node.create_subscription(
+            msg.NodeStatus, 'node_status', self._keep_status, LATCHED_ALL
+        )
+        for kind, topic in (
+            (msg.RecorderStatus, 'recorder_status'),
+            (msg.GameState, 'current_state'),
+            (msg.DomainInfo, 'domain_info'),
+            (msg.ControlState, 'control'),
+        ):
+            keep = self._keeper(topic)
+            self._node.create_subscription(kind, topic, keep, CURRENT)
+
+    def look(self) -> GraphReport:
+        """Find the nodes, ask them, and look twice."""
+        self._serve(lambda: False, _SEARCH)
+        nodes = self._nodes()
+        self._serve(lambda: self._statuses.keys() >= set(nodes), _PATIENCE if nodes else 0.0)
+        began, before = time.monotonic(), dict(self._newest)
+        for name in nodes:
+            if name != CONDUCTOR:
+                self._ask(name)
+        self._serve(lambda: False, _WINDOW if nodes else 0.0)
+        asked = {name for name in nodes if name != CONDUCTOR}
+        rest = max(0.0, _PATIENCE - (time.monotonic() - began))
+        self._serve(lambda: self._answers.keys() >= asked, rest)
+        passed = time.monotonic() - began
+
+        def rate(topic: str, count: Callable[[Any], int]) -> float | None:
+            first, last = before.get(topic), self._newest.get(topic)
+            if first is None or last is None or first.publisher_id != last.publisher_id:
+                return None
+            return max(0, count(last) - count(first)) / passed
+
+        restarts = restarts_in(self._text(CONDUCTOR))
+        state, info = self._newest.get('current_state'), self._newest.get('domain_info')
+        control = self._newest.get('control')
+        steps = rate('current_state', lambda message: int(message.sequence))
+        return GraphReport(
+            domain_id=int(os.environ.get('ROS_DOMAIN_ID') or 0),
+            namespace=self._namespace,
+            nodes=[self._report(name, restarts[name]) for name in nodes],
+            recorder=self._recorder(
+                'recorder' in nodes, rate('recorder_status', lambda status: int(status.messages))
+            ),
+            game=info.domain if info is not None else '',
+            episode=state.episode if state is not None else 0,
+            step=state.step if state is not None else 0,
+            steps_per_second=None if state is None else steps or 0.0,
+            holder=control.holder_id if control is not None else '',
+        )
+
+    def _nodes(self) -> list[str]:
+        """Return the names of the nodes that publish their life here."""
+        found = self._node.get_publishers_info_by_topic('node_status')
+        return sorted({str(each.node_name) for each in found if '_NODE' not in each.node_name})
+
+    def _serve(self, done: Callable[[], bool], seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while not done() and (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(min(left, 0.05))
+
+    def _ask(self, name: str) -> None:
+        """Ask a node for a parameter, as soon as it is found; take the time."""
+        client = self._node.create_client(GetParameters, f'{name}/get_parameters')
+        self._serve(client.service_is_ready, 0.3)
+        if not client.service_is_ready():
+            return
+        sent = time.monotonic()
+
+        def on_answer(done: Future) -> None:
+            self._answers[name] = time.monotonic() - sent
+
+        client.call_async(GetParameters.Request(names=[])).add_done_callback(on_answer)
+
+    def _keep_status(self, status: msg.NodeStatus) -> None:
+        name = status.node.rpartition('/')[2]
+        known = self._statuses.get(name)
+        stamps = [(s.header.stamp.sec, s.header.stamp.nanosec) for s in (status, known or status)]
+        if stamps[0] >= stamps[1]:
+            self._statuses[name] = status
+
+    def _keeper(self, topic: str) -> Callable[[Any], None]:
+        def keep(message: Any) -> None:
+            self._newest[topic] = message
+
+        return keep
+
+    def _text(self, name: str) -> str:
+        return self._statuses[name].text if name in self._statuses else ''
+
+    def _report(self, name: str, restarts: int) -> NodeReport:
+        status = self._statuses.get(name)
+        process = process_of_launch(self._namespace, name)
+        found: dict[str, Any] = {}
+        if process is not None:
+            try:
+                with process.oneshot():
+                    found = {
+                        'pid': process.pid,
+                        'stopped': process.status() == psutil.STATUS_STOPPED,
+                        'memory': process.memory_info().rss,
+                        'threads': process.num_threads(),
+                    }
+            except psutil.Error:  # it ended just now
+                pass
+        return NodeReport(
+            name,
+            _STATES.get(status.state, '') if status is not None else '',
+            self._answers.get(name),
+            name != CONDUCTOR,  # it serves the graph only while it waits
+            self._text(name),
+            restarts,
+            **found,
+        )
+
+    def _recorder(self, there: bool, rate: float | None) -> RecorderReport | None:
+        status = self._newest.get('recorder_status')
+        if status is None or not there:
+            return None
+        try:
+            left = shutil.disk_usage(status.path).free
+        except OSError:  # it records on another machine
+            left = None
+        names = ('path', 'messages', 'bytes', 'lag', 'missing', 'complete', 'behind', 'stopped')
+        values = {name: getattr(status, name) for name in names}
+        return RecorderReport(**values, text=status.text, rate=rate, disk_left=left)
