@@ -32,7 +32,8 @@ LAUNCH = (
     *THRESHOLDS,
 )
 HELP = {
-    (): ('demo', 'up', 'teach', 'bag', 'reproduce', 'bench'),
+    (): ('demo', 'up', 'teach', 'status', 'bag', 'reproduce', 'bench'),
+    ('status',): ('--namespace', '--json'),
     ('demo',): ('--domain', '--episodes', '--games', '--error-rate', *LAUNCH),
     ('up',): ('DOMAIN', '--no-record', '--step-period', *LAUNCH),
     ('teach',): ('DOMAIN', 'pacman, rooms, taxi', '--participant', *LAUNCH),

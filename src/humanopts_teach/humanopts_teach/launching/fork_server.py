@@ -124,7 +124,10 @@ class ForkServer:
         while select.select([self._channel], [], [], seconds)[0]:
             seconds = 0.0
             # Taken when it is understood: Ctrl-C between the two loses nothing.
-            said = self._channel.recv(_MESSAGE_BYTES, socket.MSG_PEEK)
+            try:
+                said = self._channel.recv(_MESSAGE_BYTES, socket.MSG_PEEK)
+            except ConnectionResetError:  # it has not read all that was sent
+                said = b''
             if not said:  # the server is gone, and with it all that it started
                 status = self._process.wait()
                 for process in self._started:

@@ -43,18 +43,26 @@ def _place(namespace: str) -> tuple[int, Path]:
     return domain, Path(tempfile.gettempdir()) / f'humanopts-{os.getuid()}-{key}.lock'
 
 
-def process_of_launch(namespace: str, name: str) -> psutil.Process | None:
-    """Return the process of a node of the launch in this place, on this machine; None: none is."""
+def processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
+    """
+    Return the processes of the launch in this place, if it is on this machine.
+
+    :return: by name of the node; None: it has ended and is to be started again.
+    """
+    found: dict[str, psutil.Process | None] = {}
     try:
         launcher = psutil.Process(int(_place(namespace)[1].read_text('utf-8')))
-        if name == CONDUCTOR:
-            return launcher
+        found[CONDUCTOR] = launcher
         for process in launcher.children(recursive=True):
-            if any(word.endswith(f'/{name}.yaml') for word in process.cmdline()):
-                return process
+            files = [Path(word) for word in process.cmdline() if word.endswith('.yaml')]
+            for file in files:  # of its parameters; there are those of the others, too
+                others = [f for f in file.parent.glob('*.yaml') if f != file]
+                began = launcher.create_time()
+                found |= {f.stem: found.get(f.stem) for f in others if f.stat().st_mtime > began}
+                found[file.stem] = process
     except (OSError, ValueError, psutil.Error):
-        pass
-    return None
+        pass  # there is none, or it ends just now
+    return found
 
 
 @contextmanager
@@ -270,13 +278,14 @@ class Launcher:
     def _look_for_stopped(self) -> None:
         """Tell which processes are stopped, and which go on."""
         for running in self._running:
-            if not running.runs:
+            process = running.process
+            if not (running.runs and isinstance(process, ForkedProcess) and process.known_pid):
                 continue
-            stopped = _is_stopped(running.process.pid)
+            stopped = _is_stopped(process.known_pid)
             if stopped != running.stopped:
                 running.stopped = stopped
                 name = running.spec.name
-                what = f'is stopped; kill -CONT {running.process.pid} lets it go on'
+                what = f'is stopped; kill -CONT {process.known_pid} lets it go on'
                 self.tell(f'the node {name} {what if stopped else "goes on"}')
 
     def _parameters(self, spec: ProcessSpec) -> Path:

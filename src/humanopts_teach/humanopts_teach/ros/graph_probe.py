@@ -1,6 +1,7 @@
 """Looks at a running graph from outside, for ``humanopts status``: it publishes nothing."""
 
 from collections.abc import Callable
+from functools import partial
 import os
 import shutil
 import time
@@ -9,7 +10,7 @@ from typing import Any
 from humanopts_interfaces import msg
 from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.qos import CURRENT, LATCHED_ALL
-from humanopts_teach.launching.launcher import CONDUCTOR, process_of_launch
+from humanopts_teach.launching.launcher import CONDUCTOR, processes_of_launch
 from humanopts_teach.launching.status import (
     GraphReport,
     NodeReport,
@@ -19,15 +20,15 @@ from humanopts_teach.launching.status import (
 import psutil
 from rcl_interfaces.srv import GetParameters
 import rclpy
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-_SEARCH = 0.6  # s in which nodes are found, at least
-_PATIENCE = 2.0  # s for nodes that were found to tell their state, and to answer
-_WINDOW = 1.0  # s between the two looks from which rates are
+_SEARCH = 1.5  # s in which nodes are found; less where all of a launch on this machine are
+_WINDOW = 1.2  # s for them to answer, and between the two looks from which rates are
 _STATES = {
     msg.NodeStatus.STATE_STARTING: 'starting',
     msg.NodeStatus.STATE_READY: 'ready',
@@ -66,7 +67,9 @@ class _Probe:
         executor.add_node(self._node)
         self._statuses: dict[str, msg.NodeStatus] = {}  # the newest of each node
         self._newest: dict[str, Any] = {}  # message by topic
+        self._sent: dict[str, float] = {}  # when each node was asked, s
         self._answers: dict[str, float] = {}  # s, by node
+        self._processes: dict[str, psutil.Process | None] = {}
         self._node.create_subscription(
             msg.NodeStatus, 'node_status', self._keep_status, LATCHED_ALL
         )
@@ -81,17 +84,14 @@ class _Probe:
 
     def look(self) -> GraphReport:
         """Find the nodes, ask them, and look twice."""
-        self._serve(lambda: False, _SEARCH)
-        nodes = self._nodes()
-        self._serve(lambda: self._statuses.keys() >= set(nodes), _PATIENCE if nodes else 0.0)
+        self._processes = processes_of_launch(self._namespace)
+        there = set(self._processes)
+        self._serve(lambda: bool(there) and self._statuses.keys() >= there, _SEARCH)
+        nodes = sorted({*self._statuses, *self._nodes(), *there})
         began, before = time.monotonic(), dict(self._newest)
-        for name in nodes:
-            if name != CONDUCTOR:
-                self._ask(name)
-        self._serve(lambda: False, _WINDOW if nodes else 0.0)
-        asked = {name for name in nodes if name != CONDUCTOR}
-        rest = max(0.0, _PATIENCE - (time.monotonic() - began))
-        self._serve(lambda: self._answers.keys() >= asked, rest)
+        asked = {name: self._client(name) for name in nodes if name != CONDUCTOR}
+        self._serve(lambda: self._ask(asked), _WINDOW if nodes else 0.0)
+        self._serve(lambda: False, _WINDOW - (time.monotonic() - began) if nodes else 0.0)
         passed = time.monotonic() - began
 
         def rate(topic: str, count: Callable[[Any], int]) -> float | None:
@@ -109,7 +109,8 @@ class _Probe:
             namespace=self._namespace,
             nodes=[self._report(name, restarts[name]) for name in nodes],
             recorder=self._recorder(
-                'recorder' in nodes, rate('recorder_status', lambda status: int(status.messages))
+                'recorder' in self._statuses,
+                rate('recorder_status', lambda status: int(status.messages)),
             ),
             game=info.domain if info is not None else '',
             episode=state.episode if state is not None else 0,
@@ -128,18 +129,20 @@ class _Probe:
         while not done() and (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(min(left, 0.05))
 
-    def _ask(self, name: str) -> None:
-        """Ask a node for a parameter, as soon as it is found; take the time."""
-        client = self._node.create_client(GetParameters, f'{name}/get_parameters')
-        self._serve(client.service_is_ready, 0.3)
-        if not client.service_is_ready():
-            return
-        sent = time.monotonic()
+    def _client(self, name: str) -> Client:
+        return self._node.create_client(GetParameters, f'{name}/get_parameters')
 
-        def on_answer(done: Future) -> None:
-            self._answers[name] = time.monotonic() - sent
+    def _ask(self, clients: dict[str, Client]) -> bool:
+        """Ask the nodes that are found by now for a parameter; return whether all answered."""
+        for name, client in clients.items():
+            if name not in self._sent and client.service_is_ready():
+                self._sent[name] = time.monotonic()
+                future = client.call_async(GetParameters.Request(names=[]))
+                future.add_done_callback(partial(self._answered, name))
+        return len(self._answers) == len(clients)
 
-        client.call_async(GetParameters.Request(names=[])).add_done_callback(on_answer)
+    def _answered(self, name: str, done: Future) -> None:
+        self._answers[name] = time.monotonic() - self._sent[name]
 
     def _keep_status(self, status: msg.NodeStatus) -> None:
         name = status.node.rpartition('/')[2]
@@ -159,7 +162,7 @@ class _Probe:
 
     def _report(self, name: str, restarts: int) -> NodeReport:
         status = self._statuses.get(name)
-        process = process_of_launch(self._namespace, name)
+        process = self._processes.get(name)
         found: dict[str, Any] = {}
         if process is not None:
             try:

@@ -1,0 +1,79 @@
+"""What ``humanopts status`` makes of a graph: faults, exit status, a table and JSON."""
+
+from collections import Counter
+from dataclasses import replace
+import json
+
+from humanopts_teach.launching.status import (
+    GraphReport,
+    LITTLE_DISK,
+    NodeReport,
+    RecorderReport,
+    restarts_in,
+    restarts_text,
+)
+import pytest
+
+GAME = NodeReport('game', 'ready', 0.004, pid=4711, memory=93_000_000, threads=13)
+CONDUCTOR = NodeReport('conductor', 'ready', served=False)
+BAG = RecorderReport(
+    '/lab/bag', 120, 5_000, 0.01, 0, complete=True, behind=False, stopped=False, text='',
+    rate=20.0, disk_left=10**10,
+)  # fmt: skip
+GRAPH = GraphReport(3, '/room', [CONDUCTOR, GAME], BAG, 'taxi', 2, 14, 12.34)
+
+
+def test_a_graph_in_which_all_is_well() -> None:
+    assert (GRAPH.status, GRAPH.faults) == (0, [])
+    lines = GRAPH.to_text().splitlines()
+    assert lines[2].split() == ['game', 'ready', '4', 'ms', '0', '4711', '93.0', 'MB', '13']
+    assert lines[4] == 'taxi: episode 2, step 14, 12.3 steps/s; control: nobody'
+    assert lines[5] == (
+        '/lab/bag: 120 messages (20/s), 5.0 kB, lag 0.010 s, 0 missing, 10.0 GB left on the disk'
+    )
+    assert lines[-1] == 'all is well'
+    assert json.loads(json.dumps(GRAPH.to_dict()))['nodes'][1]['answer'] == 0.004
+
+
+@pytest.mark.parametrize(
+    ('changes', 'fault'),
+    [
+        ({'answer': None}, 'game does not answer'),
+        ({'stopped': True}, 'game is stopped; kill -CONT 4711 lets it go on'),
+        ({'state': 'paused', 'text': 'no room'}, 'game is paused: no room'),
+        ({'state': 'starting'}, 'game is starting'),
+        ({'state': ''}, 'game is silent'),
+    ],
+)
+def test_a_node_that_does_not_work_is_a_fault(changes: dict[str, object], fault: str) -> None:
+    graph = replace(GRAPH, nodes=[CONDUCTOR, replace(GAME, **changes)])
+    assert (graph.status, graph.faults) == (1, [fault])
+    assert graph.to_text().endswith(f'\nfault: {fault}')
+
+
+@pytest.mark.parametrize(
+    ('changes', 'fault'),
+    [
+        ({'stopped': True, 'text': 'recording stopped: full'}, 'recording stopped: full'),
+        ({'behind': True, 'text': 'it does not keep up'}, 'it does not keep up'),
+        ({'missing': 3}, '3 messages are missing in the bag'),
+        ({'complete': False}, 'the recorder has not got every topic'),
+        ({'disk_left': LITTLE_DISK - 1}, '1000.0 MB are left on the disk'),
+    ],
+)
+def test_a_recording_that_is_not_whole_is_a_fault(changes: dict[str, object], fault: str) -> None:
+    graph = replace(GRAPH, recorder=replace(BAG, **changes))
+    assert (graph.status, graph.faults) == (1, [fault])
+
+
+def test_a_place_without_nodes_has_a_status_of_its_own() -> None:
+    empty = GraphReport(3, '/room', [])
+    assert empty.status == 2
+    assert empty.to_text() == 'no node of humanopts is in ROS_DOMAIN_ID 3, namespace /room'
+
+
+def test_restarts_are_read_from_what_the_conductor_tells_and_from_nothing_else() -> None:
+    counts = Counter({'game': 2, 'option_server': 11})
+    assert restarts_in(f'the node game ended{restarts_text(counts)}') == counts
+    for text in ('', '; so far', '; so far x', '; so far game -1', 'so far game 1', '; so far , '):
+        assert restarts_in(text) == Counter()
