@@ -16,6 +16,7 @@ import yaml
 
 # Import name -> rosdep key, where the two differ.
 KEYS = {
+    'fastapi': 'python3-nicegui-pip',
     'gymnasium': 'python3-gymnasium-pip',
     'jinja2': 'python3-jinja2',
     'lazy_loader': 'python3-lazy-loader',
@@ -24,6 +25,7 @@ KEYS = {
     'matplotlib': 'python3-matplotlib',
     'mcap': 'mcap-ros2-support',  # needs mcap, which has no key of its own
     'mcap_ros2': 'mcap-ros2-support',
+    'nicegui': 'python3-nicegui-pip',  # needs fastapi and uvicorn
     'numpy': 'python3-numpy',
     'pandas': 'python3-pandas',
     'prompt_toolkit': 'python3-prompt-toolkit',
@@ -33,6 +35,7 @@ KEYS = {
     'setproctitle': 'python3-setproctitle',
     'sklearn': 'python3-sklearn',
     'typer': 'python3-typer-pip',
+    'uvicorn': 'python3-nicegui-pip',
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }
