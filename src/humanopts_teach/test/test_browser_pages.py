@@ -1,11 +1,8 @@
 """Pages as a browser gets them over loopback: who is let in, what is shown, what is pressed."""
 
-import ast
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
-from html import unescape
-import json
 import re
 import socket
 import threading
@@ -13,7 +10,6 @@ import time
 from typing import Any
 from urllib.error import HTTPError
 from urllib.request import urlopen
-import uuid
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
@@ -24,7 +20,7 @@ from humanopts_teach.dialogue.entry import Item, ListScreen
 from humanopts_teach.dialogue.panel import view
 from humanopts_teach.lesson.requests import LessonView, Phase
 import pytest
-import socketio
+from teach_support.page_client import PageClient
 
 TOKEN = 'a-token'
 NASTY = '<img src=x onerror=alert(1)>'
@@ -70,60 +66,6 @@ def address() -> Iterator[str]:
     thread.join()
 
 
-class Browser:
-    """A client of the pages' own protocol: knows what each part of the page shows."""
-
-    def __init__(self, address: str, path: str) -> None:
-        with urlopen(f'{address}{path}') as response:
-            self.page = response.read().decode()
-        (text,) = re.findall(r'parseElements\(String\.raw`(.*?)`\)', self.page, re.DOTALL)
-        self.elements: dict[str, Any] = json.loads(unescape(text))
-        (query,) = re.findall(r'query: (\{.*\}),', self.page)
-        mine = {'tab_id': str(uuid.uuid4()), 'document_id': str(uuid.uuid4())}
-        self.query = {**ast.literal_eval(query), **mine, 'implicit_handshake': 'true'}
-        self.opened: list[str] = []
-        self.socket = socketio.Client()
-        self.socket.on('update', self._update)
-        self.socket.on('open', lambda message: self.opened.append(message['path']))
-        asked = '&'.join(f'{name}={value}' for name, value in self.query.items())
-        self.socket.connect(f'{address}?{asked}', socketio_path='/_nicegui_ws/socket.io')
-
-    def __enter__(self) -> 'Browser':
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.socket.disconnect()
-
-    def _update(self, changed: dict[str, Any]) -> None:
-        elements = {name: new for name, new in changed.items() if isinstance(new, dict)}
-        self.elements.update(elements)
-
-    def shows(self, part: str) -> str:
-        """Return the HTML of a part."""
-        found = [e for e in list(self.elements.values()) if part in e.get('class', [])]
-        return str(found[0]['props'].get('innerHTML', ''))
-
-    def press(self, *keys: object, frame: object = None) -> None:
-        """Send what ``page.js`` sends."""
-        (number, heard) = next(
-            (number, event)
-            for number, element in self.elements.items()
-            for event in element.get('events', [])
-            if event['type'] == 'press'
-        )
-        on = int(self.shows('frame')) if frame is None else frame
-        args = [json.dumps({'keys': keys, 'frame': on})]
-        named = {'id': int(number), 'client_id': self.query['client_id']}
-        self.socket.emit('event', {**named, 'listener_id': heard['listener_id'], 'args': args})
-
-    def until(self, part: str, words: str) -> None:
-        """Wait until a part shows something."""
-        deadline = time.monotonic() + PATIENCE
-        while words not in self.shows(part):
-            assert time.monotonic() < deadline, f'{words} is not in {self.shows(part)}'
-            time.sleep(0.005)
-
-
 @pytest.mark.parametrize(
     'path', ['/wrong', '/wrong/anna', f'/{TOKEN}x/anna', f'/{TOKEN}/a%20b', '/']
 )
@@ -134,14 +76,14 @@ def test_without_the_token_and_a_code_there_is_no_page(address: str, path: str) 
 
 
 def test_nothing_is_asked_of_another_server(address: str) -> None:
-    with Browser(address, f'/{TOKEN}') as browser:
+    with PageClient(address, f'/{TOKEN}') as browser:
         links = re.findall(r'(?:src|href)="([^"]+)"', browser.page)
         assert links
         assert [link for link in links if '//' in link] == []
 
 
 def test_a_code_leads_to_the_page_of_its_seat(address: str) -> None:
-    with Browser(address, f'/{TOKEN}') as browser:
+    with PageClient(address, f'/{TOKEN}') as browser:
         assert 'Who teaches?' in browser.shows('panel')
         browser.press('ctrl-u', *NASTY, 'enter')
         browser.until('said', '&lt;img')
@@ -154,12 +96,12 @@ def test_a_code_leads_to_the_page_of_its_seat(address: str) -> None:
 
 
 def test_two_participants_and_one_who_loads_the_page_again(address: str) -> None:
-    with Browser(address, f'/{TOKEN}/ben') as ben:
-        with Browser(address, f'/{TOKEN}/cleo') as cleo:
+    with PageClient(address, f'/{TOKEN}/ben') as ben:
+        with PageClient(address, f'/{TOKEN}/cleo') as cleo:
             cleo.until('panel', 'Which?')
             cleo.press('enter')
             cleo.until('said', 'one is picked')
-        with Browser(address, f'/{TOKEN}/cleo') as cleo:
+        with PageClient(address, f'/{TOKEN}/cleo') as cleo:
             cleo.until('said', 'one is picked')
             cleo.press('2')
             cleo.until('said', '&lt;img')
@@ -169,9 +111,9 @@ def test_two_participants_and_one_who_loads_the_page_again(address: str) -> None
 
 
 def test_a_second_page_of_a_participant_asks_first(address: str) -> None:
-    with Browser(address, f'/{TOKEN}/dora') as first:
+    with PageClient(address, f'/{TOKEN}/dora') as first:
         first.until('panel', 'Which?')
-        with Browser(address, f'/{TOKEN}/dora') as second:
+        with PageClient(address, f'/{TOKEN}/dora') as second:
             second.until('panel', 'dora teaches in another window just now')
             second.press('enter')
             second.until('panel', 'Which?')
@@ -182,7 +124,7 @@ def test_a_second_page_of_a_participant_asks_first(address: str) -> None:
     'given', [{'keys': (5, None, {}), 'frame': 1}, {'keys': ('enter',) * 65}, {'frame': 'x'}]
 )
 def test_what_no_page_sends_is_ignored(address: str, given: dict[str, Any]) -> None:
-    with Browser(address, f'/{TOKEN}/emil') as browser:
+    with PageClient(address, f'/{TOKEN}/emil') as browser:
         browser.until('panel', 'Which?')
         browser.press(*given.get('keys', ('enter',)), frame=given.get('frame'))
         browser.press('2')

@@ -50,8 +50,8 @@ class Seat:
         self.window: Window | None = None
         self.over = asyncio.Event()
         self.farewell = FAREWELL
-        self._head = ('humanopts', domain, participant)
-        self._shown = message(self._head, f'Starting the game of {participant} ...'), 0
+        self.head = ('humanopts', domain, participant)
+        self._shown = message(self.head, f'Starting the game of {participant} ...'), 0
         self._press: Press = lambda keys, frame: None
         self._leaving: asyncio.TimerHandle | None = None
 
@@ -71,7 +71,7 @@ class Seat:
             self._leaving.cancel()
         if self.window is not None and self.window is not window:
             text = 'The lesson goes on in another window.'
-            tell(self.window, message(self._head, text, 'teach here again'), self.window.reload)
+            tell(self.window, message(self.head, text, 'teach here again'), self.window.reload)
         self.window = window
         window.listen(lambda keys, frame: self._press(keys, frame))
         window.show(*self._shown)
@@ -93,7 +93,7 @@ class Seat:
         if self._leaving is not None:
             self._leaving.cancel()
         if self.window is not None:
-            tell(self.window, message(self._head, self.farewell, 'go on'), self.window.reload)
+            tell(self.window, message(self.head, self.farewell, 'go on'), self.window.reload)
 
 
 class Seats:
@@ -154,6 +154,7 @@ class Seats:
                 seat.listen(press)
                 await seat.over.wait()
                 seat.listen(lambda keys, frame: None)
+                seat.show(message(seat.head, 'The game ends ...'), 0)
         except GameError as error:
             seat.end(f'{error} {FAREWELL}')
         finally:

@@ -70,9 +70,10 @@ def _listen(address: Address) -> socket.socket:
         family = socket.AF_INET6 if ':' in address.host else socket.AF_INET
         return socket.create_server((address.host, address.port), family=family)
     except OSError as error:
+        why = str(error.strerror).partition(' (')[0]
         raise CommandError(
-            f'cannot serve at {address.host}, port {address.port}: {error.strerror}; choose '
-            'another --host or --port'
+            f'cannot serve at {address.host}, port {address.port}: {why}; choose another --host '
+            'or --port'
         ) from error
 
 
@@ -148,7 +149,7 @@ async def _graph(setup: Setup, namespace: str, seat: Seat) -> AsyncIterator[None
     async def said() -> str:
         """Return the next thing that the process says; empty: it is ready."""
         line = await output.readline()
-        return str(json.loads(line)) if line else 'it ended, see the terminal where it runs'
+        return str(json.loads(line)) if line else 'see the terminal where it runs'
 
     async def watch() -> None:
         seat.end(f'The game has ended: {await said()}. Everything taught is saved.')

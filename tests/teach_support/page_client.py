@@ -1,0 +1,68 @@
+"""A client of the pages' own protocol, without a browser."""
+
+import ast
+from html import unescape
+import json
+import re
+import time
+from typing import Any
+from urllib.request import urlopen
+import uuid
+
+import socketio
+
+PATIENCE = 60.0  # s
+
+
+class PageClient:
+    """Knows what each part of a page shows, and presses keys on it."""
+
+    def __init__(self, address: str, path: str) -> None:
+        with urlopen(f'{address}{path}') as response:
+            self.page = response.read().decode()
+        (text,) = re.findall(r'parseElements\(String\.raw`(.*?)`\)', self.page, re.DOTALL)
+        self.elements: dict[str, Any] = json.loads(unescape(text))
+        (query,) = re.findall(r'query: (\{.*\}),', self.page)
+        mine = {'tab_id': str(uuid.uuid4()), 'document_id': str(uuid.uuid4())}
+        self.query = {**ast.literal_eval(query), **mine, 'implicit_handshake': 'true'}
+        self.opened: list[str] = []
+        self.socket = socketio.Client()
+        self.socket.on('update', self._update)
+        self.socket.on('open', lambda message: self.opened.append(message['path']))
+        asked = '&'.join(f'{name}={value}' for name, value in self.query.items())
+        self.socket.connect(f'{address}?{asked}', socketio_path='/_nicegui_ws/socket.io')
+
+    def __enter__(self) -> 'PageClient':
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.socket.disconnect()
+
+    def _update(self, changed: dict[str, Any]) -> None:
+        elements = {name: new for name, new in changed.items() if isinstance(new, dict)}
+        self.elements.update(elements)
+
+    def shows(self, part: str) -> str:
+        """Return the HTML of a part."""
+        found = [e for e in list(self.elements.values()) if part in e.get('class', [])]
+        return str(found[0]['props'].get('innerHTML', ''))
+
+    def press(self, *keys: object, frame: object = None) -> None:
+        """Send what ``page.js`` sends."""
+        (number, heard) = next(
+            (number, event)
+            for number, element in self.elements.items()
+            for event in element.get('events', [])
+            if event['type'] == 'press'
+        )
+        on = int(self.shows('frame')) if frame is None else frame
+        args = [json.dumps({'keys': keys, 'frame': on})]
+        named = {'id': int(number), 'client_id': self.query['client_id']}
+        self.socket.emit('event', {**named, 'listener_id': heard['listener_id'], 'args': args})
+
+    def until(self, part: str, words: str) -> None:
+        """Wait until a part shows something."""
+        deadline = time.monotonic() + PATIENCE
+        while words not in self.shows(part):
+            assert time.monotonic() < deadline, f'{words} is not in {self.shows(part)}'
+            time.sleep(0.005)

@@ -1,0 +1,116 @@
+"""Pages on the real graph, through their own protocol: a graph for each participant."""
+
+from collections.abc import Iterator
+import os
+from pathlib import Path
+import re
+import signal
+import socket
+
+from graph_support.command import Command
+from humanopts_env.domains.registry import make_domain
+from humanopts_teach.bags.contents import read_demonstrations
+from humanopts_teach.bags.reader import open_bag
+import pytest
+from teach_support.page_client import PageClient
+
+NAME = 'go <b>west</b>'
+QUESTIONS = len(make_domain('taxi').features)
+LINGER = 2  # s
+
+
+class Served:
+    """``humanopts teach taxi --browser``, and its pages."""
+
+    def __init__(self, folder: Path, domain_id: int) -> None:
+        self.data = folder / 'data'
+        arguments = ('--port', 0, '--learn', 'goal', '--linger', LINGER, '--out', self.data)
+        self.command = Command(('teach', 'taxi', '--browser', *arguments), folder, domain_id)
+        self.command.until(lambda: 'Open ' in self.command.output, 'the address')
+        self._pages: list[PageClient] = []
+
+    def page(self, participant: str) -> PageClient:
+        """Open the page of a participant."""
+        found = re.search(r'Open (\S+)(/\S+) in a browser', self.command.output)
+        assert found is not None
+        self._pages.append(PageClient(found.group(1), f'{found.group(2)}/{participant}'))
+        return self._pages[-1]
+
+    def nodes(self, participant: str) -> list[str]:
+        """Return the processes of a participant's nodes."""
+        return [line for line in self.command.running().values() if f'/{participant}/' in line]
+
+    def close(self) -> None:
+        """Close all pages, and end whatever is left."""
+        for page in self._pages:
+            page.socket.disconnect()
+        self.command.close()
+
+
+@pytest.fixture
+def served(tmp_path: Path, domain_id: int) -> Iterator[Served]:
+    """Pages that are served meanwhile."""
+    found = Served(tmp_path, domain_id)
+    yield found
+    found.close()
+
+
+def teach(page: PageClient) -> None:
+    """Name an option, and begin its first demonstration."""
+    page.until('panel', 'What next?')
+    page.press('1')
+    page.until('panel', 'What is the option called?')
+    page.press('ctrl-u', *NAME, 'enter')
+    for number in range(1, QUESTIONS + 1):
+        page.until('panel', f'question {number} of {QUESTIONS}')
+        page.press('y' if number < 3 else 'n')
+    page.until('panel', 'Enter shows start 1.')
+    page.press('enter')
+    page.until('panel', 'next: start 1')
+
+
+def test_two_people_teach_at_once_and_nothing_that_was_finished_is_lost(served: Served) -> None:
+    anna, ben = served.page('anna'), served.page('ben')
+    teach(anna)
+    anna.press('left')
+    anna.until('panel', 'start 1, step 1')
+    assert NAME not in anna.shows('panel')  # it is escaped
+    ben.until('panel', 'What next?')
+    assert 'you drive' not in ben.shows('head')
+
+    anna.socket.disconnect()
+    anna = served.page('anna')  # in mid-demonstration
+    anna.until('panel', 'start 1, step 1')
+    anna.press('enter')
+    anna.until('panel', '(1 shown')
+    anna.until('panel', 'next: start 2')
+    anna.press('left')
+    anna.until('panel', 'start 2, step 1')
+    assert served.nodes('anna')
+    anna.socket.disconnect()
+    served.command.until(lambda: not served.nodes('anna'), "the end of anna's nodes")
+    assert served.nodes('ben')
+    (bag,) = (served.data / 'anna' / 'bags').iterdir()
+    (shown,) = read_demonstrations(open_bag(bag))
+    assert (shown.participant, shown.option_name) == ('anna', NAME)
+
+    (graph,) = [n for n, line in served.command.running().items() if 'commands.browser' in line]
+    os.kill(graph, signal.SIGKILL)  # all of ben's nodes end with it
+    ben.until('panel', 'The game has ended: see the terminal where it runs.')
+    anna = served.page('anna')
+    anna.until('panel', 'Go on teaching an option')
+    served.command.send(signal.SIGINT)
+    anna.until('panel', 'Everything taught is saved.')
+    assert served.command.ended(60) == 0, served.command.errors
+    served.command.gone(10)
+    assert served.command.output.endswith('stopped\n')
+
+
+def test_a_port_that_is_taken_is_said(tmp_path: Path, domain_id: int) -> None:
+    with socket.create_server(('127.0.0.1', 0)) as taken:
+        port = taken.getsockname()[1]
+        arguments = ('teach', 'taxi', '--browser', '--port', port, '--out', tmp_path / 'data')
+        command = Command(arguments, tmp_path, domain_id)
+        assert command.ended(30) == 2
+    said = f'cannot serve at 127.0.0.1, port {port}: Address already in use; choose another'
+    assert said in command.errors
