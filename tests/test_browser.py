@@ -40,6 +40,11 @@ class Served:
         """Return the processes of a participant's nodes."""
         return [line for line in self.command.running().values() if f'/{participant}/' in line]
 
+    def graphs(self) -> list[int]:
+        """Return the processes that each keep a participant's graph."""
+        running = self.command.running().items()
+        return [number for number, line in running if 'commands.browser' in line]
+
     def close(self) -> None:
         """Close all pages, and end whatever is left."""
         for page in self._pages:
@@ -94,8 +99,8 @@ def test_two_people_teach_at_once_and_nothing_that_was_finished_is_lost(served: 
     (shown,) = read_demonstrations(open_bag(bag))
     assert (shown.participant, shown.option_name) == ('anna', NAME)
 
-    (graph,) = [n for n, line in served.command.running().items() if 'commands.browser' in line]
-    os.kill(graph, signal.SIGKILL)  # all of ben's nodes end with it
+    served.command.until(lambda: len(served.graphs()) == 1, "the end of anna's graph")
+    os.kill(served.graphs()[0], signal.SIGKILL)  # all of ben's nodes end with it
     ben.until('panel', 'The game has ended: see the terminal where it runs.')
     anna = served.page('anna')
     anna.until('panel', 'Go on teaching an option')
