@@ -82,7 +82,7 @@ def play(
         raise PlanError(f'{plan.domain.name} never cuts an episode off: give max_steps')
     if len(starts) and not 0 <= starts.min() <= starts.max() < plan.domain.n_states:
         raise PlanError(f'a start is not within 0..{plan.domain.n_states - 1}')
-    episodes = _Episodes(plan, starts)
+    episodes = Episodes(plan, starts)
     for step in range(limit):
         if not len(episodes.live):
             break
@@ -92,7 +92,7 @@ def play(
     return episodes.returns
 
 
-class _Episodes:
+class Episodes:
     """E episodes side by side; ``live`` are those that go on."""
 
     def __init__(self, plan: ExactPlan, starts: NDArray[np.integer]) -> None:
@@ -108,13 +108,14 @@ class _Episodes:
         self.live = np.flatnonzero(~over[self._state])
         self.returns = Returns.of_none(over[self._state])
 
-    def decide(self) -> None:
-        """Begin an option wherever none is running."""
+    def decide(self) -> Ints:
+        """Begin an option wherever none is running; return the states of these decisions, (N,)."""
         free = self.live[self._option[self.live] < 0]
         option = self._plan.solution.best[self._state[free]]
         self._option[free], self._ran[free] = option, 0
         self.returns.decisions[free] += 1
         self.returns.fallbacks[free] += option >= self._plan.first_fallback
+        return self._state[free]
 
     def step(self, rng: np.random.Generator) -> None:
         """Take one primitive step in every episode that goes on."""

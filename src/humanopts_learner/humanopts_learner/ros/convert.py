@@ -14,6 +14,8 @@ from humanopts_learner.execution import RunResult
 from humanopts_learner.options.criteria import Judgement
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.planning.coverage import Coverage
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.interruption import OptionValues
 from humanopts_learner.planning.plan import AnyPlan, Performance
 from humanopts_learner.planning.request import PlanError, PlanRequest
@@ -155,9 +157,13 @@ def refused_plan(action_set: str) -> msg.PlanResult:
 
 
 def plan_to_message(
-    plan: AnyPlan, plan_id: str, performance: Performance | None
+    plan: AnyPlan, plan_id: str, performance: Performance | None, coverage: Coverage | None
 ) -> msg.PlanResult:
-    """Encode the result of planning, with the returns of the plan's evaluation episodes."""
+    """
+    Encode the result of planning, with the returns of the plan's evaluation episodes.
+
+    :param coverage: None: not known.
+    """
     solution, result = plan.solution, msg.PlanResult
     return msg.PlanResult(
         status=result.STATUS_CONVERGED if solution.converged else result.STATUS_NOT_CONVERGED,
@@ -174,8 +180,22 @@ def plan_to_message(
         sweeps=solution.sweeps,
         residual=solution.residual,
         converged=solution.converged,
+        **_coverage_fields(plan, coverage),
         **_performance_fields(performance),
     )
+
+
+def _coverage_fields(plan: AnyPlan, found: Coverage | None) -> dict[str, Any]:
+    """Return the fields of ``PlanResult`` on what the options do not cover."""
+    if found is None or not isinstance(plan, ExactPlan):
+        return {}
+    encode, state_at = plan.domain.encode, plan.domain.state_at
+    return {
+        'coverage_known': True,
+        'fallback_states': [encode(state_at(index)) for index in found.fallback.tolist()],
+        'single_step_states': [encode(state_at(index)) for index in found.single_step.tolist()],
+        'single_step_gains': found.gain.tolist(),
+    }
 
 
 def _performance_fields(found: Performance | None) -> dict[str, Any]:

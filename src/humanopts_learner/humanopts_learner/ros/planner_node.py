@@ -9,8 +9,10 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.action import Plan
 from humanopts_interfaces.msg import LearnedOptions, PlanGoal, PlanResult
+from humanopts_learner.planning.coverage import Coverage, find_coverage
+from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
-from humanopts_learner.planning.request import PlanError, select_options
+from humanopts_learner.planning.request import OPTIONS_ONLY, PlanError, select_options
 from humanopts_learner.ros.convert import (
     options_from_message,
     plan_goal_to_message,
@@ -69,16 +71,18 @@ class PlanAction(LongAction[PlanResult]):
         result.plan_id = plan_id = str(uuid.uuid4())  # the result from here on
         self._goals.publish(plan_goal_to_message(goal, plan_id, request, options))
 
-        def compute() -> tuple[AnyPlan, Performance | None]:
-            plan, performance = make_plan(domain, options, request, progress), None
+        def compute() -> tuple[AnyPlan, Performance | None, Coverage | None]:
+            plan, performance, coverage = make_plan(domain, options, request, progress), None, None
             if goal.evaluation_episodes:
                 performance = judge_plan(plan, goal.seed, goal.evaluation_episodes, progress)
-            return plan, performance
+            if isinstance(plan, ExactPlan) and goal.action_set in OPTIONS_ONLY:
+                coverage = find_coverage(plan) if domain.max_steps else None
+            return plan, performance, coverage
 
-        plan, performance = await in_thread(self._node, self._state.pool, compute)
+        plan, performance, coverage = await in_thread(self._node, self._state.pool, compute)
         made = MadePlan(plan, plan_id, goal.participant, known)
         self._state.plans[goal.action_set, goal.participant] = made
-        return plan_to_message(plan, plan_id, performance)
+        return plan_to_message(plan, plan_id, performance, coverage)
 
     async def _wait_for_options(self, sequence: int) -> None:
         """
