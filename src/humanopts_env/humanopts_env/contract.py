@@ -30,6 +30,7 @@ from humanopts_env.domains.base import (
 )
 from humanopts_env.domains.capabilities import (
     DrawsAhead,
+    explanation,
     feature_groups,
     HasBaselines,
     HasBatchGames,
@@ -47,6 +48,7 @@ STEPS = 300  # of the random walk of the tests
 MANY = 40  # games in a batch of the tests
 DRAWN = 150  # outcomes drawn of one step; that of a batch must be among them
 LONGEST_EFFECT = 50  # characters
+MOST_HELP_ROWS = 18  # that a terminal shows
 CHECKED = 400  # states and transitions of an enumerable domain compared one by one
 NAME = re.compile(r'[a-z][a-z0-9_]*')
 NAMED_KEYS = {'up', 'down', 'left', 'right'}
@@ -407,6 +409,16 @@ class DomainContract:
             assert outcome.state != state or not effect.changed, where
             again = [domain.decode(domain.encode(each)) for each in (state, outcome.state)]
             assert step_effect(domain, again[0], action, again[1]) == effect, where
+
+    def test_its_explanation_fits_on_a_screen_and_names_signs_that_are_drawn(self) -> None:
+        """The first line says what to do, and no sign is explained twice."""
+        domain = self.make()
+        rows = explanation(domain)
+        signs = [sign for row, _ in rows for sign in row.split()]
+        assert len(set(signs)) == len(signs)
+        assert all(words == words.strip() != '' and len(words) <= 90 for _, words in rows)
+        assert [row for row, _ in rows].index('') == 0 if rows else True
+        assert len(rows) + len(domain.actions) <= MOST_HELP_ROWS
 
     def test_a_feature_is_in_one_group_at_most(self) -> None:
         """Groups have names of their own, and several features of the domain."""

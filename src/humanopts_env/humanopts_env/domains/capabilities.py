@@ -9,6 +9,7 @@ A domain has a capability by having the method or attribute; nothing is register
 - ``HasTeachingDefaults``: it names the options to teach and the thresholds of the criteria.
 - ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
 - ``HasStepEffects``: it tells in words what a step did.
+- ``HasExplanation``: it explains the game and the signs on the board.
 - ``HasFeatureGroups``: it groups its features, so that a person is asked about a group first.
 
 ``humanopts_env.contract`` tests each of them in every domain that has it.
@@ -306,3 +307,18 @@ class HasFeatureGroups(Protocol):
 def feature_groups(domain: Domain[Any]) -> Sequence[FeatureGroup]:
     """Return the groups of a domain's features; empty where it has none."""
     return domain.feature_groups if isinstance(domain, HasFeatureGroups) else ()
+
+
+@runtime_checkable
+class HasExplanation(Protocol):
+    """A domain that explains the game to a person."""
+
+    @property
+    def explanation(self) -> Sequence[tuple[str, str]]:
+        """Signs on the board, each with its meaning; the first sign is empty: what to do."""
+        ...
+
+
+def explanation(domain: Domain[Any]) -> Sequence[tuple[str, str]]:
+    """Return the signs of a domain and their meanings; empty where it has no words for them."""
+    return domain.explanation if isinstance(domain, HasExplanation) else ()

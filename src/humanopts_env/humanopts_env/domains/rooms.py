@@ -33,6 +33,12 @@ ROOMS = {'a': 'north-west', 'b': 'north-east', 'c': 'south-west', 'd': 'south-ea
 DOORWAYS = {'N': 'north', 'W': 'west', 'E': 'east', 'S': 'south'}
 GOALS = {'G1': (6, 8), 'G2': (8, 8)}  # the east doorway; a cell of the south-east room
 WALL, FLOOR, AGENT, GOAL = '█', '·', '☻', '⚑'
+EXPLANATION = (
+    ('', 'Walk to the goal. One step in three goes another way than you want.'),
+    (AGENT, 'you'),
+    (GOAL, 'the goal'),
+    (WALL, 'walls'),
+)
 GLYPH_STYLES = {
     WALL: GREY,
     FLOOR: 'dim',
@@ -127,6 +133,7 @@ class Rooms(TableDomain[RoomsState]):
         self.gamma = 0.9
         self.max_steps = 1000
         self.glyph_styles = GLYPH_STYLES
+        self.explanation = EXPLANATION
 
     def outcomes(
         self, state: RoomsState, action: int

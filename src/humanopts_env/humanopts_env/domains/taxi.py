@@ -177,6 +177,15 @@ def _passenger_cells(rows: int, cols: int) -> Column:
 
 EMPTY_TAXI, FULL_TAXI, SOME_TAXI = '□', '■', '▒'  # SOME: whether it is empty is not shown
 PASSENGER, DESTINATION, FLOOR = '☻', '⚑', '·'
+EXPLANATION = (
+    ('', 'Fetch the passenger and drive to the destination. Each step costs 1; the end earns 1.'),
+    (f'{EMPTY_TAXI} {FULL_TAXI}', 'the taxi: empty, and with the passenger'),
+    (SOME_TAXI, 'the taxi, where it is not shown which'),
+    (PASSENGER, 'the passenger, who waits'),
+    (DESTINATION, 'the destination'),
+    ('R G Y B', 'landmarks: the passenger waits and gets off only there'),
+    ('┃ ━', 'walls'),
+)
 GLYPH_STYLES = {
     EMPTY_TAXI: f'bold {ORANGE}',
     FULL_TAXI: f'bold {GREEN}',
@@ -338,6 +347,7 @@ class Taxi(SharedTables[TaxiState]):
         self.gamma = 0.99
         self.max_steps = 20 * (rows + cols)  # 200 on the 5 x 5 grid
         self.glyph_styles: Mapping[str, str] = GLYPH_STYLES
+        self.explanation = EXPLANATION
         self.teaching = TeachingDefaults(DEMO_OPTIONS)
 
     @property

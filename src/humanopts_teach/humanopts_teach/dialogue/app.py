@@ -16,6 +16,7 @@ from humanopts_teach.lesson.question_groups import QuestionGroups
 from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,
+    ChangeOption,
     DefineOption,
     Drive,
     EndDemonstration,
@@ -25,6 +26,7 @@ from humanopts_teach.lesson.requests import (
     Run,
     server,
     SetControl,
+    SetPace,
     settled,
     Verdict,
     WithdrawDemonstration,
@@ -52,6 +54,10 @@ class Screen(Protocol):
 
     def tick(self, app: 'App') -> None:
         """Do what needs no key, when nothing is under way."""
+
+    @property
+    def state(self) -> str:
+        """The state to draw, in the domain's notation; empty: that of the game."""
 
     @property
     def answers_lesson(self) -> bool:
@@ -99,6 +105,7 @@ class App:
         self.screen = first
         self.run: Run | None = None  # under way
         self.run_text = ''  # how far it is
+        self.next_start = ''  # of the next demonstration, that was chosen; empty: none
         self.groups = QuestionGroups()
         self.can_start_again: dict[str, bool] = {}  # what was last said with done, by option
         self.ended = False
@@ -229,7 +236,13 @@ class App:
         if self.run is run:
             self.run = None
             self.say(text, bad=not well)
+            self.go_on()
             self.screen.run_ended(run, well, self)
+
+    def go_on(self) -> None:
+        """Have the machine move again, where it waits for the person."""
+        if self.world.paused_by:
+            self.ask(SetPace(self.world.step_period, paused=False))
 
     def lost_server(self) -> None:
         """End the run: its server is gone."""
@@ -287,6 +300,6 @@ def _words(request: Request, answer: Answer) -> str:
         return _PAUSED
     if isinstance(request, Drive) and not answer.ok:
         return f'{request.action}: {answer.detail}'
-    if answer.ok and not isinstance(request, DefineOption | WithdrawDemonstration):
+    if answer.ok and not isinstance(request, DefineOption | WithdrawDemonstration | ChangeOption):
         return ''
     return answer.detail

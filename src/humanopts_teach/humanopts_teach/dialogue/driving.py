@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.request import Execution, HUMAN, HUMAN_AND_PRIMITIVE
 from humanopts_teach.dialogue.app import App
-from humanopts_teach.dialogue.entry import HelpScreen, Keys, PlainScreen
+from humanopts_teach.dialogue.entry import HelpScreen, Item, Keys, ListScreen, PlainScreen
 from humanopts_teach.dialogue.keys import Command, key_table, KeyTable, label
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -20,6 +20,7 @@ from humanopts_teach.lesson.requests import (
     RunOption,
     SetControl,
     SetExecution,
+    SetPace,
 )
 
 EPISODES = 5  # that are watched
@@ -29,6 +30,30 @@ EXECUTIONS = {
     Execution.MODULAR_MASS: 'all options act at once: the greatest mass',
     Execution.MODULAR_STRONGEST: 'all options act at once: the strongest',
 }
+PACE = (Command.PAUSE, Command.STEP, Command.SLOWER, Command.FASTER)  # while the machine drives
+PERIODS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.0)  # s between steps of the machine
+_NOT_KNOWN = (
+    'What no option covers is known of plans with your options alone, in games whose states can '
+    'all be listed.'
+)
+
+
+def set_pace(command: Command, app: App) -> None:
+    """Have the machine wait or go on, take a single step, or move slower or faster."""
+    period, waits = app.world.step_period, bool(app.world.paused_by)
+    if command in (Command.PAUSE, Command.STEP):
+        step = command is Command.STEP
+        app.ask(SetPace(period, paused=step or not waits, steps=int(step)))
+        return
+    near = min(range(len(PERIODS)), key=lambda n: abs(PERIODS[n] - period))
+    other = near + (1 if command is Command.FASTER else -1)
+    app.ask(SetPace(PERIODS[max(0, min(other, len(PERIODS) - 1))], waits))
+
+
+def pace_words(app: App) -> dict[Command, str]:
+    """Return what the keys of the pace do."""
+    pause = 'go on' if app.world.paused_by else 'wait'
+    return dict(zip(PACE, (pause, 'single step', 'slower', 'faster')))
 
 
 @dataclass
@@ -53,6 +78,8 @@ class PlayScreen(PlainScreen):
             self.start(app)
         elif command is Command.NEW_START and app.run is None:
             app.ask(self.new_start(app))
+        elif command in PACE:
+            set_pace(command, app)
         elif command is Command.MENU:
             self._out(app)
         elif command is Command.HELP:
@@ -76,7 +103,8 @@ class PlayScreen(PlainScreen):
 
     def table(self, app: App) -> KeyTable:
         """Return the keys."""
-        return key_table(app.domain.actions, self.commands)
+        pace = PACE if app.run is not None else ()
+        return key_table(app.domain.actions, (*pace, *self.commands))
 
     def keys(self, app: App) -> Keys:
         """Return the keys and what they do."""
@@ -86,14 +114,18 @@ class PlayScreen(PlainScreen):
             Command.HELP: 'help',
             Command.QUIT: 'quit',
             **self.words,
+            **pace_words(app),
         }
-        idle = {Command.NEW_START, Command.RUN_HERE} if app.run is not None else set()
+        idle = (
+            {Command.NEW_START, Command.RUN_HERE, Command.PLACES} if app.run is not None else set()
+        )
         actions = [(label(action.key), action.name) for action in app.domain.actions]
         commands = self.table(app).commands.items()
         return actions + [(label(key), words[c]) for key, c in commands if c not in idle]
 
     def _out(self, app: App) -> None:
         if app.run is not None:
+            app.go_on()
             app.ask(CancelRun())
         else:
             app.ask(SetControl(hold=False))
@@ -132,6 +164,7 @@ class RunScreen(PlayScreen):
 class WatchScreen(PlayScreen):
     """The machine plans and plays episodes; a person's action key takes over."""
 
+    teach: Callable[[App], None] = lambda app: None
     action_set: str = 'human'
     execution: Execution = Execution.RUN_TO_END
 
@@ -139,12 +172,19 @@ class WatchScreen(PlayScreen):
         """Add the keys that start it and change how it plays."""
         self.title = f'Watch the machine play {EPISODES} episodes'
         self.text = 'It plans first, then plays. An action key takes over.'
-        self.commands = (Command.RUN_HERE, Command.EXECUTION, *self.commands)
-        self.words = {Command.RUN_HERE: 'plan and play', Command.EXECUTION: 'other arbitration'}
+        self.commands = (Command.RUN_HERE, Command.EXECUTION, Command.PLACES, *self.commands)
+        self.words = {
+            Command.RUN_HERE: 'plan and play',
+            Command.EXECUTION: 'other arbitration',
+            Command.PLACES: 'what is not covered',
+        }
 
     def press(self, key: str, app: App) -> None:
         """Change how it plays, at once where it does; or as in all such screens."""
-        if self.table(app).command(key) is not Command.EXECUTION:
+        command = self.table(app).command(key)
+        if command is Command.PLACES and app.run is None:
+            self._show_places(app)
+        if command is not Command.EXECUTION:
             super().press(key, app)
             return
         known = list(EXECUTIONS)
@@ -178,6 +218,34 @@ class WatchScreen(PlayScreen):
             app.ask(
                 PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
             )
+        elif well and app.world.uncovered:
+            number, key = len(app.world.uncovered), self.table(app).key(Command.PLACES)
+            app.say(f'{app.message.text} {number} places are not covered: {key} lists them.')
+
+    def _show_places(self, app: App) -> None:
+        """List where the options of the plan cannot start, or are worth less than single steps."""
+        if not app.world.uncovered:
+            known = app.world.uncovered is not None
+            app.say('The options cover all that the plan comes to.' if known else _NOT_KNOWN)
+            return
+
+        def teaching(state: str) -> Callable[[App], None]:
+            def teach(app: App) -> None:
+                app.next_start = state
+                self.teach(app)
+
+            return teach
+
+        items = [
+            Item(
+                f'A single step is worth {gain:.2g} more' if gain else 'No option can start here',
+                '',
+                teaching(state),
+                (state,),
+            )
+            for state, gain in app.world.uncovered
+        ]
+        app.show(ListScreen('Not covered: teach from which place?', items, back=self._back))
 
     def _unready(self, app: App) -> list[str]:
         """Return the options of the plan whose criteria do not hold."""

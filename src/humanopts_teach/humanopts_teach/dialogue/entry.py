@@ -4,11 +4,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from humanopts_env.domains.capabilities import explanation
 from humanopts_teach.dialogue.app import App
-from humanopts_teach.dialogue.keys import BACKSPACE, CLEAR, DOWN, ENTER, ESCAPE, label, UP
+from humanopts_teach.dialogue.keys import (
+    BACKSPACE,
+    CLEAR,
+    DOWN,
+    ENTER,
+    ESCAPE,
+    label,
+    LEFT,
+    RIGHT,
+    UP,
+)
 from humanopts_teach.lesson.requests import Answer, Request, Run
 
 MOST_CHARACTERS = 60
+PAGE = 9  # items that are listed at once: each has a digit
 Keys = list[tuple[str, str]]
 
 
@@ -16,6 +28,11 @@ class PlainScreen:
     """A screen that only listens to keys."""
 
     answers_lesson: ClassVar[bool] = False
+
+    @property
+    def state(self) -> str:
+        """The state to draw, in the domain's notation; empty: that of the game."""
+        return ''
 
     def press(self, key: str, app: App) -> None:
         """Carry out one key. To be overridden."""
@@ -77,26 +94,45 @@ class Item:
     text: str
     note: str
     pick: Callable[[App], None]
+    states: Sequence[str] = ()  # that are drawn while it is chosen, the first one first
 
 
 @dataclass
 class ListScreen(PlainScreen):
-    """A list from which the person picks by arrow keys or by number."""
+    """A list from which the person picks by arrow keys or by number; it shows a page at a time."""
 
     title: str
     items: Sequence[Item]
     back: Callable[[App], None] | None = None
     answered: Callable[[Request, Answer, App], None] = lambda request, answer, app: None
     at: int = 0
+    step: int = 0  # of the states of the chosen item
+
+    @property
+    def state(self) -> str:
+        """The state of the chosen item that is drawn."""
+        states = self.items[self.at].states
+        return states[self.step] if states else ''
+
+    @property
+    def page(self) -> Sequence[Item]:
+        """The items that are listed now."""
+        first = self.at - self.at % PAGE
+        return self.items[first : first + PAGE]
 
     def press(self, key: str, app: App) -> None:
         """Move, or pick."""
         number = int(key) - 1 if key in set('123456789') else -1
         if key in (UP, DOWN):
-            self.at = (self.at + (1 if key == DOWN else -1)) % len(self.items)
-        elif 0 <= number < len(self.items):
-            self.at = number
-            self.items[number].pick(app)
+            self.at, self.step = (self.at + (1 if key == DOWN else -1)) % len(self.items), 0
+        elif key in (LEFT, RIGHT):
+            last = len(self.items[self.at].states) - 1
+            self.step = max(min(self.step + (1 if key == RIGHT else -1), last), 0)
+        elif 0 <= number < len(self.page):
+            self.at, self.step = self.at - self.at % PAGE + number, 0
+            self.items[self.at].pick(app)
+        elif key == '?':
+            show_game(self, app)
         elif key == ENTER:
             self.items[self.at].pick(app)
         elif key == ESCAPE and self.back is not None:
@@ -111,7 +147,9 @@ class ListScreen(PlainScreen):
     def keys(self, app: App) -> Keys:
         """Return the keys of a list."""
         back = [(label(ESCAPE), 'back')] if self.back is not None else []
-        return [('↑ ↓', 'move'), ('Enter', 'choose'), ('1-9', 'choose'), *back, ('q', 'quit')]
+        way = [('← →', 'along its way')] if len(self.items[self.at].states) > 1 else []
+        first = [('↑ ↓', 'move'), *way, ('Enter', 'choose'), ('1-9', 'choose'), *back]
+        return [*first, ('?', 'the game'), ('q', 'quit')]
 
 
 @dataclass
@@ -137,6 +175,7 @@ class HelpScreen(PlainScreen):
 
     table: Sequence[tuple[str, str]]
     back: Callable[[App], None]
+    title: str = 'Keys'
 
     def press(self, key: str, app: App) -> None:
         """Go back."""
@@ -145,3 +184,11 @@ class HelpScreen(PlainScreen):
     def keys(self, app: App) -> Keys:
         """Return the one thing to do."""
         return [('any key', 'go back')]
+
+
+def show_game(screen: PlainScreen, app: App) -> None:
+    """Show what the game is about, what its signs mean, and what its actions do."""
+    actions = [(label(action.key), action.description) for action in app.domain.actions]
+    app.show(
+        HelpScreen([*explanation(app.domain), *actions], lambda app: app.show(screen), 'The game')
+    )

@@ -9,8 +9,8 @@ from humanopts_env.domains.base import Action
 
 ENTER, ESCAPE, BACKSPACE, SPACE = 'enter', 'escape', 'backspace', ' '
 INTERRUPT, END_OF_FILE, CLEAR = 'ctrl-c', 'ctrl-d', 'ctrl-u'
-UP, DOWN = 'up', 'down'
-_LABELS = {UP: '↑', DOWN: '↓', 'left': '←', 'right': '→', ENTER: 'Enter', ESCAPE: 'Esc'}
+UP, DOWN, LEFT, RIGHT = 'up', 'down', 'left', 'right'
+_LABELS = {UP: '↑', DOWN: '↓', LEFT: '←', RIGHT: '→', ENTER: 'Enter', ESCAPE: 'Esc'}
 _LABELS |= {BACKSPACE: 'Backspace', SPACE: 'Space', INTERRUPT: 'Ctrl-C'}
 
 
@@ -21,9 +21,17 @@ class Command(Enum):
     START_AGAIN = 'start again'
     NOT_HERE = 'not here'
     DISCARD = 'discard'
-    TAKE_BACK = 'take back'
+    UNDO = 'undo'
+    DEMONSTRATIONS = 'demonstrations'
+    WATCH = 'watch'
+    BACK = 'back'
     QUESTIONS = 'questions'
     BEGIN = 'begin'
+    PAUSE = 'pause'
+    STEP = 'step'
+    SLOWER = 'slower'
+    FASTER = 'faster'
+    PLACES = 'places'
     RUN = 'run'
     RUN_HERE = 'run here'
     NEW_START = 'new start'
@@ -38,7 +46,15 @@ _WANTED: Mapping[Command, Sequence[str]] = {  # keys by preference
     Command.START_AGAIN: 'sa',
     Command.NOT_HERE: 'nh',
     Command.DISCARD: [BACKSPACE],
-    Command.TAKE_BACK: 'ub',
+    Command.UNDO: 'uz',
+    Command.DEMONSTRATIONS: 'lb',
+    Command.WATCH: 'wv',
+    Command.BACK: [BACKSPACE],
+    Command.PAUSE: [SPACE],
+    Command.STEP: '.,',
+    Command.SLOWER: '-',
+    Command.FASTER: '+',
+    Command.PLACES: 'cy',
     Command.QUESTIONS: 'ek',
     Command.BEGIN: [ENTER],
     Command.RUN: 'rg',

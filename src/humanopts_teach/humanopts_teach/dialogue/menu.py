@@ -2,15 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from humanopts_env.domains.base import is_enumerable
 from humanopts_learner.demonstrations import GOAL, METHODS, TREES
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.driving import PlayScreen, RunScreen, WatchScreen
-from humanopts_teach.dialogue.entry import Item, ListScreen, TextScreen
+from humanopts_teach.dialogue.entry import ConfirmScreen, Item, ListScreen, TextScreen
 from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson.requests import (
     Answer,
+    ChangeOption,
     DefineOption,
     ListOptions,
     OpenSession,
@@ -72,6 +74,7 @@ def _entered(request: Request, answer: Answer, app: App) -> None:
 
 def to_menu(app: App) -> None:
     """Show what can be done."""
+    app.next_start = ''
     known = len(app.known_options)
     items = [Item('Teach a new option', 'name it, answer questions, show it', _name_option)]
     if known:
@@ -82,9 +85,9 @@ def to_menu(app: App) -> None:
         Item('Watch the machine play', 'it plans, then plays', _choose_plan),
         Item('Drive freely', 'get to know the game and the keys', _play),
     ]
-    if known and is_enumerable(app.domain):
-        note = 'by trees, or planned to its end'
-        items.append(Item('Change how an option is learned', note, _choose_method))
+    if known:
+        note = 'its name, how it is learned; or delete it'
+        items.append(Item('Change an option', note, _choose_changed))
     items.append(Item('Quit', 'everything taught is saved', App.end))
     app.show(ListScreen('What next?', items, answered=_listed))
 
@@ -124,19 +127,53 @@ def _defined(request: Request, answer: Answer, app: App) -> None:
 
 def _choose_known(app: App) -> None:
     items = [Item(name, _standing(name, app), _defining(name)) for name in app.known_options]
+    items.append(Item('A new option', '', _name_option))
     app.show(ListScreen('Go on with which option?', items, back=to_menu, answered=_defined))
 
 
-def _choose_method(app: App) -> None:
-    items = []
-    for name in app.known_options:
+def _choose_changed(app: App) -> None:
+    items = [
+        Item(name, _standing(name, app), partial(_change, name)) for name in app.known_options
+    ]
+    app.show(ListScreen('Change which option?', items, back=to_menu))
+
+
+def _change(name: str, app: App) -> None:
+    items = [
+        Item('Rename it', 'all that was shown is kept', partial(_rename, name)),
+        Item('Delete it', 'all that was shown counts no more', partial(_delete, name)),
+    ]
+    if is_enumerable(app.domain):
         progress = app.world.progress_of(app.participant, name)
-        now = progress.method if progress is not None else TREES
-        other = TREES if now == GOAL else GOAL
-        note = f'now {now}; {other}: {METHODS[other]}'
-        items.append(Item(name, note, _defining(name, other)))
-    title = 'From the next demonstration on, change which option?'
-    app.show(ListScreen(title, items, back=to_menu, answered=_defined))
+        other = TREES if progress is not None and progress.method == GOAL else GOAL
+        note = f'{METHODS[other]}, from the next demonstration on'
+        items.append(Item(f'Learn it by {other}', note, _defining(name, other)))
+    app.show(ListScreen(name, items, back=_choose_changed, answered=_changed))
+
+
+def _rename(name: str, app: App) -> None:
+    def submit(new: str, app: App) -> None:
+        app.ask(ChangeOption(name, new))
+
+    back = partial(_change, name)
+    app.show(TextScreen('What is it to be called?', name, name, submit, _changed, back))
+
+
+def _delete(name: str, app: App) -> None:
+    def delete(app: App) -> None:
+        _change(name, app)
+        app.ask(ChangeOption(name))
+
+    question = f'Delete {name}? It is unlearned; the recording keeps what was shown.'
+    app.show(ConfirmScreen(question, delete, partial(_change, name)))
+
+
+def _changed(request: Request, answer: Answer, app: App) -> None:
+    if answer.ok and isinstance(request, ChangeOption):
+        app.known_options = answer.known_options
+        to_menu(app)
+    else:
+        _defined(request, answer, app)
 
 
 def _defining(name: str, method: str = '') -> Callable[[App], None]:
@@ -180,7 +217,9 @@ def _choose_plan(app: App) -> None:
 
 
 def _watching(action_set: str) -> Callable[[App], None]:
-    return lambda app: app.show(WatchScreen(menu=to_menu, action_set=action_set))
+    return lambda app: app.show(
+        WatchScreen(menu=to_menu, teach=_choose_known, action_set=action_set)
+    )
 
 
 def _play(app: App) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import singledispatch
 import math
 
+from humanopts_learner.planning.request import MODULAR
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.driving import EXECUTIONS, PlayScreen, WatchScreen
 from humanopts_teach.dialogue.entry import (
@@ -17,6 +18,7 @@ from humanopts_teach.dialogue.entry import (
     Item,
     Keys,
     ListScreen,
+    PAGE,
     TextScreen,
 )
 from humanopts_teach.dialogue.teaching import LessonScreen
@@ -113,9 +115,10 @@ def _head(app: App) -> list[str]:
 
 def _board(app: App) -> StateDrawing:
     game, domain = app.world.game, app.domain
-    if game is None or not game.state:
+    state = app.screen.state or (game.state if game is not None else '')
+    if not state:
         return StateDrawing()
-    return draw_state(domain, domain.decode(game.state), _revealed(app))
+    return draw_state(domain, domain.decode(state), _revealed(app))
 
 
 def _revealed(app: App) -> Collection[str] | None:
@@ -155,7 +158,12 @@ def _text(screen: TextScreen, app: App) -> Panel:
 
 @panel.register
 def _list(screen: ListScreen, app: App) -> Panel:
-    return Panel((Line(screen.title, strong=True), GAP, Choices(screen.items, screen.at)))
+    title, n_states = Line(screen.title, strong=True), len(screen.items[screen.at].states)
+    step = Line(f'board: step {screen.step} of {n_states - 1}', Tone.QUIET)
+    choices = Choices(screen.page, screen.at % PAGE)
+    more = Line(f'{screen.at + 1} of {len(screen.items)}', Tone.QUIET)
+    along = [step] if n_states > 1 else []
+    return Panel((title, *along, GAP, choices, *([more] if len(screen.items) > PAGE else [])))
 
 
 @panel.register
@@ -165,7 +173,7 @@ def _confirm(screen: ConfirmScreen, app: App) -> Panel:
 
 @panel.register
 def _help(screen: HelpScreen, app: App) -> Panel:
-    return Panel((Line('Keys', strong=True), KeyTable(screen.table)))
+    return Panel((Line(screen.title, strong=True), KeyTable(screen.table)))
 
 
 @panel.register
@@ -177,7 +185,10 @@ def _play(screen: PlayScreen, app: App) -> Panel:
     lines.append(GAP)
     if running:
         lines.append(Line(f'The machine drives. {app.run_text}', Tone.NEWS))
-        if isinstance(screen, WatchScreen) and app.world.running:
+        lines.append(presentation.pace(app.world))
+        if isinstance(screen, WatchScreen) and screen.in_force(app) in MODULAR:
+            lines += _given(presentation.winner(app.world))
+        elif isinstance(screen, WatchScreen) and app.world.running:
             lines.append(Line(f'It runs: {app.world.running.replace("action:", "one step ")}'))
     if game is not None and game.episode:
         lines.append(Line(f'episode {game.episode}, step {game.step}'))
@@ -197,6 +208,9 @@ def _lesson(screen: LessonScreen, app: App) -> Panel:
         return Panel((title, GAP, asked, GAP, *rest))
     progress = app.world.progress_of(lesson.participant, lesson.option_name)
     parts: list[Block] = [title, presentation.place(app.world, lesson)]
+    if app.run is not None:
+        parts.append(Line('The machine shows what it learned.', Tone.NEWS))
+        parts.append(presentation.pace(app.world))
     if lesson.phase is Phase.DEMONSTRATING:
         parts += _given(presentation.last_step(app.world))
     features = presentation.features(app.world, lesson)

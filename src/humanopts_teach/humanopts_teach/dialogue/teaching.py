@@ -1,23 +1,40 @@
 """The screen of one option's lesson: questions, demonstrations, criteria."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import ClassVar
 
 from humanopts_env.domains.capabilities import FeatureGroup
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.options.rollout import is_deterministic
 from humanopts_teach.dialogue.app import App
-from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen, Keys, PlainScreen
+from humanopts_teach.dialogue.driving import PACE, pace_words, set_pace
+from humanopts_teach.dialogue.entry import (
+    ConfirmScreen,
+    HelpScreen,
+    Item,
+    Keys,
+    ListScreen,
+    PlainScreen,
+)
 from humanopts_teach.dialogue.keys import Command, ENTER, key_table, KeyTable, label, SPACE
+from humanopts_teach.lesson import presentation
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
     BeginDemonstration,
     DefineOption,
+    Drive,
     EndDemonstration,
     LessonView,
+    ListDemonstrations,
     Phase,
     Request,
+    RunOption,
+    SetControl,
     Verdict,
     WithdrawDemonstration,
 )
@@ -29,18 +46,35 @@ _IN_PHASE: dict[Phase, tuple[Command, ...]] = {
         Command.START_AGAIN,
         Command.NOT_HERE,
         Command.DISCARD,
-        Command.TAKE_BACK,
+        Command.UNDO,
+        Command.DEMONSTRATIONS,
         *_ALWAYS,
     ),
-    Phase.READY: (Command.BEGIN, Command.TAKE_BACK, *_ALWAYS),
-    Phase.FINISHED: (Command.RUN, Command.TAKE_BACK, *_ALWAYS),
+    Phase.ASKING: (Command.BACK, Command.MENU, Command.HELP, Command.QUIT),
+    Phase.READY: (
+        Command.BEGIN,
+        Command.WATCH,
+        Command.DEMONSTRATIONS,
+        Command.BACK,
+        *_ALWAYS,
+    ),
+    Phase.FINISHED: (
+        Command.BEGIN,
+        Command.RUN,
+        Command.WATCH,
+        Command.DEMONSTRATIONS,
+        *_ALWAYS,
+    ),
 }
 _ELSE = (Command.MENU, Command.HELP, Command.QUIT)
 _SHORT = {
     Command.DONE: 'done',
     Command.NOT_HERE: 'not here',
     Command.DISCARD: 'discard',
-    Command.TAKE_BACK: 'undo the last',
+    Command.UNDO: 'undo a step',
+    Command.DEMONSTRATIONS: 'what was shown',
+    Command.WATCH: 'watch and correct',
+    Command.BACK: 'back a question',
     Command.QUESTIONS: 'questions',
     Command.BEGIN: 'begin',
     Command.RUN: 'run it',
@@ -53,7 +87,9 @@ _LONG = {
     Command.START_AGAIN: 'with done: the option could start again where it ended, or could not',
     Command.NOT_HERE: 'the option makes no sense from this start; only before the first step',
     Command.DISCARD: 'forget this demonstration and try the same start again',
-    Command.TAKE_BACK: 'take back the last demonstration that was kept, and show it anew',
+    Command.UNDO: 'undo your last step, in a new episode that is driven there again',
+    Command.DEMONSTRATIONS: 'list what was shown; any of it can be looked at and deleted',
+    Command.WATCH: 'watch the option from a start of the task; an action key of yours takes over',
     Command.QUESTIONS: 'answer again what the option depends on, Enter for an answer as before',
     Command.MENU: 'to the menu; a demonstration under way is discarded',
     Command.QUIT: 'leave; everything taught is saved, and is taken up again next time',
@@ -68,12 +104,14 @@ class LessonScreen(PlainScreen):
     run: Callable[[str, App], None]
     automatic: bool = False  # the next demonstration begins by itself
     rest: bool = False  # all other questions are answered no, or as before
+    redo: list[str] = field(default_factory=list)  # actions that are taken again after an undo
+    delete: str = ''  # uuid of the demonstration that is taken back once the learner is done
     answers_lesson: ClassVar[bool] = True
 
     def press(self, key: str, app: App) -> None:
         """Carry out one key as the phase has it."""
         lesson = app.world.lesson
-        if lesson is None:
+        if lesson is None or self.redo:
             return
         table = self.table(app)
         action, command = table.action(key), table.command(key)
@@ -88,7 +126,7 @@ class LessonScreen(PlainScreen):
         elif key in tuple('oO') and _can_skip(lesson):
             self.rest = True
         elif lesson.phase is Phase.READY and key == SPACE:
-            self.automatic = True
+            self._begin(app)
         elif action is not None:
             app.drive(action)
         elif command is not None:
@@ -99,35 +137,56 @@ class LessonScreen(PlainScreen):
         lesson = app.world.lesson
         if lesson is None:
             return
-        if self.rest and _can_skip(lesson):
+        if self.redo:
+            if lesson.phase is Phase.DEMONSTRATING:
+                app.drive(self.redo.pop(0))
+        elif self.delete:
+            if lesson.phase is not Phase.LEARNING:
+                self._discard(app)
+                app.ask(WithdrawDemonstration(self.delete))
+                self.delete = ''
+        elif self.rest and _can_skip(lesson):
             app.ask(_as_before(lesson))
         elif lesson.phase is Phase.ASKING:
             reply = app.groups.reply(app.domain, lesson)
             if reply is not None:
                 app.ask(AnswerQuestion(lesson.question_id, reply))
         elif self.automatic and lesson.phase is Phase.READY:
-            app.ask(BeginDemonstration())
+            self._begin(app)
 
     def replied(self, request: Request, answer: Answer, app: App) -> None:
         """Go on to the next start state, or stop where something was refused."""
+        lesson = app.world.lesson
+        if not answer.carried_out:
+            self.redo = []
         if isinstance(request, BeginDemonstration):
-            self.automatic = False
+            self.automatic, app.next_start = False, ''
+            if request.watch and answer.ok and lesson is not None:
+                app.ask(SetControl(hold=False), RunOption(lesson.option_name, app.participant))
         elif isinstance(request, AnswerQuestion) and not answer.carried_out:
             self.rest = False
             app.groups.forget()
-        elif isinstance(request, WithdrawDemonstration) and answer.ok:
-            self.automatic = True
+        elif isinstance(request, AnswerQuestion) and request.back and lesson is not None:
+            group = _open_group(app)
+            if group is not None and lesson.question_feature != group.features[0]:
+                app.ask(AnswerQuestion(lesson.question_id, back=True))
         elif isinstance(request, EndDemonstration) and answer.ok:
             self.automatic = not app.world.paused
+            if answer.contradiction:
+                self._show_contradiction(answer, app)
+        elif isinstance(request, ListDemonstrations) and answer.ok:
+            self._show_demonstrations(answer.demonstrations, app)
+        elif isinstance(request, Drive) and not answer.ok and app.run is not None:
+            app.ask(SetControl(hold=True))
 
     def table(self, app: App) -> KeyTable:
         """Return the keys of the phase."""
         phase = _phase(app)
         actions = app.domain.actions if phase is Phase.DEMONSTRATING else ()
         commands = _IN_PHASE.get(phase, _ELSE)
-        if app.world.lesson is None or not app.world.lesson.last_uuid:
-            commands = tuple(c for c in commands if c is not Command.TAKE_BACK)
-        return key_table(actions, commands)
+        if app.world.lesson is None or not app.world.lesson.n_demonstrations:
+            commands = tuple(c for c in commands if c is not Command.WATCH)
+        return key_table(actions, (*PACE, *commands) if app.run is not None else commands)
 
     def questions_key(self, app: App) -> str:
         """Return the label of the key that asks the questions again; empty: not now."""
@@ -136,9 +195,9 @@ class LessonScreen(PlainScreen):
         return table.key(Command.QUESTIONS) if known else ''
 
     def ending_keys(self, app: App) -> tuple[str, str]:
-        """Return the labels of the keys about ends: it can start again there; take it back."""
+        """Return the labels of the keys about ends: it can start again there; what was shown."""
         table = _showing(app)
-        return table.key(Command.START_AGAIN), table.key(Command.TAKE_BACK)
+        return table.key(Command.START_AGAIN), table.key(Command.DEMONSTRATIONS)
 
     def keys(self, app: App) -> Keys:
         """Return the keys of the phase and what they do."""
@@ -147,7 +206,9 @@ class LessonScreen(PlainScreen):
         if phase is Phase.DEMONSTRATING:
             first = [(label(action.key), action.name) for action in app.domain.actions]
         again = f'can restart at its end: {"YES" if _can_start_again(app) else "no"}'
-        words = _SHORT | {Command.START_AGAIN: again}
+        words = _SHORT | {Command.START_AGAIN: again} | pace_words(app)
+        if phase is Phase.FINISHED:
+            words[Command.BEGIN] = 'show one more'
         return first + [(label(key), words[command]) for key, command in table.commands.items()]
 
     def _carry_out(self, command: Command, lesson: LessonView, app: App) -> None:
@@ -155,11 +216,15 @@ class LessonScreen(PlainScreen):
             self._leave(words, go, app)
 
         does: dict[Command, Callable[[], None]] = {
-            Command.BEGIN: self._begin,
+            Command.BEGIN: lambda: self._begin(app),
             Command.DONE: lambda: self._done(app),
             Command.NOT_HERE: lambda: self._verdict(Verdict.NOT_HERE, app),
-            Command.DISCARD: lambda: self._verdict(Verdict.DISCARD, app),
-            Command.TAKE_BACK: lambda: self._take_back(lesson, app),
+            Command.DISCARD: lambda: self._discard(app),
+            Command.UNDO: lambda: self._undo(lesson, app),
+            Command.DEMONSTRATIONS: lambda: app.ask(ListDemonstrations()),
+            Command.WATCH: lambda: self._watch(_random_start(app), app),
+            Command.BACK: lambda: app.ask(AnswerQuestion(lesson.question_id, back=True)),
+            **{pace: partial(set_pace, pace, app) for pace in PACE},
             Command.START_AGAIN: lambda: self._toggle(lesson, app),
             Command.QUESTIONS: lambda: leave(
                 'Answer the questions again', lambda app: self._ask_again(lesson, app)
@@ -171,8 +236,8 @@ class LessonScreen(PlainScreen):
         }
         does[command]()
 
-    def _begin(self) -> None:
-        self.automatic = True
+    def _begin(self, app: App) -> None:
+        app.ask(BeginDemonstration(app.next_start))
 
     def _toggle(self, lesson: LessonView, app: App) -> None:
         app.can_start_again[lesson.option_name] = not _can_start_again(app)
@@ -183,38 +248,108 @@ class LessonScreen(PlainScreen):
     def _done(self, app: App) -> None:
         """Say done; ask once more where the last step had no effect."""
         effect = app.world.last_effect
+        if app.run is not None:
+            app.ask(SetControl(hold=True))
+            app.say('The machine has stopped. Look where it stands, and press the key again.')
+            return
         if effect is None or effect.changed:
-            self._verdict(Verdict.DONE, app)
+            self._count(app)
             return
 
         def affirm(app: App) -> None:
             app.show(self)
-            self._verdict(Verdict.DONE, app)
+            self._count(app)
 
         question = f'The last step had no effect ({effect.text}). Does the option end here?'
         app.show(ConfirmScreen(question, affirm, self._back))
 
-    def _verdict(self, verdict: Verdict, app: App) -> None:
+    def _count(self, app: App) -> None:
+        """Keep the demonstration; ask whether the steps count that the machine took before."""
+        lesson, game = app.world.lesson, app.world.game
+        steps = lesson.machine_steps if lesson is not None else 0
+        if not steps or game is None:
+            self._verdict(Verdict.DONE, app)
+            return
+
+        def keep(app: App, *, counts: bool) -> None:
+            app.show(self)
+            self._verdict(Verdict.DONE, app, counts=counts)
+
+        items = [Item('Yes', 'all of it is right', partial(keep, counts=True))]
+        if game.step > steps:
+            items.append(Item('No', 'it begins where I took over', partial(keep, counts=False)))
+        title = f'The machine took the first {steps}. Do its steps count as shown by you?'
+        app.show(ListScreen(title, items, back=self._back))
+
+    def _verdict(self, verdict: Verdict, app: App, *, counts: bool = False) -> None:
         if (game := app.world.game) is not None:
             again = _can_start_again(app) and verdict is Verdict.DONE
-            app.ask(EndDemonstration(verdict, game.episode, game.step, again))
+            app.ask(EndDemonstration(verdict, game.episode, game.step, again, counts))
 
-    def _take_back(self, lesson: LessonView, app: App) -> None:
-        """Take back the newest demonstration, and discard the one under way; ask first."""
+    def _discard(self, app: App) -> None:
+        """Discard the demonstration under way, if there is one."""
+        if app.run is not None:
+            app.ask(SetControl(hold=True))
+        if _phase(app) is Phase.DEMONSTRATING:
+            self._verdict(Verdict.DISCARD, app)
 
-        def withdraw(app: App) -> None:
+    def _undo(self, lesson: LessonView, app: App) -> None:
+        """Drive again, in a new episode, all that the person has driven but the last step."""
+        since, driven = app.world.since, app.world.driven
+        if not is_deterministic(app.domain):
+            app.say('Chance plays a part in this game: a step cannot be undone.', bad=True)
+        elif since is None or since.step != lesson.machine_steps or not driven:
+            app.say('There is no step of yours to undo.', bad=True)
+        else:
+            self.redo = driven[:-1]
+            self._discard(app)
+            app.ask(BeginDemonstration(since.state))
+
+    def _watch(self, start: str, app: App) -> None:
+        """Have the machine run the option in a demonstration that the person can take over."""
+        app.show(self)
+        self._discard(app)
+        app.ask(BeginDemonstration(start, watch=True))
+
+    def _show_demonstrations(self, shown: Sequence[Demonstration], app: App) -> None:
+        if not shown:
+            app.say('Nothing was shown yet.')
+            return
+        items = [
+            Item(*presentation.demonstration(demo), partial(self._show_one, demo), demo.states)
+            for demo in reversed(shown)
+        ]
+        app.show(ListScreen('What was shown, the newest first', items, back=self._back))
+
+    def _show_one(self, demo: Demonstration, app: App) -> None:
+        def delete(app: App) -> None:
+            self.delete = demo.uuid
             app.show(self)
-            if (game := app.world.game) is not None and _phase(app) is Phase.DEMONSTRATING:
-                app.ask(EndDemonstration(Verdict.DISCARD, game.episode, game.step))
-            app.ask(WithdrawDemonstration(lesson.last_uuid))
 
-        under_way = lesson.phase is Phase.DEMONSTRATING
-        last = 'the one before this' if under_way else 'the last demonstration'
-        discarded = ' This one is discarded.' if under_way else ''
-        question = (
-            f'Take back {last}? It counts no more, and you show it anew from its start.{discarded}'
-        )
-        app.show(ConfirmScreen(question, withdraw, self._back))
+        watch, states = partial(self._watch, demo.states[0]), demo.states
+        items = [Item('Watch the option from its start', 'and correct it', watch, states)]
+        if not demo.withdrawn:
+            note = 'it counts no more, and its start comes again'
+            items.append(Item('Delete it', note, delete, states))
+        title = ' '.join(presentation.demonstration(demo))
+        app.show(ListScreen(title, items, back=lambda app: app.ask(ListDemonstrations())))
+
+    def _show_contradiction(self, answer: Answer, app: App) -> None:
+        """Have the person choose between what was kept and what contradicts it."""
+
+        def keep(deleted: str, app: App) -> None:
+            self.delete = deleted
+            app.show(self)
+
+        items = [
+            Item(text, note, partial(keep, deleted), (answer.situation,))
+            for text, note, deleted in (
+                ('Keep both', '', ''),
+                ('Keep the new one', 'the earlier one is deleted', answer.contradicts),
+                ('Keep the earlier one', 'the new one is deleted', answer.uuid),
+            )
+        ]
+        app.show(ListScreen(f'Shown differently before. {answer.contradiction}.', items))
 
     def _leave(self, words: str, go: Callable[[App], None], app: App) -> None:
         """Discard the demonstration under way and go; ask first if steps were taken."""
@@ -225,7 +360,7 @@ class LessonScreen(PlainScreen):
 
         def discard(app: App) -> None:
             app.show(self)
-            app.ask(EndDemonstration(Verdict.DISCARD, game.episode, game.step))
+            self._discard(app)
             go(app)
 
         if game.step:
@@ -270,6 +405,13 @@ def _can_start_again(app: App) -> bool:
     return lesson is not None and app.can_start_again.get(lesson.option_name, False)
 
 
+def _random_start(app: App) -> str:
+    """Draw a start of the task, another one in each episode."""
+    episode = app.world.game.episode if app.world.game is not None else 0
+    rng = generator(app.seed, 'watched start', app.participant, episode)
+    return app.domain.encode(app.domain.reset(rng))
+
+
 def _question_keys(app: App) -> list[tuple[str, str]]:
     lesson, group = app.world.lesson, _open_group(app)
     keys = [('y', 'yes'), ('n', 'no' if group is None else 'no, to all of them')]
@@ -293,7 +435,7 @@ def _showing(app: App) -> KeyTable:
 def _help(app: App) -> Sequence[tuple[str, str]]:
     leave = (label('ctrl-c'), 'leave at once')
     if _phase(app) is Phase.ASKING:
-        table = key_table((), _ELSE)
+        table = key_table((), _IN_PHASE[Phase.ASKING])
         commands = [(label(key), _LONG.get(c, _SHORT[c])) for key, c in table.commands.items()]
         return [*_question_keys(app), *commands, leave]
     table = _showing(app)

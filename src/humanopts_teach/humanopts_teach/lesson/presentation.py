@@ -12,7 +12,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import feature_groups, FeatureGroup
-from humanopts_learner.demonstrations import GOAL, METHODS
+from humanopts_learner.demonstrations import Demonstration, GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.criteria import Criterion, fewest, likely_range, RETURN
 from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase, World
@@ -85,6 +85,33 @@ def ending(world: World) -> Line | None:
     if game is not None and game.truncated:
         return Line('The episode is over: it is at its step limit.', Tone.WARNING)
     return None
+
+
+def pace(world: World) -> Line:
+    """Return how fast the machine moves."""
+    if world.paused_by:
+        return Line('The machine waits.', Tone.WARNING)
+    return Line(f'A step every {world.step_period:g} s at least.', Tone.QUIET)
+
+
+def winner(world: World) -> Line | None:
+    """Return the option that took the last step; None: none did, or it is not known which."""
+    game, (publisher, number, option) = world.game, world.acted
+    if game is None or (game.action_publisher_id, game.action_sequence) != (publisher, number):
+        return None
+    return Line(f'{option} won this step.') if option else None
+
+
+def demonstration(demo: Demonstration) -> tuple[str, str]:
+    """Return a demonstration in a few words, and what else there is to say."""
+    steps = len(demo.actions)
+    what = f'{steps} step{"s"[: steps != 1]}, return {demo.total_reward:g}'
+    notes = [f'by {demo.method}', f'{demo.seconds:.0f} s']
+    if demo.machine_steps:
+        notes.append(f'{demo.machine_steps} by the machine')
+    if demo.withdrawn:
+        notes.append('DELETED')
+    return f'no. {demo.number}: {what if steps else "not here"}', ', '.join(notes)
 
 
 def place(world: World, lesson: LessonView) -> Line:
@@ -242,10 +269,10 @@ def conflicts(progress: OptionStatus, questions_key: str) -> list[Line]:
     return lines
 
 
-def ends(progress: OptionStatus, again_key: str, undo_key: str) -> Line | None:
+def ends(progress: OptionStatus, again_key: str, list_key: str) -> Line | None:
     """Return what may be missing where some say that it can start here, and some not."""
     if progress.suggested_feature or not any(NO_START in text for text in progress.conflicts):
         return None  # where a feature is missing, that is why
-    slip = f'If the last one was a slip, press {undo_key}.'
+    slip = f'If the last one was a slip, delete it ({list_key}).'
     text = f'{slip} Where an end can be a start, press {again_key} before done.'
     return Line(text, Tone.WARNING)

@@ -7,14 +7,14 @@ programs of other people and the lesson itself use these same values.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import StepEffect
-from humanopts_env.game import effect_between, Transition
+from humanopts_env.game import effect_between, Source, Transition
 from humanopts_learner.demonstrations import Demonstration, TREES
 from humanopts_learner.options.criteria import Criterion
 
@@ -354,6 +354,10 @@ class World:
     step_period: float = 0.0  # least time between steps of the machine, s
     paused_by: str = ''  # publisher_id of the terminal that has the machine wait; empty: none
     missing: Sequence[str] = ()  # nodes that are gone or have not come
+    acted: tuple[str, int, str] = ('', 0, '')  # of the newest action: publisher, number, option
+    uncovered: Sequence[tuple[str, float]] | None = None  # by the last plan; None: not known
+    since: Transition | None = None  # from which on the person drives, step by step
+    driven: list[str] = field(default_factory=list)  # the person's actions from there on
 
     @property
     def paused(self) -> str:
@@ -370,6 +374,10 @@ class World:
         now = self.game
         if now is None or (game.episode, game.step) != (now.episode, now.step):
             self.before = now if now is not None and game.follows(now) else None
+            if self.before is None or game.action_source is not Source.PERSON:
+                self.since, self.driven = game, []
+            else:
+                self.driven.append(game.previous_action)
         self.game = game
 
     @property

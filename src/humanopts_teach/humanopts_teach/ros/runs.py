@@ -81,7 +81,17 @@ class Runs:
     def _ended(self, run: Run, done: Future) -> None:
         self._handle = None
         result: Any = done.result()
+        if isinstance(result.result.result, PlanResult):
+            self._app.world.uncovered = _uncovered(result.result.result)
         self._app.run_ended(run, *result_text(result.result.result, self._app.world.i_drive))
+
+
+def _uncovered(result: PlanResult) -> list[tuple[str, float]] | None:
+    """Return the states that the options do not cover; None: not known."""
+    if not result.coverage_known:
+        return None
+    steps = zip(result.single_step_states, result.single_step_gains)
+    return [*((state, 0.0) for state in result.fallback_states), *steps]
 
 
 def result_text(result: Any, i_drive: bool) -> tuple[bool, str]:

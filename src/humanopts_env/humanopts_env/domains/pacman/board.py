@@ -11,6 +11,16 @@ from humanopts_env.domains.pacman.state import eaten_names, PacManState
 PACMAN, FOOD, PILL, FRUIT, LIFE, LOST = 'C', '·', '●', '♣', '♥', '♡'
 GHOSTS, SCARED = 'ΩΨΦΔ', 'ωψφδ'
 WALLS = '■╵╴╯╶╰─┴╷│╮┤╭├┬┼'  # by sides that continue: bits 0 north, 1 west, 2 east, 3 south
+EXPLANATION = (
+    ('', 'Eat all the food. A ghost that meets you takes a life.'),
+    (PACMAN, 'Pac-Man, whom you drive'),
+    (FOOD, 'food: 10 points'),
+    (PILL, 'a power pill: 50 points; it scares the ghosts for a while'),
+    (FRUIT, 'fruit, which is there for a short time: 100 points'),
+    (' '.join(GHOSTS), 'ghosts'),
+    (' '.join(SCARED), 'scared ghosts: 200 points each'),
+    (f'{LIFE} {LOST}', 'lives that are left and lost'),
+)
 GLYPH_STYLES = {
     **dict.fromkeys(WALLS, BLUE),
     **{ghost: f'bold {colour}' for ghost, colour in zip(GHOSTS, (RED, MAGENTA, TEAL, GREEN))},

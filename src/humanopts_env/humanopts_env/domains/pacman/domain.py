@@ -25,7 +25,7 @@ from humanopts_env.domains.capabilities import (
 )
 from humanopts_env.domains.pacman import state as notation
 from humanopts_env.domains.pacman.baselines import pacman_baselines
-from humanopts_env.domains.pacman.board import draw_features, draw_state, GLYPH_STYLES
+from humanopts_env.domains.pacman.board import draw_features, draw_state, EXPLANATION, GLYPH_STYLES
 from humanopts_env.domains.pacman.features import (
     ALL,
     FEATURE_LISTS,
@@ -128,6 +128,7 @@ class PacMan:
         self.gamma = 0.97
         self.max_steps = max_steps
         self.glyph_styles: Mapping[str, str] = GLYPH_STYLES
+        self.explanation = EXPLANATION
         all_fruit = len(self.rules.maze.food) > max(FRUIT_AFTER)  # else it is there too seldom
         self.teaching = TeachingDefaults(
             DEMO_OPTIONS_WITH_FRUIT if all_fruit else DEMO_OPTIONS, {'return_delta': ONE_DOT}
