@@ -306,7 +306,7 @@ def test_not_here_contradicts_a_start_that_was_shown(table: Table) -> None:
     aboard_too(table).began(START).drive('west', 'pickup').end()
     table.learned()
     answer = table.began(START).end(Verdict.NOT_HERE)
-    assert 'demonstration 1' in answer.contradiction
+    assert 'now cannot start here, in demonstration 1 can start here' in answer.contradiction
     assert answer.situation == START
 
 

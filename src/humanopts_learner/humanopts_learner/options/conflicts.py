@@ -83,7 +83,7 @@ def contradiction(
     """
     Return the first situation in which a demonstration shows what none before it has shown there.
 
-    Ends are looked at before starts, and starts before actions; by the method ``goal`` actions are
+    Ends are looked at before starts, but of a "not here", and starts before actions; by the method ``goal`` actions are
     not looked at, because nothing is learned from them.
 
     :param earlier: demonstrations of the same option that count, by number.
@@ -93,7 +93,9 @@ def contradiction(
         return None
     data = make_dataset([*earlier, newest], domain)
     chosen, last = sorted({encoded.index for encoded in data.encoding}), len(earlier)
-    for examples, word, is_action in _parts(data, domain):
+    ends, *others = _parts(data, domain)
+    starts_first = newest.kind is Kind.NOT_HERE
+    for examples, word, is_action in [others[0], ends] if starts_first else [ends, *others]:
         if is_action and data.method != TREES:
             continue
         keys = list(map(tuple, examples.rows[:, chosen].tolist()))

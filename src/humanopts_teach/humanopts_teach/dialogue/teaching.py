@@ -47,6 +47,7 @@ _IN_PHASE: dict[Phase, tuple[Command, ...]] = {
         Command.NOT_HERE,
         Command.DISCARD,
         Command.UNDO,
+        Command.WATCH,
         Command.DEMONSTRATIONS,
         *_ALWAYS,
     ),
@@ -307,9 +308,12 @@ class LessonScreen(PlainScreen):
 
     def _watch(self, start: str, app: App) -> None:
         """Have the machine run the option in a demonstration that the person can take over."""
-        app.show(self)
-        self._discard(app)
-        app.ask(BeginDemonstration(start, watch=True))
+
+        def begin(app: App) -> None:
+            app.show(self)
+            app.ask(BeginDemonstration(start, watch=True))
+
+        self._leave('Watch the option', begin, app)
 
     def _show_demonstrations(self, shown: Sequence[Demonstration], app: App) -> None:
         if not shown:
