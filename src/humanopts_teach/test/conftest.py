@@ -10,9 +10,11 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_teach.lesson.requests import BeginDemonstration, Phase
 from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
 from teach_support.lesson import Table
+from teach_support.person import CHOSEN, NAME, Person, START
 
 TAUGHT = ('go to passenger and pickup', 'go to destination and dropoff')
 EATING = (
@@ -85,3 +87,32 @@ def store(tmp_path: Path) -> Iterator[DemonstrationStore]:
 def table(store: DemonstrationStore) -> Table:
     """A lesson with the person, the game and the learner in the hands of the test."""
     return Table(store)
+
+
+@pytest.fixture
+def person(taxi: Domain[Any]) -> Person:
+    """Somebody who has just come."""
+    return Person(taxi)
+
+
+@pytest.fixture
+def teacher(person: Person) -> Person:
+    """Somebody whose option is ready for its first demonstration."""
+    opened = person.press('enter')
+    person.lesson(Phase.NO_OPTION, participant='p1')
+    person.answer(opened)
+    defined = person.press('enter', *NAME, 'enter')
+    person.lesson(Phase.READY, option_name=NAME, chosen_features=CHOSEN)
+    person.answer(defined)
+    return person
+
+
+@pytest.fixture
+def shower(teacher: Person) -> Person:
+    """Somebody who is demonstrating."""
+    request = teacher.press('enter')
+    assert request == BeginDemonstration()
+    teacher.game(episode=2, step=0)
+    teacher.lesson(Phase.DEMONSTRATING, episode=2, start_state=START)
+    teacher.answer(request, episode=2)
+    return teacher

@@ -10,10 +10,9 @@ from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.options.criteria import Criterion, FEWEST
-from humanopts_teach.dialogue.app import App, REPLY_SECONDS, SETTLE_SECONDS
+from humanopts_teach.dialogue.app import REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import (
-    Answer,
     AnswerQuestion,
     BeginDemonstration,
     CancelRun,
@@ -29,120 +28,14 @@ from humanopts_teach.lesson.requests import (
     PlanOptions,
     PlayEpisodes,
     Request,
-    RequestStatus,
     RunOption,
     SetControl,
     SetExecution,
     Verdict,
-    WithdrawDemonstration,
 )
 from humanopts_teach.terminal.drawing import frame
 import pytest
-
-START = 'taxi 2,3 passenger R destination B'
-NAME = 'go to passenger and pickup'
-BOTTOM = '┗━━━┻━━━━━━━┻━━━━━━━┛'
-CHOSEN = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col')
-
-
-class Person:
-    """Presses keys, and answers the requests as a graph would."""
-
-    def __init__(self, domain: Domain[Any]) -> None:
-        self.app = App(opening('p1'))
-        self.world = self.app.world
-        self.world.domain, self.world.me = domain, 'me'
-        self.world.game = Transition(episode=1, step=0, state=START)
-        self.world.lesson = LessonView(Phase.NO_SESSION, budget=100)
-        self.now = 0.0
-        self.asked: list[Request] = []
-        self.side = 24  # column where the panel beside the board begins
-
-    def press(self, *keys: str) -> Request | None:
-        """Look at the screen and type keys; return the request that they lead to."""
-        self.app.drawn()
-        self.app.type(keys)
-        return self.look()
-
-    def type(self, text: str) -> Request | None:
-        """Type a text and Enter."""
-        return self.press(*text, 'enter')
-
-    def look(self) -> Request | None:
-        """Let the app go on."""
-        request = self.app.advance(self.now)
-        if request is not None:
-            self.asked.append(request)
-        return request
-
-    def answer(
-        self, request: Request | None, ok: bool = True, text: str = '', **fields: Any
-    ) -> Request | None:
-        """Answer a request; return the next one."""
-        assert request is not None
-        uuid = request.uuid if isinstance(request, WithdrawDemonstration) else ''
-        status = RequestStatus.OK if ok else RequestStatus.REFUSED
-        answer = Answer(status, text, **{'episode': 1, 'uuid': uuid, **fields})
-        self.app.replied(request, answer, self.now)
-        return self.look()
-
-    def lesson(self, phase: Phase, **fields: Any) -> Request | None:
-        """Have the lesson announce where it stands; return the next request."""
-        assert self.world.lesson is not None
-        if phase is not Phase.DEMONSTRATING:
-            fields = {'episode': 0, **fields}
-        self.world.lesson = replace(self.world.lesson, phase=phase, **fields)
-        return self.look()
-
-    def game(self, **fields: Any) -> Request | None:
-        """Have the game go on; return the next request."""
-        assert self.world.game is not None
-        self.world.see(replace(self.world.game, **fields))
-        asked = self.app.waits_for
-        if isinstance(asked, Drive):
-            self.app.replied(asked, Answer(RequestStatus.OK, ''), self.now)
-        return self.look()
-
-    def sees(self, width: int = 80, height: int = 24) -> str:
-        """Return the screen as text, in one line for each paragraph that was wrapped."""
-        lines = frame(self.app, width, height)
-        assert len(lines) == height
-        return '\n'.join(lines)
-
-    def sees_words(self, text: str) -> bool:
-        """Tell whether the screen shows these words, however they are wrapped."""
-        side = ' '.join(line[self.side :] for line in frame(self.app, 80, 24))
-        whole = ' '.join(frame(self.app, 80, 24))
-        return any(text in ' '.join(shown.split()) for shown in (side, whole))
-
-
-@pytest.fixture
-def person(taxi: Domain[Any]) -> Person:
-    """Somebody who has just come."""
-    return Person(taxi)
-
-
-@pytest.fixture
-def teacher(person: Person) -> Person:
-    """Somebody whose option is ready for its first demonstration."""
-    opened = person.press('enter')
-    person.lesson(Phase.NO_OPTION, participant='p1')
-    person.answer(opened)
-    defined = person.press('enter', *NAME, 'enter')
-    person.lesson(Phase.READY, option_name=NAME, chosen_features=CHOSEN)
-    person.answer(defined)
-    return person
-
-
-@pytest.fixture
-def shower(teacher: Person) -> Person:
-    """Somebody who is demonstrating."""
-    request = teacher.press('enter')
-    assert request == BeginDemonstration()
-    teacher.game(episode=2, step=0)
-    teacher.lesson(Phase.DEMONSTRATING, episode=2, start_state=START)
-    teacher.answer(request, episode=2)
-    return teacher
+from teach_support.person import BOTTOM, CHOSEN, NAME, Person, START
 
 
 def test_enter_accepts_the_proposed_code_and_leads_to_the_menu(person: Person) -> None:
@@ -437,39 +330,6 @@ def test_questions_that_are_asked_for_the_first_time_have_no_earlier_answer(
     assert teacher.press('enter') is None
 
 
-def test_the_last_demonstration_is_taken_back_after_a_question_and_shown_anew(
-    shower: Person,
-) -> None:
-    assert shower.press('u') is None
-    assert not shower.sees_words('Take back')  # there is none yet
-    shower.lesson(Phase.DEMONSTRATING, last_uuid='abc')
-    assert 'u undo the last' in shower.sees()
-    shower.press('left')
-    shower.game(step=1)
-    assert shower.press('u') is None
-    assert shower.sees_words('Take back the one before this?')
-    assert shower.sees_words('This one is discarded.')
-    assert shower.press('x') is None
-    discard = shower.press('u', 'enter')
-    assert discard == EndDemonstration(Verdict.DISCARD, 2, 1)
-    shower.lesson(Phase.READY)
-    withdraw = shower.answer(discard)
-    assert withdraw == WithdrawDemonstration('abc')
-    shower.lesson(Phase.LEARNING, last_uuid='')
-    assert shower.answer(withdraw, text='demonstration 1 is taken back') is None
-    assert shower.sees_words('demonstration 1 is taken back')
-    assert shower.lesson(Phase.READY) == BeginDemonstration()
-
-
-def test_a_finished_option_can_still_be_undone_and_a_refusal_is_told(shower: Person) -> None:
-    shower.lesson(Phase.FINISHED, last_uuid='abc')
-    withdraw = shower.press('u', 'enter')
-    assert withdraw == WithdrawDemonstration('abc')
-    assert shower.answer(withdraw, ok=False, text='it is not the newest') is None
-    assert shower.sees_words('it is not the newest')
-    assert shower.lesson(Phase.READY) is None
-
-
 def criteria(values: Iterable[tuple[str, float | None, float]]) -> OptionStatus:
     """Make the progress of the option."""
     return OptionStatus(
@@ -553,11 +413,12 @@ def test_a_planned_policy_is_named_and_measured_sooner(shower: Person) -> None:
 
 
 def test_how_an_option_is_learned_can_be_changed_in_the_menu(teacher: Person) -> None:
-    teacher.press('escape', '6')
-    assert teacher.sees_words('From the next demonstration on, change which option?')
-    assert teacher.press('1') == DefineOption(NAME, method=GOAL)
+    teacher.press('escape', '6', '1')
+    assert teacher.sees_words('Learn it by goal')
+    assert teacher.press('3') == DefineOption(NAME, method=GOAL)
     teacher.lesson(Phase.READY, method=GOAL)
     assert teacher.answer(teacher.asked[-1]) is None
+    assert teacher.sees_words(f'Teaching: {NAME}')
 
 
 def test_conflicts_come_with_the_feature_that_would_tell_them_apart(shower: Person) -> None:
@@ -915,7 +776,8 @@ def test_menus_are_not_cut_beside_a_wide_board(pacman_teacher: Person) -> None:
 
 def test_a_start_that_contradicts_an_end_is_explained_by_a_key(shower: Person) -> None:
     words = (
-        'If the last one was a slip, press u. Where an end can be a start, press s before done.'
+        'If the last one was a slip, delete it (l). '
+        'Where an end can be a start, press s before done.'
     )
     shower.world.progress = [replace(criteria([]), conflicts=('taxi row 4: the end (2x)',))]
     assert not shower.sees_words(words)

@@ -83,8 +83,8 @@ def contradiction(
     """
     Return the first situation in which a demonstration shows what none before it has shown there.
 
-    Ends are looked at before starts, but of a "not here", and starts before actions; by the method ``goal`` actions are
-    not looked at, because nothing is learned from them.
+    Ends are looked at before starts, but of a "not here", and starts before actions; by the method
+    ``goal`` actions are not looked at, because nothing is learned from them.
 
     :param earlier: demonstrations of the same option that count, by number.
     :return: None: it agrees with one demonstration in every situation that was shown before.

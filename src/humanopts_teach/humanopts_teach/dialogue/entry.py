@@ -20,7 +20,7 @@ from humanopts_teach.dialogue.keys import (
 from humanopts_teach.lesson.requests import Answer, Request, Run
 
 MOST_CHARACTERS = 60
-PAGE = 9  # items that are listed at once: each has a digit
+PAGE = 9  # items that a terminal lists at once: each has a digit
 Keys = list[tuple[str, str]]
 
 
@@ -99,7 +99,7 @@ class Item:
 
 @dataclass
 class ListScreen(PlainScreen):
-    """A list from which the person picks by arrow keys or by number; it shows a page at a time."""
+    """A list from which the person picks by arrow keys, or by number within a page."""
 
     title: str
     items: Sequence[Item]
@@ -114,22 +114,16 @@ class ListScreen(PlainScreen):
         states = self.items[self.at].states
         return states[self.step] if states else ''
 
-    @property
-    def page(self) -> Sequence[Item]:
-        """The items that are listed now."""
-        first = self.at - self.at % PAGE
-        return self.items[first : first + PAGE]
-
     def press(self, key: str, app: App) -> None:
         """Move, or pick."""
-        number = int(key) - 1 if key in set('123456789') else -1
+        number = self.at - self.at % PAGE + int(key) - 1 if key in set('123456789') else -1
         if key in (UP, DOWN):
             self.at, self.step = (self.at + (1 if key == DOWN else -1)) % len(self.items), 0
         elif key in (LEFT, RIGHT):
             last = len(self.items[self.at].states) - 1
             self.step = max(min(self.step + (1 if key == RIGHT else -1), last), 0)
-        elif 0 <= number < len(self.page):
-            self.at, self.step = self.at - self.at % PAGE + number, 0
+        elif 0 <= number < len(self.items):
+            self.at, self.step = number, 0
             self.items[self.at].pick(app)
         elif key == '?':
             show_game(self, app)

@@ -160,7 +160,7 @@ def _text(screen: TextScreen, app: App) -> Panel:
 def _list(screen: ListScreen, app: App) -> Panel:
     title, n_states = Line(screen.title, strong=True), len(screen.items[screen.at].states)
     step = Line(f'board: step {screen.step} of {n_states - 1}', Tone.QUIET)
-    choices = Choices(screen.page, screen.at % PAGE)
+    choices = Choices(screen.items, screen.at)
     more = Line(f'{screen.at + 1} of {len(screen.items)}', Tone.QUIET)
     along = [step] if n_states > 1 else []
     return Panel((title, *along, GAP, choices, *([more] if len(screen.items) > PAGE else [])))

@@ -12,6 +12,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import feature_groups, FeatureGroup
+from humanopts_env.game import Transition
 from humanopts_learner.demonstrations import Demonstration, GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.criteria import Criterion, fewest, likely_range, RETURN
@@ -96,9 +97,8 @@ def pace(world: World) -> Line:
 
 def winner(world: World) -> Line | None:
     """Return the option that took the last step; None: none did, or it is not known which."""
-    game, (publisher, number, option) = world.game, world.acted
-    if game is None or (game.action_publisher_id, game.action_sequence) != (publisher, number):
-        return None
+    game = world.game or Transition()
+    option = world.acted.get((game.action_publisher_id, game.action_sequence))
     return Line(f'{option} won this step.') if option else None
 
 

@@ -354,7 +354,8 @@ class World:
     step_period: float = 0.0  # least time between steps of the machine, s
     paused_by: str = ''  # publisher_id of the terminal that has the machine wait; empty: none
     missing: Sequence[str] = ()  # nodes that are gone or have not come
-    acted: tuple[str, int, str] = ('', 0, '')  # of the newest action: publisher, number, option
+    acted: dict[tuple[str, int], str] = field(default_factory=dict)
+    """Whose the newest actions are: the option, by publisher_id and sequence of the command."""
     uncovered: Sequence[tuple[str, float]] | None = None  # by the last plan; None: not known
     since: Transition | None = None  # from which on the person drives, step by step
     driven: list[str] = field(default_factory=list)  # the person's actions from there on

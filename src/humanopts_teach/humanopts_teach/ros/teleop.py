@@ -6,7 +6,7 @@ from operator import attrgetter
 import time
 from typing import Any
 
-from humanopts_interfaces.msg import ExecutionState, LearningStatus, OptionGoal
+from humanopts_interfaces.msg import ActionCommand, ExecutionState, LearningStatus, OptionGoal
 from humanopts_ros.node_base import NodeBase, SEEDS
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, DISPLAY
@@ -69,6 +69,7 @@ class TeleopNode(NodeBase):
             (OptionGoal, 'option_goals', 'running', attrgetter('option_name'), DISPLAY),
         ):
             self.create_subscription(kind, topic, partial(self._show, shown, read), qos)
+        self.create_subscription(ActionCommand, 'action', self._on_action, DISPLAY)
 
     def waits_for(self) -> str | None:
         """Wait for the rules of the game."""
@@ -155,6 +156,13 @@ class TeleopNode(NodeBase):
             return self._runs.cancel()
         assert not isinstance(request, Run), 'a terminal that ends begins nothing'
         return self._client.send(request) if self._client.is_ready(request) else None
+
+    def _on_action(self, message: ActionCommand) -> None:
+        """Keep whose the two newest actions are: one may wait while the other is shown."""
+        before = list(self._world.acted.items())[:1]
+        newest = {(message.publisher_id, message.sequence): message.option_name}
+        self._world.acted = newest | dict(before)
+        self._news = True
 
     def _on_news(self) -> None:
         self._news = True

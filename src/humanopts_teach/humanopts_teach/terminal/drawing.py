@@ -7,6 +7,7 @@ from typing import Literal
 
 from humanopts_env.colours import GREEN, ORANGE, RED, TEAL
 from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.entry import PAGE
 from humanopts_teach.dialogue.panel import (
     Block,
     Choices,
@@ -184,9 +185,9 @@ def _typed(typed: TypedText) -> RenderableType:
 
 @drawn.register
 def _choices(choices: Choices) -> RenderableType:
-    table = Table.grid()
-    for number, item in enumerate(choices.items):
-        chosen = number == choices.at
+    table, first = Table.grid(), choices.at - choices.at % PAGE
+    for number, item in enumerate(choices.items[first : first + PAGE]):
+        chosen = first + number == choices.at
         mark = Text('> ' if chosen else '  ', KEY, no_wrap=True)
         name = (f'{number + 1} {item.text}', 'bold' if chosen else '')
         table.add_row(mark, Text.assemble(name, (f'  {item.note}', 'dim')))
