@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 import html
 from typing import Any
 import unicodedata
@@ -73,10 +74,11 @@ def board_svg(drawing: StateDrawing, label: str = 'the board') -> str:
         for column, character in enumerate(line):
             x, y = column * width + width // 2, row * height + height // 2
             name = classes.get(character, '')
-            if path := _line(character, x, y):
-                weight = 'heavy' if 'HEAVY' in unicodedata.name(character) else 'light'
+            weight, arms = _arms(character)
+            if arms:
                 key = f'line {weight} {name}'.rstrip()
-                lines[key] = lines.get(key, '') + path
+                ends = {'U': f'V{y - 10}', 'D': f'V{y + 10}', 'L': f'H{x - 5}', 'R': f'H{x + 5}'}
+                lines[key] = lines.get(key, '') + ''.join(f'M{x} {y}{ends[arm]}' for arm in arms)
             elif character == _DOT:
                 lines['dots'] = lines.get('dots', '') + f'M{x} {y}h0'
             elif character != ' ':
@@ -90,14 +92,14 @@ def board_svg(drawing: StateDrawing, label: str = 'the board') -> str:
     )
 
 
-def _line(character: str, x: int, y: int) -> str:
-    """Return the path of a box character whose cell has its middle at (x, y); empty: none is."""
+@cache
+def _arms(character: str) -> tuple[str, str]:
+    """Return the weight of a box character, and the edges that it reaches; empty: it is none."""
     words = unicodedata.name(character, '').split()
     if words[:2] != ['BOX', 'DRAWINGS']:
-        return ''
-    ends = {'U': f'V{y - 10}', 'D': f'V{y + 10}', 'L': f'H{x - 5}', 'R': f'H{x + 5}'}
-    arms = ''.join(_ARMS.get(word, '') for word in words)
-    return ''.join(f'M{x} {y}{ends[arm]}' for arm in arms)
+        return '', ''
+    weight = 'heavy' if 'HEAVY' in words else 'light'
+    return weight, ''.join(_ARMS.get(word, '') for word in words)
 
 
 def _sign(character: str, x: int, y: int, name: str, *, crowded: bool) -> str:
@@ -125,6 +127,7 @@ def notes_html(drawing: StateDrawing) -> Iterator[str]:
             )
 
 
+@cache
 def style_classes(style: str) -> str:
     """Return CSS classes for a style in rich's notation: the nearest of eight colours."""
     try:

@@ -1,15 +1,28 @@
 """What the terminal and the page in the browser draw, as plain values."""
 
 from dataclasses import replace
+from typing import get_args
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
 from humanopts_learner.options.criteria import Criterion
+from humanopts_teach.browser.markup import parts
 from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.entry import Item
 from humanopts_teach.dialogue.menu import opening, to_lesson, to_menu
-from humanopts_teach.dialogue.panel import Choices, Criteria, Features, TypedText, view
-from humanopts_teach.lesson.presentation import Line, TARGET, Tone
+from humanopts_teach.dialogue.panel import (
+    Block,
+    Choices,
+    Criteria,
+    Features,
+    KeyTable,
+    Panel,
+    TypedText,
+    view,
+)
+from humanopts_teach.lesson.presentation import CriterionShown, FeatureShown, Line, TARGET, Tone
 from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
+from humanopts_teach.terminal.drawing import drawn
 import pytest
 
 NAME = 'fetch <b>&'
@@ -70,6 +83,20 @@ def test_a_bar_reaches_its_mark_at_the_threshold_and_its_end_at_three_times_that
     app.world.progress = [OptionStatus(NAME, 'p1', criteria=(found,))]
     (criteria,) = [block for block in view(app).panel.beside if isinstance(block, Criteria)]
     assert criteria.rows[0].share == pytest.approx(share)
+
+
+def test_every_kind_of_block_is_drawn_in_the_terminal_and_on_the_page(app: App) -> None:
+    row = CriterionShown('✓', 'return', '0.5', '≤ 1', Tone.GOOD, 0.5)
+    blocks: list[Block] = [
+        *(Line('a line'), TypedText('typed'), Choices([Item('an item', '', to_menu)], 0)),
+        *(KeyTable([('k', 'a key')]), Features([FeatureShown('a feature', '')], '')),
+        Criteria([row]),
+    ]
+    assert {type(block) for block in blocks} == set(get_args(Block))
+    for block in blocks:
+        assert str(drawn(block))
+        shown = replace(view(app), panel=Panel([block]))
+        assert parts(shown)['panel'] != parts(replace(shown, panel=Panel()))['panel']
 
 
 def test_nodes_that_are_missing_are_said_before_anything_else(app: App) -> None:

@@ -27,6 +27,12 @@ def render(package: str, name: str, values: dict[str, Any]) -> str:
     Templates know the functions of this module that write numbers, and ``markup`` for what is
     HTML or SVG already; everything else that is filled in is escaped.
     """
+    return templates(package).get_template(name).render(values)
+
+
+@cache
+def templates(package: str) -> jinja2.Environment:
+    """Return the templates of a package, and of this one, as ``render`` describes them."""
     packages = dict.fromkeys((package, 'humanopts_teach.report'))
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader(each, '') for each in packages]),
@@ -44,7 +50,7 @@ def render(package: str, name: str, values: dict[str, Any]) -> str:
         duration=duration,
         DASH=DASH,
     )
-    return environment.get_template(name).render(values)
+    return environment
 
 
 @dataclass(frozen=True)
