@@ -25,7 +25,7 @@ from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher, only_launch
 from humanopts_teach.launching.processes import common_parameters, processes, Recording, Setup
-from humanopts_teach.launching.restarts import Ended
+from humanopts_teach.launching.restarts import Ended, MOST
 from humanopts_teach.ros.graph_client import GraphClient
 
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
@@ -227,6 +227,7 @@ def session(
     namespace: str,
     progress: Callable[[GraphClient], None] = lambda _: None,
     tell: Callable[[str], object] = tell,
+    restarts: int = MOST,
 ) -> Iterator[Session]:
     """
     Launch a graph, wait until it is ready, and stop it whatever happens, the recorder last.
@@ -234,12 +235,14 @@ def session(
     A node that ends meanwhile is started again; that is told here, on the graph and in its log.
 
     :param progress: called about twenty times a second while something is waited for.
+    :param restarts: times in a row that a node is started again.
     :param tell: called with a line about a node that ended, was stopped or goes on.
     :raises LaunchError: a node ended and is not started again, or does not become ready, or
         another launch is in the way.
     :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come; everything is stopped.
     """
-    launcher = Launcher(processes(setup), setup.directory / 'log', namespace)
+    specs, logs = processes(setup), setup.directory / 'log'
+    launcher = Launcher(specs, logs, namespace, restarts=restarts)
 
     def watch() -> None:
         interrupts.check()

@@ -1,0 +1,468 @@
+"""
+A long lesson among random faults: ``make soak SECONDS=600 SEED=1``.
+
+Nodes are killed, ended and stopped at random moments, and garbage is sent on every topic, service
+and action. After each fault the lesson must go on. At the end nothing that was shown may be lost
+and no action applied twice. A table says what was done and what came of it.
+"""
+
+import argparse
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+import os
+from pathlib import Path
+import random
+import signal
+from statistics import median
+import sys
+import tempfile
+import time
+from typing import Any
+
+from humanopts_env.domains.registry import make_domain
+from humanopts_interfaces.msg import GameState, NodeStatus
+from humanopts_learner.demonstrations import check_demonstration, Demonstration
+from humanopts_learner.options.criteria import Thresholds
+from humanopts_ros.environment import prepare_discovery
+from humanopts_ros.qos import DISPLAY, LATCHED, STREAM
+from humanopts_teach.bags.check import check_bag
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.commands.session import Session, session
+from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.processes import processes, Setup
+from humanopts_teach.lesson.store import entry_from_line
+from humanopts_teach.ros.raw_subscriber import load_type
+import psutil
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from graph_support.garbage import Garbage
+from graph_support.live import free_domain_id
+
+OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
+RECOVERY = 60.0  # s until all nodes are ready and another demonstration is kept
+ANSWER = 20.0  # s for a call of garbage to be answered
+OURS = 'soak'  # the node that sends garbage
+_LATCHED = {
+    'domain_info', 'current_state', 'control', 'lesson_state', 'learning_status',
+    'learned_options', 'automatic_options', 'execution', 'option_values', 'node_status',
+    'recorder_status',
+}  # fmt: skip
+_CANCEL = ('plan', 'extract_options', 'run_policy', 'execute_option')
+
+
+@dataclass
+class Outcome:
+    """What came of all faults."""
+
+    seconds: defaultdict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    violations: list[str] = field(default_factory=list)
+    remarks: Counter[str] = field(default_factory=Counter)
+    messages: int = 0
+    calls: int = 0
+    refused: int = 0  # messages that nodes said they refused
+
+    @property
+    def faults(self) -> int:
+        """How many faults there were, garbage apart."""
+        return sum(len(v) for name, v in self.seconds.items() if not name.startswith('garbage'))
+
+
+class Stranger:
+    """Somebody who sends garbage on the graph, and sees what the game really does."""
+
+    def __init__(self, rng: random.Random) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(OURS, context=self._context, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._garbage, self._rng = Garbage(rng), rng
+        self._publishers: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
+        self._seen: dict[str, Any] = {}  # the newest real message by topic
+        self.applied: Counter[tuple[str, int]] = Counter()  # actions that the game has taken
+        self.node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
+
+    def close(self) -> None:
+        """Leave."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def serve(self, seconds: float = 0.0) -> None:
+        """Take what has come."""
+        self._executor.spin_once(seconds)
+
+    def topics(self) -> list[tuple[str, str]]:
+        """Return the topics of the graph and their types."""
+        found = self.node.get_topic_names_and_types()
+        return sorted((n, t[0]) for n, t in found if t[0].startswith('humanopts') and '/_' not in n)
+
+    def services(self) -> list[tuple[str, str]]:
+        """Return the services and actions of the graph and their types."""
+        found = self.node.get_service_names_and_types()
+        calls = [(n, t[0]) for n, t in found if t[0].startswith('humanopts') and '/_' not in n]
+        ends = [n.removesuffix('/_action/send_goal') for n, _ in found if n.endswith('send_goal')]
+        kinds = {n: t[0] for n, t in found if n.endswith('send_goal')}
+        goals = [(n, kinds[f'{n}/_action/send_goal'].removesuffix('_SendGoal')) for n in ends]
+        return sorted(calls + goals)
+
+    def send(self, name: str, kind: str, count: int) -> None:
+        """Publish garbage on a topic: messages, and now and then bytes that are none."""
+        loaded = load_type(kind)
+        if name not in self._publishers:
+            qos = LATCHED if name.rpartition('/')[2] in _LATCHED else STREAM
+            self._publishers[name] = self.node.create_publisher(loaded, name, qos)
+            if name.rpartition('/')[2] not in ('game_state',):
+                self.node.create_subscription(loaded, name, self._keeper(name), DISPLAY)
+            for _ in range(20):
+                self.serve(0.02)
+        for _ in range(count):
+            raw = self._rng.random() < 0.1
+            message = self._garbage.message(loaded, self._seen.get(name))
+            self._publishers[name].publish(self._garbage.raw() if raw else message)
+            self.serve()
+
+    def call(self, name: str, kind: str) -> tuple[Callable[[], bool], Callable[[], Any]]:
+        """Call a service or send a goal; return whether it was answered, and what."""
+        loaded = load_type(kind)
+        action = '/action/' in kind
+        if name not in self._clients:
+            make = ActionClient if action else self.node.create_client
+            args = (self.node, loaded, name) if action else (loaded, name)
+            self._clients[name] = make(*args)
+        client = self._clients[name]
+        if action:
+            return self._goal(client, self._garbage.message(loaded.Goal))
+        future = client.call_async(self._garbage.message(loaded.Request))
+        return future.done, future.result
+
+    def _goal(self, client: ActionClient, goal: Any) -> tuple[Callable[[], bool], Callable[[], Any]]:
+        replies: list[Any] = []
+
+        def on_accepted(done: Any) -> None:
+            handle = done.result()
+            handle.cancel_goal_async()
+            handle.get_result_async().add_done_callback(lambda f: replies.append(f.result()))
+
+        client.send_goal_async(goal).add_done_callback(on_accepted)
+        return lambda: bool(replies), lambda: replies[0].result.result
+
+    def ready(self, name: str) -> bool:
+        """Return whether the server of a call is found."""
+        client = self._clients.get(name)
+        if client is None:
+            return True
+        return bool(getattr(client, 'service_is_ready', getattr(client, 'server_is_ready', bool))())
+
+    def _keeper(self, name: str) -> Callable[[Any], None]:
+        def keep(message: Any) -> None:
+            self._seen[name] = message
+
+        return keep
+
+    def _on_state(self, state: GameState) -> None:
+        self._seen['/game_state'] = state
+        if state.publisher_id.startswith('/game#') and state.action_sequence and state.step:
+            if not state.publisher_id.endswith('garbage'):
+                key = f'{state.publisher_id} {state.action_publisher_id}', state.action_sequence
+                self.applied[key] += 1
+
+
+class Soak:
+    """A launch under random faults."""
+
+    def __init__(self, running: Session, rng: random.Random, outcome: Outcome) -> None:
+        self._running, self._graph, self._launcher = running, running.graph, running.launcher
+        self._rng, self._outcome = rng, outcome
+        self.stranger = Stranger(random.Random(rng.random()))
+        self.names = [name.rpartition('/')[2] for name in self._launcher.node_names]
+        self.told: list[str] = []
+        self.verbose = False  # a line is printed for each fault
+        self._last = ''  # what garbage was sent last
+
+    def shown(self) -> list[Demonstration]:
+        """Return the demonstrations on disk, without those that were taken back."""
+        return on_disk(self._running.setup.directory / 'demonstrations')
+
+    def fault(self, kinds: Sequence[str], messages: int, calls: int) -> None:
+        """Do one thing at random, and wait until the lesson goes on."""
+        self.serve(self._rng.uniform(0.0, 1.0))
+        kind, node = self._rng.choice(kinds), self._rng.choice(self.names)
+        before, ends, began = len(self.shown()), len(self._launcher.ends), time.monotonic()
+        name = f'{kind} {node}'
+        if kind in ('kill', 'term'):
+            how = signal.SIGKILL if kind == 'kill' else signal.SIGTERM
+            os.kill(self._pid(node), how)
+            self._until(lambda: len(self._launcher.ends) > ends, f'{name}: its end to be seen')
+            if not self._told(node):
+                self._violate(f'{name}: nothing on the graph tells of it')
+        elif kind == 'stop':
+            pid, seconds = self._pid(node), self._rng.choice((0.2, 1.0, 3.0))
+            os.kill(pid, signal.SIGSTOP)
+            self.serve(seconds)
+            os.kill(pid, signal.SIGCONT)
+        elif kind == 'messages':
+            topic, type_ = self._rng.choice(self.stranger.topics())
+            name = 'garbage messages'
+            self.stranger.send(topic, type_, messages)
+            self._outcome.messages += messages
+            self._last = f'{messages} on {topic}'
+        else:
+            name = 'garbage calls'
+            self._call(calls)
+        self._recover(name, before, began)
+
+    def _call(self, count: int) -> None:
+        service, type_ = self._rng.choice(self.stranger.services())
+        self._last = f'{count} of {service}'
+        for _ in range(count):
+            self._until(lambda: self.stranger.ready(service), f'{service} to be there')
+            done, result = self.stranger.call(service, type_)
+            self._outcome.calls += 1
+            self._until(done, f'an answer of {service}', ANSWER)
+            if done() and not hasattr(result(), 'status') and not hasattr(result(), 'result'):
+                self._violate(f'{service} answered without a status')
+
+    def _recover(self, name: str, before: int, began: float) -> None:
+        """Wait until every node is ready and another demonstration is kept."""
+        detail = f' ({self._last})' if name.startswith('garbage') else ''
+        if name.startswith('garbage'):
+            before = len(self.shown())
+        deadline = time.monotonic() + RECOVERY
+        while time.monotonic() < deadline:
+            try:
+                self._graph.wait_ready(list(self._launcher.node_names), 15.0)
+                self._graph.wait(lambda: self._grown(before), 15.0, 'another demonstration')
+                self._outcome.seconds[name].append(time.monotonic() - began)
+                if self.verbose:
+                    print(f'{time.monotonic() - began:7.2f} s  {name}{detail}', flush=True)
+                return
+            except LaunchError as error:
+                self._outcome.remarks[f'after {name}{detail}: {str(error)[:300]}'] += 1
+                self._help_teacher()
+        self._violate(f'{name}{detail}: the lesson did not go on within {RECOVERY:.0f} s')
+
+    def _grown(self, before: int) -> bool:
+        self.stranger.serve()
+        return len(self.shown()) > before
+
+    def _help_teacher(self) -> None:
+        """Start the simulated teacher again where it gave up and said why, as a person would."""
+        status = self._graph.statuses.get('/simulated_teacher')
+        finished = status is not None and self._graph.teacher_finished()
+        if status is not None and (status.state == NodeStatus.STATE_PAUSED or finished):
+            self._outcome.remarks['the simulated teacher gave up, and was started again'] += 1
+            os.kill(self._pid('simulated_teacher'), signal.SIGTERM)
+
+    def _told(self, node: str) -> bool:
+        said = []
+        status = self._graph.statuses.get('/conductor')
+        if status is not None:
+            said.append(status.text)
+        self._until(
+            lambda: f'the node {node} ended' in self._graph.statuses['/conductor'].text,
+            f'a message about {node}',
+        )
+        return f'the node {node} ended' in self._graph.statuses['/conductor'].text
+
+    def _pid(self, node: str) -> int:
+        return self._launcher.pid(node)
+
+    def _until(self, done: Callable[[], bool], what: str, seconds: float = 30.0) -> None:
+        deadline = time.monotonic() + seconds
+        while not done():
+            if time.monotonic() > deadline:
+                self._violate(f'waited {seconds:.0f} s in vain for {what}')
+                return
+            self.serve(0.01)
+
+    def serve(self, seconds: float) -> None:
+        """Look after the launch for a while, in which the lesson goes on."""
+        end = time.monotonic() + seconds
+        while True:
+            self.stranger.serve(0.01)
+            self._graph.catch_up()
+            self._running.check()
+            if time.monotonic() >= end:
+                return
+
+    def _violate(self, text: str) -> None:
+        self._outcome.violations.append(text)
+        print(f'VIOLATION: {text}', flush=True)
+
+    def finish(self) -> None:
+        """Check what must hold whatever happened."""
+        directory, domain = self._running.setup.directory, make_domain('taxi')
+        shown = self.shown()
+
+        def lost() -> set[str]:
+            return {d.uuid for d in shown} - {d.uuid for d in on_disk(directory / 'options')}
+
+        self._until(lambda: not lost(), 'the learner to have every demonstration')
+        for demo in [*shown, *on_disk(directory / 'options')]:
+            try:
+                check_demonstration(demo, domain)
+            except ValueError as error:
+                self._violate(f'a demonstration breaks the rules: {error}')
+        twice = [key for key, count in self.stranger.applied.items() if count > 1]
+        if twice:
+            self._violate(f'{len(twice)} actions were applied twice: {twice[:3]}')
+        self._outcome.remarks[f'{len(shown)} demonstrations are kept'] += 1
+        self._outcome.remarks[f'{len(self.stranger.applied)} actions were seen'] += 1
+
+
+def on_disk(folder: Path) -> list[Demonstration]:
+    """Return the demonstrations in the files of the lesson or of the learner that count."""
+    found: dict[str, Demonstration] = {}
+    for file in sorted(folder.glob('*.jsonl')):
+        for line in file.read_text('utf-8').splitlines(keepends=True):
+            read = entry_from_line if '"entry"' in line else Demonstration.from_json
+            entry = read(line) if line.endswith('\n') else None
+            if isinstance(entry, Demonstration):
+                found[entry.uuid] = entry
+    return [demo for demo in found.values() if not demo.withdrawn]
+
+
+def usage(pids: dict[str, int]) -> dict[str, tuple[float, int, int]]:
+    """Return memory (MB), threads and descriptors of processes by name."""
+    found = {}
+    for name, pid in pids.items():
+        try:
+            process = psutil.Process(pid)
+            memory = process.memory_info().rss / 1e6
+            found[name] = memory, process.num_threads(), process.num_fds()
+        except psutil.Error:  # it has ended just now
+            found[name] = 0.0, 0, 0
+    return found
+
+
+@contextmanager
+def lesson(folder: Path, outcome: Outcome, rng: random.Random) -> Iterator[Soak]:
+    """Launch a lesson that has no end by itself."""
+    setup = Setup(
+        'taxi',
+        folder / 'out',
+        seed=rng.randrange(1000),
+        thresholds=Thresholds(0.0, 0.0, 0.0),  # the criteria hardly ever hold
+        taught=OPTIONS,
+        teacher_error_rate=0.05,
+        budget=1_000_000,
+        step_period=0.005,
+    )
+    assert processes(setup)
+    said: list[str] = []
+    with session(setup, '/', tell=said.append, restarts=10**9) as running:
+        soak = Soak(running, rng, outcome)
+        soak.told = said
+        try:
+            yield soak
+        finally:
+            soak.stranger.close()
+    outcome.violations += [f'at the end: {problem}' for problem in running.unclean]
+    for bag in running.bags:
+        found = check_bag(open_bag(bag))
+        ours = [s for s in found.streams if s.duplicates and s.topic == '/game_state']
+        real = [s for s in ours if s.publisher.startswith('/game#') and 'garbage' not in s.publisher]
+        if real:
+            outcome.remarks[f'{bag.name}: repeated states, mutated copies of real ones'] += 1
+    outcome.remarks[f'{len(running.bags)} bags can be read'] += 1
+
+
+def run(
+    folder: Path,
+    seconds: float,
+    seed: int,
+    kinds: Sequence[str],
+    most: int,
+    messages: int = 200,
+    calls: int = 20,
+    verbose: bool = False,
+) -> tuple[Outcome, list[str]]:
+    """
+    Soak a launch.
+
+    :param most: faults at most.
+    :param messages: of garbage in one fault.
+    :param calls: of garbage in one fault.
+    :return: what came of it, and lines for a person.
+    """
+    outcome, rng = Outcome(), random.Random(seed)
+    began = time.monotonic()
+    with lesson(folder, outcome, rng) as soak:
+        soak.serve(2.0)
+        soak.verbose = verbose
+        pids = {name: soak._pid(name) for name in soak.names}
+        before = usage(pids)
+        count = 0
+        while count < most and time.monotonic() - began < seconds:
+            soak.fault(kinds, messages, calls)
+            count += 1
+            if len(outcome.violations) > 10:
+                break
+        soak.serve(1.0)
+        soak.finish()
+        after = usage({name: soak._pid(name) for name in soak.names})
+        restarts = Counter(end.node for end in soak._launcher.ends)
+    return outcome, table(outcome, before, after, restarts, time.monotonic() - began, seed)
+
+
+def table(
+    outcome: Outcome,
+    before: dict[str, tuple[float, int, int]],
+    after: dict[str, tuple[float, int, int]],
+    restarts: Counter[str],
+    seconds: float,
+    seed: int,
+) -> list[str]:
+    """Return the report as lines."""
+    lines = [f'seed {seed}: {outcome.faults} faults, {outcome.messages} bad messages and ']
+    lines[0] += f'{outcome.calls} bad calls in {seconds:.0f} s'
+    lines.append(f'{"fault":28} {"count":>6} {"median s":>9} {"most s":>7}')
+    for name, times in sorted(outcome.seconds.items()):
+        lines.append(f'{name:28} {len(times):6} {median(times):9.2f} {max(times):7.2f}')
+    lines.append(f'{"node":20} {"restarts":>8}  {"MB":>13}  {"threads":>9}  {"descriptors":>11}')
+    for name, (memory, threads, files) in before.items():
+        last = after[name]
+        lines.append(
+            f'{name:20} {restarts[name]:8}  {memory:5.0f} > {last[0]:5.0f}  '
+            f'{threads:3} > {last[1]:3}  {files:4} > {last[2]:4}'
+        )
+    lines += [f'{count:4} x {text}' for text, count in outcome.remarks.most_common()]
+    lines.append(f'{len(outcome.violations)} violations')
+    return [*lines, *(f'VIOLATION: {text}' for text in outcome.violations)]
+
+
+KINDS = ('kill', 'kill', 'term', 'stop')
+GARBAGE = ('messages', 'messages', 'calls')
+
+
+def main() -> int:
+    """Run a soak, and print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--seconds', type=float, default=600.0)
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--faults', type=int, default=10**9)
+    parser.add_argument('--kinds', nargs='*', default=[*KINDS, *GARBAGE])
+    parser.add_argument('--out', type=Path, help='keep logs, demonstrations and bags there')
+    given = parser.parse_args()
+    prepare_discovery()
+    with tempfile.TemporaryDirectory() as folder, free_domain_id() as number:
+        os.environ['ROS_DOMAIN_ID'] = str(number)
+        place = given.out or Path(folder)
+        outcome, lines = run(
+            place, given.seconds, given.seed, given.kinds, given.faults, verbose=True
+        )
+    print('\n'.join(lines))
+    return 1 if outcome.violations else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
