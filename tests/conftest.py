@@ -8,9 +8,9 @@ from graph_support.live import free_domain_id, Graph, open_graph
 from humanopts_ros.environment import prepare_discovery
 import pytest
 
-prepare_discovery()
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'  # a misspelt field is an error, here and in the nodes
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+prepare_discovery()
 os.environ['TERM'] = 'xterm-256color'  # what the pseudo-terminals of the tests understand
 
 

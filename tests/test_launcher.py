@@ -218,6 +218,8 @@ def test_a_terminal_that_died_and_is_started_again_does_not_end_up(
             conductor.stay(check, lambda line: None)
         game = {'node': '/game', 'publisher_id': '/game#another'}
         out.publish(NodeStatus(state=NodeStatus.STATE_READY, **game))
+        live.until(lambda: conductor.catch_up() or conductor.duplicates, 'what somebody claims')
+        live.start(GAME)
         with pytest.raises(LaunchError, match='/game runs already'):
             conductor.stay(live.spin, lambda line: None)
     finally:

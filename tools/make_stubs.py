@@ -35,7 +35,8 @@ def stub_of_message(name: str, spec: MessageSpecification) -> Iterator[str]:
     """Yield the lines of a class; arrays are read as rclpy keeps them, and set from sequences."""
     yield f'class {name}:'
     for constant in spec.constants:
-        yield f'    {constant.name}: Final = {constant.value!r}'
+        value = bytes([constant.value]) if constant.type == 'byte' else constant.value
+        yield f'    {constant.name}: Final = {value!r}'
     given = ''.join(f', {f.name}: {_given(f.type)} = ...' for f in spec.fields)
     yield f'    def __init__(self{", *" if given else ""}{given}) -> None: ...'
     yield '    @classmethod'

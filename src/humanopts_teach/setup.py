@@ -24,6 +24,7 @@ setup(
     entry_points={
         'console_scripts': [
             'humanopts = humanopts_teach.cli:main',
+            'diagnostics = humanopts_teach.ros.diagnostics:main',
             'keyboard_teleop = humanopts_teach.ros.keyboard_teleop:main',
             'lesson = humanopts_teach.ros.lesson_node:main',
             'recorder = humanopts_teach.ros.recorder:main',

@@ -11,8 +11,9 @@ from humanopts_teach.ros.raw_subscriber import load_type
 WORDS = (
     '', 'taxi', 'north', 'pickup', 'p1', 'human', 'primitive', 'interrupted', 'failures', 'trees',
     'go to passenger and pickup', 'action:north', 'taxi 2,2 passenger aboard destination G',
-    '{}', '{"rows": 5, "cols": 5}', '[' * 50_000, '{"a":' * 5000, '\x1b[2J\x1b]0;x\x07', '\u202e\u0000',
-    '😀' * 3000, 'x' * 20_000, '/game#garbage', '/stranger#1', '../../etc/passwd', 'NaN', '-1', ' ',
+    '{}', '{"rows": 5, "cols": 5}', '[' * 50_000, '{"a":' * 5000, '\x1b[2J\x1b]0;x\x07',
+    '\u202e', '\U0001f600' * 3000, 'x' * 20_000, '/game#garbage', '/stranger#1', 'NaN', '-1', ' ',
+    '../../etc/passwd',
 )  # fmt: skip
 REALS = (0.0, -1.0, 1.0, math.nan, math.inf, -math.inf, 1e308, -1e-300, 0.5)
 MOST_WORK = 50  # in fields that say how much is to be computed
@@ -37,8 +38,12 @@ class Garbage:
         fields = kind.get_fields_and_field_types()
         if like is not None and self._rng.random() < 0.5:
             made = kind(**{name: getattr(like, name) for name in fields})
-            for name in self._rng.sample(sorted(fields), min(len(fields), self._rng.choice((1, 2)))):
+            for name in self._rng.sample(
+                sorted(fields), min(len(fields), self._rng.choice((1, 2)))
+            ):
                 setattr(made, name, self._value(fields[name], name))
+            if hasattr(made, 'publisher_id'):  # signed as the node, but not as its process
+                made.publisher_id = f'{like.publisher_id.partition("#")[0]}#garbage'
             return made
         return kind(**{name: self._value(type_, name) for name, type_ in fields.items()})
 
@@ -68,7 +73,9 @@ class Garbage:
             return rng.random() < 0.5
         if kind in ('float', 'double'):
             value = rng.choice((*REALS, rng.uniform(-1e3, 1e3)))
-            return max(-3e38, min(3e38, value)) if math.isfinite(value) and kind == 'float' else value
+            return (
+                max(-3e38, min(3e38, value)) if math.isfinite(value) and kind == 'float' else value
+            )
         if kind == 'octet':
             return rng.randbytes(1)
         if found := _INTEGER.fullmatch(kind):
@@ -80,7 +87,5 @@ class Garbage:
         if kind.startswith(('string', 'wstring')):
             if rng.random() < 0.2:
                 return ''.join(chr(rng.randint(1, 0x2FFF)) for _ in range(rng.randint(0, 30)))
-            return rng.choice(WORDS).replace('\0', '')
+            return rng.choice(WORDS)
         raise ValueError(f'no garbage of type {kind}')
-
-

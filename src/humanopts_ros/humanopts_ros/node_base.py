@@ -216,6 +216,16 @@ class NodeBase(Node):
 
         return self.create_subscription(kind, topic, on_message, qos)
 
+    def check_sender(self, publisher_id: str, name: str) -> None:
+        """
+        Check that a message is of the node of that name in this namespace.
+
+        :raises ValueError: another node has published it.
+        """
+        sender = f'{self.get_namespace().rstrip("/")}/{name}'
+        if not publisher_id.startswith(f'{sender}#'):
+            raise ValueError(f'it is not from {sender}')
+
     def accepted(self, topic: str, read: Callable[[T], V], message: T) -> V | None:
         """Return the value of a message; None: it cannot be used, and is refused."""
         try:

@@ -34,6 +34,7 @@ def test_defaults_launch_every_node_but_the_teachers() -> None:
     nodes = ['recorder', 'game', 'learner', 'lesson', 'option_server', 'planner']
     assert names() == nodes
     assert names(record='False', teach='false') == ['game', 'option_server', 'planner']
+    assert names(diagnostics='true') == [*nodes, 'diagnostics']
     assert names(taught='go up; go down') == [*nodes, 'simulated_teacher']
 
 
@@ -62,6 +63,7 @@ def test_every_argument_reaches_a_parameter() -> None:
         'split_bytes': '500000',
         'split_seconds': '60',
         'step_period': '2',
+        'diagnostics': 'true',
         'taught': 'go up; go down',
     }
     assert {*values, 'teach', 'record'} == set(DEFAULTS)

@@ -178,6 +178,10 @@ class LaunchOptions:
             '0.02 for demo in a terminal, else 0',
         ),
     ] = None
+    diagnostics: Annotated[
+        bool,
+        typer.Option('--diagnostics', help='publish /diagnostics, for the tools of ROS'),
+    ] = False
 
 
 def with_launch_options(command: Callable[..., int]) -> Callable[..., int]:

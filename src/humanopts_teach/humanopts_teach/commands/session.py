@@ -67,6 +67,7 @@ def setup_from(
         seed=launch.seed,
         strategy=launch.strategy,
         learn=launch.learn,
+        diagnostics=launch.diagnostics,
         budget=launch.budget,
         thresholds=thresholds,
     )

@@ -70,6 +70,7 @@ class Setup:
     recording: Recording = field(default_factory=Recording)
     bag_name: str = 'bag'
     step_period: float = 0.0  # s between a machine's steps
+    diagnostics: bool = False  # a node publishes /diagnostics
 
     @property
     def bag(self) -> Path:
@@ -146,6 +147,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
             },
         ),
         (True, 'planner', 'humanopts_learner.ros.planner_node', {}),
+        (setup.diagnostics, 'diagnostics', 'humanopts_teach.ros.diagnostics', {}),
         (
             bool(setup.taught),
             'simulated_teacher',

@@ -61,6 +61,11 @@ ARGUMENTS = (
         'step_period', Setup.step_period, "seconds between a machine's steps, to watch it"
     ),
     LaunchArgument(
+        'diagnostics',
+        Setup.diagnostics,
+        'whether a node publishes /diagnostics: true or false',
+    ),
+    LaunchArgument(
         'taught',
         Setup.taught,
         'options that a simulated teacher teaches, separated by ";"; empty: no teacher',

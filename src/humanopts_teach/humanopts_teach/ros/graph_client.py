@@ -323,7 +323,7 @@ class GraphClient(NodeBase):
     def _keep_status(self, status: msg.NodeStatus) -> None:
         node = status.node
         known = self.statuses.get(node, status)
-        if status.publisher_id in self._gone:
+        if status.publisher_id in self._gone or status.publisher_id.partition('#')[0] != node:
             return
         if status.publisher_id != known.publisher_id:
             late = time.monotonic() - self._ended.get(node, -math.inf) < _PATIENCE
@@ -367,15 +367,24 @@ class GraphClient(NodeBase):
         self._check_duplicates()
         if stopped := self._stopped():
             raise LaunchError(stopped)
-        paused, now = self._paused(), time.monotonic()
+        mine = self._awaited | {self._full_name(RECORDER)}
+        paused = {name: text for name, text in self._paused().items() if name in mine}
+        now = time.monotonic()
         if not paused:
             self._fine = now
         elif now - max([self._fine, *(t + _LEASE for t in self._ended.values())]) > _PATIENCE:
             name, text = next(iter(paused.items()))
             raise LaunchError(f'{name} cannot go on: {text}')
 
+    def _nodes_there(self) -> list[str]:
+        """Return the full names of the nodes on the graph; anybody may publish in their name."""
+        names = self.get_node_names_and_namespaces()
+        return [f'{space.rstrip("/")}/{name}' for name, space in names]
+
     def _check_duplicates(self, besides: str = '') -> None:
-        if found := sorted(self.duplicates & self._awaited - {besides}):
+        suspects = self.duplicates & self._awaited - {besides}
+        there = Counter(self._nodes_there()) if suspects else Counter()
+        if found := sorted(name for name in suspects if there[name] > 1):
             raise LaunchError(
                 f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop the '
                 'other launch, or choose another --namespace or ROS_DOMAIN_ID'

@@ -7,7 +7,6 @@ that gets a client; ``run_with_lesson`` makes the node and runs the coroutine to
 
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -100,11 +99,12 @@ class LessonClient:
         self._action = node.stamped_publisher(msg.ActionCommand, 'action')
         self._renewal = node.create_timer(_RENEWAL, node.tell_life, autostart=False)
         self._game = GameSubscriber(node, self._on_domain)
-        lesson = msg.LessonState, 'lesson_state', partial(decode, LessonView)
         self._restarts = NodeRestarts(node, self._on_restart)
         self._subscriptions = [
             self._game.follow('current_state', self._on_game, CURRENT),
-            node.subscribe(*lesson, self._on_lesson, CURRENT),
+            node.subscribe(
+                msg.LessonState, 'lesson_state', self._read_lesson, self._on_lesson, CURRENT
+            ),
             node.create_subscription(msg.ControlState, 'control', self._on_control, CURRENT),
             node.create_subscription(
                 msg.ActionRefusal, 'action_refused', self._on_refusal, DISPLAY
@@ -266,6 +266,10 @@ class LessonClient:
     def _on_domain(self, domain: Domain[Any]) -> None:
         self.world.domain = domain
         self._changed()
+
+    def _read_lesson(self, message: msg.LessonState) -> LessonView:
+        self._node.check_sender(message.publisher_id, LESSON)
+        return decode(LessonView, message)
 
     def _on_lesson(self, lesson: LessonView) -> None:
         self.world.lesson = lesson

@@ -16,7 +16,7 @@ from humanopts_learner.demonstrations import Demonstration, METHODS
 from humanopts_learner.options.option import OptionError
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_learner.ros.convert import demonstration_to_message
-from humanopts_ros.node_base import NodeBase, PATIENCE, SEEDS, StartError
+from humanopts_ros.node_base import NodeBase, PATIENCE, RECORDER, SEEDS, StartError
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
@@ -46,6 +46,7 @@ from humanopts_teach.ros.convert import (
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 _TICK = 0.1  # s between looks at deadlines
+_SAY_AGAIN = 1.0  # s between states that are published again because others were
 _GAME_DEADLINE = 5.0  # s for game to answer, and for a state that was announced to arrive
 _KEEPING = (Verdict.DONE, Verdict.NOT_HERE)
 _RESEND_DELAY = 0.5  # s from a learner's first status until its subscription is matched
@@ -95,12 +96,15 @@ class LessonNode(NodeBase):
         self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
         self.create_timer(_TICK, self._tick)
+        self._contested = False  # somebody else has published a state of the lesson
+        self.create_timer(_SAY_AGAIN, self._say_again)
         game = GameSubscriber(self, self._on_domain)
         NodeRestarts(self, self._on_restart)
         self._game_states = game.follow('game_state', self._on_game_state)
-        self._recorder_status = self.create_subscription(
-            msg.RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
+        self._recorder_status = self.subscribe(
+            msg.RecorderStatus, 'recorder_status', self._read_recorder, self._on_recorder, CURRENT
         )
+        self.create_subscription(msg.LessonState, 'lesson_state', self._on_lesson_state, CURRENT)
 
     def _read_rules(self) -> LessonRules:
         what, usual = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy
@@ -261,6 +265,10 @@ class LessonNode(NodeBase):
                 self.refuse('learned_options', message, error)
         self._show()
 
+    def _read_recorder(self, status: msg.RecorderStatus) -> msg.RecorderStatus:
+        self.check_sender(status.publisher_id, RECORDER)
+        return status
+
     def _on_recorder(self, status: msg.RecorderStatus) -> None:
         self._recorders.update(
             status.publisher_id,
@@ -284,6 +292,17 @@ class LessonNode(NodeBase):
         self._resend.cancel()
         self._unsent.extend(self._lesson.demonstrations())
         self._show()
+
+    def _on_lesson_state(self, state: msg.LessonState) -> None:
+        """Publish the state again, soon, after somebody else has published another."""
+        if state.publisher_id != self.publisher_id:
+            self.refuse('lesson_state', state, 'it is not from this lesson')
+            self._contested = True
+
+    def _say_again(self) -> None:
+        """Publish the state again where it is contested; not too often, for there may be two."""
+        if self._contested:
+            self._contested, self._shown = False, None
 
     def _tick(self) -> None:
         if self._opened is None:

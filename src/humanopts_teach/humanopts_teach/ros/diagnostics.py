@@ -1,0 +1,103 @@
+"""
+The node ``diagnostics``: what nodes and recorder say of themselves, as ROS's own tools read it.
+
+``/diagnostics`` is where those look for it, whatever the namespace.
+"""
+
+from collections.abc import Iterator, Mapping
+import sys
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from humanopts_interfaces.msg import NodeStatus, RecorderStatus
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.process import run_node
+from humanopts_ros.qos import CURRENT, LATCHED_ALL, STREAM
+
+TOPIC = '/diagnostics'
+_PERIOD = 1.0  # s
+_LEVELS = {
+    NodeStatus.STATE_STARTING: (DiagnosticStatus.WARN, 'starting'),
+    NodeStatus.STATE_READY: (DiagnosticStatus.OK, 'ready'),
+    NodeStatus.STATE_PAUSED: (DiagnosticStatus.ERROR, 'paused'),
+    NodeStatus.STATE_STOPPING: (DiagnosticStatus.STALE, 'stopped'),
+}
+_COUNTS = ('path', 'files', 'topics', 'messages', 'bytes', 'missing', 'lag')
+
+
+class DiagnosticsNode(NodeBase):
+    """Publishes the state of all nodes of its namespace once a second."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('diagnostics', **options)
+        self._statuses: dict[str, NodeStatus] = {}  # the newest by node
+        self._recorder: RecorderStatus | None = None
+        self._out = self.create_publisher(DiagnosticArray, TOPIC, STREAM)
+        self.subscribe(NodeStatus, 'node_status', self._read, self._keep, LATCHED_ALL)
+        self.create_subscription(RecorderStatus, 'recorder_status', self._keep_recorder, CURRENT)
+        self.create_timer(_PERIOD, self._publish)
+
+    def _read(self, status: NodeStatus) -> NodeStatus:
+        """Check that a status is of the node that it names."""
+        self.check_sender(status.publisher_id, status.node.rpartition('/')[2])
+        return status
+
+    def _keep(self, status: NodeStatus) -> None:
+        self._statuses[status.node] = status
+
+    def _keep_recorder(self, status: RecorderStatus) -> None:
+        self._recorder = status
+
+    def _publish(self) -> None:
+        names = self.get_node_names_and_namespaces()
+        there = {f'{space.rstrip("/")}/{name}' for name, space in names}
+        found = list(of_nodes(self._statuses, there))
+        if self._recorder is not None:
+            space = self.get_namespace().rstrip('/')
+            found.append(of_recording(f'{space}/recorder: bag', self._recorder))
+        message = DiagnosticArray(status=found)
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._out.publish(message)
+
+
+def of_nodes(statuses: Mapping[str, NodeStatus], there: set[str]) -> Iterator[DiagnosticStatus]:
+    """
+    Yield what nodes say of themselves.
+
+    :param there: full names of the nodes on the graph; what is gone is stale.
+    """
+    for name, status in sorted(statuses.items()):
+        level, word = _LEVELS.get(status.state, (DiagnosticStatus.ERROR, 'unknown'))
+        if name not in there and status.state != NodeStatus.STATE_STOPPING:
+            level, word = DiagnosticStatus.STALE, 'gone'
+        yield DiagnosticStatus(
+            level=level,
+            name=name,
+            message=f'{word}: {status.text}' if status.text else word,
+            hardware_id=status.publisher_id,
+        )
+
+
+def of_recording(name: str, status: RecorderStatus) -> DiagnosticStatus:
+    """Return how the recording stands."""
+    level, word = DiagnosticStatus.OK, 'recording'
+    if status.behind or status.missing or not status.complete:
+        level, word = DiagnosticStatus.WARN, 'not whole'
+    if status.stopped:
+        level, word = DiagnosticStatus.ERROR, 'stopped'
+    return DiagnosticStatus(
+        level=level,
+        name=name,
+        message=f'{word}: {status.text}' if status.text else word,
+        hardware_id=status.publisher_id,
+        values=[KeyValue(key=key, value=str(getattr(status, key))) for key in _COUNTS],
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(DiagnosticsNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
