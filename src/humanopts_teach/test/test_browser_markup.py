@@ -97,10 +97,20 @@ def test_a_choice_moves_there_and_picks_it(app: App) -> None:
     items = [Item(str(number), '', to_lesson) for number in range(12)]
     app.show(ListScreen('Which?', items, at=10))
     choices = list(buttons(app).values())[:12]
-    assert choices[0] == ['1']
-    assert choices[9:] == [['up', 'enter'], ['enter'], ['down', 'enter']]
+    assert choices[9:] == [['1'], ['2'], ['3']]  # of its page
+    assert choices[8] == ['up', 'up', 'enter']
     app.show(ListScreen('Which?', items, at=0))
-    assert list(buttons(app).values())[10] == ['up', 'up', 'enter']  # around the end
+    choices = list(buttons(app).values())[:12]
+    assert (choices[0], choices[10]) == (['1'], ['up', 'up', 'enter'])  # around the end
+
+
+def test_a_choice_whose_way_is_drawn_has_buttons_to_go_along_it(app: App) -> None:
+    way = ('taxi 2,3 passenger R destination B', 'taxi 1,3 passenger R destination B')
+    app.show(ListScreen('Which?', [Item('plain', '', to_lesson), Item('way', '', to_lesson, way)]))
+    assert not {'up', 'right', 'enter'} & {keys[0] for keys in buttons(app).values()}
+    app.show(ListScreen('Which?', [Item('way', '', to_lesson, way)]))
+    pressed = {keys[0] for keys in buttons(app).values()}
+    assert pressed >= {'up', 'down', 'left', 'right', 'enter'}
 
 
 @pytest.mark.parametrize('key', ['enter', 'escape', 'backspace', ' ', 'up', 'q', '?'])

@@ -9,8 +9,8 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from humanopts_teach.dialogue.entry import Keys, MOST_CHARACTERS
-from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, key_of, UP
+from humanopts_teach.dialogue.entry import Keys, MOST_CHARACTERS, PAGE
+from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, key_of, LEFT, UP
 from humanopts_teach.dialogue.panel import Block, Choices, TypedText, View
 from humanopts_teach.lesson.presentation import TARGET
 from humanopts_teach.report.pages import page_style, templates
@@ -61,9 +61,18 @@ def parts(view: View) -> dict[str, str]:
 def _keys(keys: Keys, blocks: Sequence[Block]) -> tuple[list[_Key], list[_Key], list[_Key]]:
     """Return a pad of arrows, what is used most beside it, and all other buttons."""
     kinds = {type(block) for block in blocks}
-    elsewhere = {ENTER, BACKSPACE} if kinds & {TypedText, Choices} else set()
-    known = [_Key(key_of(label), label, words) for label, words in keys if _can_press(label)]
-    named = {each.key: each for each in known if each.key not in elsewhere}
+    known = [
+        _Key(key_of(each), each, words if each == label else f'{words} {each}')
+        for label, words in keys
+        for each in ([label] if _can_press(label) else label.split())  # as in "← →"
+        if _can_press(each)
+    ]
+    named = {each.key: each for each in known}
+    elsewhere = {ENTER, BACKSPACE} if TypedText in kinds else set()
+    if Choices in kinds and LEFT not in named:  # they are pressed themselves, and have no parts
+        elsewhere = {ENTER, UP, DOWN}
+    for key in elsewhere & named.keys():
+        del named[key]
     pad = [named.pop(key)._replace(label=sign) for key, sign in _PAD.items() if key in named]
     beside = _BESIDE_PAD if pad else 0
     others = list(named.values())
@@ -77,8 +86,8 @@ def _can_press(label: str) -> bool:
 
 def _picking(choices: Choices, number: int) -> list[str]:
     """Return the keys that pick one of the choices, on the shorter way around."""
-    if number < 9:
-        return [str(number + 1)]
+    if number // PAGE == choices.at // PAGE:
+        return [str(number % PAGE + 1)]
     count = len(choices.items)
     down, up = (number - choices.at) % count, (choices.at - number) % count
     return [*([DOWN] * down if down <= up else [UP] * up), ENTER]

@@ -35,7 +35,7 @@ from humanopts_teach.lesson.requests import (
 
 REPLY_SECONDS = 5.0  # for a node to answer
 SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed
-MOST_KEYS = 64  # typed ahead; what comes then is dropped
+MOST_KEYS = 128  # typed ahead; what comes then is dropped
 MOST_FRAMES = 64  # on which a key may have been pressed that comes now
 _PAUSED = 'Not now: the lesson is paused; the top of the screen says why.'
 
