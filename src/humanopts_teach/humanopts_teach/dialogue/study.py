@@ -1,0 +1,202 @@
+"""The dialogue of a study: one part after the other, of which teaching is one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.driving import PlayScreen
+from humanopts_teach.dialogue.entry import Keys, PlainScreen, TextScreen
+from humanopts_teach.dialogue.keys import Command, ENTER, ESCAPE, LEFT, RIGHT
+from humanopts_teach.dialogue.menu import opening
+from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
+from humanopts_teach.study.plan import Kind, Part, Question
+from humanopts_teach.study.record import (
+    ANSWER,
+    BUTTON,
+    FINISHED,
+    PART_BEGAN,
+    PART_ENDED,
+    Record,
+    REFUSED,
+    TIME,
+)
+
+_LAST = 'The time for this part is over: this demonstration is the last.'
+
+
+class StudyApp(App):
+    """The parts that a participant has left in one condition; what is done is noted at once."""
+
+    leaving = ('Finish teaching', 'go on with the study')
+
+    def __init__(
+        self, parts: Sequence[Part], record: Record, participant: str, world: World, *, seed: int
+    ) -> None:
+        """
+        Stand before the first part.
+
+        :param parts: one or more.
+        """
+        super().__init__(PlainScreen(), world, seed=seed)
+        self._parts, self._record, self._code = list(parts), record, participant
+        self._part: Part | None = None
+        self._began = 0.0  # s, of the part
+
+    def advance(self, now: float) -> Request | None:
+        """Carry out what can be carried out now; end a part whose time is over."""
+        if self._part is None and not self.ended:
+            self._begin(now)
+        part = self._part
+        if part is not None and part.minutes and now - self._began >= 60 * part.minutes:
+            if self.world.lesson is not None and self.world.lesson.phase is Phase.DEMONSTRATING:
+                self.say(_LAST)
+            elif self.waits_for is None:
+                self._finish(TIME)
+        return super().advance(now)
+
+    def end(self) -> None:
+        """Go on with the next part; Ctrl-C leaves the study, to be gone on with later."""
+        self._finish(FINISHED)
+
+    def refuse(self) -> None:
+        """End the study: the person does not agree to take part."""
+        self._finish(REFUSED)
+        self.ended = True
+
+    def answer(self, question: Question, value: int) -> None:
+        """Note an answer."""
+        self._note(ANSWER, item=question.name, value=value, points=question.points)
+
+    def suggest(self, rank: int, text: str) -> None:
+        """Note a button that the person suggests."""
+        self._note(BUTTON, domain=self.domain.name, rank=rank, text=text)
+
+    def _begin(self, now: float) -> None:
+        """Begin the next part; after the last, end."""
+        if not self._parts:
+            self.ended = True
+            return
+        self._part, self._began = self._parts.pop(0), now
+        self._note(PART_BEGAN, kind=self._part.kind.value)
+        self.show(_first_screen(self._part, self._code))
+
+    def _finish(self, why: str) -> None:
+        """End the part; the next one begins in the next turn."""
+        if self._part is None:
+            return
+        if self.run is not None:
+            self.ask(CancelRun())
+        if self.world.i_drive:
+            self.ask(SetControl(hold=False))
+        self._note(PART_ENDED, kind=self._part.kind.value, why=why)
+        self._part = None
+        self.show(PlainScreen())
+
+    def _note(self, what: str, **values: object) -> None:
+        assert self._part is not None, 'something was noted between two parts'
+        place = {'part': self._part.key, 'condition': self._part.condition}
+        self._record.note(what, **place, **values)
+
+
+@dataclass
+class PageScreen(PlainScreen):
+    """A page that the person reads."""
+
+    shows_board: ClassVar[bool] = False
+    text: str  # Markdown
+    asks: bool = False  # whether the person agrees
+
+    def press(self, key: str, app: App) -> None:
+        """Go on, or do not."""
+        assert isinstance(app, StudyApp)
+        if key.lower() == 'y' if self.asks else key == ENTER:
+            app.end()
+        elif self.asks and key.lower() == 'n':
+            app.refuse()
+
+    def keys(self, app: App) -> Keys:
+        """Return the keys."""
+        if self.asks:
+            return [('y', 'I agree and take part'), ('n', 'I do not take part')]
+        return [('Enter', 'go on')]
+
+
+@dataclass
+class FreePlayScreen(PlayScreen):
+    """The person gets to know the game; Escape goes on with the study."""
+
+    def __post_init__(self) -> None:
+        """Leave the study only by Ctrl-C."""
+        self.commands = (Command.NEW_START, Command.MENU, Command.HELP)
+        self.words = {Command.MENU: 'go on with the study'}
+
+
+@dataclass
+class QuestionScreen(PlainScreen):
+    """A question that is answered on a scale."""
+
+    shows_board: ClassVar[bool] = False
+    questions: Sequence[Question]
+    place: int = 0  # of the question
+    value: int | None = field(default=None, init=False)  # chosen so far
+
+    @property
+    def question(self) -> Question:
+        """The question that is shown."""
+        return self.questions[self.place]
+
+    def press(self, key: str, app: App) -> None:
+        """Choose, and accept."""
+        assert isinstance(app, StudyApp)
+        points = self.question.points
+        if key in (LEFT, RIGHT):
+            middle = (points + 1) // 2
+            moved = middle if self.value is None else self.value + (1 if key == RIGHT else -1)
+            self.value = min(max(moved, 1), points)
+        elif key.isdigit() and 1 <= int(key) <= min(points, 9):
+            self.value = int(key)
+        elif key == ENTER and self.value is not None:
+            app.answer(self.question, self.value)
+            self.place, self.value = self.place + 1, None
+            if self.place == len(self.questions):
+                self.place -= 1
+                app.end()
+
+    def keys(self, app: App) -> Keys:
+        """Return the keys."""
+        accept = [('Enter', 'accept')] if self.value is not None else []
+        return [('← →', 'choose'), *accept]
+
+
+def _first_screen(part: Part, participant: str) -> PlainScreen:
+    """Return the screen with which a part begins."""
+    if part.kind in (Kind.CONSENT, Kind.PAGE):
+        return PageScreen(part.text, asks=part.kind is Kind.CONSENT)
+    if part.kind is Kind.PLAY:
+        return FreePlayScreen(menu=App.end, title='Get to know the game')
+    if part.kind is Kind.BUTTONS:
+        return _button(1, part.most)
+    if part.kind is Kind.QUESTIONS:
+        return QuestionScreen(part.questions)
+    return opening(participant, ask=False)
+
+
+def _button(rank: int, most: int) -> TextScreen:
+    """Return the screen that asks for a button, as in section 4 of the paper."""
+
+    def submit(text: str, app: App) -> None:
+        assert isinstance(app, StudyApp)
+        app.suggest(rank, text)
+        if rank < most:
+            app.show(_button(rank + 1, most))
+        else:
+            app.end()
+
+    return TextScreen(
+        'Which button would make it easier and faster to win?',
+        f'Say what it would do: go to ..., avoid ... Button {rank} of at most {most}. '
+        'Esc: no more.',
+        submit=submit,
+        back=App.end,
+    )
