@@ -29,6 +29,7 @@ from humanopts_teach.commands.options import (
 from humanopts_teach.commands.options import (
     linger as linger_seconds,
 )
+from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError
 import typer
 from typer.core import TyperCommand
@@ -72,6 +73,7 @@ app = typer.Typer(
     subcommand_metavar='COMMAND ...',
 )
 app.add_typer(bag_app, name='bag')
+app.add_typer(study_app, name='study')
 
 
 class DomainCommand(TyperCommand):

@@ -25,6 +25,7 @@ from humanopts_teach.commands.session import (
     Session,
     session,
     setup_from,
+    wait_until_taught,
 )
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
@@ -46,8 +47,6 @@ from humanopts_teach.launching import LaunchError
 
 EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
 _WATCHED = 0.02  # s between steps of the machine, in a terminal
-_TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
-_NEWS_SECONDS = 10.0  # for what was published to come here
 
 
 def run_demo(
@@ -69,7 +68,7 @@ def run_demo(
         evaluated=True,
         directory=Path('runs') / new_name('demo'),
         step_period=_WATCHED if sys.stdout.isatty() else 0.0,
-        taught=_taught_options(domain),
+        taught=taught_options(domain),
         teacher_error_rate=error_rate,
     )
     exact = is_enumerable(domain)
@@ -128,7 +127,7 @@ def _demo_domain(name: str, launch: LaunchOptions) -> Domain[Any]:
     return domain
 
 
-def _taught_options(domain: Domain[Any]) -> tuple[str, ...]:
+def taught_options(domain: Domain[Any]) -> tuple[str, ...]:
     """Return what the simulated teacher teaches: all that it knows, or what the domain says."""
     try:
         known = tuple(reference_options(domain))
@@ -148,14 +147,7 @@ def _teach_plan_play(
 ) -> Live:
     graph, setup = running.graph, running.setup
     progress.stage('teaching')
-    graph.wait(
-        graph.teacher_finished,
-        _TEACHING_SECONDS + setup.step_period,
-        'the simulated teacher',
-        graph.taught_so_far,
-    )
-    last = setup.taught[-1]
-    graph.wait(lambda: graph.knows_learned(last), _NEWS_SECONDS, f'what was learned of {last!r}')
+    wait_until_taught(running)
     references = reference_options(domain)
     options = []
     for model, status in graph.learned():

@@ -8,7 +8,7 @@ answer what the lesson asks for counts only if that was on the screen when it wa
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from humanopts_env.domains.base import Domain
 from humanopts_teach.dialogue.keys import END_OF_FILE, INTERRUPT, label
@@ -63,6 +63,10 @@ class Screen(Protocol):
     def answers_lesson(self) -> bool:
         """Whether a key answers what the lesson asks for: it is taken only if that was seen."""
 
+    @property
+    def shows_board(self) -> bool:
+        """Whether the game stands beside what it shows."""
+
     def keys(self, app: 'App') -> list[tuple[str, str]]:
         """Return the labels of the keys that do something now, and what they do."""
 
@@ -95,6 +99,8 @@ class _Waiting:
 
 class App:
     """Everything behind the screen."""
+
+    leaving: ClassVar[tuple[str, str]] = ('Quit', 'everything taught is saved')  # in the menu
 
     def __init__(self, first: Screen, world: World | None = None, *, seed: int = 0) -> None:
         self.world = world or World()
@@ -157,7 +163,11 @@ class App:
             self.ask(Drive(action, game.episode, game.step))
 
     def end(self) -> None:
-        """Leave the terminal."""
+        """End what the person does here."""
+        self.at_end()
+
+    def at_end(self) -> None:
+        """Leave the dialogue. To be overridden where something follows."""
         self.ended = True
 
     def type(self, keys: Iterable[str], frame: int | None = None) -> None:
@@ -173,7 +183,7 @@ class App:
             seen = self._seen.get(frame, _FORGOTTEN)
         for key in keys:
             if key in (INTERRUPT, END_OF_FILE):
-                self.end()
+                self.ended = True
             elif key and len(self._keys) < MOST_KEYS:
                 self._keys.append((key, seen))
 

@@ -28,6 +28,7 @@ class PlainScreen:
     """A screen that only listens to keys."""
 
     answers_lesson: ClassVar[bool] = False
+    shows_board: ClassVar[bool] = True
 
     @property
     def state(self) -> str:
@@ -167,6 +168,7 @@ class ConfirmScreen(PlainScreen):
 class HelpScreen(PlainScreen):
     """All keys in words; any key goes back."""
 
+    shows_board: ClassVar[bool] = False
     table: Sequence[tuple[str, str]]
     back: Callable[[App], None]
     title: str = 'Keys'

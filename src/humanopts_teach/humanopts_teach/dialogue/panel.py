@@ -21,6 +21,7 @@ from humanopts_teach.dialogue.entry import (
     PAGE,
     TextScreen,
 )
+from humanopts_teach.dialogue.study import PageScreen, QuestionScreen
 from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson import presentation
 from humanopts_teach.lesson.presentation import CriterionShown, FeatureShown, Line, Tone
@@ -68,7 +69,14 @@ class Criteria:
     rows: Sequence[CriterionShown]
 
 
-Block = Line | TypedText | Choices | KeyTable | Features | Criteria
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page to read."""
+
+    text: str  # Markdown
+
+
+Block = Page | Line | TypedText | Choices | KeyTable | Features | Criteria
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +104,7 @@ def view(app: App) -> View:
     shown, board = Panel((Line('Waiting for the game ...'),)), None
     if app.world.domain is not None:
         shown = panel(app.screen, app)
-        board = None if isinstance(app.screen, HelpScreen) else _board(app)
+        board = _board(app) if app.screen.shows_board else None
     return View(_head(app), app.world.paused, board, shown, _said(app), app.screen.keys(app))
 
 
@@ -174,6 +182,20 @@ def _confirm(screen: ConfirmScreen, app: App) -> Panel:
 @panel.register
 def _help(screen: HelpScreen, app: App) -> Panel:
     return Panel((Line(screen.title, strong=True), KeyTable(screen.table)))
+
+
+@panel.register
+def _page(screen: PageScreen, app: App) -> Panel:
+    return Panel((Page(screen.text),))
+
+
+@panel.register
+def _question(screen: QuestionScreen, app: App) -> Panel:
+    asked, count = screen.question, len(screen.questions)
+    points = ['●' if value == screen.value else '○' for value in range(1, asked.points + 1)]
+    scale = Line(f'{asked.low}  {" ".join(points)}  {asked.high}')
+    place = Line(f'question {screen.place + 1} of {count}', Tone.QUIET)
+    return Panel((Line(asked.text, strong=True), GAP, scale, GAP, place))
 
 
 @panel.register

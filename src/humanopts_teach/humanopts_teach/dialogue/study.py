@@ -7,7 +7,7 @@ from typing import ClassVar
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.driving import PlayScreen
 from humanopts_teach.dialogue.entry import Keys, PlainScreen, TextScreen
-from humanopts_teach.dialogue.keys import Command, ENTER, ESCAPE, LEFT, RIGHT
+from humanopts_teach.dialogue.keys import Command, ENTER, LEFT, RIGHT
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
 from humanopts_teach.study.plan import Kind, Part, Question
@@ -42,6 +42,7 @@ class StudyApp(App):
         self._parts, self._record, self._code = list(parts), record, participant
         self._part: Part | None = None
         self._began = 0.0  # s, of the part
+        self._told = False  # that its time is over
 
     def advance(self, now: float) -> Request | None:
         """Carry out what can be carried out now; end a part whose time is over."""
@@ -50,18 +51,18 @@ class StudyApp(App):
         part = self._part
         if part is not None and part.minutes and now - self._began >= 60 * part.minutes:
             if self.world.lesson is not None and self.world.lesson.phase is Phase.DEMONSTRATING:
-                self.say(_LAST)
+                self._tell_last()
             elif self.waits_for is None:
-                self._finish(TIME)
+                self._end_part(TIME)
         return super().advance(now)
 
-    def end(self) -> None:
+    def at_end(self) -> None:
         """Go on with the next part; Ctrl-C leaves the study, to be gone on with later."""
-        self._finish(FINISHED)
+        self._end_part(FINISHED)
 
     def refuse(self) -> None:
         """End the study: the person does not agree to take part."""
-        self._finish(REFUSED)
+        self._end_part(REFUSED)
         self.ended = True
 
     def answer(self, question: Question, value: int) -> None:
@@ -77,11 +78,17 @@ class StudyApp(App):
         if not self._parts:
             self.ended = True
             return
-        self._part, self._began = self._parts.pop(0), now
+        self._part, self._began, self._told = self._parts.pop(0), now, False
         self._note(PART_BEGAN, kind=self._part.kind.value)
         self.show(_first_screen(self._part, self._code))
 
-    def _finish(self, why: str) -> None:
+    def _tell_last(self) -> None:
+        """Say once that the time is over."""
+        if not self._told:
+            self.say(_LAST)
+        self._told = True
+
+    def _end_part(self, why: str) -> None:
         """End the part; the next one begins in the next turn."""
         if self._part is None:
             return
@@ -91,6 +98,7 @@ class StudyApp(App):
             self.ask(SetControl(hold=False))
         self._note(PART_ENDED, kind=self._part.kind.value, why=why)
         self._part = None
+        self._keys.clear()  # typed for what was shown
         self.show(PlainScreen())
 
     def _note(self, what: str, **values: object) -> None:

@@ -2,7 +2,7 @@
 Table 1 of the paper: the options that people name, tallied from bags.
 
 Section 4: people were asked for buttons that make winning easier and faster, and what they named
-was counted. In a lesson, people name the options that they teach.
+was counted. In a study, people are asked so too. In a lesson, they name the options that they teach.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,8 +18,10 @@ from humanopts_teach.bags.info import aligned
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.rosbag2 import load
 from humanopts_teach.evaluation.measures import finite
+from humanopts_teach.study.record import BUTTON, event_of
 import numpy as np
 
+STUDY_EVENT = 'humanopts_interfaces/msg/StudyEvent'
 TABLE_1 = {  # share of the participants of a domain who gave a button, section 4
     'taxi': {
         'go to passenger and pickup': 0.6,
@@ -76,7 +78,7 @@ def read_merge(text: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class NamedOption:
-    """An option that somebody named in a lesson."""
+    """An option that somebody named in a lesson, or a button that was suggested in a study."""
 
     domain: str
     participant: str
@@ -98,6 +100,9 @@ def named_options(bag: Bag) -> list[NamedOption]:
     for lesson in bag.converted(LESSON_STATE, lambda m: (m.participant, m.option_name)):
         if lesson[0]:
             found.setdefault(lesson, False)
+    for participant, line in bag.converted(STUDY_EVENT, lambda m: (m.participant, m.event)):
+        if (event := event_of(line))['event'] == BUTTON:
+            found.setdefault((participant, event['text']), False)
     for demo in bag.converted(DEMONSTRATION, demonstration_from_message):
         taught = demo.kind is Kind.TRAJECTORY and not demo.withdrawn
         key = (demo.participant, demo.option_name)

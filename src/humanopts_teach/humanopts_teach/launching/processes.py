@@ -49,6 +49,16 @@ class Recording:
 
 
 @dataclass(frozen=True)
+class StudyTurn:
+    """What a participant of a study does in one launch."""
+
+    study: str  # its name
+    condition: str
+    parts: str  # JSON
+    record: Path  # file of the participant's events
+
+
+@dataclass(frozen=True)
 class Setup:
     """What a launch starts."""
 
@@ -71,6 +81,7 @@ class Setup:
     bag_name: str = 'bag'
     step_period: float = 0.0  # s between a machine's steps
     diagnostics: bool = False  # a node publishes /diagnostics
+    study: StudyTurn | None = None  # at the keyboard
 
     @property
     def bag(self) -> Path:
@@ -167,6 +178,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
                 'participant': setup.participant,
                 'ask_participant': setup.ask_participant,
                 'seed': setup.seed,
+                **_study(setup.study),
             },
         ),
     ]
@@ -175,6 +187,11 @@ def processes(setup: Setup) -> list[ProcessSpec]:
         for wanted, name, module, own in table
         if wanted
     ]
+
+
+def _study(turn: StudyTurn | None) -> dict[str, Value]:
+    """Return the parameters of the terminal that a study adds."""
+    return {'study_parts': turn.parts, 'study_record': str(turn.record)} if turn else {}
 
 
 def recorded_facts(setup: Setup) -> dict[str, str]:
@@ -192,6 +209,8 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
     }
     if setup.taught or setup.keyboard:
         facts['participant'] = setup.participant
+    if setup.study is not None:
+        facts |= {'study': setup.study.study, 'condition': setup.study.condition}
     return facts
 
 

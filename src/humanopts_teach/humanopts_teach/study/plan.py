@@ -130,10 +130,29 @@ class StudyPlan:
             places = generator(self.seed, 'order', number).permutation(places).tolist()
         return [self.conditions[place] for place in places]
 
+    def turns_of(self, number: int) -> list[tuple[Condition, list[Part]]]:
+        """
+        Return what a participant does in each condition, in order, and around it.
+
+        Buttons for a game are asked for once, in the first condition that asks for them.
+        """
+        turns: list[tuple[Condition, list[Part]]] = []
+        asked: set[str] = set()
+        for condition in self.order_of(number):
+            parts = [
+                part
+                for part in self.during[condition.name]
+                if part.kind is not Kind.BUTTONS or part.domain not in asked
+            ]
+            asked |= {part.domain for part in parts if part.kind is Kind.BUTTONS}
+            turns.append((condition, parts))
+        turns[0][1][:0] = self.before
+        turns[-1][1].extend(self.after)
+        return turns
+
     def parts_of(self, number: int) -> list[Part]:
         """Return everything that a participant does, in order."""
-        during = [part for each in self.order_of(number) for part in self.during[each.name]]
-        return [*self.before, *during, *self.after]
+        return [part for _, parts in self.turns_of(number) for part in parts]
 
 
 def balanced_latin_square(count: int) -> list[list[int]]:
@@ -194,7 +213,9 @@ def _check_balance(plan: StudyPlan) -> None:
         return
     orders, count = len(balanced_latin_square(len(plan.conditions))), plan.participants
     if count % orders:
-        fitting = [each for each in (count // orders * orders, -(-count // orders) * orders) if each]
+        fitting = [
+            each for each in (count // orders * orders, -(-count // orders) * orders) if each
+        ]
         raise PlanFileError(
             f'{count} participants cannot be balanced over the {orders} orders of '
             f'{len(plan.conditions)} conditions: plan for {" or ".join(map(str, fitting))}, or '
@@ -228,8 +249,8 @@ def _condition(given: Any, common: Mapping[str, Any]) -> Condition:
 
 def _parts(condition: Condition, folder: Path) -> tuple[Part, ...]:
     """Return what a participant does in a condition, in the order of the paper's experiments."""
-    name, found = condition.name, []
-    found += _page(folder, condition.page or None, Kind.PAGE, f'{name}/page')
+    name = condition.name
+    found = list(_page(folder, condition.page or None, Kind.PAGE, f'{name}/page'))
     if condition.free_play:
         found.append(Part(Kind.PLAY, f'{name}/play', minutes=condition.free_play))
     if condition.buttons:
@@ -242,11 +263,14 @@ def _parts(condition: Condition, folder: Path) -> tuple[Part, ...]:
 
 
 def _page(folder: Path, name: Any, kind: Kind, key: str) -> tuple[Part, ...]:
+    """Return the pages of a file, which a line of --- divides."""
     if name is None:
         return ()
     if not isinstance(name, str):
         raise PlanFileError(f'{key} has to name a file in Markdown')
-    return (Part(kind, key, text=_text(folder / name)),)
+    *first, last = re.split(r'^-{3,}\s*$', _text(folder / name), flags=re.MULTILINE)
+    pages = [Part(Kind.PAGE, f'{key}/{n}', text=text) for n, text in enumerate(first, start=1)]
+    return (*pages, Part(kind, key, text=last))
 
 
 def _questions(name: str, folder: Path) -> tuple[Question, ...]:

@@ -1,9 +1,9 @@
 """
 What participants did: one file of events each.
 
-An event is a line of JSON. It is on disk (fsync) before the study goes on, and is published too, so
-that the bag of a condition holds it. Nothing that identifies a person is kept but the code that the
-person was given, and what the person types.
+An event is a line of JSON. It is on disk (fsync) before the study goes on, and is published too,
+so that the bag of a condition holds it. Nothing that identifies a person is kept but the code that
+the person was given, and what the person types.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -78,6 +78,11 @@ class Record:
         return {event['part'] for event in self.of(PART_ENDED)}
 
     @property
+    def refused(self) -> bool:
+        """Whether the participant did not agree to take part."""
+        return any(event['why'] == REFUSED for event in self.of(PART_ENDED))
+
+    @property
     def over(self) -> bool:
         """Whether the participant has ended the study."""
         return bool(self.of(ENDED))
@@ -120,10 +125,11 @@ class StudyFolder:
             found.append(Participant(code, int(number), path))
         return found
 
-    def enter(self, plan: StudyPlan, code: str) -> Participant:
+    def enter(self, plan: StudyPlan, code: str, *, simulated: bool = False) -> Participant:
         """
         Return a participant: a new one, or one who has not finished and goes on.
 
+        :param simulated: nobody is there: a simulated teacher takes part.
         :raises StudyError: the code cannot be used, it is somebody's who has finished, the plan
             is another one, or has no room.
         :raises OSError: the folder cannot be written.
@@ -144,9 +150,8 @@ class StudyFolder:
             number = there[-1].number + 1 if there else 0
             entered = Participant(code, number, self.path / f'{number:03d}-{code}.jsonl')
             order = [condition.name for condition in plan.order_of(number)]
-            Record(entered.path).note(
-                BEGAN, study=plan.name, participant=code, number=number, order=order
-            )
+            who = {'participant': code, 'number': number, 'simulated': simulated}
+            Record(entered.path).note(BEGAN, study=plan.name, order=order, **who)
             return entered
 
     def directory(self, participant: Participant, condition: str) -> Path:

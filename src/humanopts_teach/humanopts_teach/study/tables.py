@@ -44,6 +44,7 @@ CODEBOOK = {  # file: column: what it holds
     'participants.csv': {
         'participant': 'code that the person was given',
         'number': 'place in the order of arrival, from 0',
+        'simulated': 'whether it is a simulated teacher in place of a person',
         'order': 'conditions in the order in which this person meets them',
         'agreed': 'whether the person agreed to take part; empty: was not asked',
         'ended': 'whether the person came to the end of the study',
@@ -145,6 +146,7 @@ def _add_participant(
         {
             'participant': code,
             'number': events[0].get('number', ''),
+            'simulated': 'yes' if events[0].get('simulated') else 'no',
             'order': ' '.join(order),
             'agreed': agreed,
             'ended': 'yes' if events[-1]['event'] == ENDED else 'no',

@@ -16,6 +16,8 @@ from humanopts_teach.dialogue.keys import (
     ENTER,
     ESCAPE,
     INTERRUPT,
+    LEFT,
+    RIGHT,
     UP,
 )
 from humanopts_teach.terminal.drawing import Colours
@@ -30,8 +32,8 @@ _LEAVE = '\x1b[0m\x1b[?25h\x1b[?1049l'
 _NAMED: Mapping[str, str] = {
     Keys.Up: UP,
     Keys.Down: DOWN,
-    Keys.Left: 'left',
-    Keys.Right: 'right',
+    Keys.Left: LEFT,
+    Keys.Right: RIGHT,
     Keys.ControlM: ENTER,
     Keys.ControlJ: ENTER,
     Keys.Escape: ESCAPE,

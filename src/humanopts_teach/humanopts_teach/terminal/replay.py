@@ -7,7 +7,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import effect_between
 from humanopts_teach.bags.contents import actor_of, Actors, Episode, source_of
-from humanopts_teach.dialogue.keys import END_OF_FILE, ESCAPE, INTERRUPT, SPACE
+from humanopts_teach.dialogue.keys import END_OF_FILE, ESCAPE, INTERRUPT, LEFT, RIGHT, SPACE
 from humanopts_teach.state_drawing import draw_state
 from humanopts_teach.terminal.drawing import Colours, fit, key_bar, lines_of, state_text
 from rich.cells import set_cell_size
@@ -77,9 +77,9 @@ class Replay:
             if self._step == self._last and not self.running:
                 self._step = 0
             self.running = not self.running
-        elif key in ('left', 'right'):
+        elif key in (LEFT, RIGHT):
             self.running = False
-            self._go(self._step + (1 if key == 'right' else -1))
+            self._go(self._step + (1 if key == RIGHT else -1))
         elif key in ('+', '=', '-'):
             faster = self.speed * (0.5 if key == '-' else 2)
             self.speed = min(max(faster, SLOWEST), FASTEST)

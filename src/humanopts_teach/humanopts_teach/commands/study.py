@@ -1,0 +1,269 @@
+"""``humanopts study``: participants one after the other, how far the study is, and its tables."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+import json
+from pathlib import Path
+import sys
+from typing import Annotated, Any, TYPE_CHECKING
+
+from humanopts_teach.commands import CommandError
+from humanopts_teach.commands.options import LaunchOptions, PLAIN, whole
+import typer
+from typer.core import TyperGroup
+
+if TYPE_CHECKING:
+    from humanopts_teach.commands.session import Session
+    from humanopts_teach.launching.processes import Setup
+    from humanopts_teach.study.plan import Condition, Part, StudyPlan
+    from humanopts_teach.study.record import Participant, Record, StudyFolder
+
+_WATCHED = 0.15  # s between steps of the machine, while a person looks on
+_ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
+_NEWS_SECONDS = 10.0  # for the recorder to find a topic
+
+
+class _StudyCommands(TyperGroup):
+    """Commands; a first word that is none is a plan, which is run."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the first word names, or the one that runs a plan."""
+        named = args[0] in self.commands or args[0].startswith('-')
+        return super().resolve_command(ctx, args if named else ['run', *args])
+
+
+app = typer.Typer(**PLAIN, cls=_StudyCommands, subcommand_metavar='[COMMAND] PLAN.yaml ...')
+PlanArgument = Annotated[Path, typer.Argument(metavar='PLAN.yaml')]
+StudyOption = Annotated[
+    Path | None,
+    typer.Option('--study', metavar='DIR', help='folder of the study; default: runs/STUDY'),
+]
+
+
+@app.callback()
+def study() -> None:
+    """Carry out a study with people: humanopts study PLAN.yaml --participant CODE."""
+
+
+@app.command()
+def run(
+    plan: PlanArgument,
+    participant: Annotated[
+        str, typer.Option(metavar='CODE', help='of the person; default: ask')
+    ] = '',
+    simulate: Annotated[
+        int,
+        typer.Option(
+            parser=whole(0),
+            metavar='N',
+            help='let N simulated participants take part, to try a plan without people',
+        ),
+    ] = 0,
+    folder: StudyOption = None,
+    namespace: Annotated[str, typer.Option(metavar='NAME', help='of the nodes')] = '/',
+) -> int:
+    """Take one participant through the study in this terminal, or go on where one has left."""
+    study = _Study.open(plan, folder, namespace)
+    if simulate:
+        for number in range(1, simulate + 1):
+            study.simulate(f'simulated-{number}')
+        return 0
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise CommandError('a study needs a terminal for input and output, or --simulate N')
+    return study.run(participant or input('code of the participant: ').strip())
+
+
+@app.command()
+def status(
+    plan: PlanArgument,
+    folder: StudyOption = None,
+    as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
+) -> int:
+    """Show how far each participant is."""
+    from humanopts_teach.study.tables import status_table
+
+    study = _Study.open(plan, folder)
+    table = status_table(study.plan, study.folder)
+    if as_json:
+        print(json.dumps(table.to_dict('records'), indent=2))
+    else:
+        planned = f' of {study.plan.participants}' if study.plan.participants else ''
+        print(f'{study.plan.name}: {len(table)}{planned} participants, in {study.folder.path}')
+        print(table.to_string(index=False) if len(table) else 'nobody has taken part yet')
+    return 0
+
+
+@app.command()
+def export(
+    plan: PlanArgument,
+    out: Annotated[Path, typer.Option(metavar='DIR', help='folder for the tables')] = Path(
+        'tables'
+    ),
+    folder: StudyOption = None,
+) -> int:
+    """Write tidy CSV tables of all participants, with a codebook."""
+    from humanopts_teach.study.tables import tables
+
+    study = _Study.open(plan, folder)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name, table in tables(study.folder).items():
+            table.to_csv(out / name, index=False)
+            print(out / name)
+    except OSError as error:
+        raise CommandError(f'cannot write in {out}: {error.strerror}') from error
+    return 0
+
+
+@dataclass(frozen=True)
+class _Study:
+    """A plan and the folder of those who take part."""
+
+    plan: 'StudyPlan'
+    folder: 'StudyFolder'
+    namespace: str
+
+    @classmethod
+    def open(cls, path: Path, folder: Path | None, namespace: str = '/') -> '_Study':
+        """
+        Read a plan.
+
+        :raises CommandError: it cannot be used.
+        """
+        from humanopts_teach.study.plan import PlanFileError, read_plan
+        from humanopts_teach.study.record import StudyFolder
+
+        try:
+            plan = read_plan(path)
+        except PlanFileError as error:
+            raise CommandError(f'{path}: {error}') from error
+        return cls(plan, StudyFolder(folder or Path('runs') / plan.name), namespace)
+
+    def run(self, code: str) -> int:
+        """Take a person through all conditions that are left."""
+        from humanopts_teach.commands.session import session
+        from humanopts_teach.study.record import ENDED, LEARNED, REFUSED
+
+        participant, record = self._enter(code)
+        for condition, parts in self.plan.turns_of(participant.number):
+            if not (left := [part for part in parts if part.key not in record.done]):
+                continue
+            setup = self._setup(participant, condition, left)
+            print('starting ...', flush=True)
+            with session(setup, self.namespace) as running:
+                end = running.launcher.run_terminal(running.interrupts.check)
+                running.graph.catch_up()
+                record = self._record(participant)
+                record.note(LEARNED, condition=condition.name, options=_learned(running))
+                running.check_recording()
+            if record.refused:
+                record.note(ENDED, why=REFUSED)
+                print(f'{code} does not take part; nothing more is asked')
+                return end
+            if end or any(part.key not in record.done for part in parts):
+                print(f'{code} has not finished; the same command goes on')
+                return end
+        record.note(ENDED)
+        print(f'{code} has finished; everything is in {self.folder.path}')
+        return 0
+
+    def simulate(self, code: str) -> None:
+        """Let a simulated teacher take part, whose other answers are drawn by the seed."""
+        from humanopts_teach.commands.session import session, wait_until_taught
+        from humanopts_teach.ros.study_events import published_record
+        from humanopts_teach.study.record import ENDED, LEARNED, TOPIC
+        from humanopts_teach.study.simulated import simulated_part
+
+        participant, record = self._enter(code, simulated=True)
+        for condition, parts in self.plan.turns_of(participant.number):
+            print(f'{code}: {condition.name}', flush=True)
+            with session(self._setup(participant, condition), self.namespace) as running:
+                record = published_record(running.graph, participant.path, code)
+                recorded = partial(running.graph.is_recorded, TOPIC)
+                running.graph.wait(recorded, _NEWS_SECONDS, f'the recorder of {TOPIC}')
+                teach = partial(wait_until_taught, running)
+                for part in parts:
+                    if part.key not in record.done:
+                        simulated_part(part, record, self.plan.seed, participant.number, teach)
+                record.note(LEARNED, condition=condition.name, options=_learned(running))
+        self._record(participant).note(ENDED)
+
+    def _enter(self, code: str, *, simulated: bool = False) -> 'tuple[Participant, Record]':
+        from humanopts_teach.study.record import StudyError
+
+        try:
+            participant = self.folder.enter(self.plan, code, simulated=simulated)
+            return participant, self._record(participant)
+        except StudyError as error:
+            raise CommandError(str(error)) from error
+        except OSError as error:
+            raise CommandError(f'cannot write in {self.folder.path}: {error}') from error
+
+    def _record(self, participant: 'Participant') -> 'Record':
+        from humanopts_teach.study.record import Record
+
+        return Record(participant.path)
+
+    def _setup(
+        self,
+        participant: 'Participant',
+        condition: 'Condition',
+        left: 'Sequence[Part] | None' = None,
+    ) -> 'Setup':
+        """
+        Return the launch of a condition.
+
+        :param left: parts that a person has to do; None: a simulated teacher takes part.
+        """
+        from humanopts_env.domains.registry import make_domain
+        from humanopts_teach.commands.demo import taught_options
+        from humanopts_teach.commands.session import check_folder, new_name, setup_from
+        from humanopts_teach.launching.processes import StudyTurn
+
+        launch = LaunchOptions(
+            out=self.folder.directory(participant, condition.name),
+            seed=self.plan.seed + participant.number,
+            strategy=condition.strategy,  # type: ignore[arg-type]  # the plan was checked
+            learn=condition.learn,  # type: ignore[arg-type]
+            budget=condition.budget,
+            parameter=[f'{name}={value}' for name, value in condition.parameters.items()],
+            namespace=self.namespace,
+        )
+        own: dict[str, Any] = {'taught': (), 'keyboard': True, 'step_period': _WATCHED}
+        if left is None:
+            domain = make_domain(condition.domain, dict(condition.parameters))
+            own = {'taught': taught_options(domain), 'teacher_error_rate': _ERROR_RATE}
+        parts = json.dumps([part.to_dict() for part in left or ()])
+        turn = StudyTurn(self.plan.name, condition.name, parts, participant.path.absolute())
+        setup = setup_from(
+            condition.domain,
+            launch,
+            bag_name=new_name('bags/study'),
+            participant=participant.code,
+            ask_participant=False,
+            study=turn,
+            **own,
+        )
+        check_folder(setup)
+        return setup
+
+
+def _learned(running: 'Session') -> list[dict[str, Any]]:
+    """Return what was learned, as in ``options.csv``."""
+    from humanopts_teach.evaluation.measures import finite
+
+    found = []
+    for _, status in running.graph.learned():
+        found.append(
+            {
+                'option': status.option_name,
+                'method': status.method,
+                'demonstrations': status.n_demonstrations,
+                'not_here': status.n_not_here,
+                'criteria_met': status.criteria_met,
+                'return_shown': finite(status.mean_return_demonstrations),
+                'return_learned': finite(status.mean_return_policy),
+            }
+        )
+    return found
