@@ -2,7 +2,7 @@
 Table 1 of the paper: the options that people name, tallied from bags.
 
 Section 4: people were asked for buttons that make winning easier and faster, and what they named
-was counted. In a study, people are asked so too. In a lesson, they name the options that they teach.
+was counted. In a study, people are asked so too; in a lesson, they name what they teach.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
