@@ -15,6 +15,7 @@ from humanopts_teach.dialogue.panel import Block, Choices, TypedText, View
 from humanopts_teach.lesson.presentation import TARGET
 from humanopts_teach.report.pages import page_style, templates
 from humanopts_teach.state_drawing import board_svg, notes_html
+from markdown_it import MarkdownIt
 
 PARTS = ('head', 'board', 'panel', 'said', 'keys')  # of the page, classes of its style sheet
 _PAD = {'up': '▲', 'left': '◀', 'down': '▼', 'right': '▶'}
@@ -38,7 +39,12 @@ def head_html() -> str:
 
 @cache
 def _macros() -> Any:
-    functions: dict[str, Callable[..., object]] = {'picking': _picking, 'can_press': _can_press}
+    page = MarkdownIt('commonmark', {'html': False}).render  # HTML in it is escaped
+    functions: dict[str, Callable[..., object]] = {
+        'picking': _picking,
+        'can_press': _can_press,
+        'page': page,
+    }
     given = {**functions, 'target': TARGET, 'most_characters': MOST_CHARACTERS}
     return templates(_PACKAGE).get_template('page.html', globals=given).module
 

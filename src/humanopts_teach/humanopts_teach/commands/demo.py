@@ -22,6 +22,7 @@ from humanopts_teach.commands.session import (
     check_folder,
     domain_parameters,
     new_name,
+    NEWS_SECONDS,
     Session,
     session,
     setup_from,
@@ -159,7 +160,7 @@ def _teach_plan_play(
     ]
     progress.stage(f'playing {episodes} episodes')
     played = graph.persist(partial(graph.play, HUMAN, episodes, setup.seed))
-    graph.wait(graph.all_recorded, _NEWS_SECONDS, 'what was shown to be in the newest bag')
+    graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
     execution = Execution(played.episodes, played.successes, played.fallbacks, played.mean_return)
     return Live(tuple(options), tuple(map(row_of_result, plans)), execution)
 

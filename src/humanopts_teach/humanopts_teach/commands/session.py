@@ -31,7 +31,7 @@ from humanopts_teach.ros.graph_client import GraphClient
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
 _LAST_DOMAIN_ID = 232
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
-_NEWS_SECONDS = 10.0  # for what was published to come here
+NEWS_SECONDS = 10.0  # for what was published to come here
 
 
 def setup_from(
@@ -195,7 +195,7 @@ def wait_until_taught(running: Session) -> None:
     seconds = _TEACHING_SECONDS + setup.step_period
     graph.wait(graph.teacher_finished, seconds, 'the simulated teacher', graph.taught_so_far)
     last = setup.taught[-1]
-    graph.wait(lambda: graph.knows_learned(last), _NEWS_SECONDS, f'what was learned of {last!r}')
+    graph.wait(lambda: graph.knows_learned(last), NEWS_SECONDS, f'what was learned of {last!r}')
 
 
 def check_folder(setup: Setup, *, new: bool = False) -> None:

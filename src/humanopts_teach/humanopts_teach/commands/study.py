@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 _WATCHED = 0.15  # s between steps of the machine, while a person looks on
 _ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
-_NEWS_SECONDS = 10.0  # for the recorder to find a topic
 
 
 class _StudyCommands(TyperGroup):
@@ -170,7 +169,7 @@ class _Study:
 
     def simulate(self, code: str) -> None:
         """Let a simulated teacher take part, whose other answers are drawn by the seed."""
-        from humanopts_teach.commands.session import session, wait_until_taught
+        from humanopts_teach.commands.session import NEWS_SECONDS, session, wait_until_taught
         from humanopts_teach.ros.study_events import published_record
         from humanopts_teach.study.record import ENDED, LEARNED, TOPIC
         from humanopts_teach.study.simulated import simulated_part
@@ -181,7 +180,7 @@ class _Study:
             with session(self._setup(participant, condition), self.namespace) as running:
                 record = published_record(running.graph, participant.path, code)
                 recorded = partial(running.graph.is_recorded, TOPIC)
-                running.graph.wait(recorded, _NEWS_SECONDS, f'the recorder of {TOPIC}')
+                running.graph.wait(recorded, NEWS_SECONDS, f'the recorder of {TOPIC}')
                 teach = partial(wait_until_taught, running)
                 for part in parts:
                     if part.key not in record.done:

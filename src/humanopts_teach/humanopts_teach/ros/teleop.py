@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 from functools import partial
+import json
 from operator import attrgetter
+from pathlib import Path
 import time
 from typing import Any
 
@@ -55,7 +57,9 @@ class TeleopNode(NodeBase):
         services = {**LESSON_SERVICES, **TERMINAL_SERVICES}
         self._client = LessonClient(self, services, on_news=self._on_news)
         self._world = self._client.world
-        self.app = App(opening(participant, ask=ask), self._world, seed=seed)
+        self.app = self._study(participant, seed) or App(
+            opening(participant, ask=ask), self._world, seed=seed
+        )
         self._runs = Runs(self, self.app)
         self._held: Request | None = None  # its server is not there yet
         self._came: set[str] = set()  # nodes that were there once
@@ -70,6 +74,20 @@ class TeleopNode(NodeBase):
         ):
             self.create_subscription(kind, topic, partial(self._show, shown, read), qos)
         self.create_subscription(ActionCommand, 'action', self._on_action, DISPLAY)
+
+    def _study(self, participant: str, seed: int) -> App | None:
+        """Return the dialogue of a study; None: there is none."""
+        parts = self.setting('study_parts', '', 'of a study, JSON; empty: there is no study')
+        path = self.setting('study_record', '', 'file of the events of the participant')
+        if not parts:
+            return None
+        from humanopts_teach.dialogue.study import StudyApp
+        from humanopts_teach.ros.study_events import published_record
+        from humanopts_teach.study.plan import Part
+
+        record = published_record(self, Path(path), participant)
+        left = [Part.from_dict(part) for part in json.loads(parts)]
+        return StudyApp(left, record, participant, self._world, seed=seed)
 
     def waits_for(self) -> str | None:
         """Wait for the rules of the game."""

@@ -14,6 +14,7 @@ from humanopts_teach.dialogue.panel import (
     Criteria,
     Features,
     KeyTable,
+    Page,
     TypedText,
     View,
     view,
@@ -22,6 +23,7 @@ from humanopts_teach.lesson.presentation import Line, Tone
 from humanopts_teach.state_drawing import StateDrawing
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.markdown import Markdown
 from rich.padding import Padding
 from rich.segment import Segment
 from rich.table import Table
@@ -164,6 +166,11 @@ def _coloured(lines: Sequence[str], styles: Mapping[str, str], *, alone: bool = 
 def drawn(block: Block) -> RenderableType:
     """Draw a part of a panel."""
     raise TypeError(f'{type(block).__name__} cannot be drawn')
+
+
+@drawn.register
+def _page(page: Page) -> RenderableType:
+    return Markdown(page.text)
 
 
 @drawn.register
