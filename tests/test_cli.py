@@ -32,11 +32,13 @@ LAUNCH = (
     *THRESHOLDS,
 )
 HELP = {
-    (): ('demo', 'up', 'teach', 'status', 'bag', 'reproduce', 'bench'),
+    (): ('demo', 'up', 'teach', 'study', 'status', 'bag', 'reproduce', 'bench'),
     ('status',): ('--namespace', '--json'),
     ('demo',): ('--domain', '--episodes', '--games', '--error-rate', *LAUNCH),
     ('up',): ('DOMAIN', '--no-record', '--step-period', *LAUNCH),
     ('teach',): ('DOMAIN', 'pacman, rooms, taxi', '--participant', *LAUNCH),
+    ('study',): ('run', 'status', 'export', 'PLAN.yaml'),
+    ('study', 'run'): ('--participant', '--simulate', '--study', '--namespace'),
     ('bag',): ('info', 'check', 'eval', 'diff', 'play', 'table1', 'export'),
     ('bag', 'info'): ('BAG', '--json'),
     ('bag', 'eval'): ('BAG', '--json', '--html', '--games'),

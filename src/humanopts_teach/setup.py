@@ -9,7 +9,14 @@ setup(
     version='0.1.0',
     packages=find_packages(exclude=['test']),
     package_data={
-        NAME: ['py.typed', '__init__.pyi', 'report/*.html', 'report/*.css', 'browser/page.*']
+        NAME: [
+            'py.typed',
+            '__init__.pyi',
+            'report/*.html',
+            'report/*.css',
+            'browser/page.*',
+            'study/*.yaml',
+        ]
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),

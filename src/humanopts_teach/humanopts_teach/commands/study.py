@@ -8,6 +8,7 @@ from pathlib import Path
 import sys
 from typing import Annotated, Any, TYPE_CHECKING
 
+from humanopts_ros.limits import printable
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions, PLAIN, whole
 import typer
@@ -67,6 +68,7 @@ def run(
     if simulate:
         for number in range(1, simulate + 1):
             study.simulate(f'simulated-{number}')
+        study.export(study.folder.path / 'tables')
         return 0
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise CommandError('a study needs a terminal for input and output, or --simulate N')
@@ -96,22 +98,15 @@ def status(
 @app.command()
 def export(
     plan: PlanArgument,
-    out: Annotated[Path, typer.Option(metavar='DIR', help='folder for the tables')] = Path(
-        'tables'
-    ),
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar='DIR', help='for the tables; default: tables in the folder'),
+    ] = None,
     folder: StudyOption = None,
 ) -> int:
-    """Write tidy CSV tables of all participants, with a codebook."""
-    from humanopts_teach.study.tables import tables
-
+    """Write tidy CSV tables with a codebook, and the buttons as in Table 1 of the paper."""
     study = _Study.open(plan, folder)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for name, table in tables(study.folder).items():
-            table.to_csv(out / name, index=False)
-            print(out / name)
-    except OSError as error:
-        raise CommandError(f'cannot write in {out}: {error.strerror}') from error
+    study.export(out or study.folder.path / 'tables')
     return 0
 
 
@@ -153,9 +148,9 @@ class _Study:
             with session(setup, self.namespace) as running:
                 end = running.launcher.run_terminal(running.interrupts.check)
                 running.graph.catch_up()
-                record = self._record(participant)
-                record.note(LEARNED, condition=condition.name, options=_learned(running))
+                learned = _learned(running)
                 running.check_recording()
+            record = self._record(participant)
             if record.refused:
                 record.note(ENDED, why=REFUSED)
                 print(f'{code} does not take part; nothing more is asked')
@@ -163,6 +158,7 @@ class _Study:
             if end or any(part.key not in record.done for part in parts):
                 print(f'{code} has not finished; the same command goes on')
                 return end
+            record.note(LEARNED, condition=condition.name, options=learned)
         record.note(ENDED)
         print(f'{code} has finished; everything is in {self.folder.path}')
         return 0
@@ -187,6 +183,34 @@ class _Study:
                         simulated_part(part, record, self.plan.seed, participant.number, teach)
                 record.note(LEARNED, condition=condition.name, options=_learned(running))
         self._record(participant).note(ENDED)
+
+    def export(self, out: Path) -> None:
+        """
+        Write the tables, and Table 1 from the bags.
+
+        :raises CommandError: the folder cannot be written.
+        """
+        from humanopts_teach.bags import BagError
+        from humanopts_teach.bags.reader import open_bag
+        from humanopts_teach.evaluation.table1 import named_options, table_text, tally
+        from humanopts_teach.study.tables import tables
+
+        named = []
+        for path in sorted(self.folder.path.glob('*/*/bags/*')):
+            try:
+                named += named_options(open_bag(path))
+            except BagError as error:
+                print(printable(f'humanopts study export: left out: {error}'), file=sys.stderr)
+        table_1 = table_text(tally(named, {}))
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            for name, table in tables(self.folder).items():
+                table.to_csv(out / name, index=False)
+                print(out / name)
+            (out / 'table1.txt').write_text(f'{table_1}\n', encoding='utf-8')
+        except OSError as error:
+            raise CommandError(f'cannot write in {out}: {error.strerror}') from error
+        print(printable(f'{out / "table1.txt"}\n\n{table_1}'))
 
     def _enter(self, code: str, *, simulated: bool = False) -> 'tuple[Participant, Record]':
         from humanopts_teach.study.record import StudyError

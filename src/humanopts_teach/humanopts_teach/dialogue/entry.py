@@ -62,6 +62,7 @@ class TextScreen(PlainScreen):
     submit: Callable[[str, App], None] = lambda text, app: None
     answered: Callable[[Request, Answer, App], None] = lambda request, answer, app: None
     back: Callable[[App], None] | None = None
+    back_words: str = 'back'
     _edited: bool = field(default=False, init=False)
 
     def press(self, key: str, app: App) -> None:
@@ -84,7 +85,7 @@ class TextScreen(PlainScreen):
 
     def keys(self, app: App) -> Keys:
         """Return the keys of a line editor."""
-        back = [(label(ESCAPE), 'back')] if self.back is not None else []
+        back = [(label(ESCAPE), self.back_words)] if self.back is not None else []
         return [('Enter', 'accept'), ('Backspace', 'erase'), *back, ('Ctrl-C', 'quit')]
 
 

@@ -203,8 +203,8 @@ def _button(rank: int, most: int) -> TextScreen:
 
     return TextScreen(
         'Which button would make it easier and faster to win?',
-        f'Say what it would do: go to ..., avoid ... Button {rank} of at most {most}. '
-        'Esc: no more.',
+        f'Say what it would do: go to ..., avoid ... Button {rank} of at most {most}.',
         submit=submit,
         back=App.end,
+        back_words='no more',
     )

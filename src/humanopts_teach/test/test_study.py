@@ -1,0 +1,363 @@
+"""Studies: the plan and its orders, what is kept, the dialogue, and the tables."""
+
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+import itertools
+from pathlib import Path
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.game import Transition
+from humanopts_teach.dialogue.study import StudyApp
+from humanopts_teach.lesson.requests import (
+    Answer,
+    LessonView,
+    OpenSession,
+    Phase,
+    Request,
+    RequestStatus,
+    World,
+)
+from humanopts_teach.study.plan import (
+    balanced_latin_square,
+    Kind,
+    Part,
+    PlanFileError,
+    Question,
+    read_plan,
+    StudyPlan,
+)
+from humanopts_teach.study.record import Record, StudyError, StudyFolder
+from humanopts_teach.study.simulated import simulated_part
+from humanopts_teach.study.tables import CODEBOOK, status_table, tables
+from humanopts_teach.terminal.drawing import frame
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+START = 'taxi 2,3 passenger R destination B'
+PLAN = """
+study: trees-or-goal
+consent: consent.md
+welcome: welcome.md
+all: {domain: taxi, free_play: 2, buttons: 3, teach: 10, questions: nasa-tlx}
+conditions:
+  - {name: trees}
+  - {name: goal, learn: goal}
+"""
+LIKERT = Question('liked', 'Did you like it?', 'not at all', 'very much', points=5)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str], Path]:
+    """Write a plan beside its pages."""
+    (tmp_path / 'consent.md').write_text('# Taking part\nYou can stop.\n')
+    (tmp_path / 'welcome.md').write_text('First.\n\n---\n\nSecond.\n')
+
+    def write(text: str) -> Path:
+        path = tmp_path / 'plan.yaml'
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def plan(write: Callable[[str], Path]) -> StudyPlan:
+    """The plan of two conditions."""
+    return read_plan(write(PLAN))
+
+
+def keys(plan: StudyPlan, number: int) -> list[str]:
+    """Return the keys of a participant's parts, in order."""
+    return [part.key for part in plan.parts_of(number)]
+
+
+def test_a_participant_goes_through_all_parts_in_the_order_of_the_number(plan: StudyPlan) -> None:
+    before = ['consent', 'welcome/1', 'welcome']
+    trees, goal = (
+        [f'{name}/{part}' for part in ('play', 'buttons', 'teach', 'questions')]
+        for name in ('trees', 'goal')
+    )
+    trees_again = [key for key in trees if key != 'trees/buttons']
+    goal_again = [key for key in goal if key != 'goal/buttons']  # one game: they are asked once
+    assert keys(plan, 0) == [*before, *trees, *goal_again]
+    assert keys(plan, 1) == [*before, *goal, *trees_again]
+    assert keys(plan, 2) == keys(plan, 0)
+
+
+@given(st.integers(1, 8))
+def test_each_condition_follows_each_other_equally_often(count: int) -> None:
+    square = balanced_latin_square(count)
+    assert len(square) == (2 * count if count % 2 and count > 1 else count)
+    assert all(sorted(row) == list(range(count)) for row in square)
+    places = Counter((place, each) for row in square for place, each in enumerate(row))
+    assert len(places) == count * count
+    assert len(set(places.values())) == 1
+    follows = Counter((a, b) for row in square for a, b in itertools.pairwise(row))
+    assert len(follows) == count * (count - 1)
+    assert len(set(follows.values())) <= 1
+
+
+def test_a_random_order_is_that_of_the_seed(write: Callable[[str], Path]) -> None:
+    text = PLAN.replace('study:', 'order: random\nstudy:')
+    one, again = read_plan(write(text)), read_plan(write(text))
+    assert [keys(one, n) for n in range(9)] == [keys(again, n) for n in range(9)]
+    assert len({tuple(keys(one, n)) for n in range(9)}) == 2
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'why'),
+    [
+        pytest.param('study:', 'colour: 1\nstudy:', 'unknown keys: colour', id='unknown'),
+        pytest.param('name: trees', 'names: trees', 'the name of a condition is None', id='name'),
+        pytest.param('teach: 10', 'tech: 10', 'unknown keys: tech', id='unknown in condition'),
+        pytest.param('teach: 10', 'teach: 0', 'has to be above 0 minutes', id='no time'),
+        pytest.param('teach: 10', 'teach: ten', 'has to be minutes', id='no number'),
+        pytest.param('buttons: 3', 'buttons: -1', 'a whole number from 0 on', id='negative'),
+        pytest.param('name: goal,', 'name: trees,', 'the same name', id='same name'),
+        pytest.param('learn: goal', 'learn: magic', "'magic' is no way to learn", id='no method'),
+        pytest.param('domain: taxi', 'domain: pacman', 'cannot be listed', id='goal in Pac-Man'),
+        pytest.param('domain: taxi', 'domain: chess', "'chess'", id='no domain'),
+        pytest.param('nasa-tlx', 'mine.yaml', 'cannot read', id='no questions'),
+        pytest.param('consent.md', 'no.md', 'cannot read', id='no page'),
+        pytest.param('study:', 'order: any\nstudy:', 'it is one of fixed', id='no order'),
+        pytest.param('study: ', 'study: a b', 'letters, digits', id='study'),
+        pytest.param('conditions:', 'conditions: []\nx:', 'unknown keys: x', id='list and more'),
+        pytest.param('study:', 'study: [', 'is not YAML', id='yaml'),
+    ],
+)
+def test_a_plan_that_cannot_be_carried_out_is_refused(
+    write: Callable[[str], Path], old: str, new: str, why: str
+) -> None:
+    assert old in PLAN
+    with pytest.raises(PlanFileError, match=why.replace('[', r'\[')):
+        read_plan(write(PLAN.replace(old, new)))
+
+
+def test_orders_that_cannot_be_balanced_are_refused(write: Callable[[str], Path]) -> None:
+    with pytest.raises(PlanFileError, match=r'3 participants cannot .* plan for 2 or 4'):
+        read_plan(write('participants: 3' + PLAN))
+    assert read_plan(write('participants: 4' + PLAN)).participants == 4
+
+
+def test_a_code_is_used_once_and_goes_on_until_its_end(plan: StudyPlan, tmp_path: Path) -> None:
+    folder = StudyFolder(tmp_path / 'study')
+    anna = folder.enter(plan, 'anna')
+    assert (anna.number, folder.enter(plan, 'ben').number) == (0, 1)
+    assert folder.enter(plan, 'anna') == anna
+    Record(anna.path).note('ended')
+    with pytest.raises(StudyError, match="'anna' has ended this study already"):
+        folder.enter(plan, 'anna')
+    with pytest.raises(StudyError, match='not a code'):
+        folder.enter(plan, '../x')
+
+
+def test_another_plan_or_too_many_people_are_refused(
+    write: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder = StudyFolder(tmp_path / 'study')
+    two = read_plan(write('participants: 2' + PLAN))
+    folder.enter(two, 'anna'), folder.enter(two, 'ben')
+    with pytest.raises(StudyError, match=r"all 2 participants .* 'carl' is new"):
+        folder.enter(two, 'carl')
+    other = read_plan(write(PLAN.replace('name: trees', 'name: forest')))
+    with pytest.raises(StudyError, match='another plan, whose conditions were trees, goal'):
+        folder.enter(other, 'anna')
+
+
+class Guest:
+    """Takes part: presses keys, and answers requests as a graph would."""
+
+    def __init__(self, parts: list[Part], record: Path, domain: Domain[Any]) -> None:
+        self.published: list[str] = []
+        self.now, self.record = 0.0, Record(record, self.published.append, lambda: self.now)
+        self.world = World()
+        self.world.domain, self.world.me = domain, 'me'
+        self.world.game = Transition(episode=1, step=0, state=START)
+        self.world.lesson = LessonView(Phase.NO_SESSION, budget=100)
+        self.app = StudyApp(parts, self.record, 'anna', self.world, seed=1)
+        self.look()
+
+    def look(self) -> Request | None:
+        return self.app.advance(self.now)
+
+    def press(self, *typed: str) -> Request | None:
+        """Look, press keys one after the other, and return the last request."""
+        request = None
+        for key in typed:
+            self.app.drawn()
+            self.app.type([key])
+            request = self.look()
+            self.look()
+        return request
+
+    @property
+    def seen(self) -> str:
+        """What the terminal shows."""
+        return '\n'.join(frame(self.app, 100, 30))
+
+    def events(self, what: str) -> list[tuple[Any, ...]]:
+        """Return the events of a kind, without the time."""
+        left = ('time', 'event', 'condition')
+        return [
+            tuple(value for key, value in sorted(event.items()) if key not in left)
+            for event in self.record.of(what)
+        ]
+
+
+CONSENT = Part(Kind.CONSENT, 'consent', text='# Taking part\nYou can *stop*.')
+PAGE = Part(Kind.PAGE, 'page', text='Read this.')
+PLAY = Part(Kind.PLAY, 'a/play', 'a', 'taxi', minutes=2.0)
+BUTTONS = Part(Kind.BUTTONS, 'a/buttons', 'a', 'taxi', most=2)
+TEACH = Part(Kind.TEACH, 'a/teach', 'a', 'taxi', minutes=10.0)
+QUESTIONS = Part(Kind.QUESTIONS, 'a/questions', 'a', 'taxi', questions=(LIKERT, LIKERT))
+
+
+def test_who_agrees_goes_on_and_who_does_not_is_asked_nothing_more(
+    tmp_path: Path, taxi: Domain[Any]
+) -> None:
+    agreeing = Guest([CONSENT, PAGE], tmp_path / 'a.jsonl', taxi)
+    assert 'You can stop.' in agreeing.seen
+    assert 'landmarks' not in agreeing.seen
+    agreeing.press('enter')
+    assert agreeing.events('part ended') == []
+    agreeing.press('y')
+    assert 'Read this.' in agreeing.seen
+    assert not agreeing.app.ended
+    agreeing.press('enter')
+    assert agreeing.app.ended
+    assert agreeing.events('part ended') == [
+        ('consent', 'consent', 'finished'),
+        ('page', 'page', 'finished'),
+    ]
+    refusing = Guest([CONSENT, PAGE], tmp_path / 'b.jsonl', taxi)
+    refusing.press('n')
+    assert refusing.app.ended
+    assert refusing.record.refused
+    assert refusing.events('part began') == [('consent', 'consent')]
+
+
+def test_free_play_ends_by_the_person_or_by_its_time(tmp_path: Path, taxi: Domain[Any]) -> None:
+    guest = Guest([PLAY, PAGE], tmp_path / 'a.jsonl', taxi)
+    assert 'Get to know the game' in guest.seen
+    guest.press('escape')
+    assert 'Read this.' in guest.seen
+    slow = Guest([PLAY, PAGE], tmp_path / 'b.jsonl', taxi)
+    slow.now = 119.9
+    slow.look()
+    assert 'Get to know the game' in slow.seen
+    slow.now = 120.0
+    slow.look()
+    slow.look()
+    assert 'Read this.' in slow.seen
+    assert slow.events('part ended') == [('play', 'a/play', 'time is over')]
+
+
+def test_buttons_are_kept_as_they_are_typed(tmp_path: Path, taxi: Domain[Any]) -> None:
+    guest = Guest([BUTTONS, PAGE], tmp_path / 'a.jsonl', taxi)
+    guest.press(*'fetch', 'enter')
+    assert 'Button 2 of at most 2' in guest.seen
+    guest.press(*'go', 'enter')
+    assert 'Read this.' in guest.seen
+    fewer = Guest([BUTTONS, PAGE], tmp_path / 'b.jsonl', taxi)
+    fewer.press('escape')
+    assert 'Read this.' in fewer.seen
+    assert guest.events('button') == [
+        ('taxi', 'a/buttons', 1, 'fetch'),
+        ('taxi', 'a/buttons', 2, 'go'),
+    ]
+    assert fewer.events('button') == []
+
+
+def test_questions_are_answered_on_their_scale(tmp_path: Path, taxi: Domain[Any]) -> None:
+    guest = Guest([QUESTIONS], tmp_path / 'a.jsonl', taxi)
+    guest.press('enter')  # nothing is chosen yet
+    guest.press(*['right'] * 9, 'enter')
+    assert 'question 2 of 2' in guest.seen
+    guest.press('left', 'left', '9', 'enter')  # 9 is not on a scale of 5
+    assert guest.app.ended
+    assert guest.events('answer') == [
+        ('liked', 'a/questions', 5, 5),
+        ('liked', 'a/questions', 5, 2),
+    ]
+
+
+def test_teaching_ends_from_the_menu_and_never_in_a_demonstration(
+    tmp_path: Path, taxi: Domain[Any]
+) -> None:
+    guest = Guest([TEACH, PAGE], tmp_path / 'a.jsonl', taxi)
+    opened = guest.app.waits_for
+    assert opened == OpenSession('anna')
+    guest.world.lesson = LessonView(Phase.NO_OPTION, 'anna', 's', budget=100)
+    guest.app.replied(opened, Answer(RequestStatus.OK, ''), guest.now)
+    assert 'Finish teaching  go on with the study' in guest.seen
+    guest.world.lesson = LessonView(Phase.DEMONSTRATING, participant='anna', budget=100)
+    guest.now = 601.0
+    guest.look()
+    assert 'this demonstration is the last' in guest.seen
+    guest.world.lesson = LessonView(Phase.LEARNING, participant='anna', budget=100)
+    guest.look()
+    guest.look()
+    assert 'Read this.' in guest.seen
+    assert guest.events('part ended') == [('teach', 'a/teach', 'time is over')]
+
+
+def test_ctrl_c_leaves_a_part_that_is_begun_again(tmp_path: Path, taxi: Domain[Any]) -> None:
+    path = tmp_path / 'a.jsonl'
+    guest = Guest([CONSENT, PAGE], path, taxi)
+    guest.press('y', 'ctrl-c')
+    assert guest.app.ended
+    again = Guest(
+        [part for part in (CONSENT, PAGE) if part.key not in Record(path).done], path, taxi
+    )
+    assert 'Read this.' in again.seen
+
+
+def test_every_event_is_published_as_it_is_kept(tmp_path: Path, taxi: Domain[Any]) -> None:
+    path = tmp_path / 'a.jsonl'
+    guest = Guest([CONSENT], path, taxi)
+    guest.press('y')
+    assert guest.published == path.read_text().splitlines()
+
+
+def test_a_simulated_study_makes_tables_that_the_codebook_explains(
+    plan: StudyPlan, tmp_path: Path
+) -> None:
+    folder, taught = StudyFolder(tmp_path / 'study'), []
+    for code in ('s1', 's2'):
+        who = folder.enter(plan, code, simulated=True)
+        record = Record(who.path)
+        for part in plan.parts_of(who.number):
+            simulated_part(part, record, plan.seed, who.number, partial(taught.append, code))
+        record.note('ended')
+    folder.enter(plan, 'late')
+    found = tables(folder)
+    for name, columns in CODEBOOK.items():
+        assert list(found[name].columns) == list(columns)
+    book = found['codebook.csv']
+    assert len(book) == sum(map(len, CODEBOOK.values()))
+    assert book['meaning'].all()
+    assert taught == ['s1', 's1', 's2', 's2']
+    people = found['participants.csv'].set_index('participant')
+    assert people['order'].to_dict() == {
+        's1': 'trees goal',
+        's2': 'goal trees',
+        'late': 'trees goal',
+    }
+    assert people['ended'].to_dict() == {'s1': 'yes', 's2': 'yes', 'late': 'no'}
+    assert people['simulated'].to_dict() == {'s1': 'yes', 's2': 'yes', 'late': 'no'}
+    answers = found['answers.csv']
+    assert len(answers) == 2 * 2 * 6
+    assert answers['value'].between(1, 21).all()
+    parts = found['parts.csv']
+    places = parts[parts['part'] == 'teach'].set_index(['participant', 'condition'])['place']
+    assert places.to_dict() == {
+        ('s1', 'trees'): 1,
+        ('s1', 'goal'): 2,
+        ('s2', 'goal'): 1,
+        ('s2', 'trees'): 2,
+    }
+    status = status_table(plan, folder).set_index('participant')
+    assert status['next'].to_dict() == {'s1': '-', 's2': '-', 'late': 'consent'}
