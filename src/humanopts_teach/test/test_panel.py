@@ -16,6 +16,7 @@ from humanopts_teach.dialogue.panel import (
     Criteria,
     Features,
     KeyTable,
+    Page,
     Panel,
     TypedText,
     view,
@@ -90,13 +91,15 @@ def test_every_kind_of_block_is_drawn_in_the_terminal_and_on_the_page(app: App) 
     blocks: list[Block] = [
         *(Line('a line'), TypedText('typed'), Choices([Item('an item', '', to_menu)], 0)),
         *(KeyTable([('k', 'a key')]), Features([FeatureShown('a feature', '')], '')),
-        Criteria([row]),
+        *(Criteria([row]), Page('*a page* <b>')),
     ]
     assert {type(block) for block in blocks} == set(get_args(Block))
     for block in blocks:
         assert str(drawn(block))
         shown = replace(view(app), panel=Panel([block]))
         assert parts(shown)['panel'] != parts(replace(shown, panel=Panel()))['panel']
+    page = parts(replace(view(app), panel=Panel([Page('*a page* <b>')])))['panel']
+    assert '<em>a page</em> &lt;b&gt;' in page
 
 
 def test_nodes_that_are_missing_are_said_before_anything_else(app: App) -> None:

@@ -7,7 +7,7 @@ from typing import ClassVar
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.driving import PlayScreen
 from humanopts_teach.dialogue.entry import Keys, PlainScreen, TextScreen
-from humanopts_teach.dialogue.keys import Command, ENTER, LEFT, RIGHT
+from humanopts_teach.dialogue.keys import Command, ENTER, label, LEFT, RIGHT
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
 from humanopts_teach.study.plan import Kind, Part, Question
@@ -174,7 +174,7 @@ class QuestionScreen(PlainScreen):
     def keys(self, app: App) -> Keys:
         """Return the keys."""
         accept = [('Enter', 'accept')] if self.value is not None else []
-        return [('← →', 'choose'), *accept]
+        return [(label(LEFT), 'lower'), (label(RIGHT), 'higher'), *accept]
 
 
 def _first_screen(part: Part, participant: str) -> PlainScreen:
