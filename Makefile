@@ -6,6 +6,7 @@ OUT ?= runs/demo-$(shell date +%Y%m%d-%H%M%S)
 SEED ?= 1
 ROUNDS ?= 10
 LIMIT ?= 7200
+SECONDS ?= 600
 STEP := @tools/step.sh
 PAGE := -name '*.md' -o -name '*.rst'
 INTERFACES := $(shell find src/humanopts_interfaces -type f -not \( $(PAGE) \))
@@ -25,7 +26,7 @@ SHELL := /bin/bash
 
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup checked demo test test-quick test-slow test-browser test-stress lint docs format lock clean
+.PHONY: help setup checked demo test test-quick test-slow test-browser test-stress soak lint docs format lock clean
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
@@ -34,6 +35,7 @@ help:
 	@echo 'make test-browser  run those that teach in Chromium'
 	@echo 'make test-stress  run the tests of the graph ten times while all cores are busy and nodes are'
 	@echo '             found late (ROUNDS=, SEED=, LIMIT= in seconds, ARGS= for files)'
+	@echo 'make soak    a long lesson while nodes are killed and garbage is sent (SECONDS=, SEED=)'
 	@echo 'make lint    ruff, mypy --strict, rosdep keys and pages of the packages'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
 	@echo 'make setup   only the set-up that the others do when it is needed'
@@ -90,6 +92,10 @@ test-browser: checked
 test-stress: checked
 	@$(WITH_ROS) $(VENV)/bin/python tools/stress_tests.py \
 	  --rounds $(ROUNDS) --seed $(SEED) --limit $(LIMIT) $(ARGS)
+
+soak: checked
+	@$(WITH_ROS); PYTHONPATH="$$PYTHONPATH:tests" $(VENV)/bin/python -m graph_support.soak \
+	  --seconds $(SECONDS) --seed $(SEED) $(ARGS)
 
 lint: checked
 	@$(VENV)/bin/ruff check $(CHECKED)

@@ -19,9 +19,12 @@ from humanopts_interfaces.msg import (
     ExecutionState,
     GameState,
     LearnedOptions,
+    LessonState,
+    NodeStatus,
     OptionFile,
     OptionResult,
     OptionValues,
+    RecorderStatus,
 )
 from humanopts_interfaces.srv import ListOptions, RunOption
 from humanopts_learner.ros.convert import demonstration_to_message
@@ -241,3 +244,34 @@ def test_the_log_and_the_status_of_a_flood_of_errors_are_limited(
     lines = [line for line in capfd.readouterr().err.splitlines() if 'an error in on_tick' in line]
     assert 0 < len(lines) < 20
     assert len(live.statuses['/faulty']) < 20
+
+
+def test_a_state_of_the_lesson_that_another_node_publishes_is_replaced(
+    live: Graph, tmp_path: Path
+) -> None:
+    lesson = live.start(LESSON, directory=tmp_path)
+    live.start(GAME)
+    live.ready('/lesson', '/game')
+    states = live.listen(LessonState, 'lesson_state', LATCHED)
+    live.until(lambda: states, 'the state of the lesson')
+    out = live.node.create_publisher(LessonState, 'lesson_state', LATCHED)
+    live.until(lambda: out.get_subscription_count() > 1, 'its readers')
+    for forged in ('/stranger#1', '/lesson#garbage'):
+        out.publish(LessonState(publisher_id=forged, phase=LessonState.PHASE_FINISHED))
+        live.until(lambda f=forged: states[-1].publisher_id == f, 'the forged state')
+        live.until(lambda: states[-1].publisher_id == lesson.publisher_id, 'the state again')
+        assert states[-1].phase == LessonState.PHASE_NO_SESSION
+    assert lesson.guard.refused == 2
+    assert 'on lesson_state from /lesson#garbage' in lesson.guard.remark
+
+
+def test_a_recorder_that_is_none_pauses_no_lesson(live: Graph, tmp_path: Path) -> None:
+    lesson = live.start(LESSON, directory=tmp_path)
+    live.start(GAME)
+    live.ready('/lesson', '/game')
+    out = live.node.create_publisher(RecorderStatus, 'recorder_status', LATCHED)
+    live.until(out.get_subscription_count, 'its reader')
+    out.publish(RecorderStatus(publisher_id='/stranger#1', stopped=True, text='full'))
+    live.until(lambda: lesson.guard.refused, 'the refusal')
+    assert 'it is not from /recorder' in lesson.guard.remark
+    assert live.state('/lesson') == NodeStatus.STATE_READY

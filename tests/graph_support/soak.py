@@ -139,6 +139,8 @@ class Stranger:
             make = ActionClient if action else self.node.create_client
             args = (self.node, loaded, name) if action else (loaded, name)
             self._clients[name] = make(*args)
+            for _ in range(50):  # both ends have to find each other, or the answer is lost
+                self.serve(0.02)
         client = self._clients[name]
         if action:
             return self._goal(client, self._garbage.message(loaded.Goal))

@@ -10,7 +10,7 @@ from humanopts_ros.qos import LATCHED_ALL
 
 class NodeRestarts:
     """
-    Counts how often each node of a namespace was started again, by what it publishes of its life.
+    Counts restarts of the nodes of a namespace, by what they publish of their lives.
 
     :ivar counts: by name without the namespace.
     """
@@ -21,12 +21,14 @@ class NodeRestarts:
         """
         Subscribe to ``node_status``.
 
-        :param on_restart: called with the name of a node that was started again.
+        :param on_restart: called with the name of a node that was started again, and once more
+            when it is ready, for what was asked of it before that may have reached nobody.
         """
         self.counts: Counter[str] = Counter()
         self._prefix = f'{node.get_namespace().rstrip("/")}/'
         self._on_restart = on_restart
         self._lives: dict[str, str] = {}  # publisher_id by name
+        self._starting: set[str] = set()  # nodes that were started again, and are not ready yet
         node.create_subscription(NodeStatus, 'node_status', self._on_status, LATCHED_ALL)
 
     def _on_status(self, status: NodeStatus) -> None:
@@ -36,7 +38,10 @@ class NodeRestarts:
             return
         name = path.removeprefix(self._prefix)
         known = self._lives.setdefault(name, status.publisher_id)
-        if known != status.publisher_id and status.state != status.STATE_STOPPING:
+        again = known != status.publisher_id and status.state != status.STATE_STOPPING
+        ready = status.state == status.STATE_READY
+        if again or (ready and name in self._starting):
             self._lives[name] = status.publisher_id
+            (self._starting.discard if ready else self._starting.add)(name)
             self.counts[name] += 1
             self._on_restart(name)
