@@ -11,6 +11,7 @@ from graph_support.scripted import FETCH, taught, TAXI
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import DomainInfo, PlanResult, PolicyResult
+from humanopts_learner.planning.coverage import find_coverage
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
@@ -94,6 +95,13 @@ def test_some_of_the_options_can_be_planned_with(planning: Planning) -> None:
     assert tuple(result.option_names) == alone.names
     returns = play(alone, episode_starts(TAXI, SEED, 3))
     assert result.fallbacks == returns.fallbacks.sum() > 0
+    missing = find_coverage(alone)
+    assert result.coverage_known
+    assert [TAXI.index(TAXI.decode(state)) for state in result.fallback_states] == list(
+        missing.fallback
+    )
+    assert list(result.single_step_gains) == list(missing.gain)
+    assert not planning.plan('human+primitive').coverage_known
 
 
 def test_an_option_that_cannot_be_read_does_not_hide_the_others(planning: Planning) -> None:

@@ -137,8 +137,9 @@ def test_a_run_without_steps_of_the_person_can_only_be_counted_whole(watcher: Pe
     assert watcher.press('1') == EndDemonstration(Verdict.DONE, 3, 1, count_machine_steps=True)
 
 
-def test_done_while_the_machine_moves_stops_it_first(watcher: Person) -> None:
-    assert watcher.press('enter') == SetControl(hold=True)
+@pytest.mark.parametrize('key', ['enter', 'n'])
+def test_a_verdict_while_the_machine_moves_stops_it_first(watcher: Person, key: str) -> None:
+    assert watcher.press(key) == SetControl(hold=True)
     assert watcher.sees_words('The machine has stopped.')
 
 

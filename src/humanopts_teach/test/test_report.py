@@ -321,6 +321,9 @@ def test_every_demonstration_is_in_the_table_once_with_what_became_of_it(
             *(demo.states[0], len(demo.actions)),
             *(total, demo.seconds),
         )
+    corrected = [replace(demo, machine_steps=len(demo.actions)) for demo in taxi_lesson]
+    verdicts = {row.verdict for row in demonstration_rows(replace(told, demonstrations=corrected))}
+    assert f'kept: the machine took the first {len(taxi_lesson[0].actions)}' in verdicts
     assert [evaluation.demonstrations, demonstration_rows(evaluation)[0].verdict] == [
         taxi_lesson,
         'kept',

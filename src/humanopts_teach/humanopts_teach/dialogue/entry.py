@@ -143,7 +143,8 @@ class ListScreen(PlainScreen):
     def keys(self, app: App) -> Keys:
         """Return the keys of a list."""
         back = [(label(ESCAPE), 'back')] if self.back is not None else []
-        way = [('← →', 'along its way')] if len(self.items[self.at].states) > 1 else []
+        along = [(label(LEFT), 'back'), (label(RIGHT), 'along its way')]
+        way = along if len(self.items[self.at].states) > 1 else []
         first = [('↑ ↓', 'move'), *way, ('Enter', 'choose'), ('1-9', 'choose'), *back]
         return [*first, ('?', 'the game'), ('q', 'quit')]
 

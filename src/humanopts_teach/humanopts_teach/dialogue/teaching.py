@@ -216,6 +216,10 @@ class LessonScreen(PlainScreen):
         def leave(words: str, go: Callable[[App], None]) -> None:
             self._leave(words, go, app)
 
+        if app.run is not None and command in (Command.DONE, Command.NOT_HERE):
+            app.ask(SetControl(hold=True))
+            app.say('The machine has stopped. Look where it stands, and press the key again.')
+            return
         does: dict[Command, Callable[[], None]] = {
             Command.BEGIN: lambda: self._begin(app),
             Command.DONE: lambda: self._done(app),
@@ -249,10 +253,6 @@ class LessonScreen(PlainScreen):
     def _done(self, app: App) -> None:
         """Say done; ask once more where the last step had no effect."""
         effect = app.world.last_effect
-        if app.run is not None:
-            app.ask(SetControl(hold=True))
-            app.say('The machine has stopped. Look where it stands, and press the key again.')
-            return
         if effect is None or effect.changed:
             self._count(app)
             return

@@ -48,6 +48,8 @@ def demonstration_rows(evaluation: BagEvaluation) -> list[DemonstrationRow]:
 
 def _verdict(demo: Demonstration, used: bool) -> str:
     kept = 'kept' if demo.kind is Kind.TRAJECTORY else 'kept: not here'
+    if demo.machine_steps:
+        kept = f'kept: the machine took the first {demo.machine_steps}'
     return 'taken back' if demo.withdrawn else kept if used else 'left out'
 
 
