@@ -26,11 +26,18 @@ class PageClient:
         mine = {'tab_id': str(uuid.uuid4()), 'document_id': str(uuid.uuid4())}
         self.query = {**ast.literal_eval(query), **mine, 'implicit_handshake': 'true'}
         self.opened: list[str] = []
-        self.socket = socketio.Client()
-        self.socket.on('update', self._update)
-        self.socket.on('open', lambda message: self.opened.append(message['path']))
+        self.address = address
+        self.socket = self.connect()
+
+    def connect(self) -> socketio.Client:
+        """Connect, as a page does when it was loaded, and after the network was gone."""
+        connection = socketio.Client()
+        connection.on('update', self._update)
+        connection.on('open', lambda message: self.opened.append(message['path']))
         asked = '&'.join(f'{name}={value}' for name, value in self.query.items())
-        self.socket.connect(f'{address}?{asked}', socketio_path='/_nicegui_ws/socket.io')
+        path = '/_nicegui_ws/socket.io'
+        connection.connect(f'{self.address}?{asked}', socketio_path=path)
+        return connection
 
     def __enter__(self) -> 'PageClient':
         return self

@@ -110,6 +110,18 @@ def test_two_participants_and_one_who_loads_the_page_again(address: str) -> None
         assert 'picked' not in ben.shows('said')
 
 
+def test_a_connection_that_is_noticed_late_to_be_gone_takes_nothing_from_the_new_one(
+    address: str,
+) -> None:
+    with PageClient(address, f'/{TOKEN}/fay') as page:
+        page.until('panel', 'Which?')
+        before, page.socket = page.socket, page.connect()
+        before.disconnect()
+        for name, key in (('one', '1'), ('&lt;img', '2'), ('one', '1')):
+            page.press(key)
+            page.until('said', f'{name}')
+
+
 def test_a_second_page_of_a_participant_asks_first(address: str) -> None:
     with PageClient(address, f'/{TOKEN}/dora') as first:
         first.until('panel', 'Which?')

@@ -5,7 +5,9 @@
     Enter: 'enter', Escape: 'escape', Backspace: 'backspace',
   };
   const frame = () => Number(document.querySelector('.frame')?.textContent ?? 0);
-  const send = (keys) => emitEvent('press', { keys, frame: frame() });
+  const send = (keys) => {
+    if (window.socket?.connected) emitEvent('press', { keys, frame: frame() }); // else nobody sees what comes of it
+  };
   const input = () => document.querySelector('form.typed input');
 
   document.addEventListener('keydown', (event) => {

@@ -92,8 +92,13 @@ def add_pages(seats: Seats, token: str, proposed: str) -> None:
             text = f'{escape(participant)} is not a code: {CODE_RULE}.'
             return HTMLResponse(f'<!doctype html><title>humanopts</title><p>{text}</p>', 404)
         window = PageWindow()
+
+        def leave() -> None:
+            if not client.has_socket_connection:  # an old one may end after a new one came
+                seats.leave(participant, window)
+
         client.on_connect(lambda: seats.enter(participant, window))
-        client.on_disconnect(lambda: seats.leave(participant, window))
+        client.on_disconnect(leave)
         return None
 
 
