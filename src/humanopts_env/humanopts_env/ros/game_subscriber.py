@@ -6,9 +6,14 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import parameters_json
-from humanopts_env.game import check_transition, Transition, transition_from_message
+from humanopts_env.game import (
+    check_transition,
+    LONGEST_PERIOD,
+    Transition,
+    transition_from_message,
+)
 from humanopts_env.ros.convert import domain_from_info
-from humanopts_interfaces.msg import DomainInfo, GameState
+from humanopts_interfaces.msg import ControlState, DomainInfo, GameState
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.polled import PolledValue
@@ -88,6 +93,17 @@ class GameSubscriber:
         transition = transition_from_message(message)
         state = check_transition(transition, self.domain)
         return Observed(message.publisher_id, transition, state)
+
+    def follow_control(self, use: Callable[[ControlState], object]) -> Subscription:
+        """Subscribe to who holds control, and to the pace of the machine."""
+
+        def read(message: ControlState) -> ControlState:
+            self.check_sender(message.publisher_id)
+            if not 0.0 <= message.step_period <= LONGEST_PERIOD:
+                raise ValueError(f'its step_period is {message.step_period}')
+            return message
+
+        return self._node.subscribe(ControlState, 'control', read, use, CURRENT)
 
     def check_sender(self, publisher_id: str) -> None:
         """

@@ -32,7 +32,7 @@ from humanopts_learner.ros.convert import end_to_message
 from humanopts_learner.ros.policy_subscriber import PolicySubscriber
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import CURRENT, STREAM
+from humanopts_ros.qos import STREAM
 from rclpy.task import Future
 
 _STOPS = 'option_server stops'
@@ -112,7 +112,7 @@ class Runner:
         self._current = game.newest()  # what game published before it was heard on the stream
         node.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
         self._pace = ControlState()  # the newest
-        node.create_subscription(ControlState, 'control', self._on_control, CURRENT)
+        game.follow_control(self._on_control)
         node.create_timer(_CHECK_PERIOD, self._check)
 
     @property

@@ -78,7 +78,7 @@ _HINTS = {
     Phase.READY: 'Begin the next demonstration.',
     Phase.DEMONSTRATING: 'Show the option, then say done; or say not here, or discard.',
     Phase.LEARNING: 'The learner works on the demonstration.',
-    Phase.FINISHED: 'Name the next option to teach, or show this one once more.',
+    Phase.FINISHED: 'Name the next option to teach.',
 }
 _GOES_ON = (Phase.DEMONSTRATING, Phase.LEARNING)  # also while the lesson is paused
 

@@ -105,7 +105,7 @@ class LessonClient:
             node.subscribe(
                 msg.LessonState, 'lesson_state', self._read_lesson, self._on_lesson, CURRENT
             ),
-            node.create_subscription(msg.ControlState, 'control', self._on_control, CURRENT),
+            self._game.follow_control(self._on_control),
             node.create_subscription(
                 msg.ActionRefusal, 'action_refused', self._on_refusal, DISPLAY
             ),
