@@ -275,3 +275,17 @@ def test_a_recorder_that_is_none_pauses_no_lesson(live: Graph, tmp_path: Path) -
     live.until(lambda: lesson.guard.refused, 'the refusal')
     assert 'it is not from /recorder' in lesson.guard.remark
     assert live.state('/lesson') == NodeStatus.STATE_READY
+
+
+def test_a_current_state_that_another_node_publishes_is_replaced(live: Graph) -> None:
+    game = live.start(GAME)
+    live.ready('/game')
+    states = live.listen(GameState, 'current_state', LATCHED)
+    live.until(lambda: states, 'the state of the game')
+    genuine = states[-1].state
+    out = live.node.create_publisher(GameState, 'current_state', LATCHED)
+    live.until(out.get_subscription_count, 'its readers')
+    out.publish(state())
+    live.until(lambda: states[-1].publisher_id == GAMES_NAME, 'the forged state')
+    live.until(lambda: states[-1].publisher_id == game.publisher_id, 'the state again')
+    assert (states[-1].state, states[-1].episode, states[-1].step) == (genuine, 1, 0)

@@ -204,6 +204,7 @@ class Soak:
         """Do one thing at random, and wait until the lesson goes on."""
         self.serve(self._rng.uniform(0.0, 1.0))
         kind, node = self._rng.choice(kinds), self._rng.choice(self.names)
+        self._until(lambda: self._runs(node), f'{node} to run')
         before, ends, began = len(self.shown()), len(self._launcher.ends), time.monotonic()
         name = f'{kind} {node}'
         if kind in ('kill', 'term'):
@@ -293,6 +294,11 @@ class Soak:
             f'a message about {node}',
         )
         return f'the node {node} ended' in self._graph.statuses['/conductor'].text
+
+    def _runs(self, node: str) -> bool:
+        """Return whether a node runs; it may have ended just now for another reason."""
+        status = self._graph.statuses.get(f'/{node}')
+        return status is not None and psutil.pid_exists(self._pid(node))
 
     def _pid(self, node: str) -> int:
         return self._launcher.pid(node)

@@ -42,6 +42,7 @@ from humanopts_ros.publisher import PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
 
 _RETRY_PERIOD = 0.5  # s between attempts to publish messages again
+_SAY_AGAIN = 1.0  # s between looks whether somebody else publishes what is current
 _LEASE_PERIOD = 0.25  # s between looks whether the holder of control has renewed it
 
 
@@ -72,6 +73,7 @@ class GameNode(NodeBase):
         self._pacing = Pacing(self._game, period)
         self._pace = self.create_timer(period or 1.0, self._on_pace, autostart=False)
         self._retry = self.create_timer(_RETRY_PERIOD, self._on_retry, autostart=False)
+        self.create_timer(_SAY_AGAIN, self._say_again)
         self._lease, self._pause_lease = Lease(), Lease()
         self._lease_timer = self.create_timer(_LEASE_PERIOD, self._check_lease, autostart=False)
         self.create_subscription(NodeStatus, 'node_status', self._on_status, LATCHED_ALL)
@@ -198,6 +200,13 @@ class GameNode(NodeBase):
     def _send_transition(self, transition: Transition) -> None:
         for publisher in (self._stream, self._current):
             self._send(publisher, transition_to_message(transition))
+
+    def _say_again(self) -> None:
+        """Publish what is current again while somebody else publishes in its place."""
+        if self.ready and self.count_publishers('current_state') > 1:
+            self._send(self._current, transition_to_message(self._game.transition))
+        if self.ready and self.count_publishers('control') > 1:
+            self._send(self._control, control_to_message(self._game.control, self._pacing))
 
     def _send(self, publisher: StampedPublisher[Any], message: Any) -> None:
         """Publish a message, after those that already wait on its topic."""
