@@ -51,14 +51,14 @@ class AppendOnlyLog:
                 self.problems.append(f'line {number} of {self.path} is left out: {error}')
         return entries
 
-    def append(self, line: str) -> None:
+    def append(self, *lines: str) -> None:
         """
-        Add a line.
+        Add lines.
 
-        :raises OSError: it could not be written; nothing of it is kept.
+        :raises OSError: they could not be written; nothing of them is kept.
         """
-        append_bytes(self.path, line.encode() + b'\n')
-        self.lines.append(line)
+        append_bytes(self.path, ''.join(f'{line}\n' for line in lines).encode())
+        self.lines += lines
 
     def _mend(self, size: int, torn: bytes) -> bytes:
         """Complete a last line that lacks only its end; move any other aside."""

@@ -193,7 +193,7 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
         try:
             if participant not in self._logs:
                 self._logs[participant] = AppendOnlyLog(path)
-            self._logs[participant].append('\n'.join(map(entry_to_line, entries)))
+            self._logs[participant].append(*map(entry_to_line, entries))
         except OSError as error:
             raise _explained(error, f'write to {path}') from error
         self._entries.setdefault(participant, []).extend(entries)
