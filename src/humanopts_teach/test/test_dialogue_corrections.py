@@ -227,6 +227,13 @@ def test_at_the_first_step_there_is_nothing_to_undo(shower: Person) -> None:
     assert shower.sees_words('There is no step of yours to undo.')
 
 
+def test_while_the_lesson_is_paused_an_undo_loses_nothing(shower: Person) -> None:
+    drive(shower, 'left')
+    shower.lesson(Phase.DEMONSTRATING, paused='the disk is full')
+    assert shower.press('u') is None
+    assert shower.sees_words('Not now: the lesson is paused')
+
+
 def test_an_undo_after_taking_over_begins_where_the_person_did(watcher: Person) -> None:
     for step in (1, 2):
         watcher.game(step=step, state=AT_G, previous_action='north', action_source=Source.MACHINE)
@@ -299,6 +306,18 @@ def test_what_is_deleted_can_be_watched_from_but_not_deleted_again(shower: Perso
     discard = shower.press('1')
     shower.lesson(Phase.READY)
     assert shower.answer(discard) == BeginDemonstration(shown().states[0], watch=True)
+
+
+def test_escape_leads_from_one_demonstration_to_the_list_and_to_the_lesson(
+    shower: Person,
+) -> None:
+    shower.answer(shower.press('l'), demonstrations=(shown(1), shown(2)))
+    shower.press('2')
+    assert shower.sees_words('Delete it')
+    shower.press('escape')
+    assert shower.sees_words('What was shown, the newest first')
+    shower.press('escape')
+    assert shower.sees_words(f'Teaching: {NAME}')
 
 
 def test_an_empty_list_is_told(shower: Person) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.request import Execution, HUMAN, HUMAN_AND_PRIMITIVE
@@ -229,23 +230,20 @@ class WatchScreen(PlayScreen):
             app.say('The options cover all that the plan comes to.' if known else _NOT_KNOWN)
             return
 
-        def teaching(state: str) -> Callable[[App], None]:
-            def teach(app: App) -> None:
-                app.next_start = state
-                self.teach(app)
-
-            return teach
-
         items = [
             Item(
                 f'A single step is worth {gain:.2g} more' if gain else 'No option can start here',
                 '',
-                teaching(state),
+                partial(self._teach_from, state),
                 (state,),
             )
             for state, gain in app.world.uncovered
         ]
         app.show(ListScreen('Not covered: teach from which place?', items, back=self._back))
+
+    def _teach_from(self, state: str, app: App) -> None:
+        app.next_start = state
+        self.teach(app)
 
     def _unready(self, app: App) -> list[str]:
         """Return the options of the plan whose criteria do not hold."""

@@ -301,6 +301,8 @@ class LessonScreen(PlainScreen):
             app.say('Chance plays a part in this game: a step cannot be undone.', bad=True)
         elif since is None or since.step != lesson.machine_steps or not driven:
             app.say('There is no step of yours to undo.', bad=True)
+        elif lesson.paused:
+            app.say('Not now: the lesson is paused, and could not begin again.', bad=True)
         else:
             self.redo = driven[:-1]
             self._discard(app)
@@ -319,34 +321,28 @@ class LessonScreen(PlainScreen):
         if not shown:
             app.say('Nothing was shown yet.')
             return
+        back = partial(self._show_demonstrations, shown)
         items = [
-            Item(*presentation.demonstration(demo), partial(self._show_one, demo), demo.states)
+            Item(
+                *presentation.demonstration(demo), partial(self._show_one, demo, back), demo.states
+            )
             for demo in reversed(shown)
         ]
         app.show(ListScreen('What was shown, the newest first', items, back=self._back))
 
-    def _show_one(self, demo: Demonstration, app: App) -> None:
-        def delete(app: App) -> None:
-            self.delete = demo.uuid
-            app.show(self)
-
+    def _show_one(self, demo: Demonstration, back: Callable[[App], None], app: App) -> None:
         watch, states = partial(self._watch, demo.states[0]), demo.states
         items = [Item('Watch the option from its start', 'and correct it', watch, states)]
         if not demo.withdrawn:
             note = 'it counts no more, and its start comes again'
-            items.append(Item('Delete it', note, delete, states))
+            items.append(Item('Delete it', note, partial(self._delete, demo.uuid), states))
         title = ' '.join(presentation.demonstration(demo))
-        app.show(ListScreen(title, items, back=lambda app: app.ask(ListDemonstrations())))
+        app.show(ListScreen(title, items, back))
 
     def _show_contradiction(self, answer: Answer, app: App) -> None:
         """Have the person choose between what was kept and what contradicts it."""
-
-        def keep(deleted: str, app: App) -> None:
-            self.delete = deleted
-            app.show(self)
-
         items = [
-            Item(text, note, partial(keep, deleted), (answer.situation,))
+            Item(text, note, partial(self._delete, deleted), (answer.situation,))
             for text, note, deleted in (
                 ('Keep both', '', ''),
                 ('Keep the new one', 'the earlier one is deleted', answer.contradicts),
@@ -354,6 +350,11 @@ class LessonScreen(PlainScreen):
             )
         ]
         app.show(ListScreen(f'Shown differently before. {answer.contradiction}.', items))
+
+    def _delete(self, uuid: str, app: App) -> None:
+        """Go on, and take back a demonstration as soon as it can be; empty: none."""
+        self.delete = uuid
+        app.show(self)
 
     def _leave(self, words: str, go: Callable[[App], None], app: App) -> None:
         """Discard the demonstration under way and go; ask first if steps were taken."""
