@@ -132,3 +132,11 @@ def test_a_criterion_is_a_bar_with_a_mark_at_its_target(app: App) -> None:
 def test_pages_ask_no_other_server() -> None:
     assert 'http' not in head_html().replace('http://www.w3.org', '')
     assert '@import' not in head_html()
+
+
+def test_the_board_keeps_its_place_while_the_learner_works(app: App) -> None:
+    to_lesson(app)
+    assert app.world.lesson is not None
+    for phase, driving in ((Phase.LEARNING, True), (Phase.READY, False), (Phase.ASKING, False)):
+        app.world.lesson = replace(app.world.lesson, phase=phase)
+        assert ('class="driving"' in parts(view(app))['keys']) is driving

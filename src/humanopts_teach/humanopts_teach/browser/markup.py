@@ -60,7 +60,13 @@ def parts(view: View) -> dict[str, str]:
         board = made.board(board_svg(drawing), list(notes_html(drawing)))
     blocks = [*view.panel.beside, *view.panel.below]
     panel = made.panel([(type(block).__name__, block) for block in blocks])
-    found = made.head(view), board, panel, made.said(view), made.keys(*_keys(view.keys, blocks))
+    found = (
+        made.head(view),
+        board,
+        panel,
+        made.said(view),
+        made.keys(*_keys(view.keys, blocks), view.plays),
+    )
     return dict(zip(PARTS, map(str, found)))
 
 

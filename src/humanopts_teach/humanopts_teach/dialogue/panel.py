@@ -97,6 +97,7 @@ class View:
     panel: Panel
     said: Line
     keys: Keys
+    plays: bool = False  # somebody plays on the board, or is about to go on
 
 
 def view(app: App) -> View:
@@ -105,7 +106,14 @@ def view(app: App) -> View:
     if app.world.domain is not None:
         shown = panel(app.screen, app)
         board = _board(app) if app.screen.shows_board else None
-    return View(_head(app), app.world.paused, board, shown, _said(app), app.screen.keys(app))
+    said, keys = _said(app), app.screen.keys(app)
+    return View(_head(app), app.world.paused, board, shown, said, keys, _plays(app))
+
+
+def _plays(app: App) -> bool:
+    lesson, screen = app.world.lesson, app.screen
+    showing = lesson is not None and lesson.phase in {Phase.DEMONSTRATING, Phase.LEARNING}
+    return isinstance(screen, PlayScreen) or (isinstance(screen, LessonScreen) and showing)
 
 
 def _head(app: App) -> list[str]:
