@@ -363,6 +363,12 @@ def test_backspace_goes_back_to_the_question_before(teacher: Person) -> None:
     assert teacher.press('backspace') == AnswerQuestion(4, back=True)
 
 
+def test_there_is_no_question_before_the_first_one(teacher: Person) -> None:
+    teacher.lesson(Phase.ASKING, question_id=1, question_feature='taxi_row')
+    assert 'back a question' not in teacher.sees()
+    assert teacher.press('backspace') is None
+
+
 def test_going_back_into_a_group_goes_to_its_question() -> None:
     pacman = make_domain('pacman')
     person = Person(pacman)

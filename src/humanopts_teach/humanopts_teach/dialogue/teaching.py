@@ -184,9 +184,12 @@ class LessonScreen(PlainScreen):
         """Return the keys of the phase."""
         phase = _phase(app)
         actions = app.domain.actions if phase is Phase.DEMONSTRATING else ()
-        commands = _IN_PHASE.get(phase, _ELSE)
-        if app.world.lesson is None or not app.world.lesson.n_demonstrations:
-            commands = tuple(c for c in commands if c is not Command.WATCH)
+        commands = list(_IN_PHASE.get(phase, _ELSE))
+        lesson = app.world.lesson or LessonView(Phase.NO_SESSION)
+        if not lesson.n_demonstrations and Command.WATCH in commands:
+            commands.remove(Command.WATCH)
+        if phase is Phase.ASKING and lesson.question_feature == app.domain.features[0].name:
+            commands.remove(Command.BACK)
         return key_table(actions, (*PACE, *commands) if app.run is not None else commands)
 
     def questions_key(self, app: App) -> str:
