@@ -17,8 +17,9 @@ from typer.core import TyperGroup
 if TYPE_CHECKING:
     from humanopts_teach.commands.session import Session
     from humanopts_teach.launching.processes import Setup
+    from humanopts_teach.lesson.requests import OptionStatus
     from humanopts_teach.study.plan import Condition, Part, StudyPlan
-    from humanopts_teach.study.record import Participant, Record, StudyFolder
+    from humanopts_teach.study.record import Participant, StudyFolder
 
 _WATCHED = 0.15  # s between steps of the machine, while a person looks on
 _ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
@@ -64,7 +65,7 @@ def run(
     namespace: Annotated[str, typer.Option(metavar='NAME', help='of the nodes')] = '/',
 ) -> int:
     """Take one participant through the study in this terminal, or go on where one has left."""
-    study = _Study.open(plan, folder, namespace)
+    study = Study.open(plan, folder, namespace)
     if simulate:
         for number in range(1, simulate + 1):
             study.simulate(f'simulated-{number}')
@@ -84,7 +85,7 @@ def status(
     """Show how far each participant is."""
     from humanopts_teach.study.tables import status_table
 
-    study = _Study.open(plan, folder)
+    study = Study.open(plan, folder)
     table = status_table(study.plan, study.folder)
     if as_json:
         print(json.dumps(table.to_dict('records'), indent=2))
@@ -105,13 +106,22 @@ def export(
     folder: StudyOption = None,
 ) -> int:
     """Write tidy CSV tables with a codebook, and the buttons as in Table 1 of the paper."""
-    study = _Study.open(plan, folder)
+    study = Study.open(plan, folder)
     study.export(out or study.folder.path / 'tables')
     return 0
 
 
 @dataclass(frozen=True)
-class _Study:
+class Turn:
+    """What a participant does in one condition."""
+
+    condition: 'Condition'
+    left: 'Sequence[Part]'
+    setup: 'Setup'
+
+
+@dataclass(frozen=True)
+class Study:
     """A plan and the folder of those who take part."""
 
     plan: 'StudyPlan'
@@ -119,7 +129,7 @@ class _Study:
     namespace: str
 
     @classmethod
-    def open(cls, path: Path, folder: Path | None, namespace: str = '/') -> '_Study':
+    def open(cls, path: Path, folder: Path | None, namespace: str = '/') -> 'Study':
         """
         Read a plan.
 
@@ -135,54 +145,101 @@ class _Study:
         return cls(plan, StudyFolder(folder or Path('runs') / plan.name), namespace)
 
     def run(self, code: str) -> int:
-        """Take a person through all conditions that are left."""
-        from humanopts_teach.commands.session import session
-        from humanopts_teach.study.record import ENDED, LEARNED, REFUSED
+        """Take a person through all conditions that are left, in this terminal."""
+        from humanopts_teach.commands.session import session, tell
 
-        participant, record = self._enter(code)
-        for condition, parts in self.plan.turns_of(participant.number):
-            if not (left := [part for part in parts if part.key not in record.done]):
-                continue
-            setup = self._setup(participant, condition, left)
+        participant = self.enter(code)
+        while (turn := self.next_turn(participant)) is not None:
             print('starting ...', flush=True)
-            with session(setup, self.namespace) as running:
-                end = running.launcher.run_terminal(running.interrupts.check)
-                running.graph.catch_up()
-                learned = _learned(running)
-                running.check_recording()
-            record = self._record(participant)
-            if record.refused:
-                record.note(ENDED, why=REFUSED)
-                print(f'{code} does not take part; nothing more is asked')
-                return end
-            if end or any(part.key not in record.done for part in parts):
-                print(f'{code} has not finished; the same command goes on')
-                return end
-            record.note(LEARNED, condition=condition.name, options=learned)
-        record.note(ENDED)
-        print(f'{code} has finished; everything is in {self.folder.path}')
+            said: list[str] = []  # while the terminal is not ours
+            try:
+                with session(turn.setup, self.namespace, tell=said.append) as running:
+                    status = running.launcher.run_terminal(running.interrupts.check)
+                    running.graph.catch_up()
+                    running.check_recording()
+            finally:
+                for line in said:
+                    tell(line)
+            if left := self.farewell(participant, turn):
+                print(left)
+                return running.end() or status
+        print(self.finish(participant))
         return 0
 
     def simulate(self, code: str) -> None:
         """Let a simulated teacher take part, whose other answers are drawn by the seed."""
         from humanopts_teach.commands.session import NEWS_SECONDS, session, wait_until_taught
+        from humanopts_teach.ros.convert import option_status_from_message
         from humanopts_teach.ros.study_events import published_record
-        from humanopts_teach.study.record import ENDED, LEARNED, TOPIC
+        from humanopts_teach.study.record import TOPIC
         from humanopts_teach.study.simulated import simulated_part
 
-        participant, record = self._enter(code, simulated=True)
-        for condition, parts in self.plan.turns_of(participant.number):
-            print(f'{code}: {condition.name}', flush=True)
-            with session(self._setup(participant, condition), self.namespace) as running:
+        participant = self.enter(code, simulated=True)
+        while (turn := self.next_turn(participant, simulated=True)) is not None:
+            print(f'{code}: {turn.condition.name}', flush=True)
+            with session(turn.setup, self.namespace) as running:
+
+                def teach(running: 'Session' = running) -> 'list[OptionStatus]':
+                    wait_until_taught(running)
+                    return [
+                        option_status_from_message(each) for _, each in running.graph.learned()
+                    ]
+
                 record = published_record(running.graph, participant.path, code)
                 recorded = partial(running.graph.is_recorded, TOPIC)
                 running.graph.wait(recorded, NEWS_SECONDS, f'the recorder of {TOPIC}')
-                teach = partial(wait_until_taught, running)
-                for part in parts:
-                    if part.key not in record.done:
-                        simulated_part(part, record, self.plan.seed, participant.number, teach)
-                record.note(LEARNED, condition=condition.name, options=_learned(running))
-        self._record(participant).note(ENDED)
+                for part in turn.left:
+                    simulated_part(part, record, self.plan.seed, participant.number, teach)
+        self.finish(participant)
+
+    def enter(self, code: str, *, simulated: bool = False) -> 'Participant':
+        """
+        Return who takes part.
+
+        :raises CommandError: nobody can with this code, or the folder cannot be written.
+        """
+        from humanopts_teach.study.record import StudyError
+
+        try:
+            return self.folder.enter(self.plan, code, simulated=simulated)
+        except StudyError as error:
+            raise CommandError(str(error)) from error
+        except OSError as error:
+            raise CommandError(f'cannot write in {self.folder.path}: {error}') from error
+
+    def next_turn(self, participant: 'Participant', *, simulated: bool = False) -> 'Turn | None':
+        """
+        Return the next condition of which a participant has parts left; None: there is none.
+
+        :raises CommandError: its folder cannot be written.
+        """
+        from humanopts_teach.study.record import left_of, Record
+
+        record = Record(participant.path)
+        for condition, parts in self.plan.turns_of(participant.number):
+            if left := left_of(parts, record):
+                setup = self._setup(participant, condition, None if simulated else left)
+                return Turn(condition, left, setup)
+        return None
+
+    def farewell(self, participant: 'Participant', turn: 'Turn') -> str:
+        """Return why a participant does not go on after a turn; empty: the next one follows."""
+        from humanopts_teach.study.record import ENDED, left_of, Record, REFUSED
+
+        record = Record(participant.path)
+        if record.refused:
+            record.note(ENDED, why=REFUSED)
+            return f'{participant.code} does not take part; nothing more is asked'
+        if left_of(turn.left, record):
+            return f'{participant.code} has not finished; the same code goes on'
+        return ''
+
+    def finish(self, participant: 'Participant') -> str:
+        """Note that a participant has finished, and return it in words."""
+        from humanopts_teach.study.record import ENDED, Record
+
+        Record(participant.path).note(ENDED)
+        return f'{participant.code} has finished; everything is in {self.folder.path}'
 
     def export(self, out: Path) -> None:
         """
@@ -211,22 +268,6 @@ class _Study:
         except OSError as error:
             raise CommandError(f'cannot write in {out}: {error.strerror}') from error
         print(printable(f'{out / "table1.txt"}\n\n{table_1}'))
-
-    def _enter(self, code: str, *, simulated: bool = False) -> 'tuple[Participant, Record]':
-        from humanopts_teach.study.record import StudyError
-
-        try:
-            participant = self.folder.enter(self.plan, code, simulated=simulated)
-            return participant, self._record(participant)
-        except StudyError as error:
-            raise CommandError(str(error)) from error
-        except OSError as error:
-            raise CommandError(f'cannot write in {self.folder.path}: {error}') from error
-
-    def _record(self, participant: 'Participant') -> 'Record':
-        from humanopts_teach.study.record import Record
-
-        return Record(participant.path)
 
     def _setup(
         self,
@@ -270,23 +311,3 @@ class _Study:
         )
         check_folder(setup)
         return setup
-
-
-def _learned(running: 'Session') -> list[dict[str, Any]]:
-    """Return what was learned, as in ``options.csv``."""
-    from humanopts_teach.evaluation.measures import finite
-
-    found = []
-    for _, status in running.graph.learned():
-        found.append(
-            {
-                'option': status.option_name,
-                'method': status.method,
-                'demonstrations': status.n_demonstrations,
-                'not_here': status.n_not_here,
-                'criteria_met': status.criteria_met,
-                'return_shown': finite(status.mean_return_demonstrations),
-                'return_learned': finite(status.mean_return_policy),
-            }
-        )
-    return found

@@ -15,6 +15,8 @@ from humanopts_teach.study.record import (
     ANSWER,
     BUTTON,
     FINISHED,
+    LEARNED,
+    learned_rows,
     PART_BEGAN,
     PART_ENDED,
     Record,
@@ -96,6 +98,9 @@ class StudyApp(App):
             self.ask(CancelRun())
         if self.world.i_drive:
             self.ask(SetControl(hold=False))
+        if self._part.kind is Kind.TEACH:
+            mine = [each for each in self.world.progress if each.participant == self._code]
+            self._note(LEARNED, options=learned_rows(mine))
         self._note(PART_ENDED, kind=self._part.kind.value, why=why)
         self._part = None
         self._keys.clear()  # typed for what was shown

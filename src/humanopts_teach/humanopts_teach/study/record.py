@@ -6,17 +6,19 @@ so that the bag of a condition holds it. Nothing that identifies a person is kep
 the person was given, and what the person types.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 import fcntl
 import json
+import math
 from pathlib import Path
 import time
 from typing import Any
 
 from humanopts_learner.append_only_log import AppendOnlyLog
 from humanopts_ros.limits import parse_json
+from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.lesson.store import CODE, CODE_RULE
 from humanopts_teach.study.plan import Part, StudyPlan
 
@@ -175,6 +177,26 @@ class StudyFolder:
         with (self.path / '.lock').open('w') as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
+
+
+def learned_rows(options: Iterable[OptionStatus]) -> list[dict[str, Any]]:
+    """Return what was learned, as JSON data: a row for each option."""
+    return [
+        {
+            'option': option.option_name,
+            'method': option.method,
+            'demonstrations': option.n_demonstrations,
+            'not_here': option.n_not_here,
+            'criteria_met': option.criteria_met,
+            'return_shown': _finite(option.mean_return_demonstrations),
+            'return_learned': _finite(option.mean_return_policy),
+        }
+        for option in options
+    ]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def left_of(parts: Sequence[Part], record: Record) -> list[Part]:

@@ -1,14 +1,17 @@
 """A simulated participant: what nobody does is drawn by the seed of the study."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from humanopts_env.seeding import generator
 from humanopts_teach.evaluation.table1 import TABLE_1
+from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.study.plan import Kind, Part
 from humanopts_teach.study.record import (
     ANSWER,
     BUTTON,
     FINISHED,
+    LEARNED,
+    learned_rows,
     PART_BEGAN,
     PART_ENDED,
     Record,
@@ -16,7 +19,11 @@ from humanopts_teach.study.record import (
 
 
 def simulated_part(
-    part: Part, record: Record, seed: int, number: int, teach: Callable[[], object]
+    part: Part,
+    record: Record,
+    seed: int,
+    number: int,
+    teach: Callable[[], Iterable[OptionStatus]],
 ) -> None:
     """
     Do one part of a study.
@@ -25,13 +32,13 @@ def simulated_part(
 
     :param seed: of the study.
     :param number: of the participant.
-    :param teach: has a simulated teacher teach, and returns when it has.
+    :param teach: has a simulated teacher teach, and returns what was learned.
     """
     rng = generator(seed, 'simulated participant', number, part.key)
     place = {'part': part.key, 'condition': part.condition}
     record.note(PART_BEGAN, kind=part.kind.value, **place)
     if part.kind is Kind.TEACH:
-        teach()
+        record.note(LEARNED, options=learned_rows(teach()), **place)
     elif part.kind is Kind.BUTTONS:
         shares = TABLE_1.get(part.domain, {})
         named = [name for name, share in shares.items() if rng.random() < share]
