@@ -4,6 +4,8 @@ import csv
 import json
 import os
 from pathlib import Path
+import re
+import signal
 import sys
 from typing import Any
 
@@ -13,6 +15,7 @@ from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.evaluation.table1 import STUDY_EVENT
 import pexpect
 import pytest
+from teach_support.page_client import PageClient
 
 EXAMPLE = Path(__file__).parents[1] / 'examples' / 'study' / 'plan.yaml'
 PLAN = """
@@ -87,6 +90,45 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(tmp_path: Path) ->
     assert [event['text'] for event in noted if event['event'] == 'button'] == ['fetch']
     (bag,) = (tmp_path / 'runs' / 'small' / 'anna' / 'only' / 'bags').iterdir()
     assert [event['text'] for event in events(bag) if event['event'] == 'button'] == ['fetch']
+
+
+def test_several_take_part_at_once_in_browsers(tmp_path: Path) -> None:
+    (tmp_path / 'plan.yaml').write_text(PLAN.replace('[{name: only}]', '[{name: a}, {name: b}]'))
+    (tmp_path / 'consent.md').write_text('# Taking part\n')
+    study = tmp_path / 'study'
+    with free_domain_id() as number:
+        arguments = ['study', tmp_path / 'plan.yaml', '--browser', '--port', 0, '--study', study]
+        command = Command(arguments, tmp_path, number)
+        try:
+            command.until(lambda: 'Open ' in command.output, 'the address')
+            found = re.search(r'Open (\S+)(/\S+) in a browser', command.output)
+            assert found is not None
+            anna, ben = (
+                PageClient(found.group(1), f'{found.group(2)}/{code}') for code in ('anna', 'ben')
+            )
+            with anna, ben:
+                for page in (anna, ben):
+                    page.until('panel', '<h1>Taking part</h1>')
+                ben.press('n')
+                ben.until('panel', 'ben does not take part')
+                anna.press('y')
+                anna.until('panel', 'Which button')
+                anna.press(*'fetch', 'enter')
+                for condition in ('a', 'b'):
+                    anna.until('panel', 'Finish teaching')
+                    done = study / 'anna' / condition
+                    command.until(done.exists, condition)
+                    anna.press('5')
+                    anna.until('panel', 'prepared' if condition == 'a' else 'anna has finished')
+            command.send(signal.SIGINT)
+            assert command.ended(60.0) == 0, command.errors
+        finally:
+            command.close()
+    events = [json.loads(line) for line in (study / '000-anna.jsonl').read_text().splitlines()]
+    ended = [event['part'] for event in events if event['event'] == 'part ended']
+    assert ended == ['consent', 'a/buttons', 'a/teach', 'b/teach']
+    assert events[-1]['event'] == 'ended'
+    assert '"why": "not agreed"' in (study / '001-ben.jsonl').read_text()
 
 
 @pytest.mark.parametrize(

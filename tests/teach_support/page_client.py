@@ -36,7 +36,7 @@ class PageClient:
         connection.on('open', lambda message: self.opened.append(message['path']))
         asked = '&'.join(f'{name}={value}' for name, value in self.query.items())
         path = '/_nicegui_ws/socket.io'
-        connection.connect(f'{self.address}?{asked}', socketio_path=path)
+        connection.connect(f'{self.address}?{asked}', socketio_path=path, wait_timeout=PATIENCE)
         return connection
 
     def __enter__(self) -> 'PageClient':

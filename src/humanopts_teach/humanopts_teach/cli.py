@@ -18,16 +18,20 @@ from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError, interruptible
 from humanopts_teach.commands.bag import app as bag_app
 from humanopts_teach.commands.options import (
+    BrowserOption,
     CommandGroup,
+    HOST,
+    HostOption,
     LaunchOptions,
+    LINGER,
+    LingerOption,
     PLAIN,
+    PORT,
+    PortOption,
     several_games,
     share,
     whole,
     with_launch_options,
-)
-from humanopts_teach.commands.options import (
-    linger as linger_seconds,
 )
 from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError
@@ -185,26 +189,10 @@ def teach(
             help='of the person: letters, digits, - and _, at most 60 of them; default: ask',
         ),
     ] = '',
-    browser: Annotated[
-        bool,
-        typer.Option('--browser', help='serve pages; several people can teach at once'),
-    ] = False,
-    host: Annotated[
-        str,
-        typer.Option(metavar='ADDRESS', help='with --browser: to serve at; 0.0.0.0: all'),
-    ] = '127.0.0.1',
-    port: Annotated[
-        int,
-        typer.Option(min=0, max=65535, metavar='N', help='with --browser; 0: any that is free'),
-    ] = 8080,
-    linger: Annotated[
-        float,
-        typer.Option(
-            parser=linger_seconds,
-            metavar='SECONDS',
-            help='with --browser: how long a game goes on whose page is closed',
-        ),
-    ] = 120.0,
+    browser: BrowserOption = False,
+    host: HostOption = HOST,
+    port: PortOption = PORT,
+    linger: LingerOption = LINGER,
 ) -> int:
     """Launch, and teach from this terminal's keyboard, or from browsers."""
     from humanopts_teach.commands.session import check_folder, new_name, session, setup_from, tell

@@ -1,8 +1,8 @@
-"""The command ``humanopts teach --browser``: a page and a graph for each participant."""
+"""What ``--browser`` serves: a page and a graph for each participant."""
 
 import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 import json
@@ -11,10 +11,10 @@ import secrets
 import select
 import socket
 import sys
-from typing import Any
+from typing import Any, Protocol
 
 from humanopts_teach.browser.pages import serve
-from humanopts_teach.browser.seats import GameError, Press, Seat, Seats
+from humanopts_teach.browser.seats import FAREWELL, GameError, Press, Seat, Seats
 from humanopts_teach.commands import CommandError, noticed_interrupts
 from humanopts_teach.commands.session import check_folder, new_name, session, tell
 from humanopts_teach.dialogue.panel import View
@@ -35,6 +35,27 @@ class Address:
     port: int
 
 
+class Place(Protocol):
+    """Where a game is shown: a seat, or a part of what is done there."""
+
+    @property
+    def number(self) -> int:
+        """Its number; no other has it meanwhile."""
+
+    @property
+    def over(self) -> asyncio.Event:
+        """Set when the game is to end."""
+
+    def show(self, view: View, frame: int) -> None:
+        """Show a frame."""
+
+    def end(self, farewell: str = FAREWELL) -> None:
+        """End the game."""
+
+
+OpenGame = Callable[[TeleopThread, Seat], AbstractAsyncContextManager[Press]]
+
+
 def teach_in_browser(
     setup: Setup, namespace: str, address: Address, participant: str, linger: float
 ) -> int:
@@ -47,14 +68,43 @@ def teach_in_browser(
     :param linger: how long a game goes on whose page is closed, s.
     :raises CommandError: the address cannot be used.
     """
+
+    def own(seat: Seat) -> Setup:
+        return replace(
+            setup,
+            directory=setup.directory / seat.participant,
+            participant=seat.participant,
+            ask_participant=False,
+            bag_name=new_name('bags/teach'),
+        )
+
+    def open_game(thread: TeleopThread, seat: Seat) -> AbstractAsyncContextManager[Press]:
+        return game(own(seat), namespace, thread, seat)
+
+    print(f'Each participant has a folder in {setup.directory}.')
+    return serve_seats(setup.domain, open_game, address, participant, linger)
+
+
+def serve_seats(
+    name: str, open_game: OpenGame, address: Address, participant: str, linger: float
+) -> int:
+    """
+    Serve pages, each with a seat, until Ctrl-C.
+
+    :param name: of the game, or the study.
+    :param open_game: returns the game of a seat.
+    :param participant: code that is proposed; empty: none.
+    :param linger: how long a game goes on whose page is closed, s.
+    :raises CommandError: the address cannot be used.
+    """
     listening, token = _listen(address), secrets.token_urlsafe(_TOKEN_BYTES)
     host, port = _name(address.host), listening.getsockname()[1]
     thread = TeleopThread()
     try:
         with noticed_interrupts() as interrupts:
-            seats = Seats(setup.domain, partial(_game, setup, namespace, thread), linger)
+            seats = Seats(name, partial(open_game, thread), linger)
             print(f'Open http://{host}:{port}/{token} in a browser; Ctrl-C stops everything.')
-            print(f'Each participant has a folder in {setup.directory}.', flush=True)
+            sys.stdout.flush()
             asyncio.run(
                 serve(seats, listening, token, participant, lambda: interrupts.came), debug=False
             )
@@ -90,21 +140,18 @@ def _name(host: str) -> str:
 
 
 @asynccontextmanager
-async def _game(
-    setup: Setup, namespace: str, thread: TeleopThread, seat: Seat
+async def game(
+    setup: Setup, namespace: str, thread: TeleopThread, seat: Place
 ) -> AsyncIterator[Press]:
-    """Keep the graph of a seat, and the node that its participant teaches by."""
+    """
+    Keep the graph of a seat, and the node that its participant teaches by.
+
+    :param setup: of this seat.
+    """
     place = f'{namespace.rstrip("/")}/seat_{seat.number}'
-    own = replace(
-        setup,
-        directory=setup.directory / seat.participant,
-        participant=seat.participant,
-        ask_participant=False,
-        bag_name=new_name('bags/teach'),
-    )
     loop = asyncio.get_running_loop()
-    (spec,) = [spec for spec in processes(own) if spec.terminal]
-    async with _graph(own, place, seat):
+    (spec,) = [spec for spec in processes(setup) if spec.terminal]
+    async with _graph(setup, place, seat):
         found: asyncio.Future[Any] = loop.create_future()
 
         def show(view: View, frame: int) -> None:
@@ -129,7 +176,7 @@ async def _game(
 
 
 @asynccontextmanager
-async def _graph(setup: Setup, namespace: str, seat: Seat) -> AsyncIterator[None]:
+async def _graph(setup: Setup, namespace: str, seat: Place) -> AsyncIterator[None]:
     """Run a graph in processes of its own until the end; the seat ends if it does."""
     try:
         check_folder(setup)

@@ -78,6 +78,27 @@ linger = number('from 1 to 86400', lambda value: 1 <= value <= 86400)
 split_seconds = number('a number of seconds up to 1000000', lambda value: 0 < value <= 10**6)
 
 
+# Of the commands that serve pages.
+HOST, PORT, LINGER = '127.0.0.1', 8080, 120.0
+BrowserOption = Annotated[
+    bool, typer.Option('--browser', help='serve pages; several people can take part at once')
+]
+HostOption = Annotated[
+    str, typer.Option(metavar='ADDRESS', help='with --browser: to serve at; 0.0.0.0: all')
+]
+PortOption = Annotated[
+    int, typer.Option(min=0, max=65535, metavar='N', help='with --browser; 0: any that is free')
+]
+LingerOption = Annotated[
+    float,
+    typer.Option(
+        parser=linger,
+        metavar='SECONDS',
+        help='with --browser: how long a game goes on whose page is closed',
+    ),
+]
+
+
 @dataclass(frozen=True)
 class LaunchOptions:
     """What the command line says about a launch; each field is an option."""

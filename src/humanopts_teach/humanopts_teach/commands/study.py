@@ -10,7 +10,18 @@ from typing import Annotated, Any, TYPE_CHECKING
 
 from humanopts_ros.limits import printable
 from humanopts_teach.commands import CommandError
-from humanopts_teach.commands.options import LaunchOptions, PLAIN, whole
+from humanopts_teach.commands.options import (
+    BrowserOption,
+    HOST,
+    HostOption,
+    LaunchOptions,
+    LINGER,
+    LingerOption,
+    PLAIN,
+    PORT,
+    PortOption,
+    whole,
+)
 import typer
 from typer.core import TyperGroup
 
@@ -63,16 +74,27 @@ def run(
     ] = 0,
     folder: StudyOption = None,
     namespace: Annotated[str, typer.Option(metavar='NAME', help='of the nodes')] = '/',
+    browser: BrowserOption = False,
+    host: HostOption = HOST,
+    port: PortOption = PORT,
+    linger: LingerOption = LINGER,
 ) -> int:
-    """Take one participant through the study in this terminal, or go on where one has left."""
+    """Take one participant through the study in this terminal, or several in browsers."""
     study = Study.open(plan, folder, namespace)
     if simulate:
         for number in range(1, simulate + 1):
             study.simulate(f'simulated-{number}')
         study.export(study.folder.path / 'tables')
         return 0
+    if browser:
+        from humanopts_teach.commands.browser import Address
+        from humanopts_teach.commands.study_browser import study_in_browser
+
+        return study_in_browser(study, Address(host, port), participant, linger)
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise CommandError('a study needs a terminal for input and output, or --simulate N')
+        raise CommandError(
+            'a study needs a terminal for input and output, or --browser, or --simulate N'
+        )
     return study.run(participant or input('code of the participant: ').strip())
 
 

@@ -55,7 +55,7 @@ class BrowserTeleopNode(TeleopNode):
                 self._show_frame(view(self.app), self.drawn())
         except Exception:
             self.get_logger().error(traceback.format_exc())
-            self.app.end()
+            self.app.ended = True
         if self.app.ended and not self._said_end:
             self._said_end = True
             self._tell_end()

@@ -1,0 +1,74 @@
+"""``humanopts study --browser``: each page takes a participant through all conditions."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+
+from humanopts_teach.browser.seats import FAREWELL, GameError, message, Press, Seat
+from humanopts_teach.commands import CommandError
+from humanopts_teach.commands.browser import Address, game, serve_seats
+from humanopts_teach.commands.study import Study
+from humanopts_teach.ros.browser_teleop import TeleopThread
+
+
+def study_in_browser(study: Study, address: Address, participant: str, linger: float) -> int:
+    """
+    Serve pages until Ctrl-C; parameters and errors are those of ``serve_seats``.
+
+    :param study: whose participants each have a page.
+    """
+
+    def open_game(thread: TeleopThread, seat: Seat) -> AbstractAsyncContextManager[Press]:
+        return _all_turns(study, thread, seat)
+
+    print(f'{study.plan.name}: everything is kept in {study.folder.path}.')
+    return serve_seats(study.plan.name, open_game, address, participant, linger)
+
+
+class _TurnPlace:
+    """A seat during one condition, after which the next one follows."""
+
+    def __init__(self, seat: Seat) -> None:
+        self.number, self.show, self.over = seat.number, seat.show, asyncio.Event()
+        self.farewell = ''  # why it ended, where the participant did not end it
+
+    def end(self, farewell: str = FAREWELL) -> None:
+        """End the condition."""
+        self.farewell = '' if farewell == FAREWELL else farewell
+        self.over.set()
+
+
+@asynccontextmanager
+async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIterator[Press]:
+    """Keep one game after the other, each of a condition; the last one ends the seat."""
+    press: Press = _nothing
+
+    async def play() -> None:
+        nonlocal press
+        try:
+            participant = study.enter(seat.participant)
+            while (turn := study.next_turn(participant)) is not None:
+                place = _TurnPlace(seat)
+                async with game(turn.setup, study.namespace, thread, place) as pressed:
+                    press = pressed
+                    await place.over.wait()
+                    press = _nothing
+                    seat.show(message(seat.head, 'The next part is being prepared ...'), 0)
+                if farewell := place.farewell or study.farewell(participant, turn):
+                    seat.end(farewell)
+                    return
+            seat.end(study.finish(participant))
+        except (CommandError, GameError) as error:
+            seat.end(str(error))
+
+    playing = asyncio.create_task(play())
+    try:
+        yield lambda keys, frame: press(keys, frame)
+    finally:
+        playing.cancel()
+        with suppress(asyncio.CancelledError):
+            await playing
+
+
+def _nothing(keys: list[str], frame: int) -> None:
+    """Take no keys: one condition has ended, and the next one is not ready."""
