@@ -30,7 +30,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
-pytestmark = [pytest.mark.chromium, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.chromium, pytest.mark.live, pytest.mark.timeout(300)]
 
 DESKTOP, PHONE = (1280, 800), (390, 844)
 TAXI = make_domain('taxi')

@@ -18,7 +18,7 @@ import sys
 import time
 
 LOGS = Path('build/stress')
-LIVE = 'live and not slow'
+LIVE = 'live and not slow and not chromium'
 NOTHING_LEFT = 5  # exit status of pytest where no test was chosen
 BUSY = """
 import os
