@@ -16,6 +16,7 @@ from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import (
     Demonstration,
     DemonstrationReceipt,
+    DomainInfo,
     ExecutionState,
     GameState,
     LearnedOptions,
@@ -289,3 +290,16 @@ def test_a_current_state_that_another_node_publishes_is_replaced(live: Graph) ->
     live.until(lambda: states[-1].publisher_id == GAMES_NAME, 'the forged state')
     live.until(lambda: states[-1].publisher_id == game.publisher_id, 'the state again')
     assert (states[-1].state, states[-1].episode, states[-1].step) == (genuine, 1, 0)
+
+
+def test_a_node_that_starts_beside_a_stranger_learns_the_game_all_the_same(
+    live: Graph, tmp_path: Path
+) -> None:
+    live.start(GAME)
+    live.ready('/game')
+    out = live.node.create_publisher(DomainInfo, 'domain_info', LATCHED)
+    out.publish(DomainInfo(publisher_id='/stranger#1', domain='chess'))
+    for turn in range(3):
+        learner = live.start(LEARNER, directory=tmp_path / str(turn))
+        live.until(lambda n=learner: n.ready and n.guard.refused, 'the learner, and its refusal')
+        live.stop(learner)

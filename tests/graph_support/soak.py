@@ -46,7 +46,7 @@ from graph_support.live import free_domain_id
 
 OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 RECOVERY = 60.0  # s until all nodes are ready and another demonstration is kept
-ANSWER = 20.0  # s for a call of garbage to be answered
+ANSWER = 40.0  # s for a call of garbage to be answered; a node may wait 15 s for others
 OURS = 'soak'  # the node that sends garbage
 _LATCHED = {
     'domain_info', 'current_state', 'control', 'lesson_state', 'learning_status',

@@ -203,6 +203,8 @@ class GameNode(NodeBase):
 
     def _say_again(self) -> None:
         """Publish what is current again while somebody else publishes in its place."""
+        if self.ready and self.count_publishers('domain_info') > 1:
+            self._info.publish(domain_to_info(self._game.domain))
         if self.ready and self.count_publishers('current_state') > 1:
             self._send(self._current, transition_to_message(self._game.transition))
         if self.ready and self.count_publishers('control') > 1:

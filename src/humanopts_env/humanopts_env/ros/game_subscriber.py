@@ -17,7 +17,7 @@ from humanopts_interfaces.msg import ControlState, DomainInfo, GameState
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.polled import PolledValue
-from humanopts_ros.qos import CURRENT, STREAM
+from humanopts_ros.qos import CURRENT, LATCHED_ALL, STREAM
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
@@ -54,7 +54,7 @@ class GameSubscriber:
         self._sender = f'{node.get_namespace().rstrip("/")}/{GAME}#'
         self._early: dict[str, tuple[GameState, Callable[[Observed], object]]] = {}  # by topic
         self._domain_info = node.subscribe(
-            DomainInfo, 'domain_info', self._read_domain, self._use_domain, CURRENT
+            DomainInfo, 'domain_info', self._read_domain, self._use_domain, LATCHED_ALL
         )
 
     def follow(

@@ -300,8 +300,8 @@ class LessonNode(NodeBase):
             self._contested = True
 
     def _say_again(self) -> None:
-        """Publish the state again where it is contested; not too often, for there may be two."""
-        if self._contested:
+        """Publish the state again while somebody else publishes in its place."""
+        if self._contested or self.count_publishers('lesson_state') > 1:
             self._contested, self._shown = False, None
 
     def _tick(self) -> None:
