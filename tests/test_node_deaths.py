@@ -57,7 +57,7 @@ def check_end(command: Command, *words: str) -> None:
 
 def check_survives(command: Command, folder: Path, node: str, how: str) -> dict[str, Any]:
     """The demo does all its work, says which node was started again, and ends with status 1."""
-    assert command.ended(2 * PATIENCE) == 1, command.errors
+    assert command.ended(3 * PATIENCE) == 1, command.errors
     said = f'the node {node} ended ({how}), and is started again; its '
     assert f'humanopts: {said}' in command.errors
     summed = f'humanopts demo: the node {node} ended once ({how}) and was started again\n'
