@@ -15,7 +15,7 @@ PACKAGES := $(shell find src -type f -not -path 'src/humanopts_interfaces/*' \
 # What mypy checks: the packages, and what is built on them.
 PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*') \
   $(wildcard experiments/*.py benchmarks/*.py)
-CHECKED := src experiments benchmarks tests tools examples
+CHECKED := conftest.py src experiments benchmarks tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
 # Two processes, each with a file of tests at a time: while one waits for its graph, one computes.
 SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest \

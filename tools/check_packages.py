@@ -27,6 +27,7 @@ KEYS = {
     'mcap_ros2': 'mcap-ros2-support',
     'nicegui': 'python3-nicegui-pip',  # needs fastapi and uvicorn
     'numpy': 'python3-numpy',
+    'markdown_it': 'python3-markdown-it',
     'pandas': 'python3-pandas',
     'prompt_toolkit': 'python3-prompt-toolkit',
     'psutil': 'python3-psutil',

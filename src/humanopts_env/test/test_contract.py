@@ -336,11 +336,11 @@ def test_a_thing_that_is_no_domain_is_refused() -> None:
 
 @pytest.mark.parametrize('domain', [Taxi(), Rooms()], ids=lambda domain: domain.name)
 def test_a_good_domain_is_checked_in_the_blink_of_an_eye(domain: Any) -> None:
-    """The best of three looks takes less than 50 ms."""
+    """The best of three looks takes less than 50 ms of the processor."""
     times = []
     for _ in range(3):
-        began = time.perf_counter()
+        began = time.process_time()
         check_domain(domain, domain.name)
-        times.append(time.perf_counter() - began)
+        times.append(time.process_time() - began)
     assert is_enumerable(domain)
     assert min(times) < 0.05

@@ -10,6 +10,7 @@ from humanopts_interfaces.srv import ResetGame, SetControl
 import pytest
 
 ENVELOPE = {'header', 'publisher_id', 'sequence'}
+PACE = {'step_period', 'paused_by'}  # of ``Pacing``, told with who holds control
 
 
 @pytest.mark.parametrize(
@@ -45,7 +46,7 @@ def test_sources_of_requests_are_those_of_the_game(message: Any) -> None:
     ('value', 'message', 'envelope'),
     [
         (game.Transition, GameState, ENVELOPE),
-        (game.Control, ControlState, ENVELOPE),
+        (game.Control, ControlState, ENVELOPE | PACE),
         (game.Command, ActionCommand, {'header', 'option_name'}),  # which is for the bag
     ],
 )

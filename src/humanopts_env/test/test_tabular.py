@@ -91,7 +91,7 @@ def test_two_equal_ways_are_both_optimal() -> None:
     assert optimal.tolist() == [[True, True], [False, False]]
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 30), n_actions=st.integers(1, 4))
 def test_distances_are_those_of_relaxing_every_step_until_nothing_changes(
     seed: int, n_states: int, n_actions: int

@@ -33,7 +33,7 @@ def small_tree() -> Tree:
     return fit_tree(X, np.array([0, 0, 1, 2, 2]), (0, 1, 2, 3), 0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**31 - 1), st.integers(1, 60), st.integers(1, 6), st.booleans())
 def test_own_evaluator_agrees_with_scikit_learn(
     seed: int, rows: int, columns: int, whole: bool
@@ -78,7 +78,7 @@ def test_fitting_refuses_no_rows_and_unknown_labels() -> None:
         fit_tree(np.zeros((1, 1), dtype=np.float32), np.array([7]), (0, 1), 0)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**31 - 1))
 def test_many_rows_end_in_the_leaves_that_each_alone_ends_in(seed: int) -> None:
     rng = np.random.default_rng(seed)

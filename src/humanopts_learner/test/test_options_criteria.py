@@ -227,7 +227,7 @@ def test_one_demonstration_less_changes_the_numbers(fetching: Shown) -> None:
     assert values(fetching[1:])[RETURN] != values(fetching)[RETURN]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(count=st.integers(3, 30), seed=st.integers(0, 2**31))
 def test_folds_are_even_and_never_split_a_demonstration(
     fetching: Shown, count: int, seed: int

@@ -101,7 +101,7 @@ def test_text_that_is_no_option_is_refused(text: str) -> None:
 
 
 @pytest.mark.heavy
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     place=st.floats(0, 1), text=st.sampled_from(['', '-', '9', 'null', '[]', '{}', '"x"', '1e999'])
 )
@@ -126,7 +126,7 @@ def test_files_are_kept_by_person_and_option(
 
 
 @pytest.mark.heavy
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.sets(st.text(min_size=1, max_size=60), min_size=2, max_size=6))
 def test_no_two_names_share_a_file(option: LearnedOption, names: set[str]) -> None:
     folder = Path('options')

@@ -160,13 +160,13 @@ random_plans = st.builds(
 
 
 @pytest.mark.heavy
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(random_plans)
 def test_it_is_never_worse_in_random_worlds_whatever_the_step_limits(plan: ExactPlan) -> None:
     assert_never_worse(plan)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(random_plans)
 def test_going_on_is_worth_a_run_from_there_or_with_fewer_steps_left_the_best(
     plan: ExactPlan,

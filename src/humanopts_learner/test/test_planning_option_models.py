@@ -58,7 +58,7 @@ def run_by_steps(
             return total, state, 0.0 if terminated else gamma**steps, bool(ended)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n_states=st.integers(1, 30),
@@ -189,7 +189,7 @@ def dense_model(
 
 
 @pytest.mark.heavy
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n_states=st.integers(1, 12),
@@ -224,7 +224,7 @@ def test_models_equal_those_of_dense_algebra(
     assert (found.successor.data > 0).all()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 20), max_steps=st.integers(1, 30))
 def test_without_chance_both_modellers_agree(seed: int, n_states: int, max_steps: int) -> None:
     rng = np.random.default_rng(seed)

@@ -64,7 +64,7 @@ def sparse(model: MultiTimeModel) -> SparseMultiTimeModel:
     return SparseMultiTimeModel(model.names, model.reward, model.available, model.rows)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 4), n_options=st.integers(1, 3))
 def test_no_policy_is_better_than_the_solution(seed: int, n_states: int, n_options: int) -> None:
     model = random_model(seed, n_states, n_options)
@@ -73,7 +73,7 @@ def test_no_policy_is_better_than_the_solution(seed: int, n_states: int, n_optio
     assert solve_smdp(model, 1e-12).values == pytest.approx(np.max(every, axis=0), abs=1e-9)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 60), n_options=st.integers(1, 5))
 def test_values_solve_the_linear_equations_of_the_greedy_policy(
     seed: int, n_states: int, n_options: int
@@ -102,7 +102,7 @@ def policy_iteration(model: MultiTimeModel) -> NDArray[np.float64]:
 
 
 @pytest.mark.heavy
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 60), n_options=st.integers(1, 5))
 def test_policy_iteration_comes_to_the_same_values(
     seed: int, n_states: int, n_options: int
@@ -195,7 +195,7 @@ def solved_with(compiled: object, model: MultiTimeModel) -> tuple[Solution, list
     return solution, residuals
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n_states=st.integers(1, 60),
@@ -285,7 +285,7 @@ def test_limits_that_make_no_sense_are_refused(tol: float, max_sweeps: int) -> N
 
 
 @pytest.mark.heavy
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 40), n_options=st.integers(1, 4))
 def test_both_forms_of_one_model_have_one_solution(
     seed: int, n_states: int, n_options: int
@@ -301,7 +301,7 @@ def test_both_forms_of_one_model_have_one_solution(
     assert (solve_smdp(both, 1e-12).best == by_index.best).all()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 6), n_actions=st.integers(1, 3))
 def test_primitive_values_solve_the_dense_optimality_equations(
     seed: int, n_states: int, n_actions: int

@@ -1,5 +1,6 @@
 """A signal that is to end a command is heard, wherever it finds the command."""
 
+from collections.abc import Iterator
 import os
 import signal
 
@@ -7,6 +8,14 @@ from humanopts_teach.commands import noticed_interrupts
 import pytest
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.fixture(autouse=True)
+def as_in_a_terminal() -> Iterator[None]:
+    """Let SIGHUP do what it does in a terminal: under nohup it stays ignored, as it should."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 class Deleted:
