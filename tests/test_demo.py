@@ -77,6 +77,7 @@ SCHEMA = {
     'bag': {'path': str, 'messages': int, 'topics': int},
     'offline': {'options': [OPTION], 'planning': [PLAN]},
     'games': type(None),
+    'ended_nodes': list,
 }
 # What nothing in a demo sends on: nobody is refused, and options are run by the service.
 QUIET = {
@@ -88,11 +89,14 @@ QUIET = {
     '/extract_options/_action/status',
     '/extraction_goals',
     '/extraction_results',
+    '/lesson/change_option/_service_event',
+    '/lesson/list_demonstrations/_service_event',
     '/lesson/withdraw_demonstration/_service_event',
     '/list_options/_service_event',
     '/option_values',
     '/query_option/_service_event',
     '/set_execution/_service_event',
+    '/set_pace/_service_event',
 }
 OWN_OF_RCLPY = {'/rosout', '/parameter_events'}
 
@@ -134,6 +138,7 @@ def test_summary_has_exactly_its_schema(demo: DemoRun) -> None:
     assert [row['action_set'] for row in demo.summary['planning']] == ['human', 'primitive']
     assert [option['name'] for option in demo.summary['options']] == [PICKUP, DROPOFF]
     assert (demo.summary['domain'], demo.summary['seed']) == ('taxi', 1)
+    assert demo.summary['ended_nodes'] == []
     assert demo.summary['teaching']['teacher_error_rate'] > 0
 
 

@@ -14,11 +14,12 @@ def test_every_socket_of_a_node_is_bound_to_the_loopback_interface(
 ) -> None:
     monkeypatch.delenv(PROFILES[0])
     monkeypatch.setenv(RANGE, 'LOCALHOST')
-    game = live.spawn(GAME)
-    live.start(LEARNER, directory=tmp_path)
+    nodes = live.spawn(GAME), live.spawn(LEARNER, directory=tmp_path)
     live.ready('/game', '/learner')
-    for pid in (game.process.pid, os.getpid()):
-        bound = {c.laddr.ip for c in psutil.Process(pid).net_connections('udp') if c.laddr}
+    for node in nodes:
+        bound = {
+            c.laddr.ip for c in psutil.Process(node.process.pid).net_connections('udp') if c.laddr
+        }
         assert bound == {'127.0.0.1'}
 
 

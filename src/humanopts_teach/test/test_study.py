@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
 import itertools
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from humanopts_teach.lesson.requests import (
     Answer,
     LessonView,
     OpenSession,
+    OptionStatus,
     Phase,
     Request,
     RequestStatus,
@@ -325,12 +325,13 @@ def test_every_event_is_published_as_it_is_kept(tmp_path: Path, taxi: Domain[Any
 def test_a_simulated_study_makes_tables_that_the_codebook_explains(
     plan: StudyPlan, tmp_path: Path
 ) -> None:
-    folder, taught = StudyFolder(tmp_path / 'study'), []
+    folder = StudyFolder(tmp_path / 'study')
+    option = OptionStatus('fetch', 's', n_demonstrations=4, criteria_met=True)
     for code in ('s1', 's2'):
         who = folder.enter(plan, code, simulated=True)
         record = Record(who.path)
         for part in plan.parts_of(who.number):
-            simulated_part(part, record, plan.seed, who.number, partial(taught.append, code))
+            simulated_part(part, record, plan.seed, who.number, lambda: [option])
         record.note('ended')
     folder.enter(plan, 'late')
     found = tables(folder)
@@ -339,7 +340,10 @@ def test_a_simulated_study_makes_tables_that_the_codebook_explains(
     book = found['codebook.csv']
     assert len(book) == sum(map(len, CODEBOOK.values()))
     assert book['meaning'].all()
-    assert taught == ['s1', 's1', 's2', 's2']
+    taught = found['options.csv']
+    assert list(taught['participant']) == ['s1', 's1', 's2', 's2']
+    assert set(taught['demonstrations']) == {4}
+    assert taught['return_shown'].isna().all()  # not measured
     people = found['participants.csv'].set_index('participant')
     assert people['order'].to_dict() == {
         's1': 'trees goal',
