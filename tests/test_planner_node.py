@@ -10,14 +10,13 @@ from graph_support.player import PERSON
 from graph_support.scripted import FETCH, taught, TAXI
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.action import Plan, RunPolicy
-from humanopts_interfaces.msg import DomainInfo, PlanResult, PolicyResult
+from humanopts_interfaces.msg import DomainInfo, NodeStatus, PlanResult, PolicyResult
 from humanopts_learner.planning.coverage import find_coverage
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
 from humanopts_ros.qos import LATCHED, LATCHED_ALL
 import pytest
-from rcl_interfaces.msg import Log
 
 OPTIONS = taught()
 FIRST_ONLY = [option for option in OPTIONS if option.name == FETCH]
@@ -105,12 +104,16 @@ def test_some_of_the_options_can_be_planned_with(planning: Planning) -> None:
 
 
 def test_an_option_that_cannot_be_read_does_not_hide_the_others(planning: Planning) -> None:
-    logged = planning.graph.listen(Log, '/rosout', LATCHED_ALL)
+    statuses = planning.graph.listen(NodeStatus, 'node_status', LATCHED_ALL)
     planning.teach(OPTIONS, spoilt=['spoilt'])
     result = planning.plan('human')
     assert tuple(result.option_names) == make_plan(TAXI, OPTIONS, PlanRequest('human')).names
     planning.graph.until(
-        lambda: any("'spoilt' in learned_options" in entry.msg for entry in logged), 'the error'
+        lambda: any(
+            status.node == '/planner' and "'spoilt' in learned_options" in status.text
+            for status in statuses
+        ),
+        'the error',
     )
 
 
