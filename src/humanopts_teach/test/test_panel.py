@@ -98,8 +98,11 @@ def test_every_kind_of_block_is_drawn_in_the_terminal_and_on_the_page(app: App) 
         assert str(drawn(block))
         shown = replace(view(app), panel=Panel([block]))
         assert parts(shown)['panel'] != parts(replace(shown, panel=Panel()))['panel']
-    page = parts(replace(view(app), panel=Panel([Page('*a page* <b>')])))['panel']
+    page = parts(replace(view(app), panel=Panel([Page('*a page* <b> ![p](http://x.org/p.png)')])))[
+        'panel'
+    ]
     assert '<em>a page</em> &lt;b&gt;' in page
+    assert '<img' not in page
 
 
 def test_nodes_that_are_missing_are_said_before_anything_else(app: App) -> None:

@@ -39,7 +39,8 @@ def head_html() -> str:
 
 @cache
 def _macros() -> Any:
-    page = MarkdownIt('commonmark', {'html': False}).render  # HTML in it is escaped
+    # HTML is escaped, and no picture is asked for from another server.
+    page = MarkdownIt('commonmark', {'html': False}).disable('image').render
     functions: dict[str, Callable[..., object]] = {
         'picking': _picking,
         'can_press': _can_press,
