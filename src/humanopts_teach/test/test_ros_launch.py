@@ -6,9 +6,16 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from humanopts_learner.options.criteria import Thresholds
 from humanopts_teach.launching import processes as table
 from humanopts_teach.launching import restarts, ros_launch
-from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
+from humanopts_teach.launching.processes import (
+    processes,
+    ProcessSpec,
+    Recording,
+    Setup,
+    StudyTurn,
+)
 from humanopts_teach.launching.ros_launch import (
     ARGUMENTS,
     LaunchArgumentError,
@@ -138,3 +145,19 @@ def _imports(tree: ast.Module) -> Iterator[tuple[str, Any]]:
     for node in tree.body:
         if isinstance(node, ast.ImportFrom) and (node.module or '').startswith('humanopts'):
             yield from ((alias.name, modules[str(node.module)]) for alias in node.names)
+
+
+@pytest.mark.parametrize('study', [None, StudyTurn('s', 'a', '[]', Path('/s/000-anna.jsonl'))])
+def test_a_setup_is_the_same_after_json(study: StudyTurn | None) -> None:
+    setup = Setup(
+        'taxi',
+        Path('/tmp/a\nfolder'),
+        domain_parameters={'rows': 7, 'lively': True, 'name': 'é'},
+        thresholds=Thresholds(3.0, 0.1, 0.2),
+        taught=('go up', 'go down'),
+        recording=Recording(('lesson/*',), ('a', 'b'), 5, 0.5),
+        study=study,
+    )
+    line = setup.to_json()
+    assert '\n' not in line
+    assert Setup.from_json(line) == setup

@@ -6,7 +6,6 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppres
 from dataclasses import dataclass, replace
 from functools import partial
 import json
-import pickle
 import secrets
 import select
 import socket
@@ -191,7 +190,7 @@ async def _graph(setup: Setup, namespace: str, seat: Place) -> AsyncIterator[Non
     assert process.stdin is not None
     assert process.stdout is not None
     output = process.stdout
-    process.stdin.write(pickle.dumps((setup, namespace)))
+    process.stdin.write(f'{namespace}\n{setup.to_json()}\n'.encode())
 
     async def said() -> str:
         """Return the next thing that the process says; empty: it is ready."""
@@ -223,7 +222,7 @@ async def _graph(setup: Setup, namespace: str, seat: Place) -> AsyncIterator[Non
 
 def main() -> int:
     """Run the graph that standard input describes, until its end or a signal."""
-    setup, namespace = pickle.load(sys.stdin.buffer)
+    namespace, setup = sys.stdin.readline().rstrip('\n'), Setup.from_json(sys.stdin.readline())
 
     def check(*_: GraphClient) -> None:
         if select.select([sys.stdin], [], [], 0)[0]:  # the server has closed it, or is gone

@@ -1,7 +1,7 @@
 """The one table of processes: the command line and the ROS launch file both start from it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 import json
 from pathlib import Path
 
@@ -92,6 +92,25 @@ class Setup:
     def options(self) -> Path:
         """Where the learner keeps option files."""
         return self.directory / 'options'
+
+    def to_json(self) -> str:
+        """Return the setup as one line of JSON."""
+        return json.dumps(asdict(self), default=str)
+
+    @classmethod
+    def from_json(cls, text: str) -> 'Setup':
+        """Return the setup of ``to_json``."""
+        values = json.loads(text)
+        turn, recording = values['study'], values['recording']
+        patterns = {name: tuple(recording[name]) for name in ('include', 'exclude')}
+        nested = {
+            'directory': Path(values['directory']),
+            'thresholds': Thresholds(**values['thresholds']),
+            'taught': tuple(values['taught']),
+            'recording': Recording(**{**recording, **patterns}),
+            'study': turn and StudyTurn(**{**turn, 'record': Path(turn['record'])}),
+        }
+        return cls(**{**values, **nested})
 
 
 def processes(setup: Setup) -> list[ProcessSpec]:
