@@ -45,8 +45,6 @@ OUTSIDE = {  # commands of the repository: the module that has the Typer app, an
     'reproduce': ('experiments.command', "the paper's figures and tables, computed again"),
 }
 
-_WATCHED = 0.15  # s between steps of the machine, while a person looks on
-
 
 class OutsideCommand(TyperCommand):
     """A command of the repository; what it needs is imported when it runs, or shows its help."""
@@ -156,7 +154,6 @@ def up(
 ) -> int:
     """Launch the nodes and stay until Ctrl-C."""
     from humanopts_teach.commands.session import check_folder, new_name, session, setup_from
-    from humanopts_teach.launching.processes import RECORDER
 
     setup = setup_from(domain, launch, bag_name=new_name('bags/up'), record=not no_record)
     check_folder(setup)
@@ -165,12 +162,7 @@ def up(
         with session(setup, launch.namespace) as running:
             print('ready: ' + ', '.join(running.launcher.node_names))
             print(f'logs and data in {setup.directory}; Ctrl-C stops everything', flush=True)
-            check = partial(running.check, RECORDER)
-            try:
-                running.graph.stay(check, partial(print, file=sys.stderr, flush=True))
-            except KeyboardInterrupt:
-                running.check_recording()
-                raise
+            running.stay(partial(print, file=sys.stderr, flush=True))
     except KeyboardInterrupt:
         print('stopped')
     return 0 if running is None else running.end()
@@ -195,7 +187,14 @@ def teach(
     linger: LingerOption = LINGER,
 ) -> int:
     """Launch, and teach from this terminal's keyboard, or from browsers."""
-    from humanopts_teach.commands.session import check_folder, new_name, session, setup_from, tell
+    from humanopts_teach.commands.session import (
+        check_folder,
+        new_name,
+        run_in_terminal,
+        Session,
+        setup_from,
+        WATCHED,
+    )
     from humanopts_teach.lesson.store import CODE, CODE_RULE
 
     given: dict[str, Any] = {'participant': participant, 'ask_participant': False}
@@ -209,26 +208,20 @@ def teach(
         bag_name=new_name('bags/teach'),
         **(given if participant else {}),
         keyboard=True,
-        step_period=_WATCHED,
+        step_period=WATCHED,
     )
     check_folder(setup)
     if browser:
         from humanopts_teach.commands.browser import Address, teach_in_browser
 
         return teach_in_browser(setup, launch.namespace, Address(host, port), participant, linger)
-    print('starting ...', flush=True)
-    said: list[str] = []  # while the terminal is not ours
-    try:
-        with session(setup, launch.namespace, tell=said.append) as running:
-            status = running.launcher.run_terminal(running.interrupts.check)
-            print(f'demonstrations and options are in {setup.directory}')
-            print(f'the bag is {running.bags[-1]}')
-            running.graph.catch_up()
-            running.check_recording()
-    finally:
-        for line in said:
-            tell(line)
-    return running.end() or status
+
+    def say_where(running: Session) -> None:
+        print(f'demonstrations and options are in {setup.directory}')
+        print(f'the bag is {running.bags[-1]}')
+
+    ended, status = run_in_terminal(setup, launch.namespace, say_where)
+    return ended.end() or status
 
 
 @app.command()

@@ -15,7 +15,7 @@ from humanopts_teach.dialogue.panel import (
     Choices,
     Criteria,
     Features,
-    KeyTable,
+    KeyList,
     Page,
     Panel,
     TypedText,
@@ -90,7 +90,7 @@ def test_every_kind_of_block_is_drawn_in_the_terminal_and_on_the_page(app: App) 
     row = CriterionShown('✓', 'return', '0.5', '≤ 1', Tone.GOOD, 0.5)
     blocks: list[Block] = [
         *(Line('a line'), TypedText('typed'), Choices([Item('an item', '', to_menu)], 0)),
-        *(KeyTable([('k', 'a key')]), Features([FeatureShown('a feature', '')], '')),
+        *(KeyList([('k', 'a key')]), Features([FeatureShown('a feature', '')], '')),
         *(Criteria([row]), Page('*a page* <b>')),
     ]
     assert {type(block) for block in blocks} == set(get_args(Block))

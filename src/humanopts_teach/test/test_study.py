@@ -8,6 +8,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Transition
+from humanopts_teach.commands.study_session import simulated_part
 from humanopts_teach.dialogue.study import StudyApp
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -29,7 +30,6 @@ from humanopts_teach.study.plan import (
     StudyPlan,
 )
 from humanopts_teach.study.record import Record, StudyError, StudyFolder
-from humanopts_teach.study.simulated import simulated_part
 from humanopts_teach.study.tables import CODEBOOK, status_table, tables
 from humanopts_teach.terminal.drawing import frame
 from hypothesis import given

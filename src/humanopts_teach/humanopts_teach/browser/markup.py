@@ -9,7 +9,8 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from humanopts_teach.dialogue.entry import Keys, MOST_CHARACTERS, PAGE
+from humanopts_teach.dialogue.app import Keys
+from humanopts_teach.dialogue.entry import MOST_CHARACTERS, PAGE
 from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, key_of, LEFT, UP
 from humanopts_teach.dialogue.panel import Block, Choices, TypedText, View
 from humanopts_teach.lesson.presentation import TARGET

@@ -18,7 +18,7 @@ from humanopts_teach.commands import CommandError, noticed_interrupts
 from humanopts_teach.commands.session import check_folder, new_name, session, tell
 from humanopts_teach.dialogue.panel import View
 from humanopts_teach.launching import LaunchError
-from humanopts_teach.launching.processes import processes, RECORDER, Setup
+from humanopts_teach.launching.processes import processes, Setup
 from humanopts_teach.ros.browser_teleop import BrowserTeleopNode, TeleopThread
 from humanopts_teach.ros.graph_client import GraphClient
 
@@ -239,16 +239,7 @@ def main() -> int:
     try:
         with session(setup, namespace, check, report) as running:
             say('')
-
-            def look() -> None:
-                check()
-                running.check(RECORDER)
-
-            try:
-                running.graph.stay(look, report)
-            except KeyboardInterrupt:
-                running.check_recording()
-                raise
+            running.stay(report, check)
     except LaunchError as error:
         say(str(error).splitlines()[0])
         report(str(error))

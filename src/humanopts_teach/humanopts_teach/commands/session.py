@@ -24,13 +24,20 @@ from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupt
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher, only_launch
-from humanopts_teach.launching.processes import common_parameters, processes, Recording, Setup
+from humanopts_teach.launching.processes import (
+    common_parameters,
+    processes,
+    RECORDER,
+    Recording,
+    Setup,
+)
 from humanopts_teach.launching.restarts import Ended, MOST
 from humanopts_teach.ros.graph_client import GraphClient
 
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
 _LAST_DOMAIN_ID = 232
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
+WATCHED = 0.15  # s between steps of the machine, while a person looks on
 NEWS_SECONDS = 10.0  # for what was published to come here
 
 
@@ -153,6 +160,26 @@ class Session:
         """
         self.interrupts.check()
         self.launcher.check(*besides)
+
+    def stay(self, tell: Callable[[str], None], look: Callable[[], object] = lambda: None) -> None:
+        """
+        Stay until the session is to end.
+
+        :param tell: called with each line that a node says of itself.
+        :param look: called again and again, for what the command looks after besides.
+        :raises LaunchError: a node ended, and is not started again, or not all was recorded.
+        :raises KeyboardInterrupt: the session is to end, and all was recorded.
+        """
+
+        def check() -> None:
+            look()
+            self.check(RECORDER)
+
+        try:
+            self.graph.stay(check, tell)
+        except KeyboardInterrupt:
+            self.check_recording()
+            raise
 
     def check_recording(self) -> None:
         """
@@ -287,3 +314,27 @@ def session(
                 running.unclean.extend(launcher.stop())
                 for problem in running.unclean:
                     tell(problem)
+
+
+def run_in_terminal(
+    setup: Setup, namespace: str, done: Callable[[Session], object] = lambda running: None
+) -> tuple[Session, int]:
+    """
+    Launch a graph, give the terminal to the person, and stop everything.
+
+    :param done: called when the terminal is free again, before the recording is checked.
+    :return: the session that has ended, and the exit status of the terminal's node.
+    :raises LaunchError: as of ``session``, or not all was recorded.
+    """
+    print('starting ...', flush=True)
+    said: list[str] = []  # while the terminal is not ours
+    try:
+        with session(setup, namespace, tell=said.append) as running:
+            status = running.launcher.run_terminal(running.interrupts.check)
+            done(running)
+            running.graph.catch_up()
+            running.check_recording()
+    finally:
+        for line in said:
+            tell(line)
+    return running, status

@@ -7,7 +7,7 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppres
 from humanopts_teach.browser.seats import FAREWELL, GameError, message, Press, Seat
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.browser import Address, game, serve_seats
-from humanopts_teach.commands.study import Study
+from humanopts_teach.commands.study_session import Study
 from humanopts_teach.ros.browser_teleop import TeleopThread
 
 

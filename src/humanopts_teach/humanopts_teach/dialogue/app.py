@@ -8,7 +8,7 @@ answer what the lesson asks for counts only if that was on the screen when it wa
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from humanopts_env.domains.base import Domain
 from humanopts_teach.dialogue.keys import END_OF_FILE, INTERRUPT, label
@@ -37,11 +37,25 @@ REPLY_SECONDS = 5.0  # for a node to answer
 SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed
 MOST_KEYS = 128  # typed ahead; what comes then is dropped
 MOST_FRAMES = 64  # on which a key may have been pressed that comes now
+Keys = list[tuple[str, str]]  # label of a key, and what it does
 _PAUSED = 'Not now: the lesson is paused; the top of the screen says why.'
 
 
-class Screen(Protocol):
-    """What is shown now, and what a key means in it."""
+class Screen:
+    """
+    What is shown now, and what a key means in it.
+
+    :cvar answers_lesson: a key answers what the lesson asks for, if that was seen.
+    :cvar shows_board: the game stands beside what it shows.
+    """
+
+    answers_lesson: ClassVar[bool] = False
+    shows_board: ClassVar[bool] = True
+
+    @property
+    def state(self) -> str:
+        """The state to draw, in the domain's notation; empty: that of the game."""
+        return ''
 
     def press(self, key: str, app: 'App') -> None:
         """Carry out one key."""
@@ -55,20 +69,9 @@ class Screen(Protocol):
     def tick(self, app: 'App') -> None:
         """Do what needs no key, when nothing is under way."""
 
-    @property
-    def state(self) -> str:
-        """The state to draw, in the domain's notation; empty: that of the game."""
-
-    @property
-    def answers_lesson(self) -> bool:
-        """Whether a key answers what the lesson asks for: it is taken only if that was seen."""
-
-    @property
-    def shows_board(self) -> bool:
-        """Whether the game stands beside what it shows."""
-
-    def keys(self, app: 'App') -> list[tuple[str, str]]:
+    def keys(self, app: 'App') -> Keys:
         """Return the labels of the keys that do something now, and what they do."""
+        return []
 
 
 @dataclass(frozen=True, slots=True)

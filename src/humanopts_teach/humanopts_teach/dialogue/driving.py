@@ -1,13 +1,14 @@
 """Screens in which the game is played: by the person, by a taught option, by a plan."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, KW_ONLY
 from functools import partial
+from typing import ClassVar
 
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.request import Execution, HUMAN, HUMAN_AND_PRIMITIVE
-from humanopts_teach.dialogue.app import App
-from humanopts_teach.dialogue.entry import HelpScreen, Item, Keys, ListScreen, PlainScreen
+from humanopts_teach.dialogue.app import App, Keys, Screen
+from humanopts_teach.dialogue.entry import HelpScreen, Item, ListScreen
 from humanopts_teach.dialogue.keys import Command, key_table, KeyTable, label
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -33,6 +34,7 @@ EXECUTIONS = {
 }
 PACE = (Command.PAUSE, Command.STEP, Command.SLOWER, Command.FASTER)  # while the machine drives
 PERIODS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.0)  # s between steps of the machine
+_COMMANDS = (Command.NEW_START, Command.MENU, Command.HELP, Command.QUIT)
 _NOT_KNOWN = (
     'What no option covers is known of plans with your options alone, in games whose states can '
     'all be listed.'
@@ -58,16 +60,14 @@ def pace_words(app: App) -> dict[Command, str]:
 
 
 @dataclass
-class PlayScreen(PlainScreen):
+class PlayScreen(Screen):
     """The person drives as they like; nothing of it is a demonstration."""
 
     menu: Callable[[App], None]
     title: str = 'Drive freely'
     text: str = 'Nothing here is a demonstration.'
-    commands: tuple[Command, ...] = field(
-        default=(Command.NEW_START, Command.MENU, Command.HELP, Command.QUIT), init=False
-    )
-    words: dict[Command, str] = field(default_factory=dict, init=False)
+    commands: ClassVar[Sequence[Command]] = _COMMANDS
+    words: ClassVar[Mapping[Command, str]] = {}  # what a key does here, where that differs
 
     def press(self, key: str, app: App) -> None:
         """Drive, which takes control, or carry out a command."""
@@ -89,7 +89,7 @@ class PlayScreen(PlainScreen):
             app.end()
 
     def replied(self, request: Request, answer: Answer, app: App) -> None:
-        """Take over all the same when the machine's episode ended under the person's key."""
+        """Take control where a step was refused while the machine goes on."""
         if isinstance(request, Drive) and not answer.ok and app.run is not None:
             app.ask(SetControl(hold=True))
 
@@ -144,14 +144,15 @@ class PlayScreen(PlainScreen):
 class RunScreen(PlayScreen):
     """The machine runs one taught option; a person's action key takes over."""
 
-    option_name: str = ''
+    commands: ClassVar[Sequence[Command]] = (Command.RUN_HERE, *_COMMANDS)
+    words: ClassVar[Mapping[Command, str]] = {Command.RUN_HERE: 'run it from here'}
+    text: str = 'The machine runs it from the state shown. An action key takes over.'
+    _: KW_ONLY
+    option_name: str
 
     def __post_init__(self) -> None:
-        """Name the option, and add the key that starts it."""
+        """Name the option."""
         self.title = f'Run: {self.option_name}'
-        self.text = 'The machine runs it from the state shown. An action key takes over.'
-        self.commands = (Command.RUN_HERE, *self.commands)
-        self.words = {Command.RUN_HERE: 'run it from here'}
 
     def start(self, app: App) -> None:
         """Give control back, and run the option from the current state."""
@@ -165,23 +166,26 @@ class RunScreen(PlayScreen):
 class WatchScreen(PlayScreen):
     """The machine plans and plays episodes; a person's action key takes over."""
 
-    teach: Callable[[App], None] = lambda app: None
-    action_set: str = 'human'
+    commands: ClassVar[Sequence[Command]] = (
+        Command.RUN_HERE,
+        Command.EXECUTION,
+        Command.PLACES,
+        *_COMMANDS,
+    )
+    words: ClassVar[Mapping[Command, str]] = {
+        Command.RUN_HERE: 'plan and play',
+        Command.EXECUTION: 'other arbitration',
+        Command.PLACES: 'what is not covered',
+    }
+    title: str = f'Watch the machine play {EPISODES} episodes'
+    text: str = 'It plans first, then plays. An action key takes over.'
+    _: KW_ONLY
+    teach: Callable[[App], None]
+    action_set: str
     execution: Execution = Execution.RUN_TO_END
 
-    def __post_init__(self) -> None:
-        """Add the keys that start it and change how it plays."""
-        self.title = f'Watch the machine play {EPISODES} episodes'
-        self.text = 'It plans first, then plays. An action key takes over.'
-        self.commands = (Command.RUN_HERE, Command.EXECUTION, Command.PLACES, *self.commands)
-        self.words = {
-            Command.RUN_HERE: 'plan and play',
-            Command.EXECUTION: 'other arbitration',
-            Command.PLACES: 'what is not covered',
-        }
-
     def press(self, key: str, app: App) -> None:
-        """Change how it plays, at once where it does; or as in all such screens."""
+        """Change the execution, also of a run under way; do with other keys as elsewhere."""
         command = self.table(app).command(key)
         if command is Command.PLACES and app.run is None:
             self._show_places(app)
@@ -196,7 +200,7 @@ class WatchScreen(PlayScreen):
             self.execution = other
 
     def replied(self, request: Request, answer: Answer, app: App) -> None:
-        """Play on as it was changed, also the next time."""
+        """Keep the new execution for the runs that follow."""
         if isinstance(request, SetExecution) and answer.ok:
             self.execution = Execution(request.execution)
         super().replied(request, answer, app)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from humanopts_env.domains.capabilities import explanation
-from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.dialogue.keys import (
     BACKSPACE,
     CLEAR,
@@ -17,44 +17,15 @@ from humanopts_teach.dialogue.keys import (
     RIGHT,
     UP,
 )
-from humanopts_teach.lesson.requests import Answer, Request, Run
+from humanopts_teach.lesson.requests import Answer, Request
 
 MOST_CHARACTERS = 60
 PAGE = 9  # items that a terminal lists at once: each has a digit
-Keys = list[tuple[str, str]]
-
-
-class PlainScreen:
-    """A screen that only listens to keys."""
-
-    answers_lesson: ClassVar[bool] = False
-    shows_board: ClassVar[bool] = True
-
-    @property
-    def state(self) -> str:
-        """The state to draw, in the domain's notation; empty: that of the game."""
-        return ''
-
-    def press(self, key: str, app: App) -> None:
-        """Carry out one key. To be overridden."""
-
-    def replied(self, request: Request, answer: Answer, app: App) -> None:
-        """React to the answer to a request."""
-
-    def run_ended(self, run: Run, well: bool, app: App) -> None:
-        """React to the end of a run."""
-
-    def tick(self, app: App) -> None:
-        """Do what needs no key."""
-
-    def keys(self, app: App) -> Keys:
-        """Return the keys and what they do. To be overridden."""
-        return []
 
 
 @dataclass
-class TextScreen(PlainScreen):
-    """One line that the person types; what stands there at first goes with the first letter."""
+class TextScreen(Screen):
+    """One line that the person types; the first letter replaces the proposed text."""
 
     title: str
     explanation: str
@@ -100,7 +71,7 @@ class Item:
 
 
 @dataclass
-class ListScreen(PlainScreen):
+class ListScreen(Screen):
     """A list from which the person picks by arrow keys, or by number within a page."""
 
     title: str
@@ -150,7 +121,7 @@ class ListScreen(PlainScreen):
 
 
 @dataclass
-class ConfirmScreen(PlainScreen):
+class ConfirmScreen(Screen):
     """A question that Enter affirms; any other key goes back."""
 
     question: str
@@ -167,7 +138,7 @@ class ConfirmScreen(PlainScreen):
 
 
 @dataclass
-class HelpScreen(PlainScreen):
+class HelpScreen(Screen):
     """All keys in words; any key goes back."""
 
     shows_board: ClassVar[bool] = False
@@ -184,7 +155,7 @@ class HelpScreen(PlainScreen):
         return [('any key', 'go back')]
 
 
-def show_game(screen: PlainScreen, app: App) -> None:
+def show_game(screen: Screen, app: App) -> None:
     """Show what the game is about, what its signs mean, and what its actions do."""
     actions = [(label(action.key), action.description) for action in app.domain.actions]
     app.show(

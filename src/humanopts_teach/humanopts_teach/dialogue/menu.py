@@ -107,15 +107,11 @@ def _name_option(app: App) -> None:
         TextScreen(
             'What is the option called?',
             'In your own words: go to ..., avoid ..., fetch ...',
-            submit=_define,
+            submit=lambda name, app: app.ask(DefineOption(name)),
             answered=_defined,
             back=to_menu,
         )
     )
-
-
-def _define(name: str, app: App) -> None:
-    app.ask(DefineOption(name))
 
 
 def _defined(request: Request, answer: Answer, app: App) -> None:
@@ -198,12 +194,10 @@ def _listed(request: Request, answer: Answer, app: App) -> None:
     if not answer.option_names:
         app.say('Nothing is taught yet: an option can be run after its first demonstration.')
         return
-    items = [Item(name, _standing(name, app), _running(name)) for name in answer.option_names]
+    items = [
+        Item(name, _standing(name, app), partial(to_run, name)) for name in answer.option_names
+    ]
     app.show(ListScreen('Run which option?', items, back=to_menu))
-
-
-def _running(name: str) -> Callable[[App], None]:
-    return lambda app: to_run(name, app)
 
 
 def _choose_plan(app: App) -> None:

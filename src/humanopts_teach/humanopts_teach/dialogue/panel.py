@@ -10,13 +10,12 @@ from functools import singledispatch
 import math
 
 from humanopts_learner.planning.request import MODULAR
-from humanopts_teach.dialogue.app import App, Screen
+from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.dialogue.driving import EXECUTIONS, PlayScreen, WatchScreen
 from humanopts_teach.dialogue.entry import (
     ConfirmScreen,
     HelpScreen,
     Item,
-    Keys,
     ListScreen,
     PAGE,
     TextScreen,
@@ -48,7 +47,7 @@ class Choices:
 
 
 @dataclass(frozen=True, slots=True)
-class KeyTable:
+class KeyList:
     """Keys and what they do, a row each."""
 
     rows: Sequence[tuple[str, str]]
@@ -76,7 +75,7 @@ class Page:
     text: str  # Markdown
 
 
-Block = Page | Line | TypedText | Choices | KeyTable | Features | Criteria
+Block = Page | Line | TypedText | Choices | KeyList | Features | Criteria
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +188,7 @@ def _confirm(screen: ConfirmScreen, app: App) -> Panel:
 
 @panel.register
 def _help(screen: HelpScreen, app: App) -> Panel:
-    return Panel((Line(screen.title, strong=True), KeyTable(screen.table)))
+    return Panel((Line(screen.title, strong=True), KeyList(screen.table)))
 
 
 @panel.register

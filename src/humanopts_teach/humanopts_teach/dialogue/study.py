@@ -1,12 +1,12 @@
 """The dialogue of a study: one part after the other, of which teaching is one."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.dialogue.driving import PlayScreen
-from humanopts_teach.dialogue.entry import Keys, PlainScreen, TextScreen
+from humanopts_teach.dialogue.entry import TextScreen
 from humanopts_teach.dialogue.keys import Command, ENTER, label, LEFT, RIGHT
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
@@ -40,7 +40,7 @@ class StudyApp(App):
 
         :param parts: one or more.
         """
-        super().__init__(PlainScreen(), world, seed=seed)
+        super().__init__(Screen(), world, seed=seed)
         self._parts, self._record, self._code = list(parts), record, participant
         self._part: Part | None = None
         self._began = 0.0  # s, of the part
@@ -104,7 +104,7 @@ class StudyApp(App):
         self._note(PART_ENDED, kind=self._part.kind.value, why=why)
         self._part = None
         self._keys.clear()  # typed for what was shown
-        self.show(PlainScreen())
+        self.show(Screen())
 
     def _note(self, what: str, **values: object) -> None:
         assert self._part is not None, 'something was noted between two parts'
@@ -113,7 +113,7 @@ class StudyApp(App):
 
 
 @dataclass
-class PageScreen(PlainScreen):
+class PageScreen(Screen):
     """A page that the person reads."""
 
     shows_board: ClassVar[bool] = False
@@ -139,14 +139,13 @@ class PageScreen(PlainScreen):
 class FreePlayScreen(PlayScreen):
     """The person gets to know the game; Escape goes on with the study."""
 
-    def __post_init__(self) -> None:
-        """Leave the study only by Ctrl-C."""
-        self.commands = (Command.NEW_START, Command.MENU, Command.HELP)
-        self.words = {Command.MENU: 'go on with the study'}
+    # Only Ctrl-C leaves the study.
+    commands: ClassVar[Sequence[Command]] = (Command.NEW_START, Command.MENU, Command.HELP)
+    words: ClassVar[Mapping[Command, str]] = {Command.MENU: 'go on with the study'}
 
 
 @dataclass
-class QuestionScreen(PlainScreen):
+class QuestionScreen(Screen):
     """A question that is answered on a scale."""
 
     shows_board: ClassVar[bool] = False
@@ -182,7 +181,7 @@ class QuestionScreen(PlainScreen):
         return [(label(LEFT), 'lower'), (label(RIGHT), 'higher'), *accept]
 
 
-def _first_screen(part: Part, participant: str) -> PlainScreen:
+def _first_screen(part: Part, participant: str) -> Screen:
     """Return the screen with which a part begins."""
     if part.kind in (Kind.CONSENT, Kind.PAGE):
         return PageScreen(part.text, asks=part.kind is Kind.CONSENT)

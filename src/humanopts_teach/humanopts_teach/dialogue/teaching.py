@@ -9,16 +9,9 @@ from humanopts_env.domains.capabilities import FeatureGroup
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.rollout import is_deterministic
-from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.dialogue.driving import PACE, pace_words, set_pace
-from humanopts_teach.dialogue.entry import (
-    ConfirmScreen,
-    HelpScreen,
-    Item,
-    Keys,
-    ListScreen,
-    PlainScreen,
-)
+from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen, Item, ListScreen
 from humanopts_teach.dialogue.keys import Command, ENTER, key_table, KeyTable, label, SPACE
 from humanopts_teach.lesson import presentation
 from humanopts_teach.lesson.question_groups import GroupAnswer
@@ -98,7 +91,7 @@ _LONG = {
 
 
 @dataclass
-class LessonScreen(PlainScreen):
+class LessonScreen(Screen):
     """Teaching one option; what it shows follows the lesson's phase."""
 
     menu: Callable[[App], None]

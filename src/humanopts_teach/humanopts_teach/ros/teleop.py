@@ -8,12 +8,19 @@ from pathlib import Path
 import time
 from typing import Any
 
-from humanopts_interfaces.msg import ActionCommand, ExecutionState, LearningStatus, OptionGoal
+from humanopts_interfaces.msg import (
+    ActionCommand,
+    ExecutionState,
+    LearningStatus,
+    OptionGoal,
+    StudyEvent,
+)
 from humanopts_ros.node_base import NodeBase, SEEDS
 from humanopts_ros.publisher import PublishError
-from humanopts_ros.qos import CURRENT, DISPLAY
+from humanopts_ros.qos import CURRENT, DISPLAY, STREAM
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
+from humanopts_teach.dialogue.study import StudyApp
 from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,
@@ -29,6 +36,8 @@ from humanopts_teach.ros.convert import (
 )
 from humanopts_teach.ros.lesson_client import LessonClient
 from humanopts_teach.ros.runs import Runs
+from humanopts_teach.study.plan import Part
+from humanopts_teach.study.record import Record, TOPIC
 from rclpy.task import Future
 
 POLL_SECONDS = 0.015  # between looks at what a person does, and at what is due
@@ -81,10 +90,6 @@ class TeleopNode(NodeBase):
         path = self.setting('study_record', '', 'file of the events of the participant')
         if not parts:
             return None
-        from humanopts_teach.dialogue.study import StudyApp
-        from humanopts_teach.ros.study_events import published_record
-        from humanopts_teach.study.plan import Part
-
         record = published_record(self, Path(path), participant)
         left = [Part.from_dict(part) for part in json.loads(parts)]
         return StudyApp(left, record, participant, self._world, seed=seed)
@@ -189,6 +194,20 @@ class TeleopNode(NodeBase):
         """Show what a message holds, in one field of the world."""
         setattr(self._world, shown, read(message))
         self._news = True
+
+
+def published_record(node: NodeBase, path: Path, participant: str) -> Record:
+    """
+    Return the record of a participant; a node publishes each of its new events.
+
+    :raises OSError: the record cannot be read.
+    """
+    publisher = node.stamped_publisher(StudyEvent, TOPIC, STREAM)
+
+    def publish(line: str) -> None:
+        publisher.publish(StudyEvent(participant=participant, event=line))
+
+    return Record(path, publish)
 
 
 def _progress(message: LearningStatus) -> list[OptionStatus]:

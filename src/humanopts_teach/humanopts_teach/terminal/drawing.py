@@ -13,7 +13,7 @@ from humanopts_teach.dialogue.panel import (
     Choices,
     Criteria,
     Features,
-    KeyTable,
+    KeyList,
     Page,
     TypedText,
     View,
@@ -202,7 +202,7 @@ def _choices(choices: Choices) -> RenderableType:
 
 
 @drawn.register
-def _key_table(keys: KeyTable) -> RenderableType:
+def _key_table(keys: KeyList) -> RenderableType:
     table = Table.grid(padding=(0, 2))
     for key, words in keys.rows:
         table.add_row(Text(key, KEY, justify='right'), Text(words))

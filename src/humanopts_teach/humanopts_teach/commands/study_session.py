@@ -1,0 +1,209 @@
+"""A study as it is carried out: one participant after the other, condition by condition."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+import json
+from typing import Any
+
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.seeding import generator
+from humanopts_teach.commands import CommandError
+from humanopts_teach.commands.demo import taught_options
+from humanopts_teach.commands.options import LaunchOptions
+from humanopts_teach.commands.session import (
+    check_folder,
+    new_name,
+    NEWS_SECONDS,
+    run_in_terminal,
+    Session,
+    session,
+    setup_from,
+    wait_until_taught,
+    WATCHED,
+)
+from humanopts_teach.evaluation.table1 import TABLE_1
+from humanopts_teach.launching.processes import Setup, StudyTurn
+from humanopts_teach.lesson.requests import OptionStatus
+from humanopts_teach.ros.convert import option_status_from_message
+from humanopts_teach.ros.teleop import published_record
+from humanopts_teach.study.plan import Condition, Kind, Part, StudyPlan
+from humanopts_teach.study.record import (
+    ANSWER,
+    BUTTON,
+    ENDED,
+    FINISHED,
+    LEARNED,
+    learned_rows,
+    left_of,
+    PART_BEGAN,
+    PART_ENDED,
+    Participant,
+    Record,
+    REFUSED,
+    StudyError,
+    StudyFolder,
+    TOPIC,
+)
+
+_ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What a participant does in one condition."""
+
+    condition: Condition
+    left: Sequence[Part]
+    setup: Setup
+
+
+@dataclass(frozen=True)
+class Study:
+    """A plan and the folder of those who take part."""
+
+    plan: StudyPlan
+    folder: StudyFolder
+    namespace: str
+
+    def run(self, code: str) -> int:
+        """Take a person through all conditions that are left, in this terminal."""
+        participant = self.enter(code)
+        while (turn := self.next_turn(participant)) is not None:
+            ended, status = run_in_terminal(turn.setup, self.namespace)
+            if left := self.farewell(participant, turn):
+                print(left)
+                return ended.end() or status
+        print(self.finish(participant))
+        return 0
+
+    def simulate(self, code: str) -> None:
+        """Let a simulated teacher take part, whose other answers are drawn by the seed."""
+        participant = self.enter(code, simulated=True)
+        while (turn := self.next_turn(participant, simulated=True)) is not None:
+            print(f'{code}: {turn.condition.name}', flush=True)
+            with session(turn.setup, self.namespace) as running:
+
+                def teach(running: Session = running) -> list[OptionStatus]:
+                    wait_until_taught(running)
+                    return [
+                        option_status_from_message(each) for _, each in running.graph.learned()
+                    ]
+
+                record = published_record(running.graph, participant.path, code)
+                recorded = partial(running.graph.is_recorded, TOPIC)
+                running.graph.wait(recorded, NEWS_SECONDS, f'the recorder of {TOPIC}')
+                for part in turn.left:
+                    simulated_part(part, record, self.plan.seed, participant.number, teach)
+        self.finish(participant)
+
+    def enter(self, code: str, *, simulated: bool = False) -> Participant:
+        """
+        Return who takes part.
+
+        :raises CommandError: nobody can with this code, or the folder cannot be written.
+        """
+        try:
+            return self.folder.enter(self.plan, code, simulated=simulated)
+        except StudyError as error:
+            raise CommandError(str(error)) from error
+        except OSError as error:
+            raise CommandError(f'cannot write in {self.folder.path}: {error}') from error
+
+    def next_turn(self, participant: Participant, *, simulated: bool = False) -> Turn | None:
+        """
+        Return the next condition of which a participant has parts left; None: there is none.
+
+        :raises CommandError: its folder cannot be written.
+        """
+        record = Record(participant.path)
+        for condition, parts in self.plan.turns_of(participant.number):
+            if left := left_of(parts, record):
+                setup = self._setup(participant, condition, None if simulated else left)
+                return Turn(condition, left, setup)
+        return None
+
+    def farewell(self, participant: Participant, turn: Turn) -> str:
+        """Return why a participant does not go on after a turn; empty: the next one follows."""
+        record = Record(participant.path)
+        if record.refused:
+            record.note(ENDED, why=REFUSED)
+            return f'{participant.code} does not take part; nothing more is asked'
+        if left_of(turn.left, record):
+            return f'{participant.code} has not finished; the same code goes on'
+        return ''
+
+    def finish(self, participant: Participant) -> str:
+        """Note that a participant has finished, and return it in words."""
+        Record(participant.path).note(ENDED)
+        return f'{participant.code} has finished; everything is in {self.folder.path}'
+
+    def _setup(
+        self,
+        participant: Participant,
+        condition: Condition,
+        left: Sequence[Part] | None = None,
+    ) -> Setup:
+        """
+        Return the launch of a condition.
+
+        :param left: parts that a person has to do; None: a simulated teacher takes part.
+        """
+        launch = LaunchOptions(
+            out=self.folder.directory(participant, condition.name),
+            seed=self.plan.seed + participant.number,
+            strategy=condition.strategy,  # type: ignore[arg-type]  # the plan was checked
+            learn=condition.learn,  # type: ignore[arg-type]
+            budget=condition.budget,
+            parameter=[f'{name}={value}' for name, value in condition.parameters.items()],
+            namespace=self.namespace,
+        )
+        own: dict[str, Any] = {'taught': (), 'keyboard': True, 'step_period': WATCHED}
+        if left is None:
+            domain = make_domain(condition.domain, dict(condition.parameters))
+            own = {'taught': taught_options(domain), 'teacher_error_rate': _ERROR_RATE}
+        parts = json.dumps([part.to_dict() for part in left or ()])
+        turn = StudyTurn(self.plan.name, condition.name, parts, participant.path.absolute())
+        setup = setup_from(
+            condition.domain,
+            launch,
+            bag_name=new_name('bags/study'),
+            participant=participant.code,
+            ask_participant=False,
+            study=turn,
+            **own,
+        )
+        check_folder(setup)
+        return setup
+
+
+def simulated_part(
+    part: Part,
+    record: Record,
+    seed: int,
+    number: int,
+    teach: Callable[[], Iterable[OptionStatus]],
+) -> None:
+    """
+    Do one part of a study.
+
+    Buttons are suggested with the frequencies of Table 1 of the paper; ratings are drawn evenly.
+
+    :param seed: of the study.
+    :param number: of the participant.
+    :param teach: has a simulated teacher teach, and returns what was learned.
+    """
+    rng = generator(seed, 'simulated participant', number, part.key)
+    place = {'part': part.key, 'condition': part.condition}
+    record.note(PART_BEGAN, kind=part.kind.value, **place)
+    if part.kind is Kind.TEACH:
+        record.note(LEARNED, options=learned_rows(teach()), **place)
+    elif part.kind is Kind.BUTTONS:
+        shares = TABLE_1.get(part.domain, {})
+        named = [name for name, share in shares.items() if rng.random() < share]
+        for rank, text in enumerate(named[: part.most], start=1):
+            record.note(BUTTON, domain=part.domain, rank=rank, text=text, **place)
+    for question in part.questions:
+        value = int(rng.integers(1, question.points + 1))
+        record.note(ANSWER, item=question.name, value=value, points=question.points, **place)
+    record.note(PART_ENDED, kind=part.kind.value, why=FINISHED, **place)
