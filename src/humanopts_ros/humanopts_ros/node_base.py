@@ -193,7 +193,7 @@ class NodeBase(Node):
         self,
         kind: type[T],
         topic: str,
-        read: Callable[[T], V],
+        read: Callable[[T], V | None],
         use: Callable[[V], object],
         qos: QoSProfile = STREAM,
     ) -> Subscription:
@@ -201,17 +201,14 @@ class NodeBase(Node):
         Subscribe to a topic whose messages are checked where they become values.
 
         :param read: returns the value of a message, or raises a ValueError that says why it
-            cannot be used; then the message is counted, named and dropped.
+            cannot be used; then the message is counted, named and dropped. None: it is of no use.
         :param use: called with each value.
         """
 
         @functools.wraps(use)
         def on_message(message: T) -> None:
-            try:
-                value = read(message)
-            except ValueError as error:
-                self.refuse(topic, message, error)
-            else:
+            value = self.accepted(topic, read, message)
+            if value is not None:
                 use(value)
 
         return self.create_subscription(kind, topic, on_message, qos)
@@ -222,11 +219,20 @@ class NodeBase(Node):
 
         :raises ValueError: another node has published it.
         """
-        sender = f'{self.get_namespace().rstrip("/")}/{name}'
+        sender = self.full_name(name)
         if not publisher_id.startswith(f'{sender}#'):
             raise ValueError(f'it is not from {sender}')
 
-    def accepted(self, topic: str, read: Callable[[T], V], message: T) -> V | None:
+    def full_name(self, name: str) -> str:
+        """Return the full name of a node of this namespace."""
+        return f'{self.get_namespace().rstrip("/")}/{name}'
+
+    def nodes_there(self) -> list[str]:
+        """Return the full names of all nodes on the graph; any process may use any name."""
+        names = self.get_node_names_and_namespaces()
+        return [f'{namespace.rstrip("/")}/{name}' for name, namespace in names]
+
+    def accepted(self, topic: str, read: Callable[[T], V | None], message: T) -> V | None:
         """Return the value of a message; None: it cannot be used, and is refused."""
         try:
             return read(message)

@@ -25,7 +25,7 @@ class NodeRestarts:
             when it is ready, for what was asked of it before that may have reached nobody.
         """
         self.counts: Counter[str] = Counter()
-        self._prefix = f'{node.get_namespace().rstrip("/")}/'
+        self._prefix = node.full_name('')
         self._on_restart = on_restart
         self._lives: dict[str, str] = {}  # publisher_id by name
         self._starting: set[str] = set()  # nodes that were started again, and are not ready yet

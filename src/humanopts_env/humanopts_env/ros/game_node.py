@@ -1,6 +1,7 @@
 """The node ``game``, which owns the game and takes one step for each accepted command."""
 
 from collections import deque
+from functools import partial
 import json
 import sys
 from typing import Any
@@ -167,11 +168,8 @@ class GameNode(NodeBase):
 
     def _is_there(self, publisher_id: str) -> bool:
         """Return whether a node has told its life under this id, or is listed by its name."""
-        name = publisher_id.split('#')[0]
-        names = self.get_node_names_and_namespaces()
-        return self._lease.knows(publisher_id) or name in {
-            f'{space.rstrip("/")}/{node}' for node, space in names
-        }
+        known = self._lease.knows(publisher_id)
+        return known or publisher_id.partition('#')[0] in self.nodes_there()
 
     def _on_status(self, status: NodeStatus) -> None:
         """Renew what a node holds that tells its life, or free what one held that ended."""
@@ -238,10 +236,7 @@ class GameNode(NodeBase):
             self.set_status(NodeStatus.STATE_READY)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node, for whose answer every step waits."""
-    return run_node(GameNode, args, by_events=True)
-
+main = partial(run_node, GameNode, by_events=True)  # every step waits for its answer
 
 if __name__ == '__main__':
     sys.exit(main())

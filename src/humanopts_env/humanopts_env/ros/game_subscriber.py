@@ -51,7 +51,6 @@ class GameSubscriber:
         """
         self.domain: Domain[Any] | None = None
         self._node, self._on_domain = node, on_domain
-        self._sender = f'{node.get_namespace().rstrip("/")}/{GAME}#'
         self._early: dict[str, tuple[GameState, Callable[[Observed], object]]] = {}  # by topic
         self._domain_info = node.subscribe(
             DomainInfo, 'domain_info', self._read_domain, self._use_domain, LATCHED_ALL
@@ -72,11 +71,7 @@ class GameSubscriber:
                 return None
             return self.observe(message)
 
-        def on_observed(observed: Observed | None) -> None:
-            if observed is not None:
-                use(observed)
-
-        return self._node.subscribe(GameState, topic, read, on_observed, qos)
+        return self._node.subscribe(GameState, topic, read, use, qos)
 
     def newest(self) -> PolledValue[GameState, Observed]:
         """Return the newest state for polling; it can be read once the rules are known."""
@@ -88,7 +83,7 @@ class GameSubscriber:
 
         :raises ValueError: it cannot be used.
         """
-        self.check_sender(message.publisher_id)
+        self._node.check_sender(message.publisher_id, GAME)
         assert self.domain is not None, 'states are read once the rules are known'
         transition = transition_from_message(message)
         state = check_transition(transition, self.domain)
@@ -98,28 +93,19 @@ class GameSubscriber:
         """Subscribe to who holds control, and to the pace of the machine."""
 
         def read(message: ControlState) -> ControlState:
-            self.check_sender(message.publisher_id)
+            self._node.check_sender(message.publisher_id, GAME)
             if not 0.0 <= message.step_period <= LONGEST_PERIOD:
                 raise ValueError(f'its step_period is {message.step_period}')
             return message
 
         return self._node.subscribe(ControlState, 'control', read, use, CURRENT)
 
-    def check_sender(self, publisher_id: str) -> None:
-        """
-        Check that a message is the game's own.
-
-        :raises ValueError: another node has published it.
-        """
-        if not publisher_id.startswith(self._sender):
-            raise ValueError(f'it is not from {self._sender[:-1]}, the game of this namespace')
-
     def unsubscribe(self) -> None:
         """Stop following ``domain_info``."""
         self._node.destroy_subscription(self._domain_info)
 
     def _read_domain(self, info: DomainInfo) -> Domain[Any]:
-        self.check_sender(info.publisher_id)
+        self._node.check_sender(info.publisher_id, GAME)
         domain = domain_from_info(info)
         known = self.domain
         if known is None:

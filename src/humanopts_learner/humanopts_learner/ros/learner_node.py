@@ -1,5 +1,6 @@
 """The node ``learner``, which fits and judges an option after every demonstration."""
 
+from functools import partial
 from pathlib import Path
 import sys
 from typing import Any
@@ -119,10 +120,7 @@ def _status(progress: OptionProgress) -> OptionStatus:
     return status_to_message(progress.option, progress.judgement)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(LearnerNode, args)
-
+main = partial(run_node, LearnerNode)
 
 if __name__ == '__main__':
     sys.exit(main())

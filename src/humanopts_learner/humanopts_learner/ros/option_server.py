@@ -1,5 +1,6 @@
 """The node ``option_server``, which runs learned options, and answers queries about them."""
 
+from functools import partial
 from pathlib import Path
 import sys
 from typing import Any
@@ -199,10 +200,7 @@ class OptionServerNode(NodeBase):
         return response
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(OptionServerNode, args)
-
+main = partial(run_node, OptionServerNode)
 
 if __name__ == '__main__':
     sys.exit(main())

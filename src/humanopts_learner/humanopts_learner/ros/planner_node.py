@@ -1,6 +1,7 @@
 """The node ``planner``: SMDP value iteration, and acting by the resulting policy over options."""
 
 from collections.abc import Callable
+from functools import partial
 import sys
 from typing import Any
 import uuid
@@ -136,10 +137,7 @@ class PlannerNode(NodeBase):
             self.refuse('learned_options', message, problem)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(PlannerNode, args)
-
+main = partial(run_node, PlannerNode)
 
 if __name__ == '__main__':
     sys.exit(main())

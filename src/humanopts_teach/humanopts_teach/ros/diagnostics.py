@@ -5,12 +5,13 @@ The node ``diagnostics``: what nodes and recorder say of themselves, as ROS's ow
 """
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 import sys
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus
-from humanopts_ros.node_base import NodeBase
+from humanopts_ros.node_base import NodeBase, RECORDER
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, LATCHED_ALL, STREAM
 
@@ -49,12 +50,9 @@ class DiagnosticsNode(NodeBase):
         self._recorder = status
 
     def _publish(self) -> None:
-        names = self.get_node_names_and_namespaces()
-        there = {f'{space.rstrip("/")}/{name}' for name, space in names}
-        found = list(of_nodes(self._statuses, there))
+        found = list(of_nodes(self._statuses, set(self.nodes_there())))
         if self._recorder is not None:
-            space = self.get_namespace().rstrip('/')
-            found.append(of_recording(f'{space}/recorder: bag', self._recorder))
+            found.append(of_recording(f'{self.full_name(RECORDER)}: bag', self._recorder))
         message = DiagnosticArray(status=found)
         message.header.stamp = self.get_clock().now().to_msg()
         self._out.publish(message)
@@ -94,10 +92,7 @@ def of_recording(name: str, status: RecorderStatus) -> DiagnosticStatus:
     )
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(DiagnosticsNode, args)
-
+main = partial(run_node, DiagnosticsNode)
 
 if __name__ == '__main__':
     sys.exit(main())

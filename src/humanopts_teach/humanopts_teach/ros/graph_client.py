@@ -189,7 +189,7 @@ class GraphClient(NodeBase):
 
     def all_recorded(self) -> bool:
         """Return whether a recorder that was started again has been sent all that was shown."""
-        lesson = self.statuses.get(self._full_name(LESSON))
+        lesson = self.statuses.get(self.full_name(LESSON))
         return not self._resent or (
             lesson is not None
             and lesson.state == lesson.STATE_READY
@@ -219,7 +219,7 @@ class GraphClient(NodeBase):
         while True:
             self.turn(self._executor, 0.05)
             check()
-            self._check_duplicates(self._full_name(RECORDER))  # a new one takes over from ours
+            self._check_duplicates(self.full_name(RECORDER))  # a new one takes over from ours
             paused = self._paused()
             for name in sorted(reported.keys() - paused.keys()):
                 status = self.statuses.get(name)
@@ -241,7 +241,7 @@ class GraphClient(NodeBase):
 
     def teacher_finished(self) -> bool:
         """Return whether the simulated teacher has taught everything."""
-        status = self.statuses.get(self._full_name('simulated_teacher'))
+        status = self.statuses.get(self.full_name('simulated_teacher'))
         return status is not None and status.text.startswith(FINISHED)
 
     def knows_learned(self, option_name: str) -> bool:
@@ -279,7 +279,7 @@ class GraphClient(NodeBase):
         handle = sent.result()
         if not handle.accepted:
             raise LaunchError(f'the planner refused {what}')
-        reply, planner = handle.get_result_async(), self._full_name('planner')
+        reply, planner = handle.get_result_async(), self.full_name('planner')
         before = self.restarts[planner]
         self.wait(lambda: reply.done() or self.restarts[planner] != before, _WORK_SECONDS, what)
         if not reply.done():
@@ -305,12 +305,12 @@ class GraphClient(NodeBase):
 
     def note_end(self, end: Ended) -> None:
         """Publish that a node ended; the next process of that name is then no other node."""
-        node = self._full_name(end.node)
+        node = self.full_name(end.node)
         self.restarts[node] += end.again
         self._ended[node] = time.monotonic()
         if (known := self.statuses.pop(node, None)) is not None:
             self._gone.add(known.publisher_id)
-        lesson = self.statuses.get(self._full_name(LESSON))
+        lesson = self.statuses.get(self.full_name(LESSON))
         if end.node == LESSON:  # the next one sends everything
             self._resent = min(self._resent, 1)
         if end.node == RECORDER and lesson is not None:  # it pauses, and then goes on
@@ -333,12 +333,9 @@ class GraphClient(NodeBase):
             self._gone.add(known.publisher_id)  # it ended before its status had come here
         self.statuses[node] = status
 
-    def _full_name(self, name: str) -> str:
-        return f'{self.get_namespace().rstrip("/")}/{name}'
-
     def _stopped(self) -> str:
         """Return why the launch's recorder has stopped, and what is left; empty: it has not."""
-        status = self.statuses.get(self._full_name(RECORDER))
+        status = self.statuses.get(self.full_name(RECORDER))
         if status is None or status.state != msg.NodeStatus.STATE_PAUSED:
             return ''
         return f'{status.text}. The bag can be read: humanopts bag info {self._bag}'
@@ -367,7 +364,7 @@ class GraphClient(NodeBase):
         self._check_duplicates()
         if stopped := self._stopped():
             raise LaunchError(stopped)
-        mine = self._awaited | {self._full_name(RECORDER)}
+        mine = self._awaited | {self.full_name(RECORDER)}
         paused = {name: text for name, text in self._paused().items() if name in mine}
         now = time.monotonic()
         if not paused:
@@ -376,14 +373,9 @@ class GraphClient(NodeBase):
             name, text = next(iter(paused.items()))
             raise LaunchError(f'{name} cannot go on: {text}')
 
-    def _nodes_there(self) -> list[str]:
-        """Return the full names of the nodes on the graph; anybody may publish in their name."""
-        names = self.get_node_names_and_namespaces()
-        return [f'{space.rstrip("/")}/{name}' for name, space in names]
-
     def _check_duplicates(self, besides: str = '') -> None:
         suspects = self.duplicates & self._awaited - {besides}
-        there = Counter(self._nodes_there()) if suspects else Counter()
+        there = Counter(self.nodes_there()) if suspects else Counter()
         if found := sorted(name for name in suspects if there[name] > 1):
             raise LaunchError(
                 f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop the '

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from datetime import datetime, UTC
+from functools import partial
 from pathlib import Path
 import sys
 from typing import Any
@@ -343,10 +344,7 @@ class LessonNode(NodeBase):
             self._shown = view
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(LessonNode, args)
-
+main = partial(run_node, LessonNode)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -325,10 +325,7 @@ def _selected(selection: Selection) -> dict[str, str]:
     }
 
 
-def main() -> int:
-    """Run the recorder."""
-    return run_node(Recorder)
-
+main = partial(run_node, Recorder)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -1,5 +1,6 @@
 """The node ``simulated_teacher``: teaches over the graph as a person does."""
 
+from functools import partial
 import sys
 from typing import Any
 
@@ -150,10 +151,7 @@ class SimulatedTeacherNode(NodeBase):
         return EndDemonstration(Verdict.DISCARD, lesson.episode, 0)
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(SimulatedTeacherNode, args)
-
+main = partial(run_node, SimulatedTeacherNode)
 
 if __name__ == '__main__':
     sys.exit(main())
