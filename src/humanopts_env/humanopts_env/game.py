@@ -186,7 +186,8 @@ class ControlReply:
 
 class Game:
     """
-    One game of a domain. A refused request changes nothing.
+    One game of a domain, in lock-step: a command is for the newest step, and is refused as stale
+    for any other. A refused request changes nothing.
 
     :ivar transition: the newest transition; episode 0 before the first reset.
     :ivar control: who holds control.

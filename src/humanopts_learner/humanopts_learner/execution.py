@@ -17,7 +17,7 @@ from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.library import RunnableOption
 from humanopts_learner.options.option import LearnedOption, Mode
 from humanopts_learner.options.rollout import is_deterministic
-from humanopts_learner.planning.interruption import interruptions, OptionValues, winners
+from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
 from humanopts_learner.planning.request import Execution, MODULAR, PlanError
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.policies import GreedyPolicy
@@ -169,7 +169,7 @@ class Arbiter:
         modules = [self._options[name] for name in self._values.names]
         row = self._domain.feature_values(state)
         action = np.array([[m.choose_action(row, Mode.GREEDY, self._rng) for m in modules]])
-        winner = winners(self.execution, *self._values_at(state), action)
+        winner = arbitrate(self.execution, *self._values_at(state), action)
         return modules[int(winner[0])]
 
     def _values_at(self, state: Any) -> tuple[Floats, Floats]:

@@ -15,10 +15,10 @@ from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.evaluate import play
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.interruption import (
+    arbitrate,
     as_executed,
     option_values,
     policy_values,
-    winners,
 )
 from humanopts_learner.planning.request import Execution, MODULAR, PlanError, PlanRequest
 from humanopts_learner.ros.convert import option_values_from_message, option_values_to_message
@@ -252,14 +252,14 @@ def test_modules_of_the_greatest_mass_outvote_a_single_strong_one() -> None:
     continuation_values = np.array([[15.0, 14.0, 13.0, 10.0], [15.0, -np.inf, 13.0, 10.0]])
     action = np.array([[0, 1, 1, 2], [0, 1, 1, 2]])
     values = continuation_values, continuation_values, action
-    assert winners(Execution.MODULAR_STRONGEST, *values).tolist() == [0, 0]
-    assert winners(Execution.MODULAR_MASS, *values).tolist() == [1, 0]
+    assert arbitrate(Execution.MODULAR_STRONGEST, *values).tolist() == [0, 0]
+    assert arbitrate(Execution.MODULAR_MASS, *values).tolist() == [1, 0]
 
 
 @pytest.mark.parametrize('execution', MODULAR)
 def test_where_no_game_is_free_no_module_wins(execution: Execution) -> None:
     nothing = np.zeros((0, 3))
-    assert winners(execution, nothing, nothing, nothing.astype(np.intp)).tolist() == []
+    assert arbitrate(execution, nothing, nothing, nothing.astype(np.intp)).tolist() == []
 
 
 def test_values_survive_the_way_through_a_message() -> None:

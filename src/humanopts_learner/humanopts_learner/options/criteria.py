@@ -96,6 +96,13 @@ class Criterion:
         """Whether the value would do, but is not known well enough to say that it is met."""
         return self.value is not None and self.value <= self.threshold and not self.met
 
+    @property
+    def verdict(self) -> str:
+        """The standing of the criterion, in the words of every screen and report."""
+        if self.value is None:
+            return 'not yet measurable'
+        return 'met' if self.met else 'not yet known' if self.undecided else 'not met'
+
 
 def usual_thresholds(domain: Domain[Any]) -> Thresholds:
     """

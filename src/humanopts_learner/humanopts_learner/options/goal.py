@@ -23,7 +23,7 @@ from humanopts_learner.demonstrations import Demonstration
 import numpy as np
 
 MOST = 0.8  # of the demonstrations; so a slip in one of several hides nothing
-MOST_GAMMA = 0.999  # of a way: one that is a step longer must be worth less
+MOST_GAMMA = 0.999  # at most: a longer way must be worth less
 
 
 @dataclass(frozen=True)

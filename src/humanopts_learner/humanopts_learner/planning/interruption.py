@@ -90,14 +90,14 @@ def interruptions(
     return stopped
 
 
-def winners(
+def arbitrate(
     execution: Execution, option_values: Floats, continuation_values: Floats, action: Ints
 ) -> Ints:
     """
-    Return (N,): the index of the option whose action modules take, the lowest of equals.
+    Arbitrate between modules: return (N,) the index of the option whose action is taken.
 
-    By mass, it is the strongest of those whose action has the greatest mass; equal masses are
-    decided by the strongest module.
+    By greatest mass, it is the strongest of those whose action has the greatest mass; equal masses
+    are decided by the strongest module, and equal modules by the lowest index.
 
     :param execution: one of ``MODULAR``.
     :param option_values: (N, O); modules of value -inf have no strength.
@@ -162,7 +162,7 @@ def as_executed(plan: ExactPlan, execution: Execution) -> ExactPlan:
         ]
         return replace(plan, options=tuple(ending))
     action = option_table(plan.domain, plan.action_set, plan.options).action
-    found = winners(execution, *values, action[: len(plan.names)].T)
+    found = arbitrate(execution, *values, action[: len(plan.names)].T)
     winner = np.where(plan.domain.over(), -1, found).astype(np.int32)
     modules = [
         replace(option, max_steps=1, initiation=winner == o)

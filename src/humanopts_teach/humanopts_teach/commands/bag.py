@@ -225,7 +225,7 @@ def play(
         ),
     ] = 1.0,
 ) -> int:
-    """Play an episode again in this terminal; as plain text where this is none."""
+    """Play an episode again in this terminal; as plain text where this is no terminal."""
     from humanopts_env.domains.base import StateError
     from humanopts_teach.bags.contents import (
         actors_in,

@@ -110,20 +110,19 @@ def _criterion(criterion: Criterion) -> Text:
         return Text('not yet', style='dim')
     if criterion.met:
         return Text(f'{criterion.value:.3g}', style=GREEN)
-    why = ', not yet known' if criterion.undecided else f' > {criterion.threshold:g}'
+    why = f', {criterion.verdict}' if criterion.undecided else f' > {criterion.threshold:g}'
     return Text(f'{criterion.value:.3g}{why}', style=ORANGE)
 
 
 def _criteria_words(option: OptionStatus) -> str:
     measured = [
-        f'{c.name} {c.value:.3g} (target {c.threshold:g}'
-        f'{", not yet known" if c.undecided else ""})'
+        f'{c.name} {c.value:.3g} (target {c.threshold:g}{f", {c.verdict}" if c.undecided else ""})'
         for c in option.criteria
         if c.measurable
     ]
     met = 'criteria met' if option.criteria_met else 'criteria not met yet'
     shown = f'{option.n_demonstrations} shown, {option.n_not_here} not here'
-    return '; '.join([shown, ', '.join(measured) or 'nothing measurable yet', met])
+    return '; '.join([shown, ', '.join(measured) or 'criteria not yet measurable', met])
 
 
 def _episodes(feedback: Any) -> str:

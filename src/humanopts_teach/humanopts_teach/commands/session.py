@@ -31,7 +31,7 @@ from humanopts_teach.launching.processes import (
     Recording,
     Setup,
 )
-from humanopts_teach.launching.restarts import Ended, MOST
+from humanopts_teach.launching.restarts import MOST, NodeExit
 from humanopts_teach.ros.graph_client import GraphClient
 
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
@@ -51,7 +51,7 @@ def setup_from(
     :param own: fields that the command sets itself; ``directory`` and ``step_period`` where the
         user gives none.
     :raises CommandError: a domain parameter is not NAME=VALUE, the domain or its thresholds are
-        not valid, the namespace or ROS_DOMAIN_ID is none, or the bag would not hold what an
+        not valid, the namespace or ROS_DOMAIN_ID cannot be used, or the bag would not hold what an
         evaluation needs.
     """
     check_place(launch.namespace)
@@ -115,7 +115,7 @@ def check_place(namespace: str) -> None:
     """
     Check where nodes are to run, or run.
 
-    :raises CommandError: the namespace or ROS_DOMAIN_ID is none.
+    :raises CommandError: the namespace or ROS_DOMAIN_ID cannot be used.
     """
     if not _NAMESPACE.fullmatch(namespace):
         raise CommandError(f'{namespace!r} is not a namespace; one reads / or /room_1/left')
@@ -296,7 +296,7 @@ def session(
         graph = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
         running = Session(setup, launcher, graph, interrupts)
 
-        def on_end(end: Ended) -> None:
+        def on_end(end: NodeExit) -> None:
             graph.note_end(end)
             if end.again:  # the other is an error of the session
                 tell(end.text)

@@ -138,12 +138,11 @@ def _option(option: OptionEvaluation) -> list[str]:
 
 
 def _unmet(criterion: Criterion) -> str:
-    value = 'not yet measurable' if criterion.value is None else number(criterion.value)
+    is_now = criterion.verdict if criterion.value is None else number(criterion.value)
     if criterion.undecided:
-        value = (
-            f'not yet known: about {value}, at most {number(criterion.high)} with 95 % confidence'
-        )
-    return f'{criterion.name} is {value}, needs {number(criterion.threshold)} or less'
+        limit = f'at most {number(criterion.high)} with 95 % confidence'
+        is_now = f'{criterion.verdict}: about {is_now}, {limit}'
+    return f'{criterion.name} is {is_now}, needs {number(criterion.threshold)} or less'
 
 
 def _more(demonstrations: int) -> list[str]:

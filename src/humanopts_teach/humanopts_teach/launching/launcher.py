@@ -1,5 +1,5 @@
 """
-Starts one process for each node, watches them, and stops them all, the recorder last.
+Supervises the nodes: one process for each is started, watched, and stopped, the recorder last.
 
 A node that ends without being asked is started again, while the others go on.
 """
@@ -24,7 +24,7 @@ from humanopts_ros.environment import LAUNCHER_PID
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer
 from humanopts_teach.launching.processes import ProcessSpec, RECORDER
-from humanopts_teach.launching.restarts import Ended, how, Lives, MOST
+from humanopts_teach.launching.restarts import how, MOST, NodeExit, RestartPolicy
 import psutil
 
 CONDUCTOR = 'conductor'  # the node in the launcher's own process
@@ -32,8 +32,11 @@ TAIL_LINES = 12
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
 _LAST_SECONDS = 1.0  # for the end of what was killed to be known
 _STOPPED_PERIOD = 1.0  # s between looks whether a process is stopped
-# The second: before the node had a handler for it. The third: Fast DDS held it up.
-_ENDS_AS_ASKED = (0, -signal.SIGTERM, -signal.SIGALRM)
+_ENDS_AS_ASKED = (
+    0,
+    -signal.SIGTERM,  # before the node had a handler for it
+    -signal.SIGALRM,  # Fast DDS held it up
+)
 
 
 def _place(namespace: str) -> tuple[int, Path]:
@@ -97,9 +100,9 @@ class _Running:
     spec: ProcessSpec
     process: Process
     log: Path
-    lives: Lives
+    policy: RestartPolicy
     due: float | None = None  # when it is started again, s; None: it runs, or does so no more
-    given_up: Ended | None = None  # how it ended for the last time; None: it did not
+    given_up: NodeExit | None = None  # how it ended for the last time; None: it did not
     stopped: bool = False  # by SIGSTOP
 
     @property
@@ -139,8 +142,8 @@ class Launcher:
         self._directory = log_directory
         self._namespace = namespace
         self._restarts = restarts
-        self.ends: list[Ended] = []
-        self.on_end: Callable[[Ended], object] = lambda ended: None
+        self.ends: list[NodeExit] = []
+        self.on_end: Callable[[NodeExit], object] = lambda ended: None
         self.tell: Callable[[str], object] = lambda line: None
         self._looked = 0.0  # when it was last looked for stopped processes, s
         self._running: list[_Running] = []
@@ -244,8 +247,8 @@ class Launcher:
     def _start(self, spec: ProcessSpec) -> _Running:
         log = self._directory / f'{spec.name}.log'
         log.write_bytes(b'')  # of an earlier launch
-        running = _Running(spec, self._process(spec, log), log, Lives(self._restarts))
-        running.lives.begin(time.monotonic())
+        running = _Running(spec, self._process(spec, log), log, RestartPolicy(self._restarts))
+        running.policy.begin(time.monotonic())
         self._running.append(running)
         return running
 
@@ -259,15 +262,15 @@ class Launcher:
     def _start_again(self, running: _Running) -> None:
         running.process = self._process(running.spec, running.log)
         running.due, running.stopped = None, False
-        running.lives.begin(time.monotonic())
+        running.policy.begin(time.monotonic())
 
     def _ended(self, running: _Running, status: int, now: float) -> None:
         """Plan when a node that ended is started again, and tell that it ended."""
-        spec, lives = running.spec, running.lives
+        spec, policy = running.spec, running.policy
         if self._server is not None and not self._server.ended:
-            running.due = lives.end(now, status)
+            running.due = policy.end(now, status)
         again = running.due is not None
-        end = Ended(spec.name, how(status), _last_lines(running.log), lives.restarts, again)
+        end = NodeExit(spec.name, how(status), _last_lines(running.log), policy.restarts, again)
         if not again:
             running.given_up = end
         with running.log.open('a', encoding='utf-8') as log:

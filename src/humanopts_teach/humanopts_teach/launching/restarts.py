@@ -15,8 +15,8 @@ def how(status: int) -> str:
 
 
 @dataclass(frozen=True)
-class Ended:
-    """The end of a node that nobody asked for."""
+class NodeExit:
+    """An unexpected exit of a node."""
 
     node: str
     how: str  # "by signal SIGKILL", "exit status 1"
@@ -40,7 +40,7 @@ class Ended:
         return f'{self.sentence}{said}'
 
 
-class Lives:
+class RestartPolicy:
     """
     Counts how often in a row a node ended soon, and says when it is started again.
 

@@ -198,7 +198,7 @@ def _criterion(criterion: Criterion) -> CriterionShown:
     return CriterionShown(
         '✓' if criterion.met else '?' if criterion.undecided else '·',
         criterion.name,
-        now or 'not measured',
+        now or 'not measured',  # shorter than the verdict: a window has 80 columns
         f'≤ {needs}',
         Tone.GOOD if criterion.met else Tone.WARNING,
         None if value is None else _share(value, threshold),

@@ -1,15 +1,16 @@
 """
 The entries of a lesson on disk: for each participant one file of answers and demonstrations.
 
-A line of JSON is one entry. It is on disk (fsync) before the lesson goes on.
+A line of JSON is one entry. It is durable (fsync) before the lesson goes on.
 """
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass, fields
 import errno
 import fcntl
 import json
+import os
 from pathlib import Path
 import re
 from typing import Any, TextIO
@@ -17,8 +18,10 @@ from typing import Any, TextIO
 from humanopts_learner.append_only_log import AppendOnlyLog, link_remark
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError
 from humanopts_ros.limits import JsonError, parse_json
+import psutil
 
 VERSION = 1  # of the line format
+OPEN_SESSION = 'open_session.json'
 _SUFFIX = '.jsonl'
 _LOCK = '.lock'
 CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')  # of participants, who name files, and sessions
@@ -221,3 +224,41 @@ def _explained(error: OSError, what: str) -> StoreError:
     }
     cause = causes.get(error.errno or 0, error.strerror or str(error))
     return StoreError(f'cannot {what}: {cause}')
+
+
+class OpenSessionFile:
+    """
+    The file in the folder of demonstrations that names the open session.
+
+    A lesson node that has died goes on with it. Only a process with the same parent takes it up,
+    which is a launcher that starts a node again: the next launch begins with a session of its own.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Name the file; nothing is written."""
+        self._path = folder / OPEN_SESSION
+        parent = psutil.Process(os.getppid())
+        self._parent = f'{parent.pid} {parent.create_time()}'
+
+    def left(self) -> tuple[str, str] | None:
+        """Return participant and session that a process before this one has left open."""
+        try:
+            values = parse_json(self._path.read_text('utf-8'))
+            if values['parent'] == self._parent:
+                return str(values['participant']), str(values['session'])
+        except (OSError, JsonError, UnicodeError, LookupError, TypeError):
+            pass  # there is none, or it is not ours
+        return None
+
+    def keep(self, participant: str, session: str) -> None:
+        """Note what is open; where that fails, a lesson that is started again has no session."""
+        values = {'parent': self._parent, 'participant': participant, 'session': session}
+        new = self._path.with_name(f'{OPEN_SESSION}.new')
+        with suppress(OSError):
+            new.write_text(json.dumps(values), 'utf-8')
+            os.replace(new, self._path)
+
+    def forget(self) -> None:
+        """Note that nothing is open."""
+        with suppress(OSError):
+            self._path.unlink()

@@ -114,9 +114,9 @@ def _criteria(options: Sequence[OptionEvaluation]) -> Finding:
 
 def _unmet(option: OptionEvaluation) -> str:
     return ', '.join(
-        f'{c.name} not yet measurable'
+        f'{c.name} {c.verdict}'
         if not c.measurable
-        else f'{c.name} not yet known: at most {number(c.high)}, needs {c.threshold:g}'
+        else f'{c.name} {c.verdict}: at most {number(c.high)}, needs {c.threshold:g}'
         if c.undecided
         else f'{c.name} {number(c.value)}, needs {c.threshold:g}'
         for c in option.last.judgement.criteria

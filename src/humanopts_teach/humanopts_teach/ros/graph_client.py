@@ -19,7 +19,7 @@ from humanopts_ros.qos import CURRENT, LATCHED_ALL
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import CONDUCTOR
 from humanopts_teach.launching.processes import RECORDER, Value
-from humanopts_teach.launching.restarts import Ended
+from humanopts_teach.launching.restarts import NodeExit
 from humanopts_teach.launching.status import restarts_text
 from humanopts_teach.lesson.simulated_teacher import FINISHED
 import rclpy
@@ -303,7 +303,7 @@ class GraphClient(NodeBase):
                     raise
                 self.wait_ready(sorted(self._awaited))
 
-    def note_end(self, end: Ended) -> None:
+    def note_end(self, end: NodeExit) -> None:
         """Publish that a node ended; the next process of that name is then no other node."""
         node = self.full_name(end.node)
         self.restarts[node] += end.again

@@ -23,7 +23,6 @@ from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from humanopts_teach.lesson.lesson import Lesson
-from humanopts_teach.lesson.open_place import OpenPlace
 from humanopts_teach.lesson.recorders import Recorders
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -37,7 +36,7 @@ from humanopts_teach.lesson.requests import (
     Verdict,
 )
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
-from humanopts_teach.lesson.store import DemonstrationStore, StoreError
+from humanopts_teach.lesson.store import DemonstrationStore, OpenSessionFile, StoreError
 from humanopts_teach.ros.convert import (
     decode,
     encode,
@@ -80,7 +79,7 @@ class LessonNode(NodeBase):
             self._store = DemonstrationStore(Path(directory))
         except StoreError as error:
             raise StartError(str(error)) from error
-        self._place = OpenPlace(Path(directory))
+        self._open_session = OpenSessionFile(Path(directory))
         for damage in self._store.damage:
             self.get_logger().warning(damage)
         self._opened: Lesson | None = None  # once the game is known
@@ -145,7 +144,7 @@ class LessonNode(NodeBase):
 
     def close(self) -> None:
         """Let another lesson use the folder, and begin without a session."""
-        self._place.forget()
+        self._open_session.forget()
         self._store.close()
 
     def _on_domain(self, domain: Domain[Any]) -> None:
@@ -157,7 +156,7 @@ class LessonNode(NodeBase):
             clock=self.monotonic,
             today=lambda: datetime.now(UTC).strftime('%Y%m%d'),
         )
-        left = self._place.left()
+        left = self._open_session.left()
         if left is not None:
             answer = self._opened.resume(*left)
             self._asked_learner = self.monotonic()
@@ -186,7 +185,7 @@ class LessonNode(NodeBase):
                 await self.waiting.until(lambda: self._lesson.reached(*seen), _GAME_DEADLINE)
             answer = self._lesson.carry_out(request)
             if isinstance(request, OpenSession) and answer.ok:
-                self._place.keep(request.participant, answer.session)
+                self._open_session.keep(request.participant, answer.session)
             if isinstance(request, BeginDemonstration) and answer.ok:
                 answer = await self._begin(answer)
             if answer.unsent:

@@ -94,7 +94,7 @@ def event_of(line: str) -> Event:
     """
     Return the event of a line.
 
-    :raises ValueError: it is none.
+    :raises ValueError: it is no event.
     """
     values = parse_json(line)
     known = isinstance(values, dict) and isinstance(values.get('event'), str)

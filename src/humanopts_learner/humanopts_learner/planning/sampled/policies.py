@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import Protocol
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_learner.planning.interruption import interruptions, OptionValues, winners
+from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
 from humanopts_learner.planning.request import Execution, MODULAR
 from humanopts_learner.planning.sampled.action_set import ActionSet, Observation
 import numpy as np
@@ -90,7 +90,7 @@ class GreedyPolicy:
         known = np.isfinite(competing).any(axis=1)
         each = [np.full(len(can), o) for o in range(self.actions.first_fallback)]
         action = np.stack([self.actions.actions(seen, option) for option in each], axis=1)
-        winner = winners(self.execution, option_values, continuation_values, action)
+        winner = arbitrate(self.execution, option_values, continuation_values, action)
         return Choice(np.where(known, winner, choice.option), choice.unknown & ~known)
 
     def choose(self, seen: Observation) -> Choice:
