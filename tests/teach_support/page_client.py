@@ -1,6 +1,7 @@
 """A client of the pages' own protocol, without a browser."""
 
 import ast
+from functools import partial
 from html import unescape
 import json
 import re
@@ -33,6 +34,7 @@ class PageClient:
         """Connect, as a page does when it was loaded, and after the network was gone."""
         connection = socketio.Client()
         connection.on('update', self._update)
+        connection.on('run_javascript', partial(self._run, connection))
         connection.on('open', lambda message: self.opened.append(message['path']))
         asked = '&'.join(f'{name}={value}' for name, value in self.query.items())
         path = '/_nicegui_ws/socket.io'
@@ -48,6 +50,11 @@ class PageClient:
     def _update(self, changed: dict[str, Any]) -> None:
         elements = {name: new for name, new in changed.items() if isinstance(new, dict)}
         self.elements.update(elements)
+
+    def _run(self, connection: socketio.Client, asked: dict[str, Any]) -> None:
+        if 'request_id' in asked:
+            mine = {'client_id': self.query['client_id'], 'request_id': asked['request_id']}
+            connection.emit('javascript_response', {**mine, 'result': 0})
 
     def shows(self, part: str) -> str:
         """Return the HTML of a part."""

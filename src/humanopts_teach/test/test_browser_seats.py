@@ -19,6 +19,8 @@ class Page:
         self.shown: tuple[str, int] = ('', 0)
         self.press: Press = lambda keys, frame: None
         self.reloaded = 0
+        self.prompt = asyncio.Event()  # whether it takes at once what is shown
+        self.prompt.set()
 
     def show(self, view: View, frame: int) -> None:
         """Keep the first line."""
@@ -33,6 +35,10 @@ class Page:
     def reload(self) -> None:
         """Count."""
         self.reloaded += 1
+
+    async def taken(self) -> None:
+        """Wait until it is prompt."""
+        await self.prompt.wait()
 
 
 class Games:
@@ -202,12 +208,18 @@ def test_a_game_that_cannot_be_started_says_why() -> None:
     run(story)
 
 
-def test_all_games_end_with_the_server() -> None:
+def test_all_games_end_with_the_server_once_each_page_has_its_farewell() -> None:
     async def story(seats: Seats, games: Games) -> None:
         page = Page()
         seats.enter('anna', page)
         await until(lambda: bool(games.open))
-        await seats.close('stopped')
-        assert page.shown[0] == 'stopped'
+        page.prompt.clear()
+        closing = asyncio.create_task(seats.close('stopped'))
+        await until(lambda: page.shown[0] == 'stopped')
+        for _ in range(10):
+            await asyncio.sleep(0)
+        assert not closing.done()
+        page.prompt.set()
+        await closing
 
     run(story)

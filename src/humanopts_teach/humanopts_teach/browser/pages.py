@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from html import escape
 from secrets import compare_digest
 import socket
@@ -23,6 +23,7 @@ import uvicorn
 
 _STRANGER = 'This address is not complete. Open the one that was printed where the game runs.'
 _RECONNECTING = 10.0  # s that a page which lost its connection is kept as it is
+_ANSWER = 1.0  # s that a page has to say that it has everything
 _LOOK = 0.1  # s between looks whether the server is to end
 
 
@@ -52,6 +53,12 @@ class PageWindow:
     def reload(self) -> None:
         """Load the page again."""
         self._client.run_javascript('location.reload()')
+
+    async def taken(self) -> None:
+        """Wait until the page has what was shown last, or seems to be gone."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_ANSWER):
+                await self._client.run_javascript('0', timeout=_ANSWER)
 
     def go_to(self, path: str) -> None:
         """Open another page."""

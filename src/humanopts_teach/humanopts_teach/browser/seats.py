@@ -28,6 +28,9 @@ class Window(Protocol):
     def reload(self) -> None:
         """Load the page again."""
 
+    async def taken(self) -> None:
+        """Wait until the page has what was shown last, or seems to be gone."""
+
 
 class GameError(Exception):
     """A participant's game cannot be started, or has ended; the text says why."""
@@ -88,12 +91,13 @@ class Seat:
         self.farewell = farewell
         self.over.set()
 
-    def closed(self) -> None:
-        """Say farewell; from now on a key loads the page again."""
+    async def closed(self) -> None:
+        """Say farewell, and wait until the page has it; from now on a key loads the page again."""
         if self._leaving is not None:
             self._leaving.cancel()
-        if self.window is not None:
-            tell(self.window, message(self.head, self.farewell, 'go on'), self.window.reload)
+        if (window := self.window) is not None:
+            tell(window, message(self.head, self.farewell, 'go on'), window.reload)
+            await window.taken()
 
 
 class Seats:
@@ -158,9 +162,9 @@ class Seats:
         except GameError as error:
             seat.end(f'{error} {FAREWELL}')
         finally:
+            await seat.closed()
             if self._seats.get(seat.participant) is seat:
                 del self._seats[seat.participant], self._tasks[seat.participant]
-            seat.closed()
 
     def _ask(self, seat: Seat, window: Window) -> None:
         """Ask whether to go on here; the other window keeps the seat until then."""
