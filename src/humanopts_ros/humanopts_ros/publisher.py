@@ -45,13 +45,6 @@ class StampedPublisher(Generic[M]):
         """Full name of the topic."""
         return str(self._publisher.topic_name)
 
-    def stamp(self, message: M) -> M:
-        """Fill in the fields that ``publish`` would, without sending."""
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        message.publisher_id = self._publisher_id
-        message.sequence = self.sequence + 1
-        return message
-
     def publish(self, message: M) -> None:
         """
         Send the message.
@@ -59,8 +52,11 @@ class StampedPublisher(Generic[M]):
         :raises PublishError: the middleware refused it, as it does when a reader that keeps
             everything has stopped reading.
         """
+        message.publisher_id = self._publisher_id
+        message.sequence = self.sequence + 1
         try:
-            self._publisher.publish(self.stamp(message))
+            message.header.stamp = self._node.get_clock().now().to_msg()
+            self._publisher.publish(message)
         except Exception as error:
             cause, names = without_source(error), ', '.join(sorted(set(self.readers()))) or 'none'
             raise PublishError(

@@ -100,6 +100,23 @@ class Seat:
             await window.taken()
 
 
+class Turn:
+    """
+    A seat for one condition of a study, after which the next one follows.
+
+    :ivar farewell: why it ended; empty: the participant ended it.
+    """
+
+    def __init__(self, seat: Seat) -> None:
+        self.number, self.show, self.over = seat.number, seat.show, asyncio.Event()
+        self.farewell = ''
+
+    def end(self, farewell: str = FAREWELL) -> None:
+        """End the condition."""
+        self.farewell = '' if farewell == FAREWELL else farewell
+        self.over.set()
+
+
 class Seats:
     """
     Those who teach now.

@@ -10,10 +10,10 @@ import secrets
 import select
 import socket
 import sys
-from typing import Any, Protocol
+from typing import Any
 
 from humanopts_teach.browser.pages import serve
-from humanopts_teach.browser.seats import FAREWELL, GameError, Press, Seat, Seats
+from humanopts_teach.browser.seats import GameError, Press, Seat, Seats, Turn
 from humanopts_teach.commands import CommandError, noticed_interrupts
 from humanopts_teach.commands.session import check_folder, new_name, session, tell
 from humanopts_teach.dialogue.panel import View
@@ -32,24 +32,6 @@ class Address:
 
     host: str
     port: int
-
-
-class Place(Protocol):
-    """Where a game is shown: a seat, or a part of what is done there."""
-
-    @property
-    def number(self) -> int:
-        """Its number; no other has it meanwhile."""
-
-    @property
-    def over(self) -> asyncio.Event:
-        """Set when the game is to end."""
-
-    def show(self, view: View, frame: int) -> None:
-        """Show a frame."""
-
-    def end(self, farewell: str = FAREWELL) -> None:
-        """End the game."""
 
 
 OpenGame = Callable[[TeleopThread, Seat], AbstractAsyncContextManager[Press]]
@@ -140,7 +122,7 @@ def _name(host: str) -> str:
 
 @asynccontextmanager
 async def game(
-    setup: Setup, namespace: str, thread: TeleopThread, seat: Place
+    setup: Setup, namespace: str, thread: TeleopThread, seat: Seat | Turn
 ) -> AsyncIterator[Press]:
     """
     Keep the graph of a seat, and the node that its participant teaches by.
@@ -175,7 +157,7 @@ async def game(
 
 
 @asynccontextmanager
-async def _graph(setup: Setup, namespace: str, seat: Place) -> AsyncIterator[None]:
+async def _graph(setup: Setup, namespace: str, seat: Seat | Turn) -> AsyncIterator[None]:
     """Run a graph in processes of its own until the end; the seat ends if it does."""
     try:
         check_folder(setup)

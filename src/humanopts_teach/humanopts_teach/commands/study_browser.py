@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 
-from humanopts_teach.browser.seats import FAREWELL, GameError, message, Press, Seat
+from humanopts_teach.browser.seats import GameError, message, Press, Seat, Turn
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.browser import Address, game, serve_seats
 from humanopts_teach.commands.study_session import Study
@@ -25,19 +25,6 @@ def study_in_browser(study: Study, address: Address, participant: str, linger: f
     return serve_seats(study.plan.name, open_game, address, participant, linger)
 
 
-class _TurnPlace:
-    """A seat during one condition, after which the next one follows."""
-
-    def __init__(self, seat: Seat) -> None:
-        self.number, self.show, self.over = seat.number, seat.show, asyncio.Event()
-        self.farewell = ''  # why it ended, where the participant did not end it
-
-    def end(self, farewell: str = FAREWELL) -> None:
-        """End the condition."""
-        self.farewell = '' if farewell == FAREWELL else farewell
-        self.over.set()
-
-
 @asynccontextmanager
 async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIterator[Press]:
     """Keep one game after the other, each of a condition; the last one ends the seat."""
@@ -48,7 +35,7 @@ async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIte
         try:
             participant = study.enter(seat.participant)
             while (turn := study.next_turn(participant)) is not None:
-                place = _TurnPlace(seat)
+                place = Turn(seat)
                 async with game(turn.setup, study.namespace, thread, place) as pressed:
                     press = pressed
                     await place.over.wait()

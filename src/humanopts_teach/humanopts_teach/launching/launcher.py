@@ -24,7 +24,7 @@ from humanopts_ros.environment import LAUNCHER_PID
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer
 from humanopts_teach.launching.processes import ProcessSpec, RECORDER
-from humanopts_teach.launching.restarts import how, MOST, NodeExit, RestartPolicy
+from humanopts_teach.launching.restarts import how, MOST, NodeExit, RestartPolicy, said_last
 import psutil
 
 CONDUCTOR = 'conductor'  # the node in the launcher's own process
@@ -352,9 +352,8 @@ def _of_terminal(module: str, arguments: Sequence[str], log: Path) -> 'subproces
 
 def _end_of(running: _Running) -> str:
     """Say how a process ended that was asked to, or had the terminal, and what it wrote last."""
-    lines = _last_lines(running.log)
-    said = f'; its last lines:{lines}' if lines else '; its log is empty'
-    return f'the node {running.spec.name} ended ({how(running.process.wait())}){said}'
+    ended = f'the node {running.spec.name} ended ({how(running.process.wait())})'
+    return f'{ended}{said_last(_last_lines(running.log))}'
 
 
 def _last_lines(log: Path) -> str:

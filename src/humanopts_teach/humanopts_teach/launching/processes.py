@@ -116,7 +116,7 @@ class Setup:
 def processes(setup: Setup) -> list[ProcessSpec]:
     """Return the processes of a launch, the recorder first."""
     domain_parameters = json.dumps(dict(setup.domain_parameters))
-    thresholds, recording = setup.thresholds, setup.recording
+    recording, turn = setup.recording, setup.study
     table: list[tuple[bool, str, str, dict[str, Value]]] = [
         (
             setup.record,
@@ -149,9 +149,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
             {
                 'directory': str(setup.options),
                 'seed': setup.seed,
-                'return_delta': thresholds.return_delta,
-                'initiation_error': thresholds.initiation_error,
-                'termination_error': thresholds.termination_error,
+                **asdict(setup.thresholds),
             },
         ),
         (
@@ -197,7 +195,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
                 'participant': setup.participant,
                 'ask_participant': setup.ask_participant,
                 'seed': setup.seed,
-                **_study(setup.study),
+                **({'study_parts': turn.parts, 'study_record': str(turn.record)} if turn else {}),
             },
         ),
     ]
@@ -208,20 +206,13 @@ def processes(setup: Setup) -> list[ProcessSpec]:
     ]
 
 
-def _study(turn: StudyTurn | None) -> dict[str, Value]:
-    """Return the parameters of the terminal that a study adds."""
-    return {'study_parts': turn.parts, 'study_record': str(turn.record)} if turn else {}
-
-
 def recorded_facts(setup: Setup) -> dict[str, str]:
     """Return the settings, as texts for the bag, that an evaluation of it needs."""
     facts = {
         'domain': setup.domain,
         'domain_parameters': json.dumps(dict(setup.domain_parameters)),
         'seed': str(setup.seed),
-        'return_delta': repr(setup.thresholds.return_delta),
-        'initiation_error': repr(setup.thresholds.initiation_error),
-        'termination_error': repr(setup.thresholds.termination_error),
+        **{name: repr(value) for name, value in asdict(setup.thresholds).items()},
         'strategy': setup.strategy,
         'budget': str(setup.budget),
         'teacher_error_rate': repr(setup.teacher_error_rate if setup.taught else None),

@@ -14,6 +14,11 @@ def how(status: int) -> str:
     return f'by signal {signal.Signals(-status).name}' if status < 0 else f'exit status {status}'
 
 
+def said_last(lines: str) -> str:
+    """Return how a sentence about a node goes on with the last lines of its log."""
+    return f'; its last lines:{lines}' if lines else '; its log is empty'
+
+
 @dataclass(frozen=True)
 class NodeExit:
     """An unexpected exit of a node."""
@@ -36,8 +41,7 @@ class NodeExit:
     @property
     def text(self) -> str:
         """What happened, and what the node said last."""
-        said = f'; its last lines:{self.last_lines}' if self.last_lines else '; its log is empty'
-        return f'{self.sentence}{said}'
+        return f'{self.sentence}{said_last(self.last_lines)}'
 
 
 class RestartPolicy:
