@@ -22,6 +22,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/launch', glob('launch/*.launch.py')),
+        (f'share/{NAME}/viewers', glob('viewers/*')),
     ],
     extras_require={
         'dask': ['dask', 'distributed'],
@@ -36,6 +37,7 @@ setup(
             'lesson = humanopts_teach.ros.lesson_node:main',
             'recorder = humanopts_teach.ros.recorder:main',
             'simulated_teacher = humanopts_teach.ros.simulated_teacher:main',
+            'views = humanopts_teach.ros.views:main',
         ],
     },
 )

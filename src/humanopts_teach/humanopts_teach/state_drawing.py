@@ -22,7 +22,7 @@ _ARMS = {  # words in the Unicode names of lines, and the edges of the cell that
     'VERTICAL': 'UD',
     'HORIZONTAL': 'LR',
 }
-_DOT = '·'
+DOT = '·'
 # Characters that fonts draw in many ways, or not at all; drawn around (0, 0) in a square of 20.
 _SHAPES = {
     '□': '<rect x="-7" y="-7" width="14" height="14" rx="3" class="open"/>',
@@ -74,12 +74,14 @@ def board_svg(drawing: StateDrawing, label: str = 'the board') -> str:
         for column, character in enumerate(line):
             x, y = column * width + width // 2, row * height + height // 2
             name = classes.get(character, '')
-            weight, arms = _arms(character)
-            if arms:
+            weight, reached = arms(character)
+            if reached:
                 key = f'line {weight} {name}'.rstrip()
                 ends = {'U': f'V{y - 10}', 'D': f'V{y + 10}', 'L': f'H{x - 5}', 'R': f'H{x + 5}'}
-                lines[key] = lines.get(key, '') + ''.join(f'M{x} {y}{ends[arm]}' for arm in arms)
-            elif character == _DOT:
+                lines[key] = lines.get(key, '') + ''.join(
+                    f'M{x} {y}{ends[arm]}' for arm in reached
+                )
+            elif character == DOT:
                 lines['dots'] = lines.get('dots', '') + f'M{x} {y}h0'
             elif character != ' ':
                 beside = line[max(column - 1, 0) : column] + line[column + 1 : column + 2]
@@ -93,8 +95,12 @@ def board_svg(drawing: StateDrawing, label: str = 'the board') -> str:
 
 
 @cache
-def _arms(character: str) -> tuple[str, str]:
-    """Return the weight of a box character, and the edges that it reaches; empty: it is none."""
+def arms(character: str) -> tuple[str, str]:
+    """
+    Return the weight of a box character, heavy or light, and the edges that it reaches.
+
+    :return: edges are letters of UDLR (up, down, left, right); empty: it is no box character.
+    """
     words = unicodedata.name(character, '').split()
     if words[:2] != ['BOX', 'DRAWINGS']:
         return '', ''

@@ -42,6 +42,7 @@ def test_defaults_launch_every_node_but_the_teachers() -> None:
     assert names() == nodes
     assert names(record='False', teach='false') == ['game', 'option_server', 'planner']
     assert names(diagnostics='true') == [*nodes, 'diagnostics']
+    assert names(views='true') == [*nodes, 'views']
     assert names(taught='go up; go down') == [*nodes, 'simulated_teacher']
 
 
@@ -71,6 +72,7 @@ def test_every_argument_reaches_a_parameter() -> None:
         'split_seconds': '60',
         'step_period': '2',
         'diagnostics': 'true',
+        'views': 'true',
         'taught': 'go up; go down',
     }
     assert {*values, 'teach', 'record'} == set(DEFAULTS)

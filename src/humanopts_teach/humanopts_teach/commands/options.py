@@ -203,6 +203,10 @@ class LaunchOptions:
         bool,
         typer.Option('--diagnostics', help='publish /diagnostics, for the tools of ROS'),
     ] = False
+    views: Annotated[
+        bool,
+        typer.Option('--views', help='publish the game for RViz and Foxglove'),
+    ] = False
 
 
 def with_launch_options(command: Callable[..., int]) -> Callable[..., int]:

@@ -77,6 +77,7 @@ def setup_from(
         strategy=launch.strategy,
         learn=launch.learn,
         diagnostics=launch.diagnostics,
+        views=launch.views,
         budget=launch.budget,
         thresholds=thresholds,
     )

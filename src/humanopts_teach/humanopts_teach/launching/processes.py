@@ -81,6 +81,7 @@ class Setup:
     bag_name: str = 'bag'
     step_period: float = 0.0  # s between a machine's steps
     diagnostics: bool = False  # a node publishes /diagnostics
+    views: bool = False  # a node publishes the game for RViz and Foxglove
     study: StudyTurn | None = None  # at the keyboard
 
     @property
@@ -176,6 +177,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
         ),
         (True, 'planner', 'humanopts_learner.ros.planner_node', {}),
         (setup.diagnostics, 'diagnostics', 'humanopts_teach.ros.diagnostics', {}),
+        (setup.views, 'views', 'humanopts_teach.ros.views', {}),
         (
             bool(setup.taught),
             'simulated_teacher',

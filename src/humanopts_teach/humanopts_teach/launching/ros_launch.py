@@ -66,6 +66,11 @@ ARGUMENTS = (
         'whether a node publishes /diagnostics: true or false',
     ),
     LaunchArgument(
+        'views',
+        Setup.views,
+        'whether a node publishes the game for RViz and Foxglove: true or false',
+    ),
+    LaunchArgument(
         'taught',
         Setup.taught,
         'options that a simulated teacher teaches, separated by ";"; empty: no teacher',

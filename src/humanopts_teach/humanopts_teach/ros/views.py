@@ -1,0 +1,172 @@
+"""
+The node ``views``: the game for RViz, Foxglove and other viewers of ROS.
+
+What is drawn is decided in ``scene.py``, for any domain.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+import sys
+from typing import Any
+
+from geometry_msgs.msg import Point, Vector3
+from humanopts_env.domains.base import BoardSlice, Domain, is_enumerable
+from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
+from humanopts_interfaces.msg import OptionGoal, OptionResult, OptionValues
+from humanopts_learner.planning.interruption import OptionValues as PlanValues
+from humanopts_learner.ros.convert import option_values_from_message
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.process import run_node
+from humanopts_ros.qos import CURRENT, DISPLAY, LATCHED
+from humanopts_teach.scene import (
+    cell_values,
+    CellValues,
+    Kind,
+    layout_of,
+    occupied,
+    option_shape,
+    scene,
+    Shape,
+    value_shapes,
+    walls,
+    WIDTH,
+)
+from nav_msgs.msg import OccupancyGrid
+import numpy as np
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+FRAME = 'humanopts'  # below the namespace
+_PERIOD = 0.05  # s between looks at the game, and least time between two drawings
+_OCCUPIED = 100  # of OccupancyGrid
+_TYPES = {
+    Kind.LINES: Marker.LINE_LIST,
+    Kind.TILES: Marker.CUBE_LIST,
+    Kind.DOTS: Marker.SPHERE_LIST,
+    Kind.BALL: Marker.SPHERE,
+    Kind.BOX: Marker.CUBE,
+    Kind.TEXT: Marker.TEXT_VIEW_FACING,
+}
+_ALONE = (Kind.BALL, Kind.BOX, Kind.TEXT)  # at the pose of the marker
+_HEIGHTS = {'values': -0.1, 'board': 0.0}  # z of layers, m; the others lie above the board
+_THIN = 0.05  # m
+
+
+class ViewsNode(NodeBase):
+    """Publishes the board, what is on it, the option that runs, and the values of a plan."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('views', **options)
+        self.frame = self.full_name(FRAME).lstrip('/')
+        self._board = self.create_publisher(OccupancyGrid, 'views/board', LATCHED)
+        self._markers = self.create_publisher(MarkerArray, 'views/markers', LATCHED)
+        self._game = GameSubscriber(self, self._begin)
+        self._newest = self._game.newest()
+        self._state: Observed | None = None
+        self._run = '', ''  # id and words of the option run under way
+        self._plan: PlanValues | None = None  # the newest whose states are those of the game
+        self._layouts: Sequence[BoardSlice] = ()
+        self._cells: dict[int, CellValues | None] = {}  # of that plan, by layout
+        self._changed = False
+        self.create_subscription(OptionGoal, 'option_goals', self._on_goal, DISPLAY)
+        self.create_subscription(OptionResult, 'option_results', self._on_result, DISPLAY)
+        self.subscribe(
+            OptionValues, 'option_values', option_values_from_message, self._on_values, CURRENT
+        )
+        self._timer = self.create_timer(_PERIOD, self._look, autostart=False)
+
+    def waits_for(self) -> str | None:
+        """Return what the node waits for: the domain of the game."""
+        return None if self._game.domain else 'domain_info'
+
+    def _begin(self, domain: Domain[Any]) -> None:
+        self._walls = walls(domain)
+        self._layouts = domain.board_slices() if is_enumerable(domain) else ()
+        self._board.publish(self._grid())
+        self._timer.reset()
+
+    def _on_goal(self, goal: OptionGoal) -> None:
+        self._run = goal.run_id, goal.option_name or goal.execution
+        self._changed = True
+
+    def _on_result(self, result: OptionResult) -> None:
+        if result.run_id == self._run[0]:
+            self._run = '', ''
+            self._changed = True
+
+    def _on_values(self, plan: PlanValues) -> None:
+        self._plan, self._cells = None if plan.sampled else plan, {}
+        self._changed = True
+
+    def _look(self) -> None:
+        """Draw the newest state, where anything has changed."""
+        if (newest := self._newest.take()) is not None:
+            self._state = newest
+        elif not self._changed:
+            return
+        self._changed = False
+        self._markers.publish(MarkerArray(markers=list(self._drawn())))
+
+    def _drawn(self) -> Iterator[Marker]:
+        """Yield what replaces all markers."""
+        yield self._marker(action=Marker.DELETEALL)
+        for number, shape in enumerate(self._shapes()):
+            yield self._encoded(number, shape)
+
+    def _shapes(self) -> Iterator[Shape]:
+        domain, observed = self._game.domain, self._state
+        if domain is None or observed is None or observed.state is None:
+            return
+        yield from scene(domain, observed.state, self._walls)
+        if self._run[1]:
+            yield option_shape(self._walls, self._run[1])
+        if (plan := self._plan) is not None and is_enumerable(domain) and self._layouts:
+            layout = layout_of(self._layouts, domain.index(observed.state))
+            if layout not in self._cells:
+                best = plan.option_values.max(axis=1, initial=-np.inf)
+                values = cell_values(domain, self._layouts[layout], plan.states, best)
+                self._cells[layout] = values
+            if (cells := self._cells[layout]) is not None:
+                yield from value_shapes(cells, plan.action_set)
+
+    def _grid(self) -> OccupancyGrid:
+        cells = occupied(self._walls)
+        grid = OccupancyGrid(data=(cells * _OCCUPIED).astype('int8').ravel().tolist())
+        grid.header.frame_id = self.frame
+        grid.header.stamp = grid.info.map_load_time = self.get_clock().now().to_msg()
+        grid.info.resolution = WIDTH
+        grid.info.height, grid.info.width = cells.shape
+        grid.info.origin.position.z = 2 * _HEIGHTS['values']  # below everything
+        return grid
+
+    def _marker(self, **fields: Any) -> Marker:
+        marker = Marker(**fields)
+        marker.header.frame_id = self.frame
+        marker.header.stamp = self.get_clock().now().to_msg()
+        marker.pose.orientation.w = 1.0
+        return marker
+
+    def _encoded(self, number: int, shape: Shape) -> Marker:
+        """Encode a shape; number: unique among those of one drawing."""
+        z = _HEIGHTS.get(shape.layer, 0.2)
+        points = [Point(x=x, y=y, z=z) for x, y in shape.points]
+        colours = [ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in shape.colours]
+        marker = self._marker(ns=shape.layer, id=number, type=_TYPES[shape.kind], text=shape.text)
+        marker.color = colours[0]
+        width, height = shape.size
+        marker.scale = Vector3(x=width, y=height, z=_THIN)
+        if shape.kind in _ALONE:
+            marker.pose.position = points[0]
+            marker.scale.z = height
+        else:
+            marker.points = points
+            marker.colors = colours if len(colours) > 1 else []
+        if shape.kind is Kind.LINES:
+            marker.scale = Vector3(x=width)  # the others are not used
+        return marker
+
+
+main = partial(run_node, ViewsNode)
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,123 @@
+"""What RViz and Foxglove see: the board, what is on it, the option that runs, values of a plan."""
+
+import json
+from pathlib import Path
+import re
+from typing import Any
+
+from graph_support.live import GAME, Graph
+from humanopts_interfaces.msg import OptionGoal, OptionResult, OptionValues
+from humanopts_interfaces.srv import ResetGame
+from humanopts_ros.qos import CURRENT, LATCHED, STREAM
+from humanopts_teach.launching.processes import processes, Setup
+from nav_msgs.msg import OccupancyGrid
+import numpy as np
+from visualization_msgs.msg import Marker, MarkerArray
+import yaml
+
+VIEWS = 'humanopts_teach.ros.views:ViewsNode'
+ROOT = Path(__file__).parents[1]
+VIEWERS = ROOT / 'src' / 'humanopts_teach' / 'viewers'
+LAYERS = {'board', 'notes', 'option', 'signs', 'values'}
+
+
+def texts(array: MarkerArray, layer: str) -> list[str]:
+    return [marker.text for marker in array.markers if marker.ns == layer and marker.text]
+
+
+def agent(array: MarkerArray) -> tuple[float, float]:
+    (marker,) = (m for m in array.markers if m.text == '☻')
+    return marker.pose.position.x, marker.pose.position.y
+
+
+def test_a_game_is_shown_in_its_namespace(live: Graph) -> None:
+    live.start(GAME, '/room', domain='rooms')
+    live.start(VIEWS, '/room')
+    live.ready('/room/game', '/room/views')
+    for start in ('cell 1,1', 'cell 2,3'):
+        live.ask(ResetGame, '/room/reset_game', source=1, start_state=start)
+    boards = live.listen(OccupancyGrid, '/room/views/board', CURRENT)
+    late = live.listen(MarkerArray, '/room/views/markers', CURRENT)
+    live.until(lambda: boards and late and agent(late[-1]) == (4.25, 9.5), 'the newest state')
+    assert agent(late[0]) in {(2.25, 10.5), (4.25, 9.5)}  # a latched one, not all of them
+
+    (board,) = boards
+    assert board.header.frame_id == 'room/humanopts'
+    assert (board.info.width, board.info.height, board.info.resolution) == (26, 26, 0.5)
+    assert set(board.data) == {0, 100}
+    drawn = late[-1].markers
+    assert drawn[0].action == Marker.DELETEALL
+    assert {marker.header.frame_id for marker in drawn} == {'room/humanopts'}
+    assert {marker.ns for marker in drawn[1:]} == {'board', 'notes', 'signs'}
+    assert len({(marker.ns, marker.id) for marker in drawn}) == len(drawn)
+    assert all(len(m.colors) in (0, len(m.points)) and m.color.a == 1.0 for m in drawn[1:])
+
+    goals = live.node.create_publisher(OptionGoal, '/room/option_goals', STREAM)
+    results = live.node.create_publisher(OptionResult, '/room/option_results', STREAM)
+    plans = live.node.create_publisher(OptionValues, '/room/option_values', LATCHED)
+    live.until(lambda: goals.get_subscription_count() == 1, 'the reader of goals')
+    live.until(lambda: results.get_subscription_count() == 1, 'the reader of results')
+    goals.publish(OptionGoal(run_id='1', option_name='to the hallway'))
+    live.until(lambda: texts(late[-1], 'option') == ['to the hallway'], 'the option')
+    results.publish(OptionResult(run_id='0'))  # of another run
+    results.publish(OptionResult(run_id='1'))
+    live.until(lambda: not texts(late[-1], 'option'), 'the end of the option')
+
+    plan: dict[str, Any] = {'action_set': 'human', 'names': ['a', 'b'], 'states': [0, 1]}
+    table = np.array([0.25, 0.5, -np.inf, -np.inf])
+    plans.publish(OptionValues(**plan, option_values=table[:3], continuation_values=table))
+    plans.publish(OptionValues(**plan, option_values=table, continuation_values=table))
+    live.until(lambda: texts(late[-1], 'values'), 'the values')
+    assert texts(late[-1], 'values') == ['human: 0.5 (blue) to 0.5 (yellow), goal G1']
+    plans.publish(
+        OptionValues(**plan, sampled=True, option_values=table, continuation_values=table)
+    )
+    live.until(lambda: not texts(late[-1], 'values'), 'no values of abstract states by cell')
+
+
+def test_the_page_has_the_topics_of_the_node(live: Graph) -> None:
+    live.start(VIEWS)
+    page = (ROOT / 'docs/reference/graph.md').read_text('utf-8')
+    section = page.split('\n## Views\n')[1].split('\n## ')[0]
+    rows = re.findall(r'^\| `(views/\w+)` \| `([\w/]+)` \| (\w+) \|', section, re.M)
+    found = dict(live.node_called('/views').get_publisher_names_and_types_by_node('views', '/'))
+    shown = {name.lstrip('/'): kind for name, (kind,) in found.items() if '/views/' in name}
+    assert {name: kind for name, kind, _ in rows} == shown
+    assert {profile for *_, profile in rows} == {'latched'}
+    for name in shown:
+        (info,) = live.node_called('/views').get_publishers_info_by_topic(name)
+        assert info.qos_profile.durability == LATCHED.durability
+
+
+def test_it_runs_only_where_it_is_wanted() -> None:
+    setup = Setup('taxi', Path('out'))
+    assert 'views' not in [spec.name for spec in processes(setup)]
+    assert 'views' in [spec.name for spec in processes(Setup('taxi', Path('out'), views=True))]
+
+
+def test_rviz_is_set_up_for_what_is_published() -> None:
+    config = yaml.safe_load((VIEWERS / 'humanopts.rviz').read_text('utf-8'))[
+        'Visualization Manager'
+    ]
+    displays = {display['Class']: display for display in config['Displays']}
+    topics = {name.partition('/')[2]: each['Topic'] for name, each in displays.items()}
+    assert {name: topic['Value'] for name, topic in topics.items()} == {
+        'Map': '/views/board',
+        'MarkerArray': '/views/markers',
+    }
+    assert {topic['Durability Policy'] for topic in topics.values()} == {'Transient Local'}
+    assert set(displays['rviz_default_plugins/MarkerArray']['Namespaces']) == LAYERS
+    assert config['Global Options']['Fixed Frame'] == 'humanopts'
+
+
+def test_the_layout_of_foxglove_is_whole() -> None:
+    layout = json.loads((VIEWERS / 'humanopts_foxglove.json').read_text('utf-8'))
+
+    def panels(part: Any) -> set[str]:
+        return {part} if isinstance(part, str) else panels(part['first']) | panels(part['second'])
+
+    assert panels(layout['layout']) == set(layout['configById'])
+    board = layout['configById']['3D!board']
+    assert board['followTf'] == 'humanopts'
+    assert set(board['topics']) == {'/views/board', '/views/markers'}
+    assert set(board['topics']['/views/markers']['namespaces']) == LAYERS
