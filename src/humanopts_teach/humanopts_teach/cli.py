@@ -25,6 +25,8 @@ from humanopts_teach.commands.options import (
     LaunchOptions,
     LINGER,
     LingerOption,
+    node_names,
+    OnlyOption,
     PLAIN,
     PORT,
     PortOption,
@@ -151,11 +153,18 @@ def up(
     launch: LaunchOptions,
     domain: DomainArgument,
     no_record: Annotated[bool, typer.Option('--no-record', help='do not write a bag')] = False,
+    only: OnlyOption = '',
 ) -> int:
     """Launch the nodes and stay until Ctrl-C."""
     from humanopts_teach.commands.session import check_folder, new_name, session, setup_from
 
-    setup = setup_from(domain, launch, bag_name=new_name('bags/up'), record=not no_record)
+    setup = setup_from(
+        domain,
+        launch,
+        bag_name=new_name('bags/up'),
+        record=not no_record,
+        only=node_names(only),
+    )
     check_folder(setup)
     running = None
     try:
@@ -185,6 +194,7 @@ def teach(
     host: HostOption = HOST,
     port: PortOption = PORT,
     linger: LingerOption = LINGER,
+    only: OnlyOption = '',
 ) -> int:
     """Launch, and teach from this terminal's keyboard, or from browsers."""
     from humanopts_teach.commands.session import (
@@ -202,6 +212,8 @@ def teach(
         raise CommandError(f'--participant {participant!r} is not a code: {CODE_RULE}')
     if not browser and not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise CommandError('teaching needs a terminal for input and output, or --browser')
+    if browser and only:
+        raise CommandError('--only is not for --browser, where each page has nodes of its own')
     setup = setup_from(
         domain,
         launch,
@@ -209,6 +221,7 @@ def teach(
         **(given if participant else {}),
         keyboard=True,
         step_period=WATCHED,
+        only=node_names(only),
     )
     check_folder(setup)
     if browser:

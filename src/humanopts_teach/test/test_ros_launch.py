@@ -43,6 +43,7 @@ def test_defaults_launch_every_node_but_the_teachers() -> None:
     assert names(record='False', teach='false') == ['game', 'option_server', 'planner']
     assert names(diagnostics='true') == [*nodes, 'diagnostics']
     assert names(views='true') == [*nodes, 'views']
+    assert names(only='lesson; game') == ['game', 'lesson']
     assert names(taught='go up; go down') == [*nodes, 'simulated_teacher']
 
 
@@ -75,7 +76,7 @@ def test_every_argument_reaches_a_parameter() -> None:
         'views': 'true',
         'taught': 'go up; go down',
     }
-    assert {*values, 'teach', 'record'} == set(DEFAULTS)
+    assert {*values, 'teach', 'record', 'only'} == set(DEFAULTS)
     specs = {spec.name: spec.parameters for spec in launched(**values)}
     assert specs['game']['domain'] == 'rooms'
     assert specs['game']['domain_parameters'] == '{"goal": "G2"}'
@@ -108,6 +109,8 @@ def test_every_argument_reaches_a_parameter() -> None:
         ('step_period', 'slow'),
         ('split_bytes', '5M'),
         ('split_seconds', 'true'),
+        ('only', 'games'),
+        ('only', 'simulated_teacher'),
         ('domain_parameters', '[7]'),
         ('domain_parameters', 'rows=7'),
     ],
@@ -158,6 +161,7 @@ def test_a_setup_is_the_same_after_json(study: StudyTurn | None) -> None:
         thresholds=Thresholds(3.0, 0.1, 0.2),
         taught=('go up', 'go down'),
         recording=Recording(('lesson/*',), ('a', 'b'), 5, 0.5),
+        only=('game', 'lesson'),
         study=study,
     )
     line = setup.to_json()

@@ -97,6 +97,20 @@ LingerOption = Annotated[
         help='with --browser: how long a game goes on whose page is closed',
     ),
 ]
+OnlyOption = Annotated[
+    str,
+    typer.Option(
+        metavar='NAMES',
+        show_default=False,
+        help='start only these nodes here, such as game,lesson,recorder, and the others on '
+        'another machine; default: all',
+    ),
+]
+
+
+def node_names(text: str) -> tuple[str, ...]:
+    """Return the names in a text, where they are separated by commas."""
+    return tuple(name.strip() for name in text.split(',') if name.strip())
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from humanopts_teach.launching.processes import (
     RECORDER,
     Recording,
     Setup,
+    UnknownNodeError,
 )
 from humanopts_teach.launching.restarts import MOST, NodeExit
 from humanopts_teach.ros.graph_client import GraphClient
@@ -51,8 +52,8 @@ def setup_from(
     :param own: fields that the command sets itself; ``directory`` and ``step_period`` where the
         user gives none.
     :raises CommandError: a domain parameter is not NAME=VALUE, the domain or its thresholds are
-        not valid, the namespace or ROS_DOMAIN_ID cannot be used, or the bag would not hold what an
-        evaluation needs.
+        not valid, the namespace or ROS_DOMAIN_ID cannot be used, the bag would not hold what an
+        evaluation needs, or a node that is to run here is none of the launch.
     """
     check_place(launch.namespace)
     parameters = domain_parameters(launch)
@@ -69,7 +70,7 @@ def setup_from(
     if launch.step_period is not None:
         own['step_period'] = launch.step_period
     folder = launch.out or own.pop('directory', default_folder(domain))
-    return Setup(
+    setup = Setup(
         domain=domain,
         **{**own, 'directory': Path(os.path.abspath(folder))},
         domain_parameters=parameters,
@@ -81,6 +82,11 @@ def setup_from(
         budget=launch.budget,
         thresholds=thresholds,
     )
+    try:
+        processes(setup)
+    except UnknownNodeError as error:
+        raise CommandError(f'--only: {error}') from error
+    return setup
 
 
 def _recording(launch: LaunchOptions, evaluated: bool) -> Recording:

@@ -14,6 +14,10 @@ RECORDER = 'recorder'
 _PATIENCE = 5.0  # s that a run waits for game, beside the time that game takes for a step
 
 
+class UnknownNodeError(ValueError):
+    """A launch has no node of a name; the text says which, and what there is."""
+
+
 @dataclass(frozen=True)
 class ProcessSpec:
     """One node in one process."""
@@ -82,6 +86,7 @@ class Setup:
     step_period: float = 0.0  # s between a machine's steps
     diagnostics: bool = False  # a node publishes /diagnostics
     views: bool = False  # a node publishes the game for RViz and Foxglove
+    only: tuple[str, ...] = ()  # nodes that run here, besides the terminal's; empty: all
     study: StudyTurn | None = None  # at the keyboard
 
     @property
@@ -108,6 +113,7 @@ class Setup:
             'directory': Path(values['directory']),
             'thresholds': Thresholds(**values['thresholds']),
             'taught': tuple(values['taught']),
+            'only': tuple(values['only']),
             'recording': Recording(**{**recording, **patterns}),
             'study': turn and StudyTurn(**{**turn, 'record': Path(turn['record'])}),
         }
@@ -115,7 +121,11 @@ class Setup:
 
 
 def processes(setup: Setup) -> list[ProcessSpec]:
-    """Return the processes of a launch, the recorder first."""
+    """
+    Return the processes of a launch, the recorder first.
+
+    :raises UnknownNodeError: a node that is to run here is none of the launch.
+    """
     domain_parameters = json.dumps(dict(setup.domain_parameters))
     recording, turn = setup.recording, setup.study
     table: list[tuple[bool, str, str, dict[str, Value]]] = [
@@ -201,11 +211,19 @@ def processes(setup: Setup) -> list[ProcessSpec]:
             },
         ),
     ]
-    return [
+    specs = [
         ProcessSpec(name, module, {**own, **_common(name, setup)})
         for wanted, name, module, own in table
         if wanted
     ]
+    if not setup.only:
+        return specs
+    names = [spec.name for spec in specs if not spec.terminal]
+    if unknown := [name for name in setup.only if name not in names]:
+        raise UnknownNodeError(
+            f'there is no node {unknown[0]!r} in this launch; there are {", ".join(names)}'
+        )
+    return [spec for spec in specs if spec.terminal or spec.name in setup.only]
 
 
 def recorded_facts(setup: Setup) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.criteria import usual_thresholds
-from humanopts_teach.launching.processes import Recording, Setup
+from humanopts_teach.launching.processes import processes, Recording, Setup, UnknownNodeError
 
 
 class LaunchArgumentError(ValueError):
@@ -71,6 +71,9 @@ ARGUMENTS = (
         'whether a node publishes the game for RViz and Foxglove: true or false',
     ),
     LaunchArgument(
+        'only', Setup.only, 'nodes to start on this machine, separated by ";"; empty: all'
+    ),
+    LaunchArgument(
         'taught',
         Setup.taught,
         'options that a simulated teacher teaches, separated by ";"; empty: no teacher',
@@ -101,13 +104,18 @@ def setup_from_launch(texts: Mapping[str, str]) -> Setup:
         thresholds = usual_thresholds(domain)
     except ValueError as error:
         raise LaunchArgumentError(str(error)) from error
-    return Setup(
+    setup = Setup(
         directory=Path(values.pop('out')).absolute(),
         thresholds=thresholds,
         recording=Recording(*(values.pop(name) for name in recording)),
         bag_name=time.strftime('bags/launch-%Y%m%d-%H%M%S'),
         **values,
     )
+    try:
+        processes(setup)
+    except UnknownNodeError as error:
+        raise LaunchArgumentError(f'only:={texts["only"].strip()}: {error}') from error
+    return setup
 
 
 def _read(argument: LaunchArgument, text: str) -> Any:
