@@ -26,13 +26,14 @@ SHELL := /bin/bash
 
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup checked demo test test-quick test-slow test-browser test-stress soak lint docs format lock clean
+.PHONY: help setup checked demo test test-quick test-slow test-browser test-hosts test-stress soak lint docs format lock clean
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
 	@echo 'make test    run the tests, two at a time (ARGS=), first those that need no graph'
 	@echo 'make test-quick  run the quick ones of pure code; make test-slow  the long ones'
 	@echo 'make test-browser  run those that teach in Chromium'
+	@echo 'make test-hosts  run those over two hosts, in namespaces of this machine, whose cable is pulled'
 	@echo 'make test-stress  run the tests of the graph ten times while all cores are busy and nodes are'
 	@echo '             found late (ROUNDS=, SEED=, LIMIT= in seconds, ARGS= for files)'
 	@echo 'make soak    a long lesson while nodes are killed and garbage is sent (SECONDS=, SEED=)'
@@ -76,7 +77,7 @@ demo: setup
 	@./humanopts demo --domain taxi --out $(OUT) --seed $(SEED)
 
 test: checked
-	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not chromium' $(ARGS)
+	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not chromium and not hosts' $(ARGS)
 
 test-quick: checked
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not live and not heavy' $(or $(ARGS),src)
@@ -88,6 +89,11 @@ test-browser: checked
 	@for each in chromium chromedriver; do command -v $$each > /dev/null || { \
 	  echo 'make test-browser needs Chromium: sudo apt install chromium chromium-driver' >&2; exit 1; }; done
 	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m chromium $(or $(ARGS),tests/test_browser_chromium.py)
+
+test-hosts: checked
+	@for each in unshare nsenter ip; do command -v $$each > /dev/null || { \
+	  echo "make test-hosts needs $$each: sudo apt install util-linux iproute2" >&2; exit 1; }; done
+	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m hosts $(or $(ARGS),tests/test_two_hosts.py)
 
 test-stress: checked
 	@$(WITH_ROS) $(VENV)/bin/python tools/stress_tests.py \

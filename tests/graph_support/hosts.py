@@ -5,14 +5,15 @@ Each has its own interfaces, addresses, shared memory and folder for locks, so t
 cable joins them. It needs root, or a kernel that lets everybody make user namespaces.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
-import time
+
+from humanopts_ros.environment import PROFILES
 
 ADDRESSES = '10.77.0.1', '10.77.0.2'
 CABLE = 'cable'
@@ -37,12 +38,8 @@ class Host:
         self, arguments: Sequence[str], log: Path, **variables: str
     ) -> 'subprocess.Popen[bytes]':
         """Start Python with arguments; what it says goes to a file."""
-        environment: Mapping[str, str] = {
-            **os.environ,
-            'TMPDIR': str(self.folder),
-            'ROS_DOMAIN_ID': '0',
-            **variables,
-        }
+        ours = {name: value for name, value in os.environ.items() if name not in PROFILES}
+        environment = {**ours, 'TMPDIR': str(self.folder), 'ROS_DOMAIN_ID': '0', **variables}
         with log.open('wb') as said:
             return subprocess.Popen(
                 [*self._enter, sys.executable, *arguments],
@@ -63,7 +60,13 @@ def two_hosts(folder: Path) -> Iterator[tuple[Host, Host]]:
     holders: list[subprocess.Popen[bytes]] = []
     try:
         holders.append(_holder(['unshare', '--user', '--map-root-user']))
-        inside = ['nsenter', f'--target={holders[0].pid}', '--user', '--preserve-credentials', '--']
+        inside = [
+            'nsenter',
+            f'--target={holders[0].pid}',
+            '--user',
+            '--preserve-credentials',
+            '--',
+        ]
         holders.append(_holder([*inside, 'unshare']))
         hosts = [
             Host(holder.pid, own, other, folder / name)
@@ -80,7 +83,9 @@ def two_hosts(folder: Path) -> Iterator[tuple[Host, Host]]:
     except (OSError, subprocess.CalledProcessError) as error:
         detail = getattr(error, 'stderr', None)
         said = detail.decode().strip() if detail else str(error)
-        raise OSError(f'two hosts need unshare, nsenter, ip and the right to use them: {said}') from error
+        raise OSError(
+            f'two hosts need unshare, nsenter and ip, and their rights: {said}'
+        ) from error
     finally:
         for holder in holders:
             holder.kill()
