@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator
 import os
+from pathlib import Path
 
 from graph_support.command import DemoRun, EPISODES, shared_demo
 from graph_support.live import free_domain_id, Graph, open_graph
-from humanopts_ros.environment import prepare_discovery
+from humanopts_ros.environment import prepare_discovery, PROFILES
 import pytest
 
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'  # a misspelt field is an error, here and in the nodes
@@ -14,6 +15,7 @@ prepare_discovery()
 os.environ['TERM'] = 'xterm-256color'  # what the pseudo-terminals of the tests understand
 
 
+LEASE = 5  # s after which the middleware knows that a process was killed; usual are 20
 LIVE = {'demo', 'domain_id', 'live', 'shared'}  # fixtures of tests that need the graph
 LONGEST = ('test_demo_pacman.py', 'test_demo.py', 'test_node_deaths.py', 'test_cli.py')
 
@@ -56,6 +58,17 @@ def domain_id() -> Iterator[int]:
     """A ROS_DOMAIN_ID that no other test uses meanwhile."""
     with free_domain_id() as number:
         yield number
+
+
+@pytest.fixture
+def short_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let processes that are started from now on notice sooner which of them were killed."""
+    profile = Path(os.environ[PROFILES[0]]).read_text('utf-8')
+    mark = '<leaseAnnouncement>'
+    assert mark in profile
+    lease = f'<leaseDuration><sec>{LEASE}</sec></leaseDuration>'
+    (tmp_path / 'profile.xml').write_text(profile.replace(mark, lease + mark), 'utf-8')
+    monkeypatch.setenv(PROFILES[0], str(tmp_path / 'profile.xml'))
 
 
 @pytest.fixture(scope='session')

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 import json
 from pathlib import Path
+import re
 import shutil
 import signal
 from signal import SIGINT, SIGKILL, SIGTERM
@@ -10,7 +11,8 @@ import subprocess
 from typing import Any
 
 from graph_support.command import Command, shown_in_bag, shown_on_disk
-from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_teach.bags.reader import Bag, BagError, open_bag
 import pytest
 
 SHOWN = 3  # demonstrations on disk before anything happens
@@ -20,7 +22,7 @@ Start = Callable[..., Command]
 
 
 @pytest.fixture
-def start(tmp_path: Path, domain_id: int) -> Iterator[Start]:
+def start(tmp_path: Path, domain_id: int, short_lease: None) -> Iterator[Start]:
     """Start a demo in ``tmp_path / 'out'``."""
     started = []
 
@@ -55,89 +57,128 @@ def check_end(command: Command, *words: str) -> None:
     assert command.running() == {}
 
 
-def check_survives(command: Command, folder: Path, node: str, how: str) -> dict[str, Any]:
-    """The demo does all its work, says which node was started again, and ends with status 1."""
+def check_survives(command: Command, folder: Path, ends: dict[str, str]) -> dict[str, Any]:
+    """
+    The demo does all its work, says which nodes were started again, and ends with status 1.
+
+    :param ends: how each of them ended, in order.
+    """
     assert command.ended(3 * PATIENCE) == 1, command.errors
-    said = f'the node {node} ended ({how}), and is started again; its '
-    assert f'humanopts: {said}' in command.errors
-    summed = f'humanopts demo: the node {node} ended once ({how}) and was started again\n'
-    assert summed in command.errors
+    for node, how in ends.items():
+        said = f'the node {node} ended ({how}), and is started again; its '
+        assert f'humanopts: {said}' in command.errors
+        summed = f'humanopts demo: the node {node} ended once ({how}) and was started again\n'
+        assert summed in command.errors
+        assert said.split(';')[0] in (folder / f'out/log/{node}.log').read_text('utf-8')
     assert 'Traceback' not in command.errors
     assert command.running() == {}
     found: dict[str, Any] = json.loads((folder / 'out' / 'summary.json').read_text('utf-8'))
-    assert [(end['node'], end['how']) for end in found['ended_nodes']] == [(node, how)]
-    assert said.split(';')[0] in (folder / f'out/log/{node}.log').read_text('utf-8')
+    assert [(end['node'], end['how']) for end in found['ended_nodes']] == [*ends.items()]
     return found
 
 
 KILLED = 'by signal SIGKILL'
-TEACHING = ['game', 'lesson', 'learner', 'simulated_teacher', 'option_server']
 slow = pytest.mark.slow
 
 
+def in_first_bag(folder: Path) -> list[Demonstration]:
+    """Return the demonstrations that the recorder has written to the first bag so far."""
+    try:
+        return shown_in_bag(bag_of(folder))
+    except BagError:  # nothing is written yet
+        return []
+
+
+def check_bags(command: Command, folder: Path, before: list[Demonstration], damage: str) -> None:
+    """
+    The first bag holds what was shown first, and the second one everything.
+
+    :param before: that the first bag holds at least.
+    :param damage: of the first bag.
+    """
+    first, second = bag_of(folder), open_bag(folder / 'out' / 'bag-2')
+    assert f'the recording is in several bags, and has gaps between them: {first.path}' in (
+        command.errors
+    )
+    assert re.search(damage, first.damage)
+    assert second.damage == ''
+    assert second.facts['continues'] == 'bag'
+    shown = shown_on_disk(folder / 'out')
+    assert len({demo.uuid for demo in shown}) == len(shown)
+    in_first = shown_in_bag(first)
+    assert in_first[: len(before)] == before
+    assert in_first == shown[: len(in_first)]
+    assert {demo.uuid: demo for demo in shown_in_bag(second)} == {d.uuid: d for d in shown}
+    pauses = [r.message.paused for r in second.messages(['/lesson_state'])]
+    assert pauses[-1] == ''
+
+
+def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays(
+    start: Start, tmp_path: Path
+) -> None:
+    command = start('--episodes', 20, '--budget', 8)
+    command.until(lambda: in_first_bag(tmp_path), 'a demonstration in the bag')
+    before = in_first_bag(tmp_path)
+    command.kill('recorder', SIGKILL)
+    command.until(lambda: 'the node recorder ended' in command.errors, 'its end to be told')
+    command.kill('game', SIGKILL)
+    command.until(lambda: 'playing' in command.output, 'the first episode', 3 * PATIENCE)
+    command.kill('planner', SIGKILL)
+    ends = {'recorder': KILLED, 'game': KILLED, 'planner': KILLED}
+    found = check_survives(command, tmp_path, ends)
+    assert (found['execution']['episodes'], found['bag']['path']) == (20, 'bag-2')
+    check_bags(command, tmp_path, before, 'not closed|cut short')
+    bag = open_bag(tmp_path / 'out' / 'bag-2')
+    conductor = [
+        r.message.text
+        for r in bag.messages(['/node_status'])
+        if r.message.node == '/conductor'
+    ]
+    (told,) = {text for text in conductor if text.startswith('the node planner ended')}
+    assert told.endswith('so far game 1, planner 1, recorder 1')
+
+
+@slow
 @pytest.mark.parametrize(
-    'node', [pytest.param(n, marks=[] if n == 'game' else slow) for n in TEACHING]
+    'node', ['game', 'lesson', 'learner', 'simulated_teacher', 'option_server']
 )
 def test_a_lesson_survives_the_death_of_a_node(start: Start, tmp_path: Path, node: str) -> None:
     command = start('--episodes', 5, '--budget', 8)
     teach(command, tmp_path)
     command.kill(node, SIGKILL)
-    check_survives(command, tmp_path, node, KILLED)
+    check_survives(command, tmp_path, {node: KILLED})
     bag, shown = bag_of(tmp_path), shown_on_disk(tmp_path / 'out')
     assert bag.damage == ''
     assert shown_in_bag(bag) == shown
     assert len({demo.uuid for demo in shown}) == len(shown)
-    conductor = [r.message.text for r in bag.messages(['/node_status']) if is_conductor(r)]
-    assert f'the node {node} ended ({KILLED}), and is started again; so far {node} 1' in conductor
 
 
-def is_conductor(recorded: Any) -> bool:
-    return bool(recorded.message.node == '/conductor')
-
-
-@pytest.mark.parametrize(
-    'node', ['planner', *(pytest.param(n, marks=slow) for n in ('game', 'option_server'))]
-)
+@slow
+@pytest.mark.parametrize('node', ['planner', 'game', 'option_server'])
 def test_a_policy_that_is_played_survives_the_death_of_a_node(
     start: Start, tmp_path: Path, node: str
 ) -> None:
     command = start('--budget', 12, '--episodes', 20)
     command.until(lambda: 'playing' in command.output, 'the first episode')
     command.kill(node, SIGKILL)
-    found = check_survives(command, tmp_path, node, KILLED)
+    found = check_survives(command, tmp_path, {node: KILLED})
     assert found['execution']['episodes'] == 20
     assert bag_of(tmp_path).damage == ''
 
 
-@pytest.mark.parametrize('how', [SIGKILL, pytest.param(SIGTERM, marks=slow)])
-def test_a_recorder_that_is_started_again_begins_a_bag_with_all_that_was_shown(
-    start: Start, tmp_path: Path, how: signal.Signals
+@slow
+def test_a_recorder_that_was_ended_begins_a_bag_with_all_that_was_shown(
+    start: Start, tmp_path: Path
 ) -> None:
     command = start('--episodes', 5, '--budget', 8)
     teach(command, tmp_path)
-    command.kill('recorder', how)
-    ended = KILLED if how == SIGKILL else 'exit status 0'
-    found = check_survives(command, tmp_path, 'recorder', ended)
-    first, second = bag_of(tmp_path), open_bag(tmp_path / 'out' / 'bag-2')
-    assert f'the recording is in several bags, and has gaps between them: {first.path}' in (
-        command.errors
-    )
-    if how == SIGKILL:
-        assert 'not closed' in first.damage or 'cut short' in first.damage
-    else:
-        assert first.damage == ''
-    assert second.damage == ''
-    assert second.facts['continues'] == 'bag'
-    assert found['bag']['path'] == 'bag-2'
-    shown = shown_on_disk(tmp_path / 'out')
-    in_first = shown_in_bag(first)
-    assert in_first == shown[: len(in_first)]
-    assert len(in_first) >= SHOWN - 1  # the newest may not have been written yet
-    assert {demo.uuid: demo for demo in shown_in_bag(second)} == {d.uuid: d for d in shown}
-    pauses = [r.message.paused for r in second.messages(['/lesson_state'])]
-    assert pauses[-1] == ''
+    before = in_first_bag(tmp_path)
+    command.kill('recorder', SIGTERM)
+    check_survives(command, tmp_path, {'recorder': 'exit status 0'})
+    check_bags(command, tmp_path, before, '^$')
 
 
+@slow
 def test_a_node_that_cannot_go_on_is_given_up(start: Start, tmp_path: Path) -> None:
     command = start()
     teach(command, tmp_path)
@@ -180,6 +221,7 @@ def small_disk(tmp_path: Path) -> Iterator[bool]:
 CAUSES = ('No space left on device', 'the disk is full', 'File too large')
 
 
+@slow
 def test_a_full_disk_ends_the_demo_and_the_bag_stays_readable(
     start: Start, tmp_path: Path, small_disk: bool
 ) -> None:
@@ -195,14 +237,3 @@ def test_a_full_disk_ends_the_demo_and_the_bag_stays_readable(
     on_disk = shown_on_disk(tmp_path / 'out')
     assert len(in_bag) >= SHOWN
     assert in_bag == on_disk[: len(in_bag)]
-
-
-def test_nodes_whose_launcher_was_killed_end_by_themselves(start: Start, tmp_path: Path) -> None:
-    command = start()
-    teach(command, tmp_path)
-    command.send(SIGKILL)
-    assert command.ended(PATIENCE) == -SIGKILL
-    command.gone(PATIENCE)
-    bag = bag_of(tmp_path)
-    assert bag.damage == ''
-    assert len(shown_in_bag(bag)) >= SHOWN

@@ -1,6 +1,7 @@
 """A client of the pages' own protocol, without a browser."""
 
 import ast
+from contextlib import suppress
 from functools import partial
 from html import unescape
 import json
@@ -11,6 +12,7 @@ from urllib.request import urlopen
 import uuid
 
 import socketio
+from socketio.exceptions import BadNamespaceError
 
 PATIENCE = 60.0  # s
 
@@ -54,7 +56,8 @@ class PageClient:
     def _run(self, connection: socketio.Client, asked: dict[str, Any]) -> None:
         if 'request_id' in asked:
             mine = {'client_id': self.query['client_id'], 'request_id': asked['request_id']}
-            connection.emit('javascript_response', {**mine, 'result': 0})
+            with suppress(BadNamespaceError):  # it disconnects just now
+                connection.emit('javascript_response', {**mine, 'result': 0})
 
     def shows(self, part: str) -> str:
         """Return the HTML of a part."""

@@ -50,10 +50,15 @@ async def game(seat: Seat) -> AsyncIterator[Press]:
 
 
 @pytest.fixture(scope='module')
-def address() -> Iterator[str]:
+def stop() -> threading.Event:
+    """Ends the server, once for all tests."""
+    return threading.Event()
+
+
+@pytest.fixture(scope='module')
+def address(stop: threading.Event) -> Iterator[str]:
     """Pages that are served meanwhile."""
     listening = socket.create_server(('127.0.0.1', 0))
-    stop = threading.Event()
 
     async def serving() -> None:
         seats = Seats('taxi', game, linger=PATIENCE)
@@ -143,3 +148,12 @@ def test_what_no_page_sends_is_ignored(address: str, given: dict[str, Any]) -> N
         browser.press('2')
         browser.until('said', 'is picked')
         assert 'one is picked' not in browser.shows('said')
+
+
+def test_a_page_has_its_farewell_before_the_server_is_gone(
+    address: str, stop: threading.Event
+) -> None:
+    with PageClient(address, f'/{TOKEN}/gus') as page:
+        page.until('panel', 'Which?')
+        stop.set()
+        page.until('panel', 'The game was stopped where it runs. Everything taught is saved.')
