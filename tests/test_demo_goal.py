@@ -9,6 +9,7 @@ from humanopts_teach.cli import main
 import pytest
 
 
+@pytest.mark.slow  # the quick form, whose nodes die, is in test_node_deaths.py
 def test_few_demonstrations_are_enough_and_the_bag_gives_the_same(
     tmp_path: Path, domain_id: int
 ) -> None:

@@ -21,11 +21,12 @@ SECONDS = {'table_seconds', 'model_seconds', 'sweep_seconds'}
 
 @pytest.fixture(scope='module')
 def demo(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
-    """A demo of short games in a small maze, without the comparison."""
+    """A demo of short games in a small maze, with criteria that are soon met."""
     with free_domain_id() as number:
         return run_demo(
             *(tmp_path_factory.mktemp('pacman'), number, '--domain', 'pacman'),
             *('--parameter', 'maze=yard', '--parameter', 'max_steps=100'),
+            *('--return-delta', 100, '--initiation-error', 0.2, '--termination-error', 0.2),
             *('--strategy', 'random', '--seed', 1, '--episodes', 2, '--games', 0),
             seconds=300.0,
         )

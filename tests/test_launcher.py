@@ -409,7 +409,7 @@ def up(tmp_path: Path, live: Graph) -> Iterator[Up]:
     commands = []
 
     def start(namespace: str) -> Command:
-        folder = tmp_path / namespace.strip('/')
+        folder = tmp_path / str(len(commands))
         folder.mkdir()
         words = ['up', 'taxi', '--no-record', '--out', folder / 'out', '--namespace', namespace]
         commands.append(Command(words, folder, live.domain_id))
@@ -420,17 +420,26 @@ def up(tmp_path: Path, live: Graph) -> Iterator[Up]:
         command.close()
 
 
-def test_two_namespaces_work_side_by_side(up: Up, live: Graph) -> None:
+def test_two_namespaces_work_side_by_side_and_a_second_launch_in_one_is_refused(
+    up: Up, live: Graph, tmp_path: Path
+) -> None:
     both = {name: up(name) for name in ('/east', '/west')}
     for name, command in both.items():
         command.until(lambda n=name, c=command: f'ready: {n}/game' in c.output, 'the nodes')
     for name in both:
         live.watch(name)
     live.ready('/east/game', '/west/game', '/east/planner', '/west/planner')
+    second = up('/east')
+    assert second.ended(30.0) == 1
+    assert 'runs humanopts already' in second.errors
+    assert second.errors.count('\n') == 1
+    assert not (tmp_path / '2' / 'out').exists()
     for command in both.values():
+        assert command.running()
         command.send(signal.SIGINT)
     for command in both.values():
         assert command.ended(30.0) == 0
+        assert command.output.endswith('stopped\n')
         assert (command.errors, command.running()) == ('', {})
 
 

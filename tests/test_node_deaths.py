@@ -11,7 +11,7 @@ import subprocess
 from typing import Any
 
 from graph_support.command import Command, shown_in_bag, shown_on_disk
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, GOAL
 from humanopts_teach.bags.reader import Bag, BagError, open_bag
 import pytest
 
@@ -116,7 +116,7 @@ def check_bags(command: Command, folder: Path, before: list[Demonstration], dama
 def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays(
     start: Start, tmp_path: Path
 ) -> None:
-    command = start('--episodes', 20, '--budget', 8)
+    command = start('--learn', GOAL, '--episodes', 20)
     command.until(lambda: in_first_bag(tmp_path), 'a demonstration in the bag')
     before = in_first_bag(tmp_path)
     command.kill('recorder', SIGKILL)
@@ -127,12 +127,14 @@ def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays
     ends = {'recorder': KILLED, 'game': KILLED, 'planner': KILLED}
     found = check_survives(command, tmp_path, ends)
     assert (found['execution']['episodes'], found['bag']['path']) == (20, 'bag-2')
+    assert found['offline']['options'] == found['options']
+    for option in found['options']:
+        assert (option['method'], option['policy_accuracy']) == (GOAL, 1.0)
+        assert option['n_demonstrations'] <= 6
     check_bags(command, tmp_path, before, 'not closed|cut short')
     bag = open_bag(tmp_path / 'out' / 'bag-2')
     conductor = [
-        r.message.text
-        for r in bag.messages(['/node_status'])
-        if r.message.node == '/conductor'
+        r.message.text for r in bag.messages(['/node_status']) if r.message.node == '/conductor'
     ]
     (told,) = {text for text in conductor if text.startswith('the node planner ended')}
     assert told.endswith('so far game 1, planner 1, recorder 1')

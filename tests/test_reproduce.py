@@ -76,7 +76,13 @@ def test_options_from_a_bag_are_those_that_were_taught(demo: DemoRun) -> None:
     assert 0 < taught.minutes < 5
 
 
-@pytest.mark.parametrize('interrupt', [signal.SIG_DFL, signal.SIG_IGN], ids=['shell', 'script'])
+@pytest.mark.parametrize(
+    'interrupt',
+    [
+        pytest.param(signal.SIG_DFL, id='shell', marks=pytest.mark.slow),
+        pytest.param(signal.SIG_IGN, id='script'),
+    ],
+)
 def test_ctrl_c_says_how_to_go_on_and_leaves_no_process(
     tmp_path: Path, domain_id: int, interrupt: signal.Handlers
 ) -> None:

@@ -10,20 +10,14 @@ import sys
 from typing import Any
 
 from graph_support.command import Command
-from graph_support.live import free_domain_id
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.cli import main
 from humanopts_teach.evaluation.table1 import STUDY_EVENT
 import pexpect
 import pytest
 from teach_support.page_client import PageClient
 
 EXAMPLE = Path(__file__).parents[1] / 'examples' / 'study' / 'plan.yaml'
-PLAN = """
-study: small
-consent: consent.md
-all: {domain: taxi, buttons: 1, learn: goal}
-conditions: [{name: only}]
-"""
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -37,53 +31,67 @@ def events(bag: Path) -> list[dict[str, Any]]:
     return list(open_bag(bag).converted(STUDY_EVENT, lambda m: json.loads(m.event)))
 
 
-def test_the_example_goes_from_its_plan_to_tables_and_table_1(tmp_path: Path) -> None:
+def write_plan(folder: Path, *names: str, **given: Any) -> Path:
+    """Write a plan of conditions with these names and some settings, and its consent."""
+    every = {'domain': 'taxi', 'buttons': 1, 'learn': 'goal', **given}
+    conditions = [{'name': name} for name in names]
+    plan = {'study': 'small', 'consent': 'consent.md', 'all': every, 'conditions': conditions}
+    (folder / 'consent.md').write_text('# Taking part\n')
+    (folder / 'plan.yaml').write_text(json.dumps(plan))
+    return folder / 'plan.yaml'
+
+
+@pytest.mark.parametrize('example', [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_simulated_participant_goes_from_a_plan_to_tables_and_table_1(
+    tmp_path: Path, domain_id: int, example: bool
+) -> None:
+    plan = EXAMPLE if example else write_plan(tmp_path, 'only', buttons=3, questions='nasa-tlx')
+    names = ['trees', 'goal'] if example else ['only']
     study = tmp_path / 'study'
-    with free_domain_id() as number:
-        command = Command(['study', EXAMPLE, '--simulate', 1, '--study', study], tmp_path, number)
-        try:
-            assert command.ended(180.0) == 0, command.errors
-        finally:
-            command.close()
+    command = Command(['study', plan, '--simulate', 1, '--study', study], tmp_path, domain_id)
+    try:
+        assert command.ended(180.0) == 0, command.errors
+    finally:
+        command.close()
     assert 'go to passenger and pickup     1 of 1' in command.output
     taught = rows(study / 'tables' / 'options.csv')
-    assert [row['condition'] for row in taught] == ['trees', 'trees', 'goal', 'goal']
+    assert [row['condition'] for row in taught] == [name for name in names for _ in range(2)]
     assert {row['criteria_met'] for row in taught} == {'True'}
-    assert len(rows(study / 'tables' / 'answers.csv')) == 2 * 6
+    assert len(rows(study / 'tables' / 'answers.csv')) == 6 * len(names)
     kept = [
         json.loads(line) for line in (study / '000-simulated-1.jsonl').read_text().splitlines()
     ]
     in_bags = [
         event
-        for name in ('trees', 'goal')
+        for name in names
         for event in events(*(study / 'simulated-1' / name / 'bags').iterdir())
     ]
     assert in_bags == kept[1:-1]  # all but that it began and ended
 
 
-def test_a_participant_takes_part_by_keys_and_is_then_refused(tmp_path: Path) -> None:
-    (tmp_path / 'plan.yaml').write_text(PLAN)
-    (tmp_path / 'consent.md').write_text('# Taking part\n')
-    with free_domain_id() as number:
-        arguments = ['-m', 'humanopts_teach.cli', 'study', 'plan.yaml', '--participant', 'anna']
-        place: dict[str, Any] = {'cwd': tmp_path, 'dimensions': (24, 80), 'timeout': 60}
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(number), 'TERM': 'xterm'}
-        person = pexpect.spawn(sys.executable, arguments, env=environment, **place)
-        try:
-            for sees, key in (
-                ('Taking part', 'y'),
-                ('no more', 'fetch\r'),
-                ('Finish teaching', '5'),
-            ):
-                person.expect(sees)
-                person.send(key)
-            person.expect('anna has finished')
-            person.expect(pexpect.EOF)
-            again = pexpect.spawn(sys.executable, arguments, env=environment, **place)
-            again.expect("'anna' has ended this study already")
-            again.expect(pexpect.EOF)
-        finally:
-            person.close(force=True)
+def test_a_participant_takes_part_by_keys_and_is_then_refused(
+    tmp_path: Path, domain_id: int
+) -> None:
+    write_plan(tmp_path, 'only')
+    arguments = ['-m', 'humanopts_teach.cli', 'study', 'plan.yaml', '--participant', 'anna']
+    place: dict[str, Any] = {'cwd': tmp_path, 'dimensions': (24, 80), 'timeout': 60}
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'TERM': 'xterm'}
+    person = pexpect.spawn(sys.executable, arguments, env=environment, **place)
+    try:
+        for sees, key in (
+            ('Taking part', 'y'),
+            ('no more', 'fetch\r'),
+            ('Finish teaching', '5'),
+        ):
+            person.expect(sees)
+            person.send(key)
+        person.expect('anna has finished')
+        person.expect(pexpect.EOF)
+        again = pexpect.spawn(sys.executable, arguments, env=environment, **place)
+        again.expect("'anna' has ended this study already")
+        again.expect(pexpect.EOF)
+    finally:
+        person.close(force=True)
     assert (person.exitstatus, again.wait()) == (0, 2)
     (record,) = (tmp_path / 'runs' / 'small').glob('000-anna.jsonl')
     noted = [json.loads(line) for line in record.read_text().splitlines()]
@@ -92,43 +100,33 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(tmp_path: Path) ->
     assert [event['text'] for event in events(bag) if event['event'] == 'button'] == ['fetch']
 
 
-def test_several_take_part_at_once_in_browsers(tmp_path: Path) -> None:
-    (tmp_path / 'plan.yaml').write_text(PLAN.replace('[{name: only}]', '[{name: a}, {name: b}]'))
-    (tmp_path / 'consent.md').write_text('# Taking part\n')
+def test_a_page_leads_through_all_conditions(tmp_path: Path, domain_id: int) -> None:
+    plan = write_plan(tmp_path, 'a', 'b')
     study = tmp_path / 'study'
-    with free_domain_id() as number:
-        arguments = ['study', tmp_path / 'plan.yaml', '--browser', '--port', 0, '--study', study]
-        command = Command(arguments, tmp_path, number)
-        try:
-            command.until(lambda: 'Open ' in command.output, 'the address')
-            found = re.search(r'Open (\S+)(/\S+) in a browser', command.output)
-            assert found is not None
-            anna, ben = (
-                PageClient(found.group(1), f'{found.group(2)}/{code}') for code in ('anna', 'ben')
-            )
-            with anna, ben:
-                for page in (anna, ben):
-                    page.until('panel', '<h1>Taking part</h1>')
-                ben.press('n')
-                ben.until('panel', 'ben does not take part')
-                anna.press('y')
-                anna.until('panel', 'Which button')
-                anna.press(*'fetch', 'enter')
-                for condition in ('a', 'b'):
-                    anna.until('panel', 'Finish teaching')
-                    done = study / 'anna' / condition
-                    command.until(done.exists, condition)
-                    anna.press('5')
-                    anna.until('panel', 'prepared' if condition == 'a' else 'anna has finished')
-            command.send(signal.SIGINT)
-            assert command.ended(60.0) == 0, command.errors
-        finally:
-            command.close()
-    events = [json.loads(line) for line in (study / '000-anna.jsonl').read_text().splitlines()]
-    ended = [event['part'] for event in events if event['event'] == 'part ended']
+    arguments = ['study', plan, '--browser', '--port', 0, '--study', study]
+    command = Command(arguments, tmp_path, domain_id)
+    try:
+        command.until(lambda: 'Open ' in command.output, 'the address')
+        found = re.search(r'Open (\S+)(/\S+) in a browser', command.output)
+        assert found is not None
+        with PageClient(found.group(1), f'{found.group(2)}/anna') as page:
+            page.until('panel', '<h1>Taking part</h1>')
+            page.press('y')
+            page.until('panel', 'Which button')
+            page.press(*'fetch', 'enter')
+            for condition in ('a', 'b'):
+                page.until('panel', 'Finish teaching')
+                command.until((study / 'anna' / condition).exists, condition)
+                page.press('5')
+                page.until('panel', 'prepared' if condition == 'a' else 'anna has finished')
+        command.send(signal.SIGINT)
+        assert command.ended(60.0) == 0, command.errors
+    finally:
+        command.close()
+    noted = [json.loads(line) for line in (study / '000-anna.jsonl').read_text().splitlines()]
+    ended = [event['part'] for event in noted if event['event'] == 'part ended']
     assert ended == ['consent', 'a/buttons', 'a/teach', 'b/teach']
-    assert events[-1]['event'] == 'ended'
-    assert '"why": "not agreed"' in (study / '001-ben.jsonl').read_text()
+    assert noted[-1]['event'] == 'ended'
 
 
 @pytest.mark.parametrize(
@@ -139,11 +137,15 @@ def test_several_take_part_at_once_in_browsers(tmp_path: Path) -> None:
         pytest.param(['status', EXAMPLE, 'more'], 'unexpected extra argument', id='too much'),
     ],
 )
-def test_what_cannot_be_done_is_one_line(tmp_path: Path, words: list[Any], why: str) -> None:
-    command = Command(['study', *words], tmp_path, 0)
-    try:
-        assert command.ended(30.0) == 2
-    finally:
-        command.close()
-    assert why in command.errors
-    assert command.errors.count('\n') == 1
+def test_what_cannot_be_done_is_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[Any],
+    why: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(['study', *map(str, words)]) == 2
+    said = capsys.readouterr().err
+    assert why in said
+    assert said.count('\n') == 1
