@@ -14,7 +14,7 @@ from humanopts_env.arrays import Ints
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
-from humanopts_learner.automatic.extract import search_space
+from humanopts_learner.automatic.extract import AutomaticOptions, search_space
 from humanopts_learner.intervals import Interval
 from humanopts_teach.report.boards import Board, board_of, draw_heat
 from humanopts_teach.report.figures import Drawing
@@ -48,8 +48,12 @@ def trials(study: Study) -> list[Trial]:
 
 
 def extract(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Find the options of a domain; return them in the order of finding, and the cost."""
-    found = extraction(make_domain(parameters['domain']), parameters['seed'])
+    """Find the options of a domain; return them and the cost, see ``as_json``."""
+    return as_json(extraction(make_domain(parameters['domain']), parameters['seed']))
+
+
+def as_json(found: AutomaticOptions) -> dict[str, Any]:
+    """Return options in the order of finding, and what it cost to find them."""
     reached = found.space.open
     return {
         'options': [

@@ -154,7 +154,8 @@ def mean_intervals(
     """
     groups = frame.groupby(list(by), sort=False)[value]
     found = groups.agg('count').to_frame('count')
-    intervals = [Interval.of(values.dropna()) for _, values in groups]
+    samples = (values.to_numpy() for _, values in groups)
+    intervals = [Interval.of(values[~np.isnan(values)]) for values in samples]
     for name in ('mean', 'low', 'high'):
         found[name] = np.array([getattr(interval, name) for interval in intervals], dtype=float)
     found['low'], found['high'] = found['low'].clip(lower=least), found['high'].clip(upper=most)

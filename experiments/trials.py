@@ -24,6 +24,7 @@ from joblib import parallel_config
 
 PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach', 'experiments')
 LIBRARIES = ('numpy', 'scipy', 'scikit-learn')  # that results may depend on to the last digit
+ANSWERS_WITHIN = 10.0  # s for a Dask scheduler to answer
 WORKERS_WITHIN = 30.0  # s for the first worker of a Dask cluster to join
 Compute = Callable[[Mapping[str, Any]], Any]  # parameters -> result, both JSON data
 
@@ -204,7 +205,7 @@ def _backend(jobs: int, dask: str) -> Iterator[None]:
             '--dask needs the packages dask and distributed, which are not installed'
         ) from None
     try:
-        client = Client(dask, timeout=10)  # type: ignore[no-untyped-call]
+        client = Client(dask, timeout=ANSWERS_WITHIN)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise ClusterError(f'no Dask scheduler answers at {dask}: {error}') from error
     with client:

@@ -46,11 +46,11 @@ from experiments.trials import Trial
 TINY = Effort(
     tried=2,
     search_games=2,
-    search_steps=800,
-    largest=1600,
-    primitive_search_steps=800,
-    primitive_largest=3200,
-    first=800,
+    search_steps=400,
+    largest=800,
+    primitive_search_steps=400,
+    primitive_largest=1600,
+    first=400,
     games=4,
 )
 
@@ -96,7 +96,10 @@ def test_all_action_sets_try_the_same_settings_and_the_first_is_the_usual_one() 
     assert len(set(many)) == 5
 
 
-def test_person_plans_taxi_as_well_as_primitive_actions_do() -> None:
+def test_person_plans_taxi_as_well_as_primitive_actions_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(table2, 'REPEATS', 1)  # seconds are not compared
     human, primitive = (
         (trial := trial_of('taxi', whose)).compute(trial.parameters) for whose in (PERSON, NOBODY)
     )
@@ -144,17 +147,17 @@ def test_only_the_policies_of_cloned_options_are_others(learner: str) -> None:
 
 
 def test_both_games_of_pacman_are_planned_with_budgets_that_double() -> None:
-    effort = replace(TINY, tried=1, games=2, primitive_largest=1600)
+    effort = replace(TINY, tried=1, games=2, primitive_largest=800)
     trial = trial_of('pacman', NOBODY, seeds=1)
     found = table2.plan_all_games({**trial.parameters, 'effort': asdict(effort)})
     assert [(row['game'], row['budget']) for row in found['curve']] == [
-        (game.name, budget) for game in (UNIFORM, CHASE) for budget in (800, 1600)
+        (game.name, budget) for game in (UNIFORM, CHASE) for budget in (400, 800)
     ]
     assert all(row['game_steps'] >= row['budget'] for row in found['curve'])
 
 
 def test_same_seed_gives_the_same_numbers_and_another_one_others() -> None:
-    domain, variant = PacMan(maze='yard', max_steps=50), VARIANTS[0]
+    domain, variant = PacMan(maze='yard', max_steps=20), VARIANTS[0]
     first, again, other = (
         without_seconds(plan_from_samples(domain, variant, (), 1, replace(TINY, tried=1), seed))
         for seed in (1, 1, 2)
@@ -164,7 +167,7 @@ def test_same_seed_gives_the_same_numbers_and_another_one_others() -> None:
 
 
 def test_gains_are_of_every_plan_that_runs_to_the_end() -> None:
-    domain = PacMan(maze='yard', max_steps=50)
+    domain = PacMan(maze='yard', max_steps=20)
     small = Extraction(options=2, tasks=30, train_episodes=50, option_episodes=50)
     options = to_learned_options(domain, find_options(domain, 1, small))
     found, other = (
@@ -288,19 +291,24 @@ def section_of(
     return present(done)
 
 
+@pytest.fixture(scope='module')
+def good() -> Section:
+    """The section of results as one would wish."""
+    return section_of(GOOD)
+
+
 def about(section: Section, said: str) -> list[Comparison]:
     return [c for c in section.comparisons if said in c.said]
 
 
-def test_what_is_as_in_the_paper_agrees() -> None:
-    section = section_of(GOOD)
+def test_what_is_as_in_the_paper_agrees(good: Section) -> None:
     for said in ('more efficient', 'with human options is faster', 'never as good'):
-        assert [c.mark for c in about(section, said)] == [Mark.AGREES] * 3
-    exact, sampled, _ = (c.found for c in about(section, 'with human options is faster'))
+        assert [c.mark for c in about(good, said)] == [Mark.AGREES] * 3
+    exact, sampled, _ = (c.found for c in about(good, 'with human options is faster'))
     text = 'human 2 s; primitive 50 s; human in 0.04 (0.04 to 0.04) of the time of primitive'
     assert exact == f'Taxi, planning: {text}'
     assert sampled.endswith(f'until 1,400 points: {text}')
-    assert 'until 700 points: human 1 s; automatic 4 s' in about(section, 'efficient')[1].found
+    assert 'until 700 points: human 1 s; automatic 4 s' in about(good, 'efficient')[1].found
 
 
 @pytest.mark.parametrize('human', [(9.0, 1400.0), (2.0, 600.0), (9.0, 600.0)])
@@ -331,9 +339,8 @@ def test_the_same_people_are_compared_within_each() -> None:
     assert 'less human 550 (550 to 550)' in chase.found
 
 
-def test_numbers_of_the_paper_stand_beside_ours() -> None:
-    section = section_of(GOOD)
-    table = next(t for t in section.tables if t.name == 'table2-paper')
+def test_numbers_of_the_paper_stand_beside_ours(good: Section) -> None:
+    table = next(t for t in good.tables if t.name == 'table2-paper')
     assert table.rows[1]["paper's average reward"] == -4.294
     assert table.rows[1]["paper's seconds"] == 10.45
     assert table.rows[1]['mean return'] == 1400.0
@@ -374,23 +381,22 @@ def test_goals_of_interruption(
     assert [c.mark for c in about(section, 'Chasing ghosts:')] == [chase]
 
 
-def test_state_that_interruption_makes_worse_misses_the_goal() -> None:
-    assert about(section_of(GOOD), 'Exact models')[0].mark is Mark.MET
+def test_state_that_interruption_makes_worse_misses_the_goal(good: Section) -> None:
+    assert about(good, 'Exact models')[0].mark is Mark.MET
     assert about(section_of(GOOD, least=-0.1), 'Exact models')[0].mark is Mark.MISSED
 
 
-def test_gain_of_stopping_options_is_shown_by_game() -> None:
-    more, less = (about(section_of(GOOD, gain=g), 'rarely') for g in (100.0, -5.0))
+def test_gain_of_stopping_options_is_shown_by_game(good: Section) -> None:
+    more, less = (about(found, 'rarely') for found in (good, section_of(GOOD, gain=-5.0)))
     assert [c.mark for c in more] == [Mark.AGREES] * 2
     assert [c.mark for c in less] == [Mark.DIFFERS] * 2
     assert CHASE.name in more[1].found
 
 
-def test_curves_in_the_table_are_those_that_are_drawn() -> None:
-    section = section_of(GOOD)
-    rows = next(t for t in section.tables if t.name == 'table2-curves').rows
-    assert len(section.pictures) == len(GAMES)
-    for game, picture in zip(GAMES, section.pictures, strict=True):
+def test_curves_in_the_table_are_those_that_are_drawn(good: Section) -> None:
+    rows = next(t for t in good.tables if t.name == 'table2-curves').rows
+    assert len(good.pictures) == len(GAMES)
+    for game, picture in zip(GAMES, good.pictures, strict=True):
         work = Drawing(*picture.size)
         picture.draw(work)
         lines = work.axes.get_lines()

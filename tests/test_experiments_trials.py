@@ -176,7 +176,7 @@ def test_without_dask_it_is_said_what_is_missing(tmp_path: Path) -> None:
 
 @pytest.fixture(scope='module')
 def cluster() -> Iterator[str]:
-    """A Dask scheduler and two workers on loopback."""
+    """A Dask scheduler and a worker on loopback."""
     pytest.importorskip('distributed')
     program = (
         'import asyncio; from distributed import Scheduler\n'
@@ -195,9 +195,7 @@ def cluster() -> Iterator[str]:
         address = output.readline().strip()
         worker = [sys.executable, '-m', 'distributed.cli.dask_worker', address]
         options = ['--no-nanny', '--nthreads', '1', '--no-dashboard', '--host', '127.0.0.1']
-        started += [
-            subprocess.Popen([*worker, *options], stdout=devnull, stderr=devnull) for _ in range(2)
-        ]
+        started.append(subprocess.Popen([*worker, *options], stdout=devnull, stderr=devnull))
         yield address
     finally:
         for process in reversed(started):
@@ -226,7 +224,10 @@ def test_worker_with_other_code_is_named(
         run_trials(tiny('random'), tmp_path, quiet, 1, cluster)
 
 
-def test_scheduler_that_does_not_answer_is_named(tmp_path: Path) -> None:
+def test_scheduler_that_does_not_answer_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip('distributed')
+    monkeypatch.setattr(experiment_trials, 'ANSWERS_WITHIN', 0.5)
     with pytest.raises(ClusterError, match='answers at tcp:'):
         run_trials(tiny('random'), tmp_path, quiet, 1, 'tcp://127.0.0.1:1')

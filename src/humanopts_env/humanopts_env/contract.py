@@ -45,7 +45,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 STEPS = 300  # of the random walk of the tests
-MANY = 40  # games in a batch of the tests
+MANY = 40  # games in a batch of the tests, and states that agree and are drawn alike
 DRAWN = 150  # outcomes drawn of one step; that of a batch must be among them
 LONGEST_EFFECT = 50  # characters
 MOST_HELP_ROWS = 18  # that a terminal shows
@@ -168,7 +168,7 @@ class DomainContract:
         half = {feature.name for feature in domain.features[::2]}
         for shown in (*_single_features(domain), half, set()):
             for group in _alike(domain, states, rows, shown):
-                drawn = {domain.render(state, shown) for state in group}
+                drawn = {domain.render(state, shown) for state in group[:MANY]}
                 assert len(drawn) == 1, f'more than {sorted(shown)} can be seen'
 
     def test_states_are_numbered_without_gaps(self) -> None:

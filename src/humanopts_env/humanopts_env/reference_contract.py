@@ -8,9 +8,9 @@ In the tests of a package that adds reference options::
             return MyDomain()
 """
 
-from collections.abc import Mapping
-from functools import cached_property
-from typing import Any
+from collections.abc import Hashable, Mapping
+from functools import lru_cache
+from typing import Any, cast
 
 from humanopts_env.domains.base import Domain, feature_columns, is_enumerable
 from humanopts_env.domains.capabilities import HasTeachingDefaults
@@ -102,10 +102,16 @@ class ReferenceContract:
                 actions = tuple(np.flatnonzero(said.optimal[number]).tolist())
                 assert option.optimal_actions(state) == actions, name
 
-    @cached_property
+    @property
     def _seen(self) -> '_Seen':
-        domain = self.make()
-        return _Seen(domain, self.options(domain))
+        return _seen_of(cast(Hashable, type(self)))  # mypy looks at the hash of its objects
+
+
+@lru_cache(maxsize=1)  # pytest makes an object for each test, and runs those of a class in a row
+def _seen_of(suite: type[ReferenceContract]) -> '_Seen':
+    made = suite()
+    domain = made.make()
+    return _Seen(domain, made.options(domain))
 
 
 class _Seen:

@@ -33,7 +33,7 @@ import pytest
 
 pytestmark = pytest.mark.heavy
 
-GAMES, STEPS, SEED = 40, 8_000, 3
+GAMES, STEPS, SEED = 40, 3_000, 3
 
 
 @pytest.fixture(scope='module')

@@ -41,7 +41,14 @@ import pytest
 
 pytestmark = pytest.mark.heavy
 
-GAMES, SEED, STEPS = 20, 5, 20_000
+GAMES, SEED, STEPS = 20, 5, 4_992
+SMALL = CurveLimits(500, 1_000)  # budgets that are far too small to play well
+
+
+@pytest.fixture(scope='module')
+def brief() -> Domain[Any]:
+    """The same game, which is over after a few steps."""
+    return make_domain('pacman', {'maze': 'yard', 'max_steps': 15})
 
 
 @pytest.fixture(scope='module')
@@ -66,12 +73,12 @@ def told() -> list[tuple[str, float]]:
 
 @pytest.fixture(scope='module')
 def games(
-    yard: Domain[Any], options: list[LearnedOption], told: list[tuple[str, float]]
+    brief: Domain[Any], options: list[LearnedOption], told: list[tuple[str, float]]
 ) -> GamesEvaluation:
-    """What they came to, with budgets that are far too small to play well."""
+    """What they came to."""
     return evaluate_games(
-        *(yard, options, SEED, GAMES, 2_000),
-        limits=CurveLimits(2_000, 4_000),
+        *(brief, options, SEED, GAMES, SMALL.first),
+        limits=SMALL,
         progress=lambda done, total, text: told.append((text, done / total)),
         jobs=1,
     )
@@ -117,8 +124,8 @@ def test_both_sides_of_the_curve_have_the_same_budgets(games: GamesEvaluation) -
     assert games.targets == ()  # nothing is known of this maze
     assert games.curve_setting == 'ghosts=random'
     options, primitive = games.curves
-    assert [row.budget_steps for row in options.rows] == [2_000, 4_000]
-    assert [row.budget_steps for row in primitive.rows][:1] == [2_000]
+    assert [row.budget_steps for row in options.rows] == [500, 1_000]
+    assert [row.budget_steps for row in primitive.rows][:1] == [500]
     assert options.rows[0].score == games.settings[0].rows[1].score
 
 
@@ -130,19 +137,17 @@ def test_progress_rises_to_the_end(games: GamesEvaluation, told: list[tuple[str,
 
 
 def test_two_processes_play_the_same_games(
-    yard: Domain[Any], options: list[LearnedOption], games: GamesEvaluation
+    brief: Domain[Any], options: list[LearnedOption], games: GamesEvaluation
 ) -> None:
-    limits = CurveLimits(2_000, 4_000)
-    again = evaluate_games(yard, options, SEED, GAMES, 2_000, limits, jobs=2)
+    again = evaluate_games(brief, options, SEED, GAMES, SMALL.first, SMALL, jobs=2)
     for one, other in zip(games.settings, again.settings, strict=True):
         assert [(row.name, row.score, row.outcomes) for row in one.rows] == [
             (row.name, row.score, row.outcomes) for row in other.rows
         ]
 
 
-def test_whoever_watches_can_end_it(yard: Domain[Any], options: list[LearnedOption]) -> None:
+def test_whoever_watches_can_end_it(brief: Domain[Any], options: list[LearnedOption]) -> None:
     told: list[float] = []
-    limits = CurveLimits(2_000, 4_000)
 
     def stop(done: float, total: float, text: str) -> None:
         told.append(done)
@@ -150,7 +155,7 @@ def test_whoever_watches_can_end_it(yard: Domain[Any], options: list[LearnedOpti
             raise PlanCanceled
 
     with pytest.raises(PlanCanceled):
-        evaluate_games(yard, options, SEED, 2, 2_000, limits, progress=stop, jobs=1)
+        evaluate_games(brief, options, SEED, 2, SMALL.first, SMALL, progress=stop, jobs=1)
     assert told == [0, 1]
 
 

@@ -1,6 +1,8 @@
 """The names of domains, found through Python entry points; nothing of a domain is imported."""
 
-from importlib.metadata import entry_points
+from functools import lru_cache
+from importlib.metadata import entry_points, EntryPoints
+import sys
 
 DOMAINS = 'humanopts.domains'
 GYMNASIUM = 'gymnasium:'  # before the id of a Gymnasium environment
@@ -8,4 +10,14 @@ GYMNASIUM = 'gymnasium:'  # before the id of a Gymnasium environment
 
 def domain_names() -> list[str]:
     """Return the registered names, sorted."""
-    return sorted({point.name for point in entry_points(group=DOMAINS)})
+    return sorted(registered(DOMAINS).names)
+
+
+def registered(group: str) -> EntryPoints:
+    """Return the entry points of a group; packages are looked for once for each search path."""
+    return _registered(group, tuple(sys.path))
+
+
+@lru_cache
+def _registered(group: str, path: tuple[str, ...]) -> EntryPoints:
+    return entry_points(group=group)

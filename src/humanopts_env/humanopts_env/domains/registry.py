@@ -1,14 +1,14 @@
 """Domains and their reference options by name, found through Python entry points."""
 
 from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points, EntryPoint
+from importlib.metadata import EntryPoint
 import inspect
 import json
 from typing import Any, cast
 
 from humanopts_env.contract import check_domain
 from humanopts_env.domains.base import Domain, DomainError, Parameter
-from humanopts_env.domains.names import domain_names, DOMAINS, GYMNASIUM
+from humanopts_env.domains.names import domain_names, DOMAINS, GYMNASIUM, registered
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_ros.limits import JsonError, parse_json
 
@@ -96,7 +96,7 @@ def _factory(name: str) -> tuple[Callable[..., Any], bool]:
 
 
 def _entry_point(group: str, name: str) -> EntryPoint | None:
-    found = {point.value: point for point in entry_points(group=group, name=name)}
+    found = {point.value: point for point in registered(group).select(name=name)}
     if len(found) > 1:
         raise DomainError(
             f'{name!r} is the name of several domains, {", ".join(sorted(found))}: rename one'
