@@ -179,7 +179,7 @@ def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
     actions = ActionSet(domain, 'human', to_learned_options(domain, found_here))
     rng = generator(0, 'test')
     batch = games.batch_reset(50, rng)
-    runs = Runs(actions, batch, actions.abstraction.observe(batch), rng)
+    runs = Runs(actions, batch, actions.observe([batch])[0], rng)
     runs.decide(UniformPolicy(actions))
     began = runs.option < actions.first_fallback
     target = np.array([o.target.cell for o in found_here.options])[runs.option * began]

@@ -317,13 +317,13 @@ def test_games_that_begin_again_are_seen_as_they_are() -> None:
     games = TabularGames(BatchRooms())
     actions = ActionSet(games.domain, 'primitive', [])
     batch = games.batch_reset(50, generator(1, 'begin'))
-    runs = Runs(actions, batch, actions.abstraction.observe(batch), generator(1, 'play'))
+    runs = Runs(actions, batch, actions.observe([batch])[0], generator(1, 'play'))
     for _ in range(5):
         runs.decide(UniformPolicy(actions))
         run_in_step(actions, [runs.step()])
     before = runs.batch.copy()
     run_in_step(actions, [runs.restart(np.array([3, 40]))])
-    seen = actions.abstraction.observe(runs.batch)
+    (seen,) = actions.observe([runs.batch])
     assert np.array_equal(runs.seen.states, seen.states)
     assert np.array_equal(runs.seen.rows, seen.rows)
     changed = np.flatnonzero(before[0] != runs.batch[0])
@@ -352,11 +352,11 @@ def test_plans_with_options_and_primitive_actions_see_the_features_of_both() -> 
     mixed = StateAbstraction(_TwoAbstractions(domain), 'human+primitive')
     assert len(mixed.context) == len(_TwoAbstractions(domain).abstraction(fine=False).sizes)
     batch = np.arange(domain.n_states)[None]
-    states = mixed.observe(batch).states
+    _, states = mixed.observe(batch)
     assert len(set(states.tolist())) == domain.n_states
     assert set(mixed.without_context(states).tolist()) == {0}
     primitive = StateAbstraction(_TwoAbstractions(domain), 'primitive')
-    assert set(primitive.observe(batch).states.tolist()) == {0}
+    assert set(primitive.observe(batch)[1].tolist()) == {0}
 
 
 def test_a_primitive_penalty_leaves_primitive_actions_where_they_gain_less() -> None:

@@ -62,7 +62,8 @@ class _Backup(ABC):
             first = new[: len(choice)]
             np.maximum(first, choice, out=first)
         np.subtract(new, old, out=old)
-        return max(float(old.max()), -float(old.min()))
+        np.abs(old, out=old)
+        return float(np.maximum.reduce(old))
 
     def best(self, values: Floats) -> NDArray[np.int32]:
         """Return the greedy option (S,) in the order of the model, the lowest of equals."""
@@ -124,19 +125,18 @@ class _SparseBackup(_Backup):
         layer = np.arange(len(state)) - np.repeat(np.cumsum(n_options) - n_options, n_options)
         pairs = np.lexsort((place[state], layer))
         state, self._option = state[pairs], option[pairs]
-        self._ends = np.cumsum(np.bincount(layer))
+        ends = np.cumsum(np.bincount(layer)).tolist()
+        self._slices = [slice(*part) for part in zip([0, *ends], ends)]
         rows = model.rows[self._option * n_states + state]
-        successor, ends = place[rows.indices], rows.indptr.astype(np.int32)
-        self._rows = csr_array((rows.data, successor, ends), shape=rows.shape)
+        successor, indptr = place[rows.indices], rows.indptr.astype(np.int32)
+        self._rows = csr_array((rows.data, successor, indptr), shape=rows.shape)
         self._rewards = np.where(self._dead[state], 0.0, model.reward[state, self._option])
 
     def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
         expected = self._rows @ values
         expected += self._rewards
-        begin = 0
-        for end in self._ends:
-            yield self._option[begin:end], expected[begin:end]
-            begin = end
+        for part in self._slices:
+            yield self._option[part], expected[part]
 
 
 class _CompiledBackup(_Backup):

@@ -14,7 +14,7 @@ from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import BatchGames
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
-from humanopts_learner.options.lookup import Decisions, decisions
+from humanopts_learner.options.lookup import decisions
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import batch_games, OPTIONS_ONLY, PlanError, PRIMITIVE
 import numpy as np
@@ -27,33 +27,34 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2**64 by the golden ratio, odd: for ha
 
 @dataclass
 class Observation:
-    """The features and abstract states of N games, for options and policies."""
+    """The features and abstract states of N games, and what O options, fallback aside, decide."""
 
     rows: NDArray[np.int32]  # (N, F) all features
     states: Codes  # (N,) codes of the abstract states
-    startable: Flags | None = None  # (N, O) which options can start; None: not asked yet
+    startable: Flags  # (N, O) which options can start
+    wanted: NDArray[np.int16]  # (N, O) the primitive action of each
+    ending: Flags  # (N, O) whether each, if it runs, ends
 
     def take(self, chosen: Ints) -> 'Observation':
         """Return the observation of chosen games (M,)."""
-        startable = None if self.startable is None else self.startable.take(chosen, axis=0)
-        return Observation(self.rows.take(chosen, axis=0), self.states.take(chosen), startable)
+        return Observation(*(array.take(chosen, axis=0) for array in self._arrays))
 
     def part(self, begin: int, end: int) -> 'Observation':
         """Return the observation of the games from ``begin`` up to ``end``, in the same memory."""
-        startable = None if self.startable is None else self.startable[begin:end]
-        return Observation(self.rows[begin:end], self.states[begin:end], startable)
+        return Observation(*(array[begin:end] for array in self._arrays))
 
     def put(self, chosen: Ints, source: 'Observation') -> None:
         """Set chosen games (M,) to those of another observation."""
-        self.rows[chosen], self.states[chosen] = source.rows, source.states
-        if self.startable is not None and source.startable is not None:
-            self.startable[chosen] = source.startable
-        else:
-            self.startable = None
+        for mine, its in zip(self._arrays, source._arrays):
+            mine[chosen] = its
+
+    @property
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return self.rows, self.states, self.startable, self.wanted, self.ending
 
 
 class StateAbstraction:
-    """Maps games to observations, for one action set."""
+    """Maps games to abstract states, for one action set."""
 
     def __init__(self, games: BatchGames, action_set: str) -> None:
         """
@@ -76,14 +77,14 @@ class StateAbstraction:
         self.context = tuple(range(len(self._mixture))) if self._mixture else own.context
         """Indices of the abstract features that hardly decide which option is the best."""
 
-    def observe(self, batch: Any) -> Observation:
-        """Return the observation of a batch."""
+    def observe(self, batch: Any) -> tuple[NDArray[np.int32], Codes]:
+        """Return all features (N, F) and the codes of the abstract states (N,) of a batch."""
         rows = self.games.batch_features(batch)
         features = self.games.abstract_features(batch, rows, fine=self._fine)
         if self._mixture:
             coarse = self.games.abstract_features(batch, rows, fine=False)
             features = np.concatenate([coarse[:, list(self._mixture)], features], axis=1)
-        return Observation(rows, features @ self._radix)
+        return rows, features @ self._radix
 
     def without_context(self, states: Codes) -> Codes:
         """Return the codes (N,) of abstract states with all context features set to 0."""
@@ -127,33 +128,36 @@ class ActionSet:
     def observe(self, batches: Sequence[Any]) -> list[Observation]:
         """Return the observation of each of some batches, which are looked at as one."""
         if len(batches) == 1:
-            return [self.abstraction.observe(batches[0])]
+            return [self._observe(batches[0])]
         ends = np.cumsum([len(self.games.batch_over(batch)) for batch in batches]).tolist()
         parts = list(zip([0, *ends], ends))
         joined = self.games.batch_take(batches[0], np.zeros(ends[-1], dtype=np.intp))
         for batch, (begin, end) in zip(batches, parts):
             self.games.batch_put(joined, np.arange(begin, end), batch)
-        seen = self.abstraction.observe(joined)
-        self.startable(seen)
+        seen = self._observe(joined)
         return [seen.part(begin, end) for begin, end in parts]
 
     def observe_state(self, state: Any) -> Observation:
         """Return the observation of one game that is in a state of the domain."""
-        return self.abstraction.observe(self.games.batch_of([state]))
+        return self._observe(self.games.batch_of([state]))
+
+    def _observe(self, batch: Any) -> Observation:
+        rows, states = self.abstraction.observe(batch)
+        shape, n_options = (len(rows), self.first_fallback), len(self.options)
+        startable, ending = np.ones(shape, dtype=np.bool_), np.ones(shape, dtype=np.bool_)
+        wanted = np.empty(shape, dtype=np.int16)
+        wanted[:, n_options:] = np.arange(shape[1] - n_options)
+        for o, decide in enumerate(self._decide):
+            startable[:, o] = decide.can_start(rows)
+            wanted[:, o] = decide.greedy_action(rows)
+            ending[:, o] = decide.ends(rows)
+        return Observation(rows, states, startable, wanted, ending)
 
     @property
     def modelled(self) -> tuple[str, ...]:
         """Names of the models: starting each option, then continuing where it cannot start."""
         names = self.names[: self.first_fallback]
         return (*names, *(f'going on: {option.name}' for option in self.options))
-
-    def startable(self, seen: Observation) -> Flags:
-        """Return (N, O): which options can start in each game, without the fallback ones."""
-        if seen.startable is None:
-            seen.startable = np.ones((len(seen.rows), self.first_fallback), dtype=np.bool_)
-            for o, decide in enumerate(self._decide):
-                seen.startable[:, o] = decide.can_start(seen.rows)
-        return seen.startable
 
     def fallback(self, rows: Rows) -> Ints:
         """
@@ -169,28 +173,23 @@ class ActionSet:
         chosen: Ints = len(self.options) + (number % np.uint64(self.n_actions)).astype(np.intp)
         return chosen
 
-    def running(self, option: Ints) -> list[tuple[Decisions, Ints]]:
-        """Return the decisions of each option that runs in some games, and which these are."""
-        found = [(one, np.flatnonzero(option == o)) for o, one in enumerate(self._decide)]
-        return [(one, games) for one, games in found if games.size]
-
     def actions(self, seen: Observation, option: Ints) -> Ints:
         """Return (N,): the primitive action of each game's option."""
         action = option - len(self.options)
-        for one, games in self.running(option):
-            action[games] = one.greedy_action(seen.rows[games])
+        running = np.flatnonzero(action < 0)
+        action[running] = seen.wanted[running, option[running]]
         return action
 
     def ends(self, seen: Observation, option: Ints) -> Flags:
         """Return (N,): whether each game's option ends there; primitive actions always do."""
         ends = np.ones(len(option), dtype=np.bool_)
-        for one, games in self.running(option):
-            ends[games] = one.ends(seen.rows[games])
+        running = np.flatnonzero(option < len(self.options))
+        ends[running] = seen.ending[running, option[running]]
         return ends
 
     def can_start(self, seen: Observation, option: Ints) -> Flags:
         """Return (N,): whether each game's option could start there."""
         modelled = option < self.first_fallback
         found: Flags = modelled.copy()
-        found[modelled] = self.startable(seen)[modelled, option[modelled]]
+        found[modelled] = seen.startable[modelled, option[modelled]]
         return found

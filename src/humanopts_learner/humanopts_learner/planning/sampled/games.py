@@ -82,7 +82,8 @@ class Runs:
         """
         stopped = policy.stops(self.seen, self.option, self._rng)
         free = np.flatnonzero((self.option < 0) | stopped)
-        choice = policy(self.seen.take(free), self._rng)
+        all_free = len(free) == len(stopped)
+        choice = policy(self.seen if all_free else self.seen.take(free), self._rng)
         self.option[free], self.ran[free] = choice.option, 0
         return free, choice
 
@@ -277,7 +278,6 @@ class Sampler:
 
     def _step(self, runs: Runs, policy: Policy, recording: Recording, t: int) -> Process[None]:
         fallback = self._actions.first_fallback
-        self._actions.startable(runs.seen)  # asked for parts of the games below, more than once
         decided, _ = runs.decide(policy)
         if t:
             recording.ended[t - 1, decided] = True  # those that were stopped

@@ -40,10 +40,11 @@ class UniformPolicy:
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
         """Return the next option in each game."""
-        can = self.actions.startable(seen)
+        can = seen.startable
         option = np.where(can, rng.random(can.shape), -1.0).argmax(axis=1)
-        none = ~can.any(axis=1)
-        option[none] = self.actions.fallback(seen.rows[none])
+        none = np.flatnonzero(~can.any(axis=1))
+        if none.size:
+            option[none] = self.actions.fallback(seen.rows[none])
         return Choice(option, np.zeros(len(option), dtype=np.bool_))
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
@@ -80,7 +81,7 @@ class GreedyPolicy:
 
     def decide(self, seen: Observation) -> Choice:
         """Return the next option in each game; of modules the one that acts for a step."""
-        can = self.actions.startable(seen)
+        can = seen.startable
         option_values, continuation_values = self._values(seen, can)
         choice = self._choose(seen, can, option_values)
         if self.execution not in MODULAR:
@@ -88,14 +89,12 @@ class GreedyPolicy:
         strongest = self.execution is Execution.MODULAR_STRONGEST
         competing = continuation_values if strongest else option_values
         known = np.isfinite(competing).any(axis=1)
-        each = [np.full(len(can), o) for o in range(self.actions.first_fallback)]
-        action = np.stack([self.actions.actions(seen, option) for option in each], axis=1)
-        winner = arbitrate(self.execution, option_values, continuation_values, action)
+        winner = arbitrate(self.execution, option_values, continuation_values, seen.wanted)
         return Choice(np.where(known, winner, choice.option), choice.unknown & ~known)
 
     def choose(self, seen: Observation) -> Choice:
         """Return the option of the greatest value in each game, whatever the execution."""
-        can = self.actions.startable(seen)
+        can = seen.startable
         return self._choose(seen, can, self._values(seen, can)[0])
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
@@ -104,7 +103,7 @@ class GreedyPolicy:
             return option >= 0
         if self.execution is Execution.RUN_TO_END or not (option >= 0).any():
             return np.zeros(len(option), dtype=np.bool_)
-        values = self._values(seen, self.actions.startable(seen))
+        values = self._values(seen, seen.startable)
         stopped = interruptions(*values, self.values.interruption_margin)
         running = (option >= 0) & (option < stopped.shape[1])
         found: Flags = running & stopped[np.arange(len(option)), np.where(running, option, 0)]
@@ -117,7 +116,9 @@ class GreedyPolicy:
             known, values.argmax(axis=1), np.where(can, self.preference, -1).argmax(axis=1)
         )
         some = np.asarray(can.any(axis=1))
-        option[~some] = self.actions.fallback(seen.rows[~some])
+        none = np.flatnonzero(~some)
+        if none.size:
+            option[none] = self.actions.fallback(seen.rows[none])
         return Choice(option, some & ~known)
 
     def _values(self, seen: Observation, can: Flags) -> tuple[Floats, Floats]:
