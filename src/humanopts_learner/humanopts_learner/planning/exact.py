@@ -109,7 +109,8 @@ def make_exact_plan(
     evaluated = clock()
     model = build_model(domain, asked.action_set, tabled, asked.gamma, progress)
     modelled = clock()
-    on_sweep = SweepProgress(progress, asked.tol, asked.max_sweeps)
+    told = progress is not ignore_progress  # small plans would take half as long again
+    on_sweep = SweepProgress(progress, asked.tol, asked.max_sweeps) if told else None
     solution = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep)
     return ExactPlan(
         domain=domain,

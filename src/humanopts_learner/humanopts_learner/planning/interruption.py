@@ -91,7 +91,10 @@ def interruptions(
 
 
 def arbitrate(
-    execution: Execution, option_values: Floats, continuation_values: Floats, action: Ints
+    execution: Execution,
+    option_values: Floats,
+    continuation_values: Floats,
+    action: NDArray[np.signedinteger],
 ) -> Ints:
     """
     Arbitrate between modules: return (N,) the index of the option whose action is taken.

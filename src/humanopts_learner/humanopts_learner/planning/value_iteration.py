@@ -70,9 +70,9 @@ class _Backup(ABC):
         greatest = np.full(len(values), -np.inf)
         best = np.zeros(len(values), dtype=np.int32)
         for option, choice in self._layers(values):
-            first = slice(len(choice))
-            best[first] = np.where(choice > greatest[first], option, best[first])
-            np.maximum(greatest[first], choice, out=greatest[first])
+            known = greatest[: len(choice)]
+            np.copyto(best[: len(choice)], option, where=choice > known, casting='same_kind')
+            np.maximum(known, choice, out=known)
         best = self.in_order_of_model(best)
         best[self._dead] = -1
         return best
@@ -165,7 +165,7 @@ class _CompiledBackup(_Backup):
         padded = np.append(values, 0.0)
         for option, reward in enumerate(self._rewards.T):
             discount = self._discount[:, option] if self._discount.size else self._common
-            yield option, discount * padded[self._successor[:, option]] + reward
+            yield option, discount * padded.take(self._successor[:, option]) + reward
 
 
 def _sweep_states(
