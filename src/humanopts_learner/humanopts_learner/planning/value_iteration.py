@@ -165,7 +165,7 @@ class _CompiledBackup(_Backup):
         padded = np.append(values, 0.0)
         for option, reward in enumerate(self._rewards.T):
             discount = self._discount[:, option] if self._discount.size else self._common
-            yield option, discount * padded.take(self._successor[:, option]) + reward
+            yield option, discount * padded[self._successor[:, option]] + reward
 
 
 def _sweep_states(
