@@ -268,7 +268,8 @@ def fit_tree(
         raise ValueError('a tree is fitted to one row or more, labelled with its classes')
     from sklearn.tree._criterion import Gini
     from sklearn.tree._splitter import BestSplitter
-    from sklearn.tree._tree import DepthFirstTreeBuilder, Tree as FittedTree
+    from sklearn.tree._tree import DepthFirstTreeBuilder
+    from sklearn.tree._tree import Tree as FittedTree
 
     present, labels = np.unique(y, return_inverse=True)
     n_classes, n_features = np.array([len(present)], dtype=np.intp), X.shape[1]
