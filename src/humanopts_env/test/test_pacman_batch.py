@@ -20,7 +20,7 @@ MAZES = ('gardens', 'yard', FOUR_GHOSTS, NO_GHOST)
 
 
 @pytest.mark.heavy
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(
     maze=strategies.sampled_from(MAZES),
     ghosts=strategies.sampled_from(['random', 'chase']),

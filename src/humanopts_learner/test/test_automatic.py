@@ -44,7 +44,7 @@ CORRIDOR = '%%%%%%%\n%P....%\n%%%%%%%'  # five cells in a row
 LONG_CORRIDOR = '%%%%%%%%%\n%P......%\n%%%%%%%%%'
 RING = '%%%%%\n%P..%\n%.%.%\n%...%\n%%%%%'  # in rows 0 1 2, 3 4, 5 6 7
 CROSSING = '%%%%%%%\n%%%.%%%\n%%%.%%%\n%P....%\n%%%.%%%\n%%%%%%%'
-QUICK = Extraction(tasks=60, train_episodes=60, option_episodes=300)
+QUICK = Extraction(tasks=60, train_episodes=60, option_episodes=100, max_steps=300)
 PAPERS_NINE = {f'{event} at {place}' for event in ('pickup', 'dropoff') for place in 'RGYB'}
 
 
@@ -209,7 +209,7 @@ def test_the_cost_is_counted_and_told() -> None:
         PacMan(maze='yard'), 0, QUICK, lambda *told_now: told.append(told_now), lambda: next(ticks)
     )
     assert extracted.seconds == 2.5
-    assert extracted.episodes == 60 * 60 + 300 * len(extracted.options)
+    assert extracted.episodes == 60 * 60 + 100 * len(extracted.options)
     assert extracted.game_steps >= extracted.episodes
     assert [stage for stage, done, _ in told if done == 1.0] == ['tasks', 'policies']
     assert [steps for _, _, steps in told] == sorted(steps for _, _, steps in told)

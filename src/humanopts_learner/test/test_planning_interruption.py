@@ -160,7 +160,7 @@ random_plans = st.builds(
 
 
 @pytest.mark.heavy
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(random_plans)
 def test_it_is_never_worse_in_random_worlds_whatever_the_step_limits(plan: ExactPlan) -> None:
     assert_never_worse(plan)

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.heavy
 
 SECOND = 10**9
 ATTACHED = b'{"a": 1}'
-BATCH = 50  # mutated bags in one test
+BATCH = 25  # mutated bags in one test
 
 
 @pytest.fixture(scope='module')
@@ -206,7 +206,7 @@ def test_a_split_bag_tells_what_a_whole_one_tells(lesson: Path, split: Path) -> 
 
 
 @pytest.mark.parametrize(
-    'batch', [0, 1, *(pytest.param(number, marks=pytest.mark.slow) for number in range(2, 20))]
+    'batch', [0, 1, *(pytest.param(number, marks=pytest.mark.slow) for number in range(2, 40))]
 )
 def test_no_number_of_a_mutated_bag_is_wrong_without_a_warning(
     lesson: Path, split: Path, tmp_path: Path, batch: int
