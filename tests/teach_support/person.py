@@ -5,12 +5,15 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Transition
+from humanopts_learner.options.criteria import Criterion, FEWEST
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import (
     Answer,
+    BeginDemonstration,
     Drive,
     LessonView,
+    OptionStatus,
     Phase,
     Request,
     RequestStatus,
@@ -19,6 +22,7 @@ from humanopts_teach.lesson.requests import (
 from humanopts_teach.terminal.drawing import frame
 
 START = 'taxi 2,3 passenger R destination B'
+AT_G = 'taxi 0,3 passenger G destination B'
 NAME = 'go to passenger and pickup'
 BOTTOM = '┗━━━┻━━━━━━━┻━━━━━━━┛'
 CHOSEN = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col')
@@ -73,6 +77,33 @@ class Person:
         self.world.lesson = replace(self.world.lesson, phase=phase, **fields)
         return self.look()
 
+    def names_option(self, phase: Phase, **fields: Any) -> 'Person':
+        """Open a session and name an option, at whose phase the lesson then is."""
+        opened = self.press('enter')
+        self.lesson(Phase.NO_OPTION, participant='p1')
+        self.answer(opened)
+        defined = self.press('enter', *NAME, 'enter')
+        self.lesson(phase, option_name=NAME, **fields)
+        self.answer(defined)
+        return self
+
+    def asked_about(self, number: int, **fields: Any) -> Request | None:
+        """Have the lesson ask about a feature of the domain, by its number from 1."""
+        feature = self.app.domain.features[number - 1].name
+        return self.lesson(Phase.ASKING, question_id=number, question_feature=feature, **fields)
+
+    def begins(self, request: Request | None, episode: int) -> Request | None:
+        """Have the lesson begin a demonstration that was asked for; return the next request."""
+        assert isinstance(request, BeginDemonstration)
+        self.world.see(Transition(episode=episode, state=request.start_state or START))
+        self.lesson(Phase.DEMONSTRATING, episode=episode, machine_steps=0)
+        return self.answer(request, episode=episode)
+
+    def run_ends(self, text: str) -> None:
+        """Have the run that is under way end."""
+        assert self.app.run is not None
+        self.app.run_ended(self.app.run, True, text)
+
     def game(self, **fields: Any) -> Request | None:
         """Have the game go on; return the next request."""
         assert self.world.game is not None
@@ -93,3 +124,14 @@ class Person:
         side = ' '.join(line[self.side :] for line in frame(self.app, 80, 24))
         whole = ' '.join(frame(self.app, 80, 24))
         return any(text in ' '.join(shown.split()) for shown in (side, whole))
+
+
+def criteria(*values: tuple[str, float | None, float], **fields: Any) -> OptionStatus:
+    """Return the progress of the option: the name, value and threshold of each criterion."""
+    found = tuple(Criterion.of(*value) for value in values)
+    return OptionStatus(
+        NAME,
+        'p1',
+        **{'features': CHOSEN, 'n_demonstrations': FEWEST, 'more_needed': 6, **fields},
+        criteria=found,
+    )

@@ -7,23 +7,15 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import Demonstration, make_demonstration
-from humanopts_learner.planning.request import Execution
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.entry import Item, ListScreen
 from humanopts_teach.lesson.requests import (
-    AnswerQuestion,
     BeginDemonstration,
-    CancelRun,
     ChangeOption,
-    DefineOption,
     Drive,
     EndDemonstration,
     ListDemonstrations,
-    ListOptions,
     Phase,
-    PlanOptions,
-    PlayEpisodes,
-    Request,
     RunOption,
     SetControl,
     SetPace,
@@ -31,9 +23,7 @@ from humanopts_teach.lesson.requests import (
     WithdrawDemonstration,
 )
 import pytest
-from teach_support.person import CHOSEN, NAME, Person, START
-
-AT_G = 'taxi 0,3 passenger G destination B'
+from teach_support.person import AT_G, CHOSEN, NAME, Person, START
 
 
 def drive(person: Person, *keys: str) -> None:
@@ -47,14 +37,6 @@ def drive(person: Person, *keys: str) -> None:
             previous_action=request.action,
             action_source=Source.PERSON,
         )
-
-
-def begin(person: Person, request: Request | None, episode: int, **game: Any) -> Request | None:
-    """Let the lesson begin a demonstration."""
-    assert isinstance(request, BeginDemonstration)
-    person.world.see(Transition(episode=episode, state=request.start_state or START, **game))
-    person.lesson(Phase.DEMONSTRATING, episode=episode, machine_steps=0)
-    return person.answer(request, episode=episode)
 
 
 def shown(number: int = 1, *, withdrawn: bool = False) -> Demonstration:
@@ -75,7 +57,7 @@ def watcher(shower: Person) -> Person:
     request = shower.answer(discard)
     assert isinstance(request, BeginDemonstration)
     assert request.watch
-    release = begin(shower, request, 3)
+    release = shower.begins(request, 3)
     assert release == SetControl(hold=False)
     run = shower.answer(release)
     assert run == RunOption(NAME, 'p1')
@@ -83,15 +65,13 @@ def watcher(shower: Person) -> Person:
     return shower
 
 
-def taken_over(watcher: Person) -> Person:
+def taken_over(watcher: Person, **game: Any) -> Person:
     """Let the machine take two steps, and the person one."""
     for step in (1, 2):
-        watcher.game(step=step, previous_action='north', action_source=Source.MACHINE)
+        watcher.game(step=step, previous_action='north', action_source=Source.MACHINE, **game)
     watcher.lesson(Phase.DEMONSTRATING, machine_steps=2)
     drive(watcher, 'left')
-    assert watcher.app.run is not None
-    watcher.app.run_ended(watcher.app.run, True, 'You took over.')
-    watcher.world.before = None  # what the step did is not known: no question about it
+    watcher.run_ends('You took over.')
     return watcher
 
 
@@ -100,8 +80,7 @@ def test_a_watched_option_begins_at_a_start_of_the_task_that_is_another_each_tim
 ) -> None:
     first = next(r for r in watcher.asked if isinstance(r, BeginDemonstration) and r.watch)
     assert taxi.encode(taxi.decode(first.start_state)) == first.start_state
-    assert watcher.app.run is not None
-    watcher.app.run_ended(watcher.app.run, True, 'it ended')
+    watcher.run_ends('it ended')
     watcher.press('w')
     watcher.lesson(Phase.READY)
     second = watcher.answer(watcher.asked[-1])
@@ -118,7 +97,7 @@ def test_nothing_is_watched_before_something_is_learned(shower: Person) -> None:
 def test_after_a_correction_the_person_is_asked_once_whether_the_steps_before_count(
     watcher: Person, answer: str, counts: bool
 ) -> None:
-    taken_over(watcher)
+    taken_over(watcher).world.before = None  # so nothing is asked about what the step did
     assert watcher.press('enter') is None
     assert watcher.sees_words('The machine took the first 2. Do its steps count as shown by you?')
     asked = watcher.press(answer)
@@ -128,8 +107,7 @@ def test_after_a_correction_the_person_is_asked_once_whether_the_steps_before_co
 def test_a_run_without_steps_of_the_person_can_only_be_counted_whole(watcher: Person) -> None:
     watcher.game(step=1, previous_action='north', action_source=Source.MACHINE)
     watcher.lesson(Phase.DEMONSTRATING, machine_steps=1)
-    assert watcher.app.run is not None
-    watcher.app.run_ended(watcher.app.run, True, 'it ended')
+    watcher.run_ends('it ended')
     watcher.world.before = None
     watcher.press('enter')
     assert 'where I took over' not in watcher.sees()
@@ -184,26 +162,8 @@ def test_the_speed_stays_within_what_there_is(
 
 def test_a_pause_ends_with_the_run(watcher: Person) -> None:
     watcher.world.paused_by = 'me'
-    assert watcher.app.run is not None
-    watcher.app.run_ended(watcher.app.run, True, 'You took over.')
+    watcher.run_ends('You took over.')
     assert watcher.look() == SetPace(0.0, paused=False)
-
-
-def test_stopping_a_run_that_waits_lets_it_go_on_to_its_end(teacher: Person) -> None:
-    teacher.press('escape')
-    request = teacher.press('3')
-    assert request == ListOptions('p1')
-    teacher.answer(request, option_names=(NAME,))
-    teacher.press('enter')
-    for asked in (SetControl(hold=False), RunOption(NAME, 'p1')):
-        request = teacher.press('enter') if isinstance(asked, SetControl) else request
-        assert request == asked
-        request = teacher.answer(request)
-    teacher.world.paused_by = 'me'
-    goes_on = teacher.press('escape')
-    assert goes_on == SetPace(0.0, paused=False)
-    teacher.world.paused_by = ''
-    assert teacher.answer(goes_on) == CancelRun()
 
 
 def test_an_undone_step_is_driven_up_to_in_a_new_episode(shower: Person) -> None:
@@ -213,7 +173,7 @@ def test_an_undone_step_is_driven_up_to_in_a_new_episode(shower: Person) -> None
     shower.lesson(Phase.READY)
     request = shower.answer(discard)
     assert request == BeginDemonstration(START)
-    again = begin(shower, request, 3)
+    again = shower.begins(request, 3)
     assert again == Drive('west', 3, 0)
     assert shower.press('p') is None  # keys that come between are not taken
     last = shower.game(step=1, previous_action='west', action_source=Source.PERSON)
@@ -235,13 +195,7 @@ def test_while_the_lesson_is_paused_an_undo_loses_nothing(shower: Person) -> Non
 
 
 def test_an_undo_after_taking_over_begins_where_the_person_did(watcher: Person) -> None:
-    for step in (1, 2):
-        watcher.game(step=step, state=AT_G, previous_action='north', action_source=Source.MACHINE)
-    watcher.lesson(Phase.DEMONSTRATING, machine_steps=2)
-    drive(watcher, 'left')
-    assert watcher.app.run is not None
-    watcher.app.run_ended(watcher.app.run, True, 'You took over.')
-    discard = watcher.press('u')
+    discard = taken_over(watcher, state=AT_G).press('u')
     watcher.lesson(Phase.READY)
     assert watcher.answer(discard) == BeginDemonstration(AT_G)
 
@@ -258,12 +212,8 @@ def test_where_chance_plays_a_part_a_step_cannot_be_undone() -> None:
     person = Person(rooms)
     start = rooms.encode(rooms.state_at(0))  # type: ignore[attr-defined]
     person.world.game = Transition(episode=1, state=start)
-    opened = person.press('enter')
-    person.lesson(Phase.NO_OPTION, participant='p1')
-    person.answer(opened)
-    defined = person.press('enter', *NAME, 'enter')
-    person.lesson(Phase.READY, option_name=NAME, chosen_features=('row',))
-    begun = person.answer(defined) or person.press('enter')
+    person.names_option(Phase.READY, chosen_features=('row',))
+    begun = person.press('enter')
     person.world.see(Transition(episode=2, state=start))
     person.lesson(Phase.DEMONSTRATING, episode=2)
     person.answer(begun, episode=2)
@@ -358,39 +308,6 @@ def test_a_contradiction_is_told_at_once_and_the_person_chooses_what_to_keep(
         assert shower.answer(then) == BeginDemonstration()
 
 
-def test_backspace_goes_back_to_the_question_before(teacher: Person) -> None:
-    teacher.lesson(Phase.ASKING, question_id=4, question_feature='passenger_row')
-    assert teacher.press('backspace') == AnswerQuestion(4, back=True)
-
-
-def test_there_is_no_question_before_the_first_one(teacher: Person) -> None:
-    teacher.lesson(Phase.ASKING, question_id=1, question_feature='taxi_row')
-    assert 'back a question' not in teacher.sees()
-    assert teacher.press('backspace') is None
-
-
-def test_going_back_into_a_group_goes_to_its_question() -> None:
-    pacman = make_domain('pacman')
-    person = Person(pacman)
-    names = [feature.name for feature in pacman.features]
-    group = pacman.feature_groups[2]  # type: ignore[attr-defined]
-    last, first = names.index(group.features[-1]), names.index(group.features[0])
-    person.world.game = None
-    opened = person.press('enter')
-    person.lesson(Phase.NO_OPTION, participant='p1')
-    person.answer(opened)
-    defined = person.press('enter', *NAME, 'enter')
-    person.lesson(Phase.ASKING, option_name=NAME, question_id=9, question_feature=names[last + 1])
-    person.answer(defined)
-    back = person.press('backspace')
-    for number in range(last, first - 1, -1):
-        assert back == AnswerQuestion(9 + last - number, back=True)
-        person.lesson(Phase.ASKING, question_id=10 + last - number, question_feature=names[number])
-        back = person.answer(back)
-    assert back is None
-    assert person.sees_words(f'depend on anything about {group.words}?')
-
-
 def test_an_option_is_renamed_and_deleted_in_the_menu(teacher: Person) -> None:
     teacher.press('escape', '6', '1', '1')
     rename = teacher.press(*'fetch', 'enter')
@@ -419,78 +336,6 @@ def test_the_question_mark_in_a_menu_explains_the_game(teacher: Person) -> None:
     assert teacher.sees_words('p let the passenger in')
     teacher.press('x')
     assert teacher.sees_words('What next?')
-
-
-def planned(teacher: Person, *places: tuple[str, float]) -> Person:
-    """Plan with the options, and play to the end."""
-    teacher.press('escape', '4', '1')
-    release = teacher.press('enter')
-    plan = teacher.answer(release)
-    assert isinstance(plan, PlanOptions)
-    teacher.answer(plan)
-    teacher.world.uncovered = places
-    teacher.app.run_ended(plan, True, 'planned')
-    play = teacher.look()
-    assert isinstance(play, PlayEpisodes)
-    teacher.answer(play)
-    teacher.app.run_ended(play, True, 'played.')
-    return teacher
-
-
-def test_places_that_no_option_covers_are_starts_to_teach_from(teacher: Person) -> None:
-    planned(teacher, (AT_G, 0.0), (START, 1.5))
-    assert teacher.sees_words('played. 2 places are not covered: c lists them.')
-    teacher.press('c')
-    assert teacher.sees_words('1 No option can start here')
-    assert teacher.sees_words('2 A single step is worth 1.5 more')
-    first = teacher.sees().split('\n')[1:5]
-    teacher.press('down')
-    assert teacher.sees().split('\n')[1:5] != first  # the board shows the place
-    teacher.press('up', 'enter')
-    define = teacher.press('1')
-    assert define == DefineOption(NAME)
-    teacher.lesson(Phase.READY)
-    teacher.answer(define)
-    begun = teacher.press('enter')
-    assert begun == BeginDemonstration(AT_G)
-    begin(teacher, begun, 3)
-    discard = teacher.press('backspace')
-    teacher.lesson(Phase.READY)
-    assert teacher.answer(discard) == BeginDemonstration()  # the place is taken once
-
-
-def test_a_new_option_can_be_taught_from_a_place_too(teacher: Person) -> None:
-    planned(teacher, (AT_G, 0.0))
-    teacher.press('c', 'enter', '2')
-    define = teacher.press(*'deliver', 'enter')
-    assert define == DefineOption('deliver')
-    teacher.lesson(Phase.ASKING, option_name='deliver', question_id=1)
-    teacher.answer(define)
-    teacher.lesson(Phase.READY, question_id=0)
-    assert teacher.press('enter') == BeginDemonstration(AT_G)
-
-
-def test_where_it_is_not_known_what_is_covered_it_is_told(teacher: Person) -> None:
-    planned(teacher)
-    teacher.press('c')
-    assert teacher.sees_words('The options cover all that the plan comes to.')
-    teacher.world.uncovered = None
-    teacher.press('c')
-    assert teacher.sees_words('is known of plans with your options alone')
-
-
-def test_modules_say_which_option_won_the_step_that_is_shown(teacher: Person) -> None:
-    teacher.press('escape', '4', '1')
-    screen: Any = teacher.app.screen
-    screen.execution = Execution.MODULAR_MASS
-    release = teacher.press('enter')
-    plan = teacher.answer(release)
-    teacher.answer(plan)
-    teacher.world.acted = {('server', 8): 'deliver', ('server', 7): NAME}
-    teacher.game(step=1, previous_action='north', action_publisher_id='server', action_sequence=7)
-    assert teacher.sees_words(f'{NAME} won this step.')
-    teacher.game(step=2, previous_action='north', action_publisher_id='server', action_sequence=9)
-    assert not teacher.sees_words('won this step')
 
 
 def test_a_long_list_is_shown_a_page_at_a_time(taxi: Domain[Any]) -> None:

@@ -1,0 +1,121 @@
+"""Screens of the terminal: what fits into a window, and what never reaches it."""
+
+from dataclasses import replace
+from typing import Any
+
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.seeding import generator
+from humanopts_teach.lesson.requests import Drive, LessonView, Phase
+from humanopts_teach.terminal.drawing import frame
+import pytest
+from teach_support.person import BOTTOM, CHOSEN, criteria, Person
+
+
+def test_a_long_reason_leaves_the_board_whole_in_a_low_window(shower: Person) -> None:
+    shower.lesson(Phase.DEMONSTRATING, paused=30 * 'the disk is full ')
+    assert BOTTOM in shower.sees(70, 20)
+
+
+def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:
+    values = [(name, 0.125, 0.05) for name in ('return', 'initiation', 'termination')]
+    shower.lesson(Phase.DEMONSTRATING, last_uuid='abc')
+    situation = ', '.join(f'{name.replace("_", " ")} 4' for name in CHOSEN)
+    shower.world.progress = [
+        replace(
+            criteria(*values),
+            mean_return_demonstrations=-5.25,
+            mean_return_policy=-6.5,
+            conflicts=(f'{situation}: not the end (10x), the end (2x)', 'another'),
+            suggested_feature='passenger_in_taxi',
+        )
+    ]
+    screen = shower.sees()
+    assert 'higher window' not in screen
+    assert shower.sees_words('on starts it has seen, mean return: yours -5.25, the option -6.50')
+    assert shower.sees_words('not the end (10x), the end (2x) Add "passenger in taxi" (e)')
+
+
+@pytest.fixture
+def pacman_shower(pacman_teacher: Person) -> Person:
+    """Somebody who teaches Pac-Man by the direction of food alone, and has eaten some."""
+    pacman, game = pacman_teacher.app.domain, pacman_teacher.world.game
+    assert game is not None
+    pacman_teacher.lesson(Phase.DEMONSTRATING, episode=2, chosen_features=('food_direction',))
+    state = pacman.decode(game.state)
+    after = pacman.step(state, 1, generator(0)).state
+    pacman_teacher.game(episode=2, step=0)
+    pacman_teacher.game(step=1, state=pacman.encode(after), previous_action='west', reward=10.0)
+    return pacman_teacher
+
+
+def test_what_is_hidden_in_pac_man_is_named_and_meals_are_told(pacman_shower: Person) -> None:
+    assert pacman_shower.sees_words('hidden: Pac-Man, the ghosts, the power pills, the fruit')
+    assert pacman_shower.sees_words('ate food (reward 10)')
+
+
+def test_the_fullest_screen_of_pac_man_fits_in_80_by_24(pacman_shower: Person) -> None:
+    pacman_shower.lesson(Phase.DEMONSTRATING, last_uuid='abc')
+    values = [('return', 12.5, 10.0), ('initiation', 0.125, 0.05), ('termination', None, 0.05)]
+    conflict = 'food direction north: cannot start here (12x), can start here (1x)'
+    status = replace(
+        criteria(*values),
+        features=('food_direction',),
+        mean_return_demonstrations=12.25,
+        mean_return_policy=-116.5,
+        conflicts=(conflict, 'another'),
+    )
+    pacman_shower.world.progress = [status]
+    screen = pacman_shower.sees()
+    for text in (
+        '· termination  not measured  ≤ 5.0 %',
+        '· return       12.50 worse   ≤ 10.00',
+        'yours 12.25, the option -116.50',
+        conflict,
+        'press s before done.',
+    ):
+        assert text in ' '.join(screen.split()) or text in screen
+    assert 'higher window' not in screen
+    assert '…' not in screen
+
+
+def test_menus_are_not_cut_beside_a_wide_board(pacman_teacher: Person) -> None:
+    pacman_teacher.press('escape')
+    assert pacman_teacher.sees_words('1 Teach a new option name it, answer questions, show it')
+    assert pacman_teacher.sees_words('Watch the machine play it plans, then plays')
+
+
+def test_a_small_window_is_told_so_politely(shower: Person) -> None:
+    assert '69 x 24 characters, and 70 x 20 are needed' in shower.sees(69, 24)
+    assert '80 x 19 characters, and 70 x 20 are needed' in shower.sees(80, 19)
+    assert 'Teaching' in shower.sees(70, 20)
+
+
+@pytest.mark.parametrize(('width', 'height'), [(80, 24), (120, 40), (70, 20)])
+def test_no_line_is_wider_than_the_window(shower: Person, width: int, height: int) -> None:
+    for key in ('', '?', 'x', 'e'):
+        shower.press(*filter(None, [key]))
+        assert max(map(len, frame(shower.app, width, height))) <= width
+
+
+def test_help_explains_every_key(shower: Person) -> None:
+    shower.press('?')
+    screen = shower.sees()
+    assert 'higher window' not in screen
+    assert 'let the passenger in' in screen
+    assert 'the option makes no sense from this start' in screen
+    shower.press('left')
+    assert shower.sees_words('Teaching')
+    assert not any(isinstance(request, Drive) for request in shower.asked)
+
+
+@pytest.mark.parametrize('colours', [None, 'truecolor'])
+def test_no_escape_sequence_of_a_message_reaches_the_terminal(colours: Any) -> None:
+    person = Person(make_domain('taxi'))
+    lesson = LessonView(Phase.NO_SESSION, budget=100, text='a\x1b[2Jb\x07', paused='c\x9b5md')
+    person.world.lesson = lesson
+    person.world.holder = 'x\x1b]0;title\x07'
+    plain = frame(person.app, 80, 30)
+    assert all(line.isprintable() and len(line) <= 80 for line in plain)
+    coloured = '\n'.join(frame(person.app, 80, 30, colours))
+    assert '\x1b[2J' not in coloured
+    assert '\x9b' not in coloured
