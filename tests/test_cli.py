@@ -183,6 +183,8 @@ def test_a_shell_completes_what_is_typed(typed: str, offered: list[str]) -> None
         (('up', 'taxi', '--parameter', 'nope=1'), ["'nope'"]),
         (('up', 'taxi', '--parameter', 'rows'), ["'rows' is not NAME=VALUE"]),
         (('up', 'taxi', '--namespace', 'left'), ["'left' is not a namespace"]),
+        (('up', 'taxi', '--only', 'games'), ["no node 'games'", 'recorder, game']),
+        (('teach', 'taxi', '--browser', '--only', 'game'), ['--only is not for --browser']),
         (('up', 'taxi', '--namespace', '/left hand'), ["'/left hand' is not a namespace"]),
         (('teach', 'taxi'), ['terminal']),
         (('teach', 'taxi', '--participant', 'J. Doe'), ["'J. Doe' is not a code"]),

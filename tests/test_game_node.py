@@ -13,12 +13,13 @@ from graph_support.live import GAME, Graph, NodeProcess
 from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.scripted import TAXI
 from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState, NodeStatus
-from humanopts_interfaces.srv import ResetGame, SetControl
+from humanopts_interfaces.srv import ResetGame, SetControl, SetPace
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import LATCHED_ALL
 import pytest
 import rclpy
 from rclpy.context import Context
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
@@ -310,6 +311,30 @@ def test_a_person_watching_a_paced_game_sees_every_step(live: Graph) -> None:
     assert all(later - earlier > 0.19 for earlier, later in pairwise(stamps))
     keyed = player.do('south', PERSON)
     assert keyed.step == 4
+
+
+def test_the_pace_is_a_parameter_that_can_be_set_while_the_game_runs(live: Graph) -> None:
+    game = live.start(GAME)
+    player = Player(live)
+    player.fresh(START)
+
+    def answer(name: str, value: object) -> str:
+        (result,) = game.set_parameters([Parameter(name, value=value)])
+        return 'taken' if result.successful else result.reason
+
+    assert answer('step_period', 0.2) == 'taken'
+    live.until(lambda: player.controls[-1].step_period == 0.2, 'the pace')
+    for _ in range(2):
+        player.do('south')
+    stamps = [s.header.stamp.sec + s.header.stamp.nanosec * 1e-9 for s in player.states[-2:]]
+    assert stamps[1] - stamps[0] > 0.19
+    for value in (-0.5, 61.0, float('nan')):
+        assert 'out of range' in answer('step_period', value)
+    assert 'Wrong parameter type' in answer('step_period', 1)
+    assert 'read-only parameter: seed' in answer('seed', 1)
+    live.ask(SetPace, 'set_pace', step_period=0.5)
+    assert game.get_parameter('step_period').value == 0.5
+    live.until(lambda: player.controls[-1].step_period == 0.5, 'the pace of the service')
 
 
 def test_of_two_machines_the_first_takes_a_paced_step_and_the_other_is_refused(

@@ -26,6 +26,7 @@ from humanopts_interfaces.srv import (
 from humanopts_ros.qos import LATCHED, STREAM
 from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
+from rclpy.parameter import Parameter
 
 DROPOFF = 'go to destination and dropoff'
 
@@ -107,8 +108,9 @@ def test_a_lesson_that_was_killed_goes_on_where_it_was(graph: Graph, person: Per
 
 
 def test_a_learner_that_comes_late_gets_every_demonstration(graph: Graph, person: Person) -> None:
-    person.start_lesson(learner_deadline=0.2)
+    lesson = person.start_lesson()
     person.get_ready()
+    lesson.set_parameters([Parameter('learner_deadline', value=0.2)])
     person.demonstrate()
     graph.until(lambda: 'learner does not answer' in person.lesson.text, 'the lesson to go on')
     assert person.lesson.phase == LessonState.PHASE_READY

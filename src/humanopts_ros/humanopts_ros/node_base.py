@@ -21,6 +21,7 @@ from rclpy.exceptions import InvalidHandle, ParameterException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
@@ -127,6 +128,8 @@ class NodeBase(Node):
         self.publisher_id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
         self._stamped: list[StampedPublisher[Any]] = []
         self._hidden: list[str] = []  # topics of services and actions
+        self._on_change: dict[str, Callable[[Any], object]] = {}  # by name of a parameter
+        self.add_post_set_parameters_callback(self.guard.guarded(self._on_parameters))
         self._expect_recorder = self.setting(
             'expect_recorder', False, 'wait until the recorder has every publisher'
         )
@@ -251,15 +254,18 @@ class NodeBase(Node):
         description: str,
         between: Range | None = None,
         among: Collection[str] = (),
+        on_change: Callable[[T], object] | None = None,
     ) -> T:
         """
-        Declare a read-only parameter and return its value.
+        Declare a parameter and return its value.
 
         :param between: the least and the largest value of a number; None: any.
         :param among: the texts that are allowed; empty: any.
+        :param on_change: called with each value of the right type and range that somebody sets
+            while the node runs; None: the parameter is read-only.
         :raises StartError: the value given at start has the wrong type or is not allowed.
         """
-        descriptor = ParameterDescriptor(description=description, read_only=True)
+        descriptor = ParameterDescriptor(description=description, read_only=on_change is None)
         if between is not None:
             low, high = between
             if isinstance(default, int):
@@ -274,6 +280,8 @@ class NodeBase(Node):
             raise StartError(f'parameter {name}: {error}') from error
         if among and value not in among:
             raise StartError(f'parameter {name}: {value!r} is none of {", ".join(among)}')
+        if on_change is not None:
+            self._on_change[name] = on_change
         return value
 
     def settings(
@@ -475,6 +483,11 @@ class NodeBase(Node):
     def _patterns(self, name: str, description: str) -> tuple[str, ...]:
         given = self.setting(name, [''], f'patterns of {description}')
         return tuple(pattern for pattern in given if pattern)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> None:
+        for parameter in parameters:
+            if parameter.name in self._on_change:
+                self._on_change[parameter.name](parameter.value)
 
     def _publish_remark(self) -> None:
         """Publish soon what was refused or failed, at a limited rate."""

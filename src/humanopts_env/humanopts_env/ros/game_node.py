@@ -41,6 +41,7 @@ from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
+from rclpy.parameter import Parameter
 
 _RETRY_PERIOD = 0.5  # s between attempts to publish messages again
 _SAY_AGAIN = 1.0  # s between looks whether somebody else publishes what is current
@@ -59,6 +60,7 @@ class GameNode(NodeBase):
             0.0,
             'least time between steps of the machine, s, for people who watch',
             (0.0, LONGEST_PERIOD),
+            on_change=self._on_step_period,
         )
         self._info = self.stamped_publisher(DomainInfo, 'domain_info', LATCHED)
         self._stream = self.stamped_publisher(GameState, 'game_state')
@@ -157,7 +159,13 @@ class GameNode(NodeBase):
             response.status = response.STATUS_OK
             paused_by = request.holder_id if request.paused else ''
             self._set_pace(request.step_period, paused_by, request.steps)
+            self.set_parameters([Parameter('step_period', value=request.step_period)])
         return response
+
+    def _on_step_period(self, period: float) -> None:
+        """Take the pace that was set as a parameter; who has the machine wait still does."""
+        if period != self._pacing.period:
+            self._set_pace(period, self._pacing.paused_by)
 
     def _set_pace(self, period: float, paused_by: str, steps: int = 0) -> None:
         self._pace.timer_period_ns = int(period * 1e9) or 1

@@ -47,7 +47,11 @@ class OptionServerNode(NodeBase):
         mode = self.setting('mode', Mode.GREEDY.value, 'greedy or sampled', among=modes)
         seed = self.setting('seed', 0, 'of what the sampled mode draws', SEEDS)
         deadline = self.setting(
-            'no_progress_seconds', 5.0, 'a run ends when game is silent for so long, s', PATIENCE
+            'no_progress_seconds',
+            5.0,
+            'a run ends when game is silent for so long, s',
+            PATIENCE,
+            on_change=self._on_deadline,
         )
         self._learned: list[LearnedOption] | None = None  # None: not published yet
         self._automatic: list[LearnedOption] = []
@@ -61,6 +65,9 @@ class OptionServerNode(NodeBase):
         self.recorded_service(ListOptions, 'list_options', self._on_list, group)
         self.recorded_service(QueryOption, 'query_option', self._on_query, group)
         self.recorded_action(ExecuteOption, 'execute_option', self._execute, group)
+
+    def _on_deadline(self, seconds: float) -> None:
+        self._runner.patience = seconds
 
     def waits_for(self) -> str | None:
         """Return what the node waits for: the domain of the game."""

@@ -88,6 +88,7 @@ class Runner:
     interrupted; silence of the game ends it after a deadline.
 
     :ivar library: the options that can be run; None: the game is not known yet.
+    :ivar patience: s to wait for game, and for the values of a plan; may be changed.
     """
 
     def __init__(
@@ -97,9 +98,9 @@ class Runner:
         Subscribe to the states of the game.
 
         :param seed: of the random draws in sampled mode.
-        :param patience: s to wait for game, and for the values of a plan.
+        :param patience: as the attribute.
         """
-        self._node, self._mode, self._seed, self._patience = node, mode, seed, patience
+        self._node, self._mode, self._seed, self.patience = node, mode, seed, patience
         self._policy = PolicySubscriber(node)
         self.library: OptionLibrary | None = None
         self._state: Observed | None = None
@@ -194,7 +195,7 @@ class Runner:
         :raises RunCanceled: the client has canceled, or the node ends.
         """
         await self._node.waiting.until(
-            lambda: condition() or self._stopping or self._canceled(request), self._patience
+            lambda: condition() or self._stopping or self._canceled(request), self.patience
         )
         if self._stopping or self._canceled(request):
             raise RunCanceled
@@ -275,7 +276,7 @@ class Runner:
             action=action,
             option_name=active.run.acting.name,
         )
-        active.deadline = self._node.monotonic() + self._pace.step_period + self._patience
+        active.deadline = self._node.monotonic() + self._pace.step_period + self.patience
         self._actions.publish(command)
         active.command = self._actions.sequence
 
@@ -355,7 +356,7 @@ class Runner:
         """Begin the deadline of a command anew where the pace has changed."""
         self._pace = control
         if self._active is not None:
-            self._active.deadline = self._node.monotonic() + control.step_period + self._patience
+            self._active.deadline = self._node.monotonic() + control.step_period + self.patience
 
     def _check(self) -> None:
         """Handle a state that the stream did not bring, or the silence of game."""
@@ -364,7 +365,7 @@ class Runner:
         if active is None or self._pace.paused_by:
             return
         if self._node.monotonic() > active.deadline:
-            self._finish(active.run.end(RunStatus.NO_PROGRESS, f'{self._patience:g} s'))
+            self._finish(active.run.end(RunStatus.NO_PROGRESS, f'{self.patience:g} s'))
 
     def _finish(self, end: RunResult) -> None:
         active, self._active = self._active, None
