@@ -17,7 +17,16 @@ os.environ['TERM'] = 'xterm-256color'  # what the pseudo-terminals of the tests 
 
 LEASE = 5  # s after which the middleware knows that a process was killed; usual are 20
 LIVE = {'demo', 'domain_id', 'live', 'shared'}  # fixtures of tests that need the graph
-LONGEST = ('test_demo_pacman.py', 'test_demo.py', 'test_node_deaths.py', 'test_cli.py')
+LONGEST = (  # files, the longest first
+    'test_demo_pacman.py',
+    'test_demo.py',
+    'test_node_deaths.py',
+    'test_study.py',
+    'test_keyboard_teleop.py',
+    'test_recorder.py',
+    'test_launcher.py',
+    'test_cli.py',
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -29,8 +29,8 @@ from humanopts_ros.qos import CURRENT
 import pytest
 
 SEED = 3
-SMALL = {'tasks': 12, 'task_episodes': 30, 'option_episodes': 40, 'max_options': 2}
-HOW = Extraction(options=2, tasks=12, train_episodes=30, option_episodes=40)
+SMALL = {'tasks': 6, 'task_episodes': 15, 'option_episodes': 20, 'max_options': 2}
+HOW = Extraction(options=2, tasks=6, train_episodes=15, option_episodes=20)
 ENDLESS = {'tasks': 400, 'task_episodes': 100_000}  # takes an hour
 SECONDS = 60.0
 

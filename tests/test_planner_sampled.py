@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 MAZE = make_domain('pacman', {'maze': 'yard', 'max_steps': 80})
-EPISODES, SEED, STEPS = 20, 11, 8_000
+EPISODES, SEED, STEPS = 20, 11, 20_000
 STOPS = 3  # seed of an episode in which options are stopped
 
 
@@ -151,12 +151,18 @@ def test_fallbacks_in_an_episode_are_counted(
     assert result.fallbacks == fallbacks > 0
 
 
+@pytest.fixture(scope='module')
+def planned(planning: Planning) -> Planning:
+    """With a plan of all options, by which the tests that follow play."""
+    planning.plan('human', game_steps=STEPS)
+    return planning
+
+
 @pytest.mark.parametrize('execution', [e for e in Execution if e is not Execution.RUN_TO_END])
 def test_an_arbitrated_episode_is_what_the_pure_code_plays_each_time(
-    planning: Planning, pure: Pure, options: list[LearnedOption], execution: Execution
+    planned: Planning, pure: Pure, options: list[LearnedOption], execution: Execution
 ) -> None:
-    planning.plan('human', game_steps=STEPS)
-    first, again = (planning.play('human', execution=execution, seed=STOPS) for _ in range(2))
+    first, again = (planned.play('human', execution=execution, seed=STOPS) for _ in range(2))
     total, decisions, stopped = arbitrated(pure(), options, execution)
     assert (first.status, first.mean_return) == (PolicyResult.STATUS_DONE, total)
     assert (first.decisions, first.interruptions) == (decisions, stopped)

@@ -48,7 +48,7 @@ class Planning:
         self.policy_results = graph.listen(PolicyResult, 'policy_results')
         self.player = Player(graph)
 
-    def teach(self, options: list[LearnedOption], spoilt: Sequence[str] = ()) -> int:
+    def teach(self, options: Sequence[LearnedOption], spoilt: Sequence[str] = ()) -> int:
         """Publish what was learned, and some that cannot be read; return the sequence."""
         self._sequence += 1
         models = [

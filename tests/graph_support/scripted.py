@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 import uuid
 
@@ -104,12 +105,13 @@ def expert(option: str, count: int, domain: Domain[Any] = TAXI, **fields: Any) -
     return demos
 
 
-def taught(participant: str = 'p1') -> list[LearnedOption]:
+@cache
+def taught(participant: str = 'p1') -> tuple[LearnedOption, ...]:
     """Return both options of the paper's task, learned well."""
-    return [
+    return tuple(
         learn_option(expert(name, 60, participant=participant), TAXI, 0)
         for name in (FETCH, DELIVER)
-    ]
+    )
 
 
 def taught_pacman(domain: Domain[Any]) -> list[LearnedOption]:
