@@ -126,9 +126,7 @@ def scene(domain: Domain[Any], state: Any, where: Flags) -> Iterator[Shape]:
 
 def option_shape(where: Flags, text: str) -> Shape:
     """Return the text above the board that says what runs."""
-    lines, characters = where.shape
-    place = characters * WIDTH / 2, lines * HEIGHT + 0.8
-    return Shape('option', Kind.TEXT, (place,), (_PLAIN,), (0.0, 0.8), text)
+    return Shape('option', Kind.TEXT, (_above(where, 0.8),), (_PLAIN,), (0.0, 0.8), text)
 
 
 def layout_of(layouts: Sequence[BoardSlice], state: int) -> int:
@@ -160,20 +158,19 @@ def cell_values(
     return CellValues(layout.title, points, worth, size)
 
 
-def value_shapes(cells: CellValues, plan: str) -> Iterator[Shape]:
+def value_shapes(where: Flags, cells: CellValues, plan: str) -> Iterator[Shape]:
     """
     Yield a tile for each cell, from blue, the least value, to yellow, the greatest, and a legend.
 
+    :param where: as of ``walls``.
     :param plan: what the values are of, in words.
     """
     low, high = min(cells.values), max(cells.values)
     span = (high - low) or 1.0
     colours = tuple(_mixed((value - low) / span) for value in cells.values)
     yield Shape('values', Kind.TILES, cells.points, colours, cells.size)
-    top = max(y for _, y in cells.points) + cells.size[1] / 2 + 2.2
-    middle = (min(x for x, _ in cells.points) + max(x for x, _ in cells.points)) / 2
     legend = f'{plan}: {low:.3g} (blue) to {high:.3g} (yellow), {cells.title}'
-    yield Shape('values', Kind.TEXT, ((middle, top),), (_PLAIN,), (0.0, 0.6), legend)
+    yield Shape('values', Kind.TEXT, (_above(where, 2.0),), (_PLAIN,), (0.0, 0.6), legend)
 
 
 def sign_colour(style: str) -> Colour:
@@ -186,6 +183,12 @@ def sign_colour(style: str) -> Colour:
         return _DIM if parsed.dim else _PLAIN
     red, green, blue = parsed.color.get_truecolor()
     return red / 255, green / 255, blue / 255
+
+
+def _above(where: Flags, distance: float) -> Point:
+    """Return a place so far above the middle of the board."""
+    lines, characters = where.shape
+    return characters * WIDTH / 2, lines * HEIGHT + distance
 
 
 def _is_solid(sign: str) -> bool:
@@ -216,7 +219,7 @@ def _sign(sign: str, centre: Point, colour: Colour) -> Shape:
 
 
 def _cells(domain: EnumerableDomain[Any], states: NDArray[np.int32]) -> dict[int, Point]:
-    """Return the centre of the first sign that only few other states of the layout share."""
+    """Return the centre of the cell of each state: by the first sign that few others share."""
     drawings = {int(index): draw_state(domain, domain.state_at(int(index))) for index in states}
     texts = {index: ''.join(drawing.board) for index, drawing in drawings.items()}
     usual = [Counter(signs).most_common(1)[0][0] for signs in zip(*texts.values())]
@@ -225,7 +228,11 @@ def _cells(domain: EnumerableDomain[Any], states: NDArray[np.int32]) -> dict[int
         differing = (n for n, signs in enumerate(zip(texts[index], usual)) if len(set(signs)) > 1)
         if (first := next(differing, None)) is not None:
             found[index] = _centre(drawing, *divmod(first, len(drawing.board[0])))
-    return found
+    places = [x for x, _ in found.values()]
+    # The cells lie in the middle of the board; a sign may stand beside the middle of its cell.
+    beside = (_width(drawing) - min(places) - max(places)) / 2 if places else 0.0
+    aside = beside if abs(beside) < WIDTH else 0.0
+    return {index: (x + aside, y) for index, (x, y) in found.items()}
 
 
 def _spacing(places: Sequence[float]) -> float:

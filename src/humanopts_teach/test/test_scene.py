@@ -101,6 +101,28 @@ def test_a_value_lies_where_the_agent_is_drawn_in_its_state(domain: Domain[Any])
         assert len({(round(x, 6), round(y, 6)) for x, y in origin}) == 1
 
 
+@pytest.mark.parametrize(
+    ('name', 'first', 'size'),
+    [('rooms', (1.5, 11.5), 1.0), ('taxi', (1.25, 9.5), 2.0), (NAMES[3], (0.5, 3.5), 1.0)],
+)
+def test_cells_have_their_centres_where_the_board_has_them(
+    name: str, first: tuple[float, float], size: float
+) -> None:
+    domain = make_domain(name, {})
+    assert isinstance(domain, EnumerableDomain)
+    layout = domain.board_slices()[0]
+    states = layout.states[layout.states >= 0].astype(np.intp)
+    cells = cell_values(domain, layout, states, np.zeros(len(states)))
+    assert cells is not None
+    assert cells.size == (size, size)
+    expected = {
+        (first[0] + c * size, first[1] - r * size)
+        for (r, c), state in np.ndenumerate(layout.states)
+        if state >= 0
+    }
+    assert set(cells.points) == expected
+
+
 def test_values_are_coloured_between_the_least_and_the_greatest() -> None:
     rooms = make_domain('rooms', {})
     assert isinstance(rooms, EnumerableDomain)
@@ -108,7 +130,7 @@ def test_values_are_coloured_between_the_least_and_the_greatest() -> None:
     states = np.sort(layout.states[layout.states >= 0])[:3]
     cells = cell_values(rooms, layout, states, np.array([0.0, 1.0, -np.inf]))
     assert cells is not None
-    tiles, legend = value_shapes(cells, 'human')
+    tiles, legend = value_shapes(walls(rooms), cells, 'human')
     assert len(tiles.points) == 2  # an option that is not available has no value
     colours = dict(zip(cells.values, tiles.colours))
     assert colours[0.0] == pytest.approx((0.15, 0.2, 0.55))

@@ -127,7 +127,7 @@ class ViewsNode(NodeBase):
                 values = cell_values(domain, self._layouts[layout], plan.states, best)
                 self._cells[layout] = values
             if (cells := self._cells[layout]) is not None:
-                yield from value_shapes(cells, plan.action_set)
+                yield from value_shapes(self._walls, cells, plan.action_set)
 
     def _grid(self) -> OccupancyGrid:
         cells = occupied(self._walls)
