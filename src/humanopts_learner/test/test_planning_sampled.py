@@ -39,7 +39,7 @@ from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_learner.planning.sampled.sampled_models import (
     SampleCounts,
     Samples,
-    shrunk,
+    Shrinkage,
     StateIndex,
 )
 from humanopts_learner.planning.value_iteration import solve_smdp
@@ -157,7 +157,7 @@ def test_shrinkage_moves_advantages_towards_those_of_the_group() -> None:
     """By hand: advantages of b are -4 with 1 sample and -1 with 3, so -1.75 in the mean."""
     values = np.array([[10.0, 6.0], [2.0, 1.0], [5.0, -np.inf], [7.0, 6.0]])
     count = np.array([[1.0, 1.0], [3.0, 3.0], [1.0, 0.0], [2.0, 2.0]])
-    found = shrunk(values, count, np.array([0, 0, 0, 1]), 1.0)
+    found = Shrinkage(np.isfinite(values), count, np.array([0, 0, 0, 1]), 1.0)(values)
     assert found[:, 0] == pytest.approx([10.0, 2.0, 5.0, 7.0])
     assert found[:, 1] == pytest.approx(
         [10 - (4 + 1.75) / 2, 2 - (3 + 1.75) / 4, 5 - 1.75, 7 - (2 + 1) / 3]

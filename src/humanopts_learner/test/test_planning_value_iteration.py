@@ -301,6 +301,29 @@ def test_both_forms_of_one_model_have_one_solution(
     assert (solve_smdp(both, 1e-12).best == by_index.best).all()
 
 
+@settings(max_examples=60)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_states=st.integers(1, 40),
+    n_successors=st.integers(1, 40),
+    tol=st.sampled_from([1e-9, 1e-3, 0.3]),
+    max_sweeps=st.sampled_from([1, 2, 5, 1000]),
+)
+def test_states_that_are_no_successors_need_no_sweeps_for_the_same_bits(
+    seed: int, n_states: int, n_successors: int, tol: float, max_sweeps: int
+) -> None:
+    dense = random_model(seed, n_states, 3)
+    model = sparse(replace(dense, successor=dense.successor % n_successors))
+    swept: list[Floats] = []
+    everywhere = solve_smdp(model, tol, max_sweeps, on_values=swept.append)
+    found = solve_smdp(model, tol, max_sweeps)
+    change = swept[-1] - (swept[-2] if len(swept) > 1 else 0.0)
+    assert found.values.tobytes() == swept[-1].tobytes() == everywhere.values.tobytes()
+    assert found.best.tolist() == everywhere.best.tolist()
+    assert (found.sweeps, found.residual) == (len(swept), np.abs(change).max())
+    assert found.converged == everywhere.converged == (found.residual <= tol)
+
+
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 6), n_actions=st.integers(1, 3))
 def test_primitive_values_solve_the_dense_optimality_equations(

@@ -1,14 +1,25 @@
-"""SMDP value iteration: synchronous, over options (Sutton, Precup and Singh 1999, section 3.1)."""
+"""
+SMDP value iteration: synchronous, over options (Sutton, Precup and Singh 1999, section 3.1).
+
+In a sampled model many states are the successor of none: runs only passed through them. No value
+depends on theirs, so sweeps leave them out, and they are valued at the end. All numbers are the
+same as if they had been swept.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import TypeVar
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.planning.request import check_limits
-from humanopts_learner.planning.smdp import Model, MultiTimeModel, SparseMultiTimeModel
+from humanopts_learner.planning.smdp import (
+    look_ahead,
+    Model,
+    MultiTimeModel,
+    SparseMultiTimeModel,
+)
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
@@ -36,12 +47,12 @@ class Solution:
 
 class _Backup(ABC):
     """
-    One sweep over a model, in place and without a loop over states.
+    One sweep over R states of a model, in place and without a loop over states.
 
     Options are compared in layers. The first layer has an option for every state, a later one for
     the first states of an order that the model gives.
 
-    :ivar order: (S,) the states in this order; values are in it too.
+    :ivar order: (R,) the states in this order; values are in it too.
     """
 
     order: Ints | slice = slice(None)
@@ -49,11 +60,21 @@ class _Backup(ABC):
     def __init__(self, model: Model) -> None:
         self._dead: Flags = ~np.asarray(model.available.T.any(axis=0))  # by rows in memory
 
+    @property
+    def n_swept(self) -> int:
+        """Number of states that are swept, R."""
+        return len(self._dead[self.order])
+
+    @cached_property
+    def _change(self) -> Floats:
+        """(R,) work space."""
+        return np.empty(self.n_swept)
+
     def sweep(self, old: Floats, new: Floats) -> float:
         """
-        Write the next values to ``new``, and return the largest change; ``old`` is lost.
+        Write the next values to ``new``, and return the largest change.
 
-        :param old: (S + 1,), the last is the end of the task, 0; as ``new``.
+        :param old: (R + 1,), the last is the end of the task, 0; as ``new``.
         """
         old, new = old[:-1], new[:-1]
         layers = self._layers(old)
@@ -61,12 +82,25 @@ class _Backup(ABC):
         for _, choice in layers:
             first = new[: len(choice)]
             np.maximum(first, choice, out=first)
-        np.subtract(new, old, out=old)
-        np.abs(old, out=old)
-        return float(np.maximum.reduce(old))
+        change = np.subtract(new, old, out=self._change)
+        np.abs(change, out=change)
+        return float(np.maximum.reduce(change))
+
+    def everywhere(self, values: Floats, before: Floats) -> Floats:
+        """
+        Return the values (S,) of all states, in the order of the model.
+
+        :param values: (R,) by the last sweep.
+        :param before: (R,) by the one before it.
+        """
+        return self.in_order_of_model(values)
 
     def best(self, values: Floats) -> NDArray[np.int32]:
-        """Return the greedy option (S,) in the order of the model, the lowest of equals."""
+        """
+        Return the greedy option (S,) in the order of the model, the lowest of equals.
+
+        :param values: (R,).
+        """
         greatest = np.full(len(values), -np.inf)
         best = np.zeros(len(values), dtype=np.int32)
         for option, choice in self._layers(values):
@@ -78,8 +112,8 @@ class _Backup(ABC):
         return best
 
     def in_order_of_model(self, values: NDArray[Number]) -> NDArray[Number]:
-        """Return a copy of one value for each state, (S,), in the order of the model."""
-        found = np.empty_like(values)
+        """Return a copy of one value for each state, (S,), in the order of the model; or 0."""
+        found = np.zeros(len(self._dead), dtype=values.dtype)
         found[self.order] = values
         return found
 
@@ -112,25 +146,49 @@ class _SparseBackup(_Backup):
     first: rows of equal length are multiplied more than twice as fast as in any order.
     """
 
-    def __init__(self, model: SparseMultiTimeModel) -> None:
+    def __init__(self, model: SparseMultiTimeModel, *, everywhere: bool) -> None:
+        """
+        Prepare the sweeps.
+
+        :param everywhere: sweep over all states, not over successors only.
+        """
         super().__init__(model)
-        available = model.available.copy()
-        available[self._dead, 0] = True  # nothing follows there, so their value stays 0
-        n_states, n_options = model.n_states, available.sum(axis=1)
-        first = available.argmax(axis=1) * n_states + np.arange(n_states)
-        self.order = np.lexsort((np.diff(model.rows.indptr)[first], -n_options))
-        place = np.empty(n_states, dtype=np.int32)
-        place[self.order] = np.arange(n_states, dtype=np.int32)
-        state, option = np.nonzero(available)
-        layer = np.arange(len(state)) - np.repeat(np.cumsum(n_options) - n_options, n_options)
+        self._model = model
+        swept = np.full(model.n_states, everywhere)
+        swept[model.rows.indices] = True
+        swept[0] = True  # there is one at least
+        states = np.flatnonzero(swept)
+        available = model.available[states]
+        available[self._dead[states], 0] = True  # nothing follows there, so their value stays 0
+        n_options = available.sum(axis=1)
+        first = available.argmax(axis=1) * model.n_states + states
+        order = np.lexsort((np.diff(model.rows.indptr)[first], -n_options))
+        self.order = states[order]
+        place = np.zeros(model.n_states, dtype=np.int32)
+        place[self.order] = np.arange(len(states), dtype=np.int32)
+        at, option = np.nonzero(available)
+        layer = np.arange(len(at)) - np.repeat(np.cumsum(n_options) - n_options, n_options)
+        state = states[at]
         pairs = np.lexsort((place[state], layer))
         state, self._option = state[pairs], option[pairs]
         ends = np.cumsum(np.bincount(layer)).tolist()
         self._slices = [slice(*part) for part in zip([0, *ends], ends)]
-        rows = model.rows[self._option * n_states + state]
+        rows = model.rows[self._option * model.n_states + state]
         successor, indptr = place[rows.indices], rows.indptr.astype(np.int32)
-        self._rows = csr_array((rows.data, successor, indptr), shape=rows.shape)
+        self._rows = csr_array((rows.data, successor, indptr), shape=(len(state), len(states)))
         self._rewards = np.where(self._dead[state], 0.0, model.reward[state, self._option])
+
+    def everywhere(self, values: Floats, before: Floats) -> Floats:
+        """Return the values (S,) of all states; as ``_Backup``."""
+        if self.n_swept == self._model.n_states:
+            return self.in_order_of_model(values)
+        found = look_ahead(self._model, self.in_order_of_model(before)).max(axis=1)
+        return np.where(self._dead, 0.0, found)
+
+    def best(self, values: Floats) -> NDArray[np.int32]:
+        """Return the greedy option (S,), the lowest of equals; as ``_Backup``."""
+        best = look_ahead(self._model, self.in_order_of_model(values)).argmax(axis=1)
+        return np.where(self._dead, -1, best).astype(np.int32)
 
     def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
         expected = self._rows @ values
@@ -217,10 +275,14 @@ def compiled_sweep() -> Callable[..., float] | None:
     return compiled
 
 
-def _backup(model: Model) -> _Backup:
-    """Return the backup that suits a model: compiled where that is loaded, or pays for loading."""
+def _backup(model: Model, *, everywhere: bool) -> _Backup:
+    """
+    Return the backup that suits a model: compiled where that is loaded, or pays for loading.
+
+    :param everywhere: all states have to be swept.
+    """
     if not isinstance(model, MultiTimeModel):
-        return _SparseBackup(model)
+        return _SparseBackup(model, everywhere=everywhere)
     loaded = compiled_sweep.cache_info().currsize > 0
     compiled = compiled_sweep() if loaded or model.reward.size >= COMPILED_FROM else None
     return _CompiledBackup(model, compiled) if compiled else _DenseBackup(model)
@@ -238,24 +300,30 @@ def solve_smdp(
 
     :param tol: largest change allowed in the last sweep, in reward units.
     :param max_sweeps: 1 or more.
-    :param on_sweep: called with the number of sweeps and the residual after each; returning True
-        ends the work early, and what it raises passes through.
+    :param on_sweep: called with the number of sweeps and the residual after each, which is that of
+        the states that are swept; returning True ends the work early, and what it raises passes
+        through.
     :param on_values: called with the values (S,) after each sweep.
     :raises PlanError: tol is negative or no number, or max_sweeps is below 1.
     """
     check_limits(tol, max_sweeps)
-    backup = _backup(model)
-    old, new = np.zeros(model.n_states + 1), np.zeros(model.n_states + 1)
+    backup = _backup(model, everywhere=on_values is not None)
+    partial = backup.n_swept < model.n_states
+    values, before, earlier = np.zeros((3, backup.n_swept + 1))  # by the last sweep, and so on
     for sweeps in range(1, max_sweeps + 1):
-        residual = backup.sweep(old, new)
-        old, new = new, old
+        residual = backup.sweep(values, earlier)
+        values, before, earlier = earlier, values, before
         if on_values is not None:
-            on_values(backup.in_order_of_model(old[:-1]))
+            on_values(backup.in_order_of_model(values[:-1]))
         stop = on_sweep is not None and on_sweep(sweeps, residual)
-        if stop or residual <= tol:
-            break
-    values = backup.in_order_of_model(old[:-1])
-    return Solution(values, backup.best(old[:-1]), sweeps, residual, residual <= tol)
+        if stop or residual <= tol or sweeps == max_sweeps:
+            found = backup.everywhere(values[:-1], before[:-1])
+            if partial:  # states that are no successors may have changed by more
+                old = backup.everywhere(before[:-1], earlier[:-1]) if sweeps > 1 else 0.0
+                residual = float(np.abs(found - old).max())
+            if stop or residual <= tol:
+                break
+    return Solution(found, backup.best(values[:-1]), sweeps, residual, residual <= tol)
 
 
 @dataclass(frozen=True)

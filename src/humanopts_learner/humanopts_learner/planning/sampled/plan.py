@@ -1,12 +1,12 @@
 """Planning from samples: rounds of play, each by the policy of the models so far."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math
 import time
 from typing import Any
 
-from humanopts_env.arrays import Floats, Ints
+from humanopts_env.arrays import Flags, Floats
 from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
@@ -36,7 +36,7 @@ from humanopts_learner.planning.sampled.policies import (
     Policy,
     UniformPolicy,
 )
-from humanopts_learner.planning.sampled.sampled_models import SampleCounts, shrunk
+from humanopts_learner.planning.sampled.sampled_models import SampleCounts, Shrinkage
 from humanopts_learner.planning.smdp import look_ahead, SparseMultiTimeModel
 from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 import numpy as np
@@ -214,7 +214,7 @@ class _Estimate:
 
     solution: Solution
     policy: GreedyPolicy
-    _group: Ints  # (S,) number of the states that differ in context only; where values are shrunk
+    _shrink: Callable[[Floats], Floats]  # of the values (S, O) of the options to choose among
 
     def __init__(
         self,
@@ -231,16 +231,14 @@ class _Estimate:
     ) -> None:
         """Solve the model of all samples so far, and make the policy of its values."""
         choosable = model.first(self._actions.first_fallback)
-        if self._shrinks:
-            states = self._actions.abstraction.without_context(self._counts.index.codes)
-            self._group = np.unique(states, return_inverse=True)[1]
+        self._shrink = self._shrinkage(choosable.available) if self._shrinks else np.copy
         self.solution = solve_smdp(choosable, tol, max_sweeps, on_sweep)
-        values = look_ahead(model, self.solution.values)
+        values = self.solution.values
         for _ in range(IMPROVEMENTS if self._shrinks else 0):
-            policy = np.where(choosable.available, self._shrunk(values), -np.inf).argmax(axis=1)
-            evaluated = solve_smdp(choosable.of_policy(policy), tol, max_sweeps)
-            values = look_ahead(model, evaluated.values)
-        self._set_policy(values)
+            option_values = self._shrink(look_ahead(choosable, values))
+            policy = np.where(choosable.available, option_values, -np.inf).argmax(axis=1)
+            values = solve_smdp(choosable.of_policy(policy), tol, max_sweeps).values
+        self._set_policy(look_ahead(model, values))
 
     def exploring(self, execution: Execution) -> ExploringPolicy:
         """Return the policy for sampling, without an interruption margin."""
@@ -248,17 +246,17 @@ class _Estimate:
         policy = replace(self.policy, values=values, execution=execution)
         return ExploringPolicy(policy, self._config.explore)
 
-    def _shrunk(self, values: Floats) -> Floats:
-        """Return the values of the options that can be chosen, shrunk if ``shrinkage`` is set."""
-        option_values = values[:, : self._actions.first_fallback]
-        if not self._shrinks:
-            return option_values
+    def _shrinkage(self, available: Flags) -> Shrinkage:
+        """Return the shrinkage towards the states that differ in context only."""
+        states = self._actions.abstraction.without_context(self._counts.index.codes)
+        group = np.unique(states, return_inverse=True)[1]
         samples = self._counts.samples[:, : self._actions.first_fallback]
-        return shrunk(option_values, samples, self._group, self._config.shrinkage)
+        return Shrinkage(available, samples, group, self._config.shrinkage)
 
     def _set_policy(self, values: Floats) -> None:
         """Make the policy of the values (S, modelled)."""
-        option_values, others = self._shrunk(values), values[:, self._actions.first_fallback :]
+        choosable = self._actions.first_fallback
+        option_values, others = self._shrink(values[:, :choosable]), values[:, choosable:]
         if n_options := len(self._actions.options):
             option_values[:, n_options:] -= self._config.primitive_penalty
         continuation_values = np.full(option_values.shape, -np.inf)

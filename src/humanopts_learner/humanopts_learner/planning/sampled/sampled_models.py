@@ -141,31 +141,50 @@ class SampleCounts:
         return enough, rows
 
 
-def shrunk(values: Floats, count: Floats, group: NDArray[np.integer], shrinkage: float) -> Floats:
+class Shrinkage:
     """
-    Return the values (S, O) with advantages shrunk towards those of each state's group.
+    Shrinks advantages towards those of each state's group.
 
     A pair that was not sampled in a state, but was in others of its group, gets their mean.
-
-    :param values: (S, O), -inf where not available.
-    :param count: (S, O) samples of each pair.
-    :param group: (S,) number of each state's group, from 0.
-    :param shrinkage: weight of the mean of the group, in samples.
     """
-    available = np.isfinite(values)
-    known = np.asarray(available.any(axis=1))
-    best = np.where(known, values.max(axis=1), 0.0)[:, None]
-    weight = np.where(available, count, 0.0)
-    advantage = np.where(available, values, best) - best
-    total, samples = _sums(weight * advantage, group), _sums(weight, group)
-    mean = total[group] / np.maximum(samples[group], 1.0)
-    shrunk = (weight * advantage + shrinkage * mean) / np.maximum(weight + shrinkage, 1.0)
-    found: Floats = np.where(
-        np.logical_and(samples[group] > 0, known[:, None]), best + shrunk, -np.inf
-    )
-    return found
 
+    def __init__(
+        self, available: Flags, count: Floats, group: NDArray[np.integer], weight: float
+    ) -> None:
+        """
+        Sum the samples of each group; they are the same for all values.
 
-def _sums(values: Floats, group: NDArray[np.integer]) -> Floats:
-    """Return the sums (G, O) of the rows of each group."""
-    return np.stack([np.bincount(group, column) for column in values.T], axis=1)
+        :param available: (S, O).
+        :param count: (S, O) samples of each pair.
+        :param group: (S,) number of each state's group, from 0.
+        :param weight: of the mean of the group, in samples.
+        """
+        self._available = np.ascontiguousarray(available.T)  # this and all arrays below: (O, ..)
+        self._known = np.asarray(self._available.any(axis=0))
+        self._count = np.where(self._available, count.T, 0.0)
+        self._group, self._weight = group, weight
+        samples = self._sums(self._count)
+        self._samples = np.maximum(samples, 1.0)
+        self._found = (samples > 0).take(group, axis=1) & self._known
+        self._total = np.maximum(self._count + weight, 1.0)
+
+    def __call__(self, values: Floats) -> Floats:
+        """
+        Return the values (S, O) with advantages shrunk; -inf where nothing is known.
+
+        :param values: (S, O), -inf where not available.
+        """
+        values = values.T
+        best = np.where(self._known, values.max(axis=0), 0.0)
+        advantage = np.where(self._available, values, best) - best
+        advantage *= self._count
+        mean = self._sums(advantage)
+        mean /= self._samples
+        advantage += self._weight * mean.take(self._group, axis=1)
+        advantage /= self._total
+        advantage += best
+        return np.where(self._found, advantage, -np.inf).T
+
+    def _sums(self, values: Floats) -> Floats:
+        """Return the sums (O, G) of the columns (O, S) of each group."""
+        return np.stack([np.bincount(self._group, of_option) for of_option in values])
