@@ -185,7 +185,7 @@ def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
     target = np.array([o.target.cell for o in found_here.options])[runs.option * began]
     came = np.zeros(50, dtype=np.bool_)
     for _ in range(10):
-        _, ended, _ = run_in_step(actions, [runs.step()])[0]
+        _, ended, _, _ = run_in_step(actions, [runs.step()])[0]
         assert (runs.batch.pacman[began & ended & ~came] == target[began & ended & ~came]).all()
         came |= ended
     assert began.any()

@@ -87,24 +87,40 @@ class Runs:
         self.option[free], self.ran[free] = choice.option, 0
         return free, choice
 
-    def step(self) -> Process[tuple[NDArray[Any], Flags, Flags]]:
-        """Take one step; return rewards, which options ended and which games are over, (N,)."""
-        games, actions = self._games, self.actions
+    def step(
+        self, cut_off: Flags | None = None
+    ) -> Process[tuple[NDArray[Any], Flags, Flags, NDArray[np.int64]]]:
+        """
+        Take one step.
+
+        Games that begin again are looked at together with the others, which saves time.
+
+        :param cut_off: (N,) games that begin again after the step, as all that are over then;
+            None: none begins again.
+        :return: rewards, which options ended, which games are over, and the abstract states after
+            the step, (N,) each.
+        """
+        games, actions, count = self._games, self.actions, len(self.option)
         action = actions.actions(self.seen, self.option)
         reward = games.batch_step(self.batch, action, self._rng)
-        self.seen = yield self.batch
-        self.ran += 1
         over = games.batch_over(self.batch)
+        last = np.flatnonzero(over | cut_off) if cut_off is not None else np.arange(0)
+        if last.size:
+            fresh = games.batch_reset(len(last), self._rng)
+            both = games.batch_take(self.batch, np.concatenate([np.arange(count), last]))
+            games.batch_put(both, np.arange(count, count + len(last)), fresh)
+            games.batch_put(self.batch, last, fresh)
+            seen = yield both
+            self.seen = seen.part(0, count)
+        else:
+            seen = self.seen = yield self.batch
+        self.ran += 1
         ended = over | (self.ran >= actions.limits[self.option])
         ended |= actions.ends(self.seen, self.option)
-        return reward, ended, over
-
-    def restart(self, chosen: Ints) -> Process[None]:
-        """Begin chosen games (M,) again."""
-        fresh = self._games.batch_reset(len(chosen), self._rng)
-        self._games.batch_put(self.batch, chosen, fresh)
-        self.seen.put(chosen, (yield fresh))
-        self.option[chosen] = -1
+        states = self.seen.states.copy()
+        if last.size:
+            self.seen.put(last, seen.part(count, count + len(last)))
+        return reward, ended, over, states
 
     def keep(self, chosen: Ints) -> None:
         """Keep chosen games (M,) only."""
@@ -187,7 +203,7 @@ def _play_step(
     returns.decisions[deciding] += 1
     returns.fallbacks[deciding] += (choice.option >= runs.actions.first_fallback)[going]
     returns.unknown[deciding] += choice.unknown[going]
-    reward, ended, now_over = yield from runs.step()
+    reward, ended, now_over, _ = yield from runs.step()
     runs.option[ended] = -1
     returns.total[live] += reward[~over]
     returns.discounted[live] += gamma ** returns.steps[live] * reward[~over]
@@ -285,13 +301,10 @@ class Sampler:
         recording.state[t] = runs.seen.states
         recording.option[t] = np.where(inside, runs.option, runs.option + fallback)
         recording.modelled[t] = runs.option < fallback
-        recording.reward[t], ended, over = yield from runs.step()
-        recording.successor[t], recording.over[t] = runs.seen.states, over
         self._age += 1
-        last = over | (self._age >= self._limit)
-        recording.ended[t] = ended | last
+        cut_off = self._age >= self._limit
+        recording.reward[t], ended, over, recording.successor[t] = yield from runs.step(cut_off)
+        last = over | cut_off
+        recording.over[t], recording.ended[t] = over, ended | last
         runs.option[recording.ended[t]] = -1
-        fresh = np.flatnonzero(last)
-        if fresh.size:
-            yield from runs.restart(fresh)
-            self._age[fresh] = 0
+        self._age[last] = 0
