@@ -1,9 +1,12 @@
 """Evaluation of a bag: every option learned again from its demonstrations, and planned with."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 import json
+import math
 from pathlib import Path
+import time
 from typing import Any
 
 from humanopts_env.arrays import Floats
@@ -20,7 +23,7 @@ from humanopts_learner.options.criteria import judge, Judgement
 from humanopts_learner.options.files import FORMAT, option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan
+from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
 from humanopts_learner.planning.request import (
     batch_games,
     HUMAN,
@@ -49,6 +52,7 @@ from humanopts_teach.evaluation.measures import (
     Settings,
     settings_from_facts,
 )
+from humanopts_teach.evaluation.side_by_side import as_they_end, processes
 
 EPISODES = 100  # that plans are judged by, where models are exact
 SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # that learning depends on
@@ -211,7 +215,8 @@ def evaluate_bag(
     settings, assumed = settings_from_facts(opened.facts)
     demonstrations, attached = read_demonstrations(opened), attached_options(opened)
     warnings = [*opened.notes, *assumed, *software_notes(opened.facts)]
-    found = evaluate(demonstrations, domain, settings, warnings, progress, episodes)
+    jobs = 1 if is_enumerable(domain) else 0  # else it takes longer than to start processes
+    found = evaluate(demonstrations, domain, settings, warnings, progress, episodes, jobs)
     learned = [evaluated.last.option for evaluated in found.options]
     equal, differing = compare_options(attached, learned, demonstrations)
     options = (
@@ -228,40 +233,54 @@ def evaluate(
     warnings: Sequence[str] = (),
     progress: ProgressCallback | None = None,
     episodes: int = 0,
+    jobs: int = 1,
 ) -> BagEvaluation:
     """
     Learn every option of every participant, and plan with them.
 
     :param episodes: that plans are judged by; 0: as many as is usual in the domain.
+    :param jobs: processes that do the work; 0: one for each core; 1: this one.
     :raises EvaluationError: there is no demonstration to learn from.
     """
     groups, notes = _usable(demonstrations, domain)
     if not groups:
         raise EvaluationError('; '.join(['the bag holds no demonstration to learn from', *notes]))
-    requests = [*((person, HUMAN) for person, _ in groups), ('', PRIMITIVE)]
-    requests = list(dict.fromkeys(requests))
-    total = sum(map(len, groups.values())) + len(requests)
-    report, done = progress or no_progress, 0
-    options = []
-    for (participant, name), demos in groups.items():
-        curve = []
-        for count, point in _learning_curve(demos, domain, settings):
-            curve.append(point)
-            report(done + count, total, f'{name}: demonstration {count} of {len(demos)}')
-        options.append(OptionEvaluation(participant, tuple(curve)))
-        done += len(demos)
+    requests = list(dict.fromkeys([*((person, HUMAN) for person, _ in groups), ('', PRIMITIVE)]))
+    calls: list[Callable[[], Any]] = [
+        *(partial(_learning_curve, demos, domain, settings) for demos in groups.values()),
+        *(
+            partial(
+                _evaluate_plan,
+                [demos for (taught_by, _), demos in groups.items() if taught_by == person],
+                domain,
+                PlanRequest(action_set, seed=settings.seed),
+                episodes or judged_by(domain),
+            )
+            for person, action_set in requests
+        ),
+    ]
+    names = [
+        *(f'{name}: {len(demos)} demonstrations' for (_, name), demos in groups.items()),
+        *(f'planning with {action_set} actions' for _, action_set in requests),
+    ]
+    costs = [*map(len, groups.values()), *[math.inf for _ in requests]]
+    results: list[Any] = [None] * len(calls)
+    report = progress or no_progress
+    report(0, len(calls), f'{len(demonstrations)} demonstrations')
+    with processes(jobs):
+        for done, (number, result) in enumerate(as_they_end(calls, costs), start=1):
+            results[number] = result
+            report(done, len(calls), names[number])
+    options = [
+        OptionEvaluation(participant, curve) for (participant, _), curve in zip(groups, results)
+    ]
     plans = []
-    for number, (person, action_set) in enumerate(requests, start=1):
-        report(done + number, total, f'planning with {action_set} actions')
-        chosen = [each.last.option for each in options if each.participant == person]
-        request = PlanRequest(action_set, seed=settings.seed)
-        try:
-            plan = make_plan(domain, chosen, request)
-            judged = judge_plan(plan, settings.seed, episodes or judged_by(domain))
-        except PlanError as error:
-            notes.append(f'no plan with {action_set} actions: {error}')
-            continue
-        plans.append(PlanEvaluation(person, plan, row_of_plan(plan, judged), judged.totals))
+    for (person, action_set), found in zip(requests, results[len(groups) :]):
+        if isinstance(found, PlanError):
+            notes.append(f'no plan with {action_set} actions: {found}')
+        else:
+            plan, judged = found
+            plans.append(PlanEvaluation(person, plan, row_of_plan(plan, judged), judged.totals))
     return BagEvaluation(
         domain,
         settings,
@@ -293,16 +312,39 @@ def _usable(
 
 def _learning_curve(
     demos: Sequence[Demonstration], domain: Domain[Any], settings: Settings
-) -> Iterator[tuple[int, CurvePoint]]:
+) -> tuple[CurvePoint, ...]:
     """Learn an option after every demonstration, from the first trajectory on."""
     reference = reference_options(domain).get(demos[0].option_name)
     first = next(i for i, demo in enumerate(demos, start=1) if demo.kind is Kind.TRAJECTORY)
+    curve = []
     for count in range(first, len(demos) + 1):
         seen = demos[:count]
         option = learn_option(seen, domain, settings.seed)
         judgement = judge(seen, domain, settings.thresholds, settings.seed, option)
         block = option_block(option, judgement, domain, reference)
-        yield count, CurvePoint(option, judgement, block, sum(demo.seconds for demo in seen))
+        seconds = sum(demo.seconds for demo in seen)
+        curve.append(CurvePoint(option, judgement, block, seconds))
+    return tuple(curve)
+
+
+def _evaluate_plan(
+    taught: Sequence[Sequence[Demonstration]],
+    domain: Domain[Any],
+    request: PlanRequest,
+    episodes: int,
+) -> tuple[AnyPlan, Performance] | PlanError:
+    """
+    Plan with what is learned from the demonstrations of each option, and judge the plan.
+
+    :return: the error where no plan can be made.
+    """
+    options = [learn_option(demos, domain, request.seed) for demos in taught]
+    try:
+        clock = time.process_time  # no other program's work makes it longer
+        plan = make_plan(domain, options, request, clock=clock)
+        return plan, judge_plan(plan, request.seed, episodes)
+    except PlanError as error:
+        return error
 
 
 def attached_options(bag: Bag) -> dict[Key, Mapping[str, Any]]:
