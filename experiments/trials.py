@@ -209,28 +209,48 @@ def _backend(jobs: int, dask: str) -> Iterator[None]:
     except (OSError, ValueError) as error:
         raise ClusterError(f'no Dask scheduler answers at {dask}: {error}') from error
     with client:
-        _check_workers(client, dask)
+        _check_cluster(client, dask)
         with parallel_config(backend='dask', client=client):
             yield
 
 
-def _check_workers(client: Any, dask: str) -> None:
+def _check_cluster(client: Any, dask: str) -> None:
     """
-    Check that the workers of a Dask cluster compute what this process would.
+    Check that a Dask cluster computes what this process would.
 
-    :raises ClusterError: there is no worker, or one has no humanopts or another version of it.
+    The scheduler reads the calls that it passes on, so it has to have their code too.
+
+    :raises ClusterError: there is no worker, or one, or the scheduler, has no humanopts or another
+        version of it.
     """
     from distributed import TimeoutError as NoWorker
 
+    try:
+        _check_code('scheduler', client.run_on_scheduler(versions))
+    except ImportError as error:
+        _check_code('scheduler', error)
     try:
         client.wait_for_workers(1, timeout=WORKERS_WITHIN)
     except (NoWorker, TimeoutError) as error:
         raise ClusterError(f'no worker has joined the Dask scheduler at {dask}') from error
     for worker, found in client.run(versions, on_error='return').items():
-        if isinstance(found, Exception):
-            raise ClusterError(f'the worker {worker} cannot import the experiments: {found}')
-        if found != versions():
-            raise ClusterError(
-                f'the worker {worker} has other code or libraries than this machine: {found}, '
-                f'here {versions()}'
-            )
+        _check_code(f'worker {worker}', found)
+
+
+def _check_code(where: str, found: Any) -> None:
+    """
+    Check what a process of a cluster says of its code.
+
+    :param found: its ``versions``, or the error of asking for them.
+    :raises ClusterError: it cannot import them, or they are others than here.
+    """
+    if isinstance(found, Exception):
+        raise ClusterError(
+            f'the {where} cannot import the experiments: {found}; start it in the folder of the '
+            'repository, with PYTHONPATH=.'
+        )
+    if found != versions():
+        raise ClusterError(
+            f'the {where} has other code or libraries than this machine: {found}, '
+            f'here {versions()}'
+        )

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 import io
+import os
 from pathlib import Path
 import subprocess
 import sys
@@ -174,25 +175,39 @@ def test_without_dask_it_is_said_what_is_missing(tmp_path: Path) -> None:
             run_trials(tiny('random'), tmp_path, quiet, 1, 'tcp://127.0.0.1:1')
 
 
+SCHEDULER = """
+import asyncio
+from distributed import Scheduler
+async def main():
+    async with Scheduler(host='127.0.0.1', port=0, dashboard=False) as scheduler:
+        print(scheduler.address, flush=True)
+        await scheduler.finished()
+asyncio.run(main())
+"""
+
+
+def start_scheduler(folder: Path, path: str) -> tuple[subprocess.Popen[str], str]:
+    """Start a Dask scheduler in a folder, with a PYTHONPATH; return it and its address."""
+    process = subprocess.Popen(
+        [sys.executable, '-c', SCHEDULER],
+        cwd=folder,
+        env={**os.environ, 'PYTHONPATH': path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert process.stdout is not None
+    return process, process.stdout.readline().strip()
+
+
 @pytest.fixture(scope='module')
 def cluster() -> Iterator[str]:
     """A Dask scheduler and a worker on loopback."""
     pytest.importorskip('distributed')
-    program = (
-        'import asyncio; from distributed import Scheduler\n'
-        'async def main():\n'
-        '    async with Scheduler(host="127.0.0.1", port=0, dashboard=False) as scheduler:\n'
-        '        print(scheduler.address, flush=True); await scheduler.finished()\n'
-        'asyncio.run(main())'
-    )
-    pipe, devnull = subprocess.PIPE, subprocess.DEVNULL
-    started = [
-        subprocess.Popen([sys.executable, '-c', program], stdout=pipe, stderr=devnull, text=True)
-    ]
+    devnull = subprocess.DEVNULL
+    scheduler, address = start_scheduler(Path.cwd(), os.environ.get('PYTHONPATH', ''))
+    started = [scheduler]
     try:
-        output = started[0].stdout
-        assert output is not None
-        address = output.readline().strip()
         worker = [sys.executable, '-m', 'distributed.cli.dask_worker', address]
         options = ['--no-nanny', '--nthreads', '1', '--no-dashboard', '--host', '127.0.0.1']
         started.append(subprocess.Popen([*worker, *options], stdout=devnull, stderr=devnull))
@@ -216,12 +231,23 @@ def test_dask_cluster_computes_what_this_machine_does(tmp_path: Path, cluster: s
     assert here.results == there.results
 
 
-def test_worker_with_other_code_is_named(
+def test_cluster_with_other_code_is_named(
     tmp_path: Path, cluster: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(experiment_trials, 'code_version', lambda: 'other')
-    with pytest.raises(ClusterError, match=r'worker tcp:.* has other code'):
+    with pytest.raises(ClusterError, match=r'scheduler has other code'):
         run_trials(tiny('random'), tmp_path, quiet, 1, cluster)
+
+
+def test_scheduler_without_the_experiments_is_named(tmp_path: Path) -> None:
+    pytest.importorskip('distributed')
+    scheduler, address = start_scheduler(tmp_path, '')
+    try:
+        with pytest.raises(ClusterError, match=r'scheduler cannot import .* PYTHONPATH'):
+            run_trials(tiny('random'), tmp_path, quiet, 1, address)
+    finally:
+        scheduler.kill()
+        scheduler.communicate()
 
 
 def test_scheduler_that_does_not_answer_is_named(
