@@ -18,7 +18,7 @@ import sys
 import time
 
 LOGS = Path('build/stress')
-LIVE = 'live and not slow and not chromium'
+LIVE = 'live and not slow and not chromium and not hosts'
 NOTHING_LEFT = 5  # exit status of pytest where no test was chosen
 BUSY = """
 import os
