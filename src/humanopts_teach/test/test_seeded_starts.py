@@ -55,6 +55,44 @@ def test_failures_asks_for_a_state_where_the_learned_option_fails(
         assert failing[taxi.index(taxi.decode(chooser.draw('p1', history)))]
 
 
+@pytest.mark.parametrize(
+    ('strategy', 'n_shown', 'is_learned'),
+    [
+        ('random', 6, True),
+        ('coverage', 6, True),
+        ('failures', 0, True),
+        ('failures', 6, False),
+        ('failures', 6, True),
+    ],
+)
+def test_a_sample_that_is_drawn_ahead_changes_no_start_state(
+    yard: Domain[Any],
+    yard_lesson: list[Demonstration],
+    strategy: str,
+    n_shown: int,
+    is_learned: bool,
+) -> None:
+    name = yard_lesson[0].option_name
+    shown = [demo for demo in yard_lesson if demo.option_name == name]
+    text = option_to_json(learn_option(shown[:2], yard, 0), [])
+    history = OptionHistory(name, yard.features)
+    for demo in shown[:n_shown]:
+        history.add(demo)
+    plain, ahead = (starts(yard, strategy) for _ in range(2))
+    for chooser in (plain, ahead):
+        if is_learned:
+            chooser.learned('p1', name, text)
+    drawn = plain.draw('p1', history)
+    ahead.draw_ahead('p1', history)
+    assert ahead.draw('p1', history) == drawn
+    assert ahead.draw('p1', history) == drawn  # what was drawn ahead is used once
+    ahead.draw_ahead('p2', history)  # somebody else's
+    assert ahead.draw('p1', history) == drawn
+    ahead.draw_ahead('p1', history)
+    empty = OptionHistory(name, yard.features, history.number)  # all were taken back meanwhile
+    assert ahead.draw('p1', empty) == plain.draw('p1', empty)
+
+
 def test_it_counts_the_demonstrations_that_the_newest_option_was_learned_from(
     taxi: Any, shown: list[Demonstration], option: LearnedOption, history: OptionHistory
 ) -> None:

@@ -39,13 +39,15 @@ def sample_failures(
     domain: Domain[Any],
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
+    drawn: Sequence[Any] | None = None,
 ) -> SampledFailures:
     """
     Look at ``SAMPLE`` states, and run the option from ``RUNS`` of those where it can start.
 
     :param demonstrations: those that the option was learned from.
+    :param drawn: the states, which ``rng`` has drawn; None: they are drawn here.
     """
-    states = domain.sample_states(rng, SAMPLE)
+    states = domain.sample_states(rng, SAMPLE) if drawn is None else list(drawn)
     rows = feature_rows(domain, states)
     member = option.can_start(rows)
     failing = in_doubt(option, rows, demonstrations)

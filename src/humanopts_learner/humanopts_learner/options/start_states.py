@@ -25,11 +25,10 @@ from humanopts_learner.options.failures import (
 )
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.rollout import is_deterministic
-from humanopts_learner.options.sampled_failures import sample_failures
+from humanopts_learner.options.sampled_failures import SAMPLE, sample_failures
 import numpy as np
 
 STRATEGIES = ('random', 'coverage', 'failures')
-SAMPLE = 500  # states among which coverage looks for the most distant
 ALREADY_SHOWN = 0.1  # weight of a failing situation that was shown; of others 1
 
 
@@ -43,6 +42,7 @@ def choose_start_state(
     option: LearnedOption | None,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
+    drawn: Sequence[Any] | None = None,
 ) -> Any:
     """
     Choose the state from which to ask for the next demonstration.
@@ -50,6 +50,8 @@ def choose_start_state(
     :param strategy: one of ``STRATEGIES``.
     :param option: what was learned from the demonstrations; None: nothing yet.
     :param demonstrations: of this participant and option, "not here" answers too.
+    :param drawn: what ``draw_sample`` has drawn with the same ``rng`` and demonstrations; None: it
+        was not called.
     :raises UnknownStrategyError: there is no such strategy.
     """
     if strategy not in STRATEGIES:
@@ -59,12 +61,29 @@ def choose_start_state(
     if not any(demo.kind is Kind.TRAJECTORY for demo in demonstrations):
         option = None  # learned from others that are not here, such as an old option file
     if strategy == 'failures' and option is not None:
-        state = _failing_state(domain, option, demonstrations, rng)
+        state = _failing_state(domain, option, demonstrations, rng, drawn)
         if state is not None:
             return state
+        drawn = None  # another sample
     if strategy == 'random' or not demonstrations:
         return domain.sample_states(rng, 1)[0]
-    return _uncovered_state(domain, option, demonstrations, rng)
+    return _uncovered_state(domain, option, demonstrations, rng, drawn)
+
+
+def draw_sample(
+    strategy: str,
+    domain: Domain[Any],
+    demonstrations: Sequence[Demonstration],
+    rng: np.random.Generator,
+) -> list[Any] | None:
+    """
+    Draw the states that ``choose_start_state`` begins with, whatever is learned meanwhile.
+
+    :return: None: it begins with no sample.
+    """
+    if strategy == 'random' or is_enumerable(domain) or not demonstrations:
+        return None
+    return domain.sample_states(rng, SAMPLE)
 
 
 def _uncovered_state(
@@ -72,6 +91,7 @@ def _uncovered_state(
     option: LearnedOption | None,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
+    drawn: Sequence[Any] | None,
 ) -> Any:
     """
     Return the state that is farthest, in the chosen features, from every state shown.
@@ -81,7 +101,7 @@ def _uncovered_state(
     if is_enumerable(domain):
         states = _states(domain, reachable(domain) & ~domain.over(), rng)
     else:
-        states = domain.sample_states(rng, SAMPLE)
+        states = domain.sample_states(rng, SAMPLE) if drawn is None else list(drawn)
     if option is not None:
         rows = feature_rows(domain, states)
         kept = option.can_start(rows) | in_doubt(option, rows, demonstrations)
@@ -94,6 +114,7 @@ def _failing_state(
     option: LearnedOption,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
+    drawn: Sequence[Any] | None,
 ) -> Any:
     """
     Return a state from which the option fails; None: there is none.
@@ -101,7 +122,7 @@ def _failing_state(
     In a deterministic domain it is an instructive state, whether the option fails there or not.
     """
     if not is_deterministic(domain):
-        some = sample_failures(option, domain, demonstrations, rng)
+        some = sample_failures(option, domain, demonstrations, rng, drawn)
         failing = np.flatnonzero(some.failing)
         return some.states[int(rng.choice(failing))] if failing.size else None
     found = find_failures(option, domain, demonstrations)

@@ -239,6 +239,11 @@ class Lesson:
         except RefusalError as refusal:
             return refusal.answer
 
+    def draw_ahead(self) -> None:
+        """Draw what the next start state is chosen from, while the learner is at work."""
+        if self.phase is Phase.LEARNING and self._option is not None:
+            self._starts.draw_ahead(self._participant, self._option)
+
     def began(self, episode: int, state: str) -> Answer:
         """Begin the demonstration that was prepared: game has begun its episode."""
         attempt = self._attempt

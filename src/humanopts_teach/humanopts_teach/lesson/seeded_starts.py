@@ -9,7 +9,7 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.sampled_failures import nothing_fails
-from humanopts_learner.options.start_states import choose_start_state
+from humanopts_learner.options.start_states import choose_start_state, draw_sample
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
@@ -42,6 +42,7 @@ class SeededStarts:
         self._domain = domain
         self._options: dict[tuple[str, str], LearnedOption] = {}
         self._texts: dict[tuple[str, str], str] = {}
+        self._ahead: tuple[Any, list[Any], np.random.Generator] | None = None
 
     def learned(self, participant: str, option_name: str, text: str) -> bool:
         """
@@ -60,12 +61,21 @@ class SeededStarts:
 
     def draw(self, participant: str, option: OptionHistory) -> str:
         """Return the start state of the next demonstration, in the domain's notation."""
-        rng = self._generator('start_state', participant, option)
+        rng, drawn = self._generator('start_state', participant, option), None
+        if self._ahead is not None and self._ahead[0] == _key(participant, option):
+            _, drawn, rng = self._ahead
+        self._ahead = None  # its generator goes on
         learned = self._options.get((participant, option.name))
         state = choose_start_state(
-            self.rules.strategy, self._domain, learned, option.demonstrations, rng
+            self.rules.strategy, self._domain, learned, option.demonstrations, rng, drawn
         )
         return self._domain.encode(state)
+
+    def draw_ahead(self, participant: str, option: OptionHistory) -> None:
+        """Draw the sample of states that the next start state is chosen from; that takes time."""
+        rng = self._generator('start_state', participant, option)
+        drawn = draw_sample(self.rules.strategy, self._domain, option.demonstrations, rng)
+        self._ahead = None if drawn is None else (_key(participant, option), drawn, rng)
 
     def episode_seed(self, participant: str, option: OptionHistory) -> int:
         """Return the seed of the chance in the next demonstration's episode."""
@@ -93,3 +103,8 @@ class SeededStarts:
         self, purpose: str, participant: str, option: OptionHistory
     ) -> np.random.Generator:
         return generator(self.rules.seed, purpose, participant, option.name, option.number)
+
+
+def _key(participant: str, option: OptionHistory) -> tuple[str, str, int, bool]:
+    """Return what the sample for the next start state depends on."""
+    return participant, option.name, option.number, bool(option.demonstrations)

@@ -196,6 +196,8 @@ class LessonNode(NodeBase):
                 self._asked_learner = self.monotonic()
                 self._unsent.extend(answer.unsent)
             self._show()
+            if answer.unsent:
+                self._lesson.draw_ahead()
             return encode(answer, response)
 
         return handle
