@@ -37,6 +37,9 @@ def as_they_end(
     """
     parallel = Parallel(return_as='generator_unordered', pre_dispatch='all', batch_size=1)
     order = sorted(range(len(calls)), key=lambda number: -costs[number])
+    if parallel.n_jobs == 1:  # the trackers of processes would take longer than a small task
+        yield from (_numbered(number, calls[number]) for number in order)
+        return
     tasks = (delayed(_numbered)(number, calls[number]) for number in order)
     with ExitStack() as stack:
         with _started_without_interrupts():
