@@ -109,18 +109,22 @@ def test_chosen_sections_are_measured_shown_and_written(
     assert str(results) in err
 
 
-@pytest.mark.slow
-def test_graph_is_measured_on_processes_of_its_own(tmp_path: Path, domain_id: int) -> None:
-    results = tmp_path / 'bench.json'
-    command = Command(
-        ['bench', '--quick', '--only', 'graph', '--json', results], tmp_path, domain_id
-    )
+def measured(section: str, folder: Path, domain_id: int) -> tuple[list[dict[str, Any]], str]:
+    """Measure a section on processes of its own; return its rows, and what is shown."""
+    results = folder / 'bench.json'
+    asked = ['bench', '--quick', '--only', section, '--json', results]
+    command = Command(asked, folder, domain_id)
     try:
         assert command.ended(110) == 0, command.errors
         assert command.running() == {}
     finally:
         command.close()
-    rows = json.loads(results.read_text('utf-8'))['graph']
+    return json.loads(results.read_text('utf-8'))[section], command.output
+
+
+@pytest.mark.slow
+def test_graph_is_measured_on_processes_of_its_own(tmp_path: Path, domain_id: int) -> None:
+    rows, _ = measured('graph', tmp_path, domain_id)
     assert all(row['ratio'] == row['seconds'] / row['yardstick_seconds'] for row in rows)
     rounds, steps, calls = graph.QUICK
     samples = {row['what']: (row['samples'], row['yardstick_samples']) for row in rows}
@@ -132,16 +136,7 @@ def test_graph_is_measured_on_processes_of_its_own(tmp_path: Path, domain_id: in
 
 @pytest.mark.slow
 def test_recorder_loses_nothing_of_any_load(tmp_path: Path, domain_id: int) -> None:
-    results = tmp_path / 'bench.json'
-    command = Command(
-        ['bench', '--quick', '--only', 'recording', '--json', results], tmp_path, domain_id
-    )
-    try:
-        assert command.ended(110) == 0, command.errors
-        assert command.running() == {}
-    finally:
-        command.close()
-    rows = json.loads(results.read_text('utf-8'))['recording']
+    rows, shown = measured('recording', tmp_path, domain_id)
     (loads,) = QUICK
     expected = [(load.name, name) for load in loads for name in READERS]
     assert [(row['load'], row['what']) for row in rows] == expected
@@ -149,7 +144,7 @@ def test_recorder_loses_nothing_of_any_load(tmp_path: Path, domain_id: int) -> N
         assert (row['taken'], row['lost']) == (row['sent'], 0)
         assert row['throughput'] == pytest.approx(row['yardstick_seconds'] / row['seconds'])
         assert row['memory'] > 10**7
-    assert command.output.count(RECORDER) == len(loads)
+    assert shown.count(RECORDER) == len(loads)
 
 
 @pytest.mark.slow
