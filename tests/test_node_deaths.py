@@ -116,7 +116,7 @@ def check_bags(command: Command, folder: Path, before: list[Demonstration], dama
 def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays(
     start: Start, tmp_path: Path
 ) -> None:
-    command = start('--learn', GOAL, '--episodes', 20)
+    command = start('--learn', GOAL, '--episodes', 10)
     command.until(lambda: in_first_bag(tmp_path), 'a demonstration in the bag')
     before = in_first_bag(tmp_path)
     command.kill('recorder', SIGKILL)
@@ -126,7 +126,7 @@ def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays
     command.kill('planner', SIGKILL)
     ends = {'recorder': KILLED, 'game': KILLED, 'planner': KILLED}
     found = check_survives(command, tmp_path, ends)
-    assert (found['execution']['episodes'], found['bag']['path']) == (20, 'bag-2')
+    assert (found['execution']['episodes'], found['bag']['path']) == (10, 'bag-2')
     assert found['offline']['options'] == found['options']
     for option in found['options']:
         assert (option['method'], option['policy_accuracy']) == (GOAL, 1.0)

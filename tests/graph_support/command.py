@@ -74,7 +74,7 @@ class Command:
         while not condition():
             assert self._process.poll() is None, f'it ended before {what}:\n{self.errors}'
             assert time.monotonic() < deadline, f'waited in vain for {what}:\n{self.output}'
-            time.sleep(0.02)
+            time.sleep(0.05)
 
     def ended(self, seconds: float) -> int:
         """Wait for its end and return its exit status."""
