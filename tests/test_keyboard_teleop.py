@@ -439,18 +439,12 @@ def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
         terminal.close()
 
 
-def test_without_a_game_it_waits_in_words_and_quits_by_ctrl_c(terminals: Terminals) -> None:
+def test_without_a_game_it_waits_in_words_and_a_signal_ends_it_cleanly(
+    terminals: Terminals,
+) -> None:
     terminal = terminals.terminal()
     terminal.see('Waiting for the game')
     terminal.see('game, lesson: not there.')
-    terminal.press(CTRL_C)
-    assert terminal.ended() == 0
-    assert terminal.restored()
-
-
-def test_a_signal_ends_it_cleanly(terminals: Terminals) -> None:
-    terminal = terminals.terminal()
-    terminal.see('Waiting for the game')
     terminal.process.send_signal(signal.SIGTERM)
     assert terminal.ended() == 0
     assert terminal.restored()
