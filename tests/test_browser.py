@@ -18,6 +18,7 @@ from teach_support.page_client import PageClient
 NAME = 'go <b>west</b>'
 QUESTIONS = len(make_domain('taxi').features)
 LINGER = 2  # s
+pytestmark = pytest.mark.timeout(300)  # on a busy machine
 
 
 class Served:

@@ -19,6 +19,7 @@ SHOWN = 3  # demonstrations on disk before anything happens
 PATIENCE = 30.0  # s for a demo to end; it takes about one
 DISK = 300_000  # bytes; a demo's bag alone is about twice as large
 Start = Callable[..., Command]
+pytestmark = pytest.mark.timeout(300)  # on a busy machine
 
 
 @pytest.fixture
@@ -117,7 +118,7 @@ def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays
     start: Start, tmp_path: Path
 ) -> None:
     command = start('--learn', GOAL, '--episodes', 10)
-    command.until(lambda: in_first_bag(tmp_path), 'a demonstration in the bag')
+    command.until(lambda: in_first_bag(tmp_path), 'a demonstration in the bag', 3 * PATIENCE)
     before = in_first_bag(tmp_path)
     command.kill('recorder', SIGKILL)
     command.until(lambda: 'the node recorder ended' in command.errors, 'its end to be told')
