@@ -14,7 +14,7 @@ import uuid
 import socketio
 from socketio.exceptions import BadNamespaceError
 
-PATIENCE = 60.0  # s
+PATIENCE = 120.0  # s; two graphs that start at once take long on a busy machine
 
 
 class PageClient:
