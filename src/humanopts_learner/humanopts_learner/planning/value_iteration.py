@@ -30,6 +30,7 @@ OnValues = Callable[[Floats], object]
 COMPILED_FROM = (
     1_000_000  # pairs of state and option; sweeps over fewer end before Numba is loaded
 )
+COMPARED = 100_000  # states whose options are compared at once, after the sweeps
 _FLOATS, _TABLE = 'float64[::1]', 'float64[:, ::1]'
 _SIGNATURE = f'float64(uint32[:, ::1], {_TABLE}, {_TABLE}, float64, {_FLOATS}, {_FLOATS})'
 
@@ -47,12 +48,9 @@ class Solution:
 
 class _Backup(ABC):
     """
-    One sweep over R states of a model, in place and without a loop over states.
+    One sweep over R states of a model, in place.
 
-    Options are compared in layers. The first layer has an option for every state, a later one for
-    the first states of an order that the model gives.
-
-    :ivar order: (R,) the states in this order; values are in it too.
+    :ivar order: (R,) these states in an order that the backup gives; values are in it too.
     """
 
     order: Ints | slice = slice(None)
@@ -65,26 +63,21 @@ class _Backup(ABC):
         """Number of states that are swept, R."""
         return len(self._dead[self.order])
 
-    @cached_property
-    def _change(self) -> Floats:
-        """(R,) work space."""
-        return np.empty(self.n_swept)
-
+    @abstractmethod
     def sweep(self, old: Floats, new: Floats) -> float:
         """
         Write the next values to ``new``, and return the largest change.
 
         :param old: (R + 1,), the last is the end of the task, 0; as ``new``.
         """
-        old, new = old[:-1], new[:-1]
-        layers = self._layers(old)
-        np.copyto(new, next(layers)[1])
-        for _, choice in layers:
-            first = new[: len(choice)]
-            np.maximum(first, choice, out=first)
-        change = np.subtract(new, old, out=self._change)
-        np.abs(change, out=change)
-        return float(np.maximum.reduce(change))
+
+    @abstractmethod
+    def best(self, values: Floats) -> NDArray[np.int32]:
+        """
+        Return the greedy option (S,) in the order of the model, the lowest of equals.
+
+        :param values: (R,).
+        """
 
     def everywhere(self, values: Floats, before: Floats) -> Floats:
         """
@@ -95,12 +88,40 @@ class _Backup(ABC):
         """
         return self.in_order_of_model(values)
 
-    def best(self, values: Floats) -> NDArray[np.int32]:
-        """
-        Return the greedy option (S,) in the order of the model, the lowest of equals.
+    def in_order_of_model(self, values: NDArray[Number]) -> NDArray[Number]:
+        """Return a copy of one value for each state, (S,), in the order of the model; or 0."""
+        found = np.zeros(len(self._dead), dtype=values.dtype)
+        found[self.order] = values
+        return found
 
-        :param values: (R,).
-        """
+
+class _LayeredBackup(_Backup):
+    """
+    A sweep without a loop over states.
+
+    Options are compared in layers. The first layer has an option for every state, a later one for
+    the first states of the order.
+    """
+
+    @cached_property
+    def _change(self) -> Floats:
+        """(R,) work space."""
+        return np.empty(self.n_swept)
+
+    def sweep(self, old: Floats, new: Floats) -> float:
+        """Write the next values to ``new``, and return the largest change; as ``_Backup``."""
+        old, new = old[:-1], new[:-1]
+        layers = self._layers(old)
+        np.copyto(new, next(layers)[1])
+        for _, choice in layers:
+            first = new[: len(choice)]
+            np.maximum(first, choice, out=first)
+        change = np.subtract(new, old, out=self._change)
+        np.abs(change, out=change)
+        return float(np.maximum.reduce(change))
+
+    def best(self, values: Floats) -> NDArray[np.int32]:
+        """Return the greedy option (S,), the lowest of equals; as ``_Backup``."""
         greatest = np.full(len(values), -np.inf)
         best = np.zeros(len(values), dtype=np.int32)
         for option, choice in self._layers(values):
@@ -111,18 +132,12 @@ class _Backup(ABC):
         best[self._dead] = -1
         return best
 
-    def in_order_of_model(self, values: NDArray[Number]) -> NDArray[Number]:
-        """Return a copy of one value for each state, (S,), in the order of the model; or 0."""
-        found = np.zeros(len(self._dead), dtype=values.dtype)
-        found[self.order] = values
-        return found
-
     @abstractmethod
     def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
         """Yield options, lowest first, and their values in the first states, until the next."""
 
 
-class _DenseBackup(_Backup):
+class _DenseBackup(_LayeredBackup):
     """Layer k is option k in every state, so that one option at a time is in cache."""
 
     def __init__(self, model: MultiTimeModel) -> None:
@@ -138,7 +153,7 @@ class _DenseBackup(_Backup):
             yield option, expected
 
 
-class _SparseBackup(_Backup):
+class _SparseBackup(_LayeredBackup):
     """
     Layer k is the k-th available option of each state that has so many.
 
@@ -219,11 +234,17 @@ class _CompiledBackup(_Backup):
         tables = self._successor, self._rewards, self._discount
         return self._compiled(*tables, self._common, old, new)
 
-    def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
-        padded = np.append(values, 0.0)
-        for option, reward in enumerate(self._rewards.T):
-            discount = self._discount[:, option] if self._discount.size else self._common
-            yield option, discount * padded[self._successor[:, option]] + reward
+    def best(self, values: Floats) -> NDArray[np.int32]:
+        """Return the greedy option (S,), the lowest of equals; as ``_Backup``."""
+        padded, best = np.append(values, 0.0), np.empty(len(values), dtype=np.int32)
+        for begin in range(0, len(best), COMPARED):
+            part = slice(begin, begin + COMPARED)
+            choice = padded[self._successor[part]]
+            choice *= self._discount[part] if self._discount.size else self._common
+            choice += self._rewards[part]
+            best[part] = choice.argmax(axis=1)
+        best[self._dead] = -1
+        return best
 
 
 def _sweep_states(
