@@ -71,8 +71,16 @@ def test_a_key_between_two_episodes_takes_control_all_the_same(runner: Person) -
     assert runner.press('left') == SetControl(hold=True)
 
 
+def test_a_step_that_is_refused_while_the_machine_goes_on_takes_control(runner: Person) -> None:
+    started(runner)
+    step = runner.press('left')
+    assert step == Drive('west', 1, 0)
+    assert runner.answer(step, ok=False, text='it is step 1') == SetControl(hold=True)
+
+
 def test_escape_stops_a_run_and_only_then_leaves(runner: Person) -> None:
     started(runner)
+    assert 'stop it' in runner.sees()
     runner.answer(runner.press('escape'))
     assert runner.asked[-1] == CancelRun()
     runner.run_ends('Stopped.')
