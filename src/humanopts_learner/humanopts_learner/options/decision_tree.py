@@ -255,9 +255,6 @@ def fit_tree(
     """
     Fit a tree that separates the examples as far as their features can (CART, Gini impurity).
 
-    The tree is that of scikit-learn's ``DecisionTreeClassifier(random_state=seed)``, by its parts:
-    the checks of its arguments take as long as a tree of a few hundred examples.
-
     :param X: (N, C) rows, N > 0.
     :param y: (N,) labels.
     :param classes: every label that there could be, ascending; those not in y have count 0.
@@ -266,22 +263,16 @@ def fit_tree(
     """
     if len(X) == 0 or not np.isin(y, classes).all():
         raise ValueError('a tree is fitted to one row or more, labelled with its classes')
-    from sklearn.tree._criterion import Gini
-    from sklearn.tree._splitter import BestSplitter
-    from sklearn.tree._tree import DepthFirstTreeBuilder
-    from sklearn.tree._tree import Tree as FittedTree
+    from sklearn import config_context
+    from sklearn.tree import DecisionTreeClassifier
 
-    present, labels = np.unique(y, return_inverse=True)
-    n_classes, n_features = np.array([len(present)], dtype=np.intp), X.shape[1]
-    criterion, rng = Gini(1, n_classes), np.random.RandomState(seed)
-    splitter = BestSplitter(criterion, n_features, 1, 0.0, rng, None)
-    builder = DepthFirstTreeBuilder(splitter, 2, 1, 0.0, np.iinfo(np.int32).max, 0.0)
-    fitted = FittedTree(n_features, n_classes, 1)
-    builder.build(fitted, X, labels.astype(np.float64)[:, None], None, None)
+    classifier = DecisionTreeClassifier(random_state=seed)
+    with config_context(assume_finite=True, skip_parameter_validation=True):
+        fitted = classifier.fit(X, y, check_input=False).tree_  # both are of the right type
     leaf = fitted.children_left == LEAF
     counts = np.zeros((fitted.node_count, len(classes)), dtype=np.int64)
     shares = fitted.value[:, 0, :] * fitted.weighted_n_node_samples[:, None]
-    counts[:, np.searchsorted(classes, present)] = np.rint(shares)
+    counts[:, np.searchsorted(classes, classifier.classes_)] = np.rint(shares)
     return Tree(
         fitted.children_left.astype(np.int32),
         fitted.children_right.astype(np.int32),
