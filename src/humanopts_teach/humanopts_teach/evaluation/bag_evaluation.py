@@ -52,7 +52,7 @@ from humanopts_teach.evaluation.measures import (
     Settings,
     settings_from_facts,
 )
-from humanopts_teach.evaluation.side_by_side import as_they_end, processes
+from humanopts_teach.evaluation.side_by_side import all_of
 
 EPISODES = 100  # that plans are judged by, where models are exact
 SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # that learning depends on
@@ -264,13 +264,9 @@ def evaluate(
         *(f'planning with {action_set} actions' for _, action_set in requests),
     ]
     costs = [*map(len, groups.values()), *[math.inf for _ in requests]]
-    results: list[Any] = [None] * len(calls)
     report = progress or no_progress
     report(0, len(calls), f'{len(demonstrations)} demonstrations')
-    with processes(jobs):
-        for done, (number, result) in enumerate(as_they_end(calls, costs), start=1):
-            results[number] = result
-            report(done, len(calls), names[number])
+    results = all_of(calls, names, costs, report, jobs)
     options = [
         OptionEvaluation(participant, curve) for (participant, _), curve in zip(groups, results)
     ]

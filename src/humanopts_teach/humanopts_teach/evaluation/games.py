@@ -41,7 +41,7 @@ from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_teach.evaluation.side_by_side import as_they_end, processes
+from humanopts_teach.evaluation.side_by_side import all_of
 import numpy as np
 
 GAMES = 1000  # that each way to play is judged by
@@ -351,14 +351,9 @@ def evaluate_games(
         partial(_curves, variant, options, seed, games, limits),
     ]
     costs = [*(each.budget_steps + PLAYING for _, each in plays), math.inf]
-    results: list[Any] = [None] * len(calls)
     report = progress or no_progress
     report(0, len(calls), f'{len(calls)} parts, side by side')
-    with processes(jobs):
-        for done, (number, result) in enumerate(as_they_end(calls, costs), start=1):
-            results[number] = result
-            report(done, len(calls), names[number])
-    *rows, curves = results
+    *rows, curves = all_of(calls, names, costs, report, jobs)
     settings = tuple(
         Setting(name, tuple(row for (of, _), row in zip(plays, rows) if of == name))
         for name in variants

@@ -47,6 +47,26 @@ def as_they_end(
         yield from results
 
 
+def all_of(
+    calls: Sequence[Callable[[], Result]],
+    names: Sequence[str],
+    costs: Sequence[float],
+    report: Callable[[float, float, str], object],
+    jobs: int = 0,
+) -> list[Result]:
+    """
+    Return the result of each call, in order; parameters as of ``as_they_end`` and ``processes``.
+
+    :param report: called with how many have ended, of how many, and the name of the last one.
+    """
+    results: dict[int, Result] = {}
+    with processes(jobs):
+        for number, result in as_they_end(calls, costs):
+            results[number] = result
+            report(len(results), len(calls), names[number])
+    return [results[number] for number in range(len(calls))]
+
+
 def _numbered(number: int, call: Callable[[], Result]) -> tuple[int, Result]:
     return number, call()
 
