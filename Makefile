@@ -8,6 +8,7 @@ ROUNDS ?= 10
 LIMIT ?= 7200
 SECONDS ?= 600
 STEP := @tools/step.sh
+TWO_STEPS := $(MAKE) --no-print-directory --silent --jobs 2
 PAGE := -name '*.md' -o -name '*.rst'
 INTERFACES := $(shell find src/humanopts_interfaces -type f -not \( $(PAGE) \))
 PACKAGES := $(shell find src -type f -not -path 'src/humanopts_interfaces/*' \
@@ -45,11 +46,17 @@ help:
 	@echo 'make lock    resolve requirements*.in into requirements*.lock again'
 	@echo 'make clean   remove everything that make made'
 
-setup: build/.packages
+setup:
+	@$(TWO_STEPS) build/.packages
 
-$(VENV)/.locked: requirements.lock
+# ROS and what builds with it. The rest is installed while the interfaces compile.
+$(VENV)/.build-locked: requirements-build.lock
 	@tools/check_prerequisites.sh $(PYTHON)
 	@rm -rf $(VENV) && $(PYTHON) -m venv $(VENV)
+	$(STEP) 'Installing ROS and the build tools' tools/install_packages.sh $(VENV) $<
+	@touch $@
+
+$(VENV)/.locked: requirements.lock $(VENV)/.build-locked
 	$(STEP) 'Installing the packages that it runs on' tools/install_packages.sh $(VENV) $<
 	@touch $@
 
@@ -58,7 +65,7 @@ $(VENV)/.test-locked: requirements-test.lock $(VENV)/.locked
 	$(STEP) 'Installing the packages of the tests' tools/install_packages.sh $(VENV) $<
 	@touch $@
 
-build/.interfaces: $(VENV)/.locked $(INTERFACES) tools/build_interfaces.sh
+build/.interfaces: $(VENV)/.build-locked $(INTERFACES) tools/build_interfaces.sh
 	$(STEP) 'Building the ROS interfaces' tools/build_interfaces.sh $(VENV)
 	@touch $@
 
@@ -67,12 +74,13 @@ build/.stubs: build/.interfaces tools/make_stubs.py
 	@$(VENV)/bin/python tools/make_stubs.py build/stubs $(VENV)/share src
 	@touch $@
 
-build/.packages: build/.interfaces $(PACKAGES) tools/build_packages.sh
+build/.packages: build/.interfaces $(VENV)/.locked $(PACKAGES) tools/build_packages.sh
 	$(STEP) 'Building the Python packages' tools/build_packages.sh $(VENV)
 	@touch $@
 
 # What the tests and the checks need beside what runs.
-checked: setup $(VENV)/.test-locked build/.stubs
+checked:
+	@$(TWO_STEPS) build/.packages $(VENV)/.test-locked build/.stubs
 
 demo: setup
 	@./humanopts demo --domain taxi --out $(OUT) --seed $(SEED)
@@ -124,6 +132,7 @@ format: checked
 lock:
 	@$(PYTHON) -m venv build/lock && build/lock/bin/pip install --quiet uv
 	@$(COMPILE) requirements.in -o requirements.lock
+	@$(COMPILE) requirements-build.in -c requirements.lock -o requirements-build.lock
 	@$(COMPILE) requirements-test.in -c requirements.lock -o requirements-test.lock
 
 clean:

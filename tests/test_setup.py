@@ -20,6 +20,7 @@ code="$2"; shift 2
 exec {python} -c "{line}
 $code" "$@"
 """
+REQUIREMENTS = ('requirements-build', 'requirements', 'requirements-test')
 TARGETS = (
     'help',
     'setup',
@@ -117,9 +118,9 @@ def test_command_in_a_tree_that_is_not_set_up_says_what_to_run(tmp_path: Path) -
     assert 'make setup' in done.stderr
 
 
-@pytest.mark.parametrize('lock', ['requirements.lock', 'requirements-test.lock'])
-def test_every_locked_package_is_pinned_with_hashes_and_no_host_is_named(lock: str) -> None:
-    text = (ROOT / lock).read_text('utf-8')
+@pytest.mark.parametrize('name', REQUIREMENTS)
+def test_every_locked_package_is_pinned_with_hashes_and_no_host_is_named(name: str) -> None:
+    text = (ROOT / f'{name}.lock').read_text('utf-8')
     entries = re.split(r'^(?=[a-z0-9])', text, flags=re.M)[1:]
     assert len(entries) > 50
     assert [e for e in entries if not re.match(r'[a-z0-9._-]+(\[[\w,-]+\])?==\S+', e)] == []
@@ -131,7 +132,7 @@ def test_every_locked_package_is_pinned_with_hashes_and_no_host_is_named(lock: s
 def versions(file: str) -> set[tuple[str, str | None]]:
     """Return the packages that a file of requirements names, with their versions."""
     lines = (ROOT / file).read_text('utf-8').splitlines()
-    found = (re.match(r'([A-Za-z0-9._-]+)(?:\[.*\])?(?:==(\S+))?', line) for line in lines)
+    found = (re.match(r'([A-Za-z0-9][A-Za-z0-9._-]*)(?:\[.*\])?(?:==(\S+))?', line) for line in lines)
     return {(match[1].lower().replace('_', '-'), match[2]) for match in found if match}
 
 
@@ -139,25 +140,24 @@ def names(file: str) -> set[str]:
     return {name for name, _ in versions(file)}
 
 
-@pytest.mark.parametrize('name', ['requirements', 'requirements-test'])
+@pytest.mark.parametrize('name', REQUIREMENTS)
 def test_every_wanted_package_is_locked(name: str) -> None:
     assert names(f'{name}.in') <= names(f'{name}.lock')
 
 
-def test_the_tests_run_with_the_versions_that_the_product_runs_with() -> None:
-    both = names('requirements.lock') & names('requirements-test.lock')
+@pytest.mark.parametrize('name', ['requirements-build', 'requirements-test'])
+def test_one_version_of_each_package_builds_runs_and_is_tested(name: str) -> None:
+    both = names('requirements.lock') & names(f'{name}.lock')
     assert {'numpy', 'pytest'} <= both
-    tested = {
-        (name, version) for name, version in versions('requirements-test.lock') if name in both
-    }
-    assert tested <= versions('requirements.lock')
+    found = {(package, version) for package, version in versions(f'{name}.lock') if package in both}
+    assert found <= versions('requirements.lock')
 
 
-def test_a_step_of_the_set_up_takes_one_line_with_its_seconds() -> None:
+def test_a_step_of_the_set_up_says_that_it_begins_and_how_long_it_took() -> None:
     done = subprocess.run(
         [ROOT / 'tools/step.sh', 'Counting', 'true'], capture_output=True, text=True, check=True
     )
-    assert re.fullmatch(r'Counting \.\.\. \d+\.\d s\n', done.stdout)
+    assert re.fullmatch(r'Counting \.\.\.\nCounting: \d+\.\d s\n', done.stdout)
     assert done.stderr == ''
 
 
@@ -169,7 +169,7 @@ def test_a_step_that_fails_shows_all_that_it_said_and_stops_make() -> None:
         check=False,
     )
     assert done.returncode == 3
-    assert done.stderr == 'failed:\none\ntwo\n'
+    assert done.stderr == 'Counting: failed:\none\ntwo\n'
 
 
 def make(*arguments: str) -> 'subprocess.CompletedProcess[str]':

@@ -12,7 +12,7 @@ key=$({
   find "src/$name" tools/build_interfaces.sh tools/drop_missing_includes.cmake \
     -type f -not -name '*.md' -not -name '*.rst' -print0 |
     LC_ALL=C sort -z | xargs -0 sha256sum
-  grep -E '^(ros-|numpy)' requirements.lock
+  grep -E '^(ros-|numpy)' requirements-build.lock
   "$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_config_var("SOABI"))'
   ldd --version 2>&1 | sed -n 1p  # reads to the end, so that ldd is not cut off
 } | sha256sum | cut -c1-20)

@@ -1,14 +1,15 @@
 #!/usr/bin/env bash
-# step.sh TEXT COMMAND...: runs one step of the set-up, and says what it is and how long it took.
+# step.sh TEXT COMMAND...: runs one step of the set-up, and says what it is and how long it took,
+# each in a line of its own, as another step may run beside it.
 text=$1
 shift
 begun=$(date +%s.%N)
-printf '%s ... ' "$text"
+echo "$text ..."
 if said=$("$@" 2>&1); then
-  awk -v begun="$begun" -v now="$(date +%s.%N)" 'BEGIN {printf "%.1f s", now - begun}'
-  echo "${said:+ ($said)}"
+  seconds=$(awk -v begun="$begun" -v now="$(date +%s.%N)" 'BEGIN {printf "%.1f", now - begun}')
+  echo "$text: $seconds s${said:+ ($said)}"
 else
   status=$?
-  printf 'failed:\n%s\n' "$said" >&2
+  printf '%s: failed:\n%s\n' "$text" "$said" >&2
   exit $status
 fi
