@@ -106,6 +106,9 @@ def test_a_node_that_waits_for_the_game_says_that_it_is_starting(shared: Graph) 
     shared.start(PLANNER, '/lonely')
     shared.until(lambda: '/lonely/planner' in shared.statuses, 'its status')
     assert shared.state('/lonely/planner') == NodeStatus.STATE_STARTING
+    with shared.hurried():
+        shared.until(lambda: shared.statuses['/lonely/planner'][-1].text, 'what it waits for')
+    assert shared.statuses['/lonely/planner'][-1].text == 'waits for domain_info'
 
 
 def test_nothing_happens_before_the_recorder_is_there_and_then_all_of_it_is_in_the_bag(

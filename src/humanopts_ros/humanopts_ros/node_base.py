@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import replace
 import functools
+from itertools import chain
 import time
 from typing import Any, TypeVar
 import uuid
@@ -38,6 +39,7 @@ _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _PRESENCE_PERIOD = 1.0  # s between checks that the server of a request still exists
 _REMARK_PERIOD = 1.0  # s between statuses that differ in what was refused or failed only
 _PROVISION = 5.0  # s that a request waits until the node is ready for it
+_LATE = 5.0  # s after which a node that still starts says what it waits for
 _CHECK_PERIOD = 0.02  # s between checks while a node starts or ends, or a coroutine waits
 
 
@@ -151,6 +153,7 @@ class NodeBase(Node):
         self.waiting = Waiting(self, monotonic)  # of this node's coroutines
         # An error while the node starts ends it.
         self._start_timer = super().create_timer(_CHECK_PERIOD, self._try_start)
+        self._begun = monotonic()
         self._start_fault: Exception | None = None
 
     def get_logger(self) -> RcutilsLogger:
@@ -509,12 +512,12 @@ class NodeBase(Node):
             raise
 
     def _check_start(self) -> None:
-        if self.waits_for() is not None:
-            return
-        if self._expect_recorder and not (
-            all(self.records(publisher) for publisher in self._stamped)
-            and all(self.is_recorded(topic) for topic in self._hidden)
-        ):
+        lacking = self.waits_for() or self._lacks_recorder()
+        if lacking is not None:
+            text = f'waits for {lacking}'
+            if self.monotonic() - self._begun > _LATE and text != self._own_text:
+                self.set_status(NodeStatus.STATE_STARTING, text)
+                self.get_logger().warning(text)
             return
         self._start_timer.cancel()
         if self._expect_recorder:
@@ -522,6 +525,17 @@ class NodeBase(Node):
         self.ready = True
         self.on_ready()
         self.set_status(NodeStatus.STATE_READY)
+
+    def _lacks_recorder(self) -> str | None:
+        """Return in words a topic that the recorder lacks; None: it has all, or none runs."""
+        if not self._expect_recorder:
+            return None
+        lacking = chain(
+            (each.topic for each in self._stamped if not self.records(each)),
+            (topic for topic in self._hidden if not self.is_recorded(topic)),
+        )
+        topic = next(lacking, None)
+        return None if topic is None else f'the recorder to subscribe to {topic}'
 
 
 def _failed(answer: Any, text: str) -> Any:

@@ -346,11 +346,16 @@ class GraphClient(NodeBase):
             for name, status in self.statuses.items()
             if status.state == msg.NodeStatus.STATE_READY
         }
-        missing = [name for name in names if name not in ready]
+        missing = [self._told(name) for name in names if name not in ready]
         complete = self.recorder is not None and self.recorder.complete
         if self._record and not missing and not complete:
             missing.append('the recorder has not got every topic')
         return missing
+
+    def _told(self, name: str) -> str:
+        """Return the name of a node and what it says of itself."""
+        text = self.statuses[name].text if name in self.statuses else ''
+        return f'{name} ({text})' if text else name
 
     def _paused(self) -> dict[str, str]:
         """Return the nodes that are paused, and why."""
