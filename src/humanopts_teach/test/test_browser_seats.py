@@ -5,8 +5,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 
 from humanopts_teach.browser.seats import FAREWELL, GameError, message, Press, Seat, Seats
-from humanopts_teach.dialogue.panel import View
-from humanopts_teach.lesson.presentation import Line
+from humanopts_teach.dialogue.panel import Line, View
 
 LINGER = 0.05  # s
 PATIENCE = 5.0  # s

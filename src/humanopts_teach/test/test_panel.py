@@ -14,14 +14,18 @@ from humanopts_teach.dialogue.panel import (
     Block,
     Choices,
     Criteria,
+    CriterionShown,
     Features,
+    FeatureShown,
     KeyList,
+    Line,
     Page,
     Panel,
+    TARGET,
+    Tone,
     TypedText,
     view,
 )
-from humanopts_teach.lesson.presentation import CriterionShown, FeatureShown, Line, TARGET, Tone
 from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
 from humanopts_teach.terminal.drawing import drawn
 import pytest

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 from humanopts_teach.dialogue.app import Keys
 from humanopts_teach.dialogue.entry import MOST_CHARACTERS, PAGE
 from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, key_of, LEFT, UP
-from humanopts_teach.dialogue.panel import Block, Choices, TypedText, View
-from humanopts_teach.lesson.presentation import TARGET
+from humanopts_teach.dialogue.panel import Block, Choices, TARGET, TypedText, View
 from humanopts_teach.report.pages import page_style, templates
 from humanopts_teach.state_drawing import board_svg, notes_html
 from markdown_it import MarkdownIt

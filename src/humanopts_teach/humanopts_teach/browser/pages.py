@@ -15,8 +15,7 @@ from humanopts_teach.browser.seats import Press, Seats
 from humanopts_teach.dialogue.app import App, MOST_KEYS
 from humanopts_teach.dialogue.entry import TextScreen
 from humanopts_teach.dialogue.menu import opening
-from humanopts_teach.dialogue.panel import panel, View
-from humanopts_teach.lesson.presentation import Line, Tone
+from humanopts_teach.dialogue.panel import Line, panel, Tone, View
 from humanopts_teach.lesson.store import CODE, CODE_RULE
 from nicegui import Client, ui
 import uvicorn

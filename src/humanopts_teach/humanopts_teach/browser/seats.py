@@ -9,8 +9,7 @@ from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from typing import Protocol
 
-from humanopts_teach.dialogue.panel import Panel, View
-from humanopts_teach.lesson.presentation import Line, Tone
+from humanopts_teach.dialogue.panel import Line, Panel, Tone, View
 
 FAREWELL = 'Everything taught is saved.'
 Press = Callable[[list[str], int], None]  # keys, and the number of the frame they were pressed on

@@ -1,7 +1,7 @@
 """Screens in which the game is played: by the person, by a taught option, by a plan."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, KW_ONLY
+from dataclasses import dataclass, KW_ONLY, replace
 from functools import partial
 from typing import ClassVar
 
@@ -35,6 +35,7 @@ EXECUTIONS = {
 PACE = (Command.PAUSE, Command.STEP, Command.SLOWER, Command.FASTER)  # while the machine drives
 PERIODS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.0)  # s between steps of the machine
 _COMMANDS = (Command.NEW_START, Command.MENU, Command.HELP, Command.QUIT)
+_IDLE = (Command.NEW_START, Command.RUN_HERE, Command.UNCOVERED)  # while the machine drives
 _NOT_KNOWN = (
     'What no option covers is known of plans with your options alone, in games whose states can '
     'all be listed.'
@@ -54,9 +55,8 @@ def set_pace(command: Command, app: App) -> None:
 
 
 def pace_words(app: App) -> dict[Command, str]:
-    """Return what the keys of the pace do."""
-    pause = 'go on' if app.world.paused_by else 'wait'
-    return dict(zip(PACE, (pause, 'single step', 'slower', 'faster')))
+    """Return what the keys of the pace do, where that is not what their names say."""
+    return {Command.PAUSE: 'go on'} if app.world.paused_by else {}
 
 
 @dataclass
@@ -109,20 +109,13 @@ class PlayScreen(Screen):
 
     def keys(self, app: App) -> Keys:
         """Return the keys and what they do."""
-        words = {
-            Command.NEW_START: 'new start',
-            Command.MENU: 'stop it' if app.run is not None else 'menu',
-            Command.HELP: 'help',
-            Command.QUIT: 'quit',
-            **self.words,
-            **pace_words(app),
-        }
-        idle = (
-            {Command.NEW_START, Command.RUN_HERE, Command.PLACES} if app.run is not None else set()
-        )
+        running = app.run is not None
+        words = {Command.MENU: 'stop it'} if running else {}
+        table, idle = self.table(app), _IDLE if running else ()
+        commands = {key: command for key, command in table.commands.items() if command not in idle}
         actions = [(label(action.key), action.name) for action in app.domain.actions]
-        commands = self.table(app).commands.items()
-        return actions + [(label(key), words[c]) for key, c in commands if c not in idle]
+        shown = replace(table, commands=commands)
+        return actions + shown.labelled({**words, **self.words, **pace_words(app)})
 
     def _out(self, app: App) -> None:
         if app.run is not None:
@@ -145,7 +138,6 @@ class RunScreen(PlayScreen):
     """The machine runs one taught option; a person's action key takes over."""
 
     commands: ClassVar[Sequence[Command]] = (Command.RUN_HERE, *_COMMANDS)
-    words: ClassVar[Mapping[Command, str]] = {Command.RUN_HERE: 'run it from here'}
     text: str = 'The machine runs it from the state shown. An action key takes over.'
     _: KW_ONLY
     option_name: str
@@ -169,14 +161,10 @@ class WatchScreen(PlayScreen):
     commands: ClassVar[Sequence[Command]] = (
         Command.RUN_HERE,
         Command.EXECUTION,
-        Command.PLACES,
+        Command.UNCOVERED,
         *_COMMANDS,
     )
-    words: ClassVar[Mapping[Command, str]] = {
-        Command.RUN_HERE: 'plan and play',
-        Command.EXECUTION: 'other arbitration',
-        Command.PLACES: 'what is not covered',
-    }
+    words: ClassVar[Mapping[Command, str]] = {Command.RUN_HERE: 'plan and play'}
     title: str = f'Watch the machine play {EPISODES} episodes'
     text: str = 'It plans first, then plays. An action key takes over.'
     _: KW_ONLY
@@ -187,8 +175,8 @@ class WatchScreen(PlayScreen):
     def press(self, key: str, app: App) -> None:
         """Change the execution, also of a run under way; do with other keys as elsewhere."""
         command = self.table(app).command(key)
-        if command is Command.PLACES and app.run is None:
-            self._show_places(app)
+        if command is Command.UNCOVERED and app.run is None:
+            self._show_uncovered(app)
         if command is not Command.EXECUTION:
             super().press(key, app)
             return
@@ -224,10 +212,10 @@ class WatchScreen(PlayScreen):
                 PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
             )
         elif well and app.world.uncovered:
-            number, key = len(app.world.uncovered), self.table(app).key(Command.PLACES)
+            number, key = len(app.world.uncovered), self.table(app).key(Command.UNCOVERED)
             app.say(f'{app.message.text} {number} places are not covered: {key} lists them.')
 
-    def _show_places(self, app: App) -> None:
+    def _show_uncovered(self, app: App) -> None:
         """List where the options of the plan cannot start, or are worth less than single steps."""
         if not app.world.uncovered:
             known = app.world.uncovered is not None

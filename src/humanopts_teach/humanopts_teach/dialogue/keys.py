@@ -15,56 +15,40 @@ _LABELS |= {BACKSPACE: 'Backspace', SPACE: 'Space', INTERRUPT: 'Ctrl-C'}
 
 
 class Command(Enum):
-    """What a person can ask for besides the domain's actions."""
+    """
+    What a person can ask for besides the domain's actions.
 
-    DONE = 'done'
-    START_AGAIN = 'start again'
-    NOT_HERE = 'not here'
-    DISCARD = 'discard'
-    UNDO = 'undo'
-    DEMONSTRATIONS = 'demonstrations'
-    WATCH = 'watch'
-    BACK = 'back'
-    QUESTIONS = 'questions'
-    BEGIN = 'begin'
-    PAUSE = 'pause'
-    STEP = 'step'
-    SLOWER = 'slower'
-    FASTER = 'faster'
-    PLACES = 'places'
-    RUN = 'run'
-    RUN_HERE = 'run here'
-    NEW_START = 'new start'
-    EXECUTION = 'execution'
-    MENU = 'menu'
-    HELP = 'help'
-    QUIT = 'quit'
+    :ivar words: what its key does, beside it on the screen.
+    :ivar wanted: its keys by preference.
+    """
+
+    DONE = 'done', [ENTER]
+    START_AGAIN = 'start again', 'sa'
+    NOT_HERE = 'not here', 'nh'
+    DISCARD = 'discard', [BACKSPACE]
+    UNDO = 'undo a step', 'uz'
+    DEMONSTRATIONS = 'what was shown', 'lb'
+    WATCH = 'watch and correct', 'wv'
+    BACK = 'back a question', [BACKSPACE]
+    QUESTIONS = 'questions', 'ek'
+    BEGIN = 'begin', [ENTER]
+    PAUSE = 'wait', [SPACE]
+    STEP = 'single step', '.,'
+    SLOWER = 'slower', '-'
+    FASTER = 'faster', '+'
+    UNCOVERED = 'what is not covered', 'cy'
+    RUN = 'run it', 'rg'
+    RUN_HERE = 'run it from here', [ENTER]
+    NEW_START = 'new start', 'no'
+    EXECUTION = 'other arbitration', 'xm'
+    MENU = 'menu', [ESCAPE]
+    HELP = 'help', '?h'
+    QUIT = 'quit', 'qQ'
+
+    def __init__(self, words: str, wanted: Sequence[str]) -> None:
+        self.words, self.wanted = words, wanted
 
 
-_WANTED: Mapping[Command, Sequence[str]] = {  # keys by preference
-    Command.DONE: [ENTER],
-    Command.START_AGAIN: 'sa',
-    Command.NOT_HERE: 'nh',
-    Command.DISCARD: [BACKSPACE],
-    Command.UNDO: 'uz',
-    Command.DEMONSTRATIONS: 'lb',
-    Command.WATCH: 'wv',
-    Command.BACK: [BACKSPACE],
-    Command.PAUSE: [SPACE],
-    Command.STEP: '.,',
-    Command.SLOWER: '-',
-    Command.FASTER: '+',
-    Command.PLACES: 'cy',
-    Command.QUESTIONS: 'ek',
-    Command.BEGIN: [ENTER],
-    Command.RUN: 'rg',
-    Command.RUN_HERE: [ENTER],
-    Command.NEW_START: 'no',
-    Command.EXECUTION: 'xm',
-    Command.MENU: [ESCAPE],
-    Command.HELP: '?h',
-    Command.QUIT: 'qQ',
-}
 _SPARE = string.ascii_lowercase + string.digits + string.ascii_uppercase
 
 
@@ -83,6 +67,14 @@ class KeyTable:
         """Return the command of a key, in either case; None: it has none."""
         return self.commands.get(key) or self.commands.get(_other_case(key, self.actions))
 
+    def labelled(self, words: Mapping[Command, str]) -> list[tuple[str, str]]:
+        """
+        Return the labels of the commands' keys, and what these do.
+
+        :param words: of commands that do something else here than by their name.
+        """
+        return [(label(key), words.get(c, c.words)) for key, c in self.commands.items()]
+
     def key(self, command: Command) -> str:
         """Return the label of the key of a command that the table has."""
         return label(next(key for key, found in self.commands.items() if found is command))
@@ -93,7 +85,7 @@ def key_table(actions: Sequence[Action], commands: Iterable[Command]) -> KeyTabl
     taken = {action.key for action in actions}
     table: dict[str, Command] = {}
     for command in commands:
-        wanted = (*_WANTED[command], *_SPARE)
+        wanted = (*command.wanted, *_SPARE)
         table[next(key for key in wanted if key not in taken and key not in table)] = command
     return KeyTable({action.key: action.name for action in actions}, table)
 

@@ -1,14 +1,21 @@
 """
 What the person sees, as plain values: the terminal and the page in the browser only draw them.
 
-A screen of a new kind registers with ``panel`` what it shows beside and below the board.
+Everything is computed here from the published state and the screen. A screen of a new kind
+registers with ``panel`` what it shows beside and below the board.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from functools import singledispatch
 import math
 
+from humanopts_env.domains.capabilities import feature_groups
+from humanopts_env.game import Transition
+from humanopts_learner.demonstrations import GOAL, METHODS
+from humanopts_learner.options.conflicts import NO_START
+from humanopts_learner.options.criteria import Criterion, fewest, likely_range, RETURN
 from humanopts_learner.planning.request import MODULAR
 from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.dialogue.driving import EXECUTIONS, PlayScreen, WatchScreen
@@ -22,12 +29,54 @@ from humanopts_teach.dialogue.entry import (
 )
 from humanopts_teach.dialogue.study import PageScreen, QuestionScreen
 from humanopts_teach.dialogue.teaching import LessonScreen
-from humanopts_teach.lesson import presentation
-from humanopts_teach.lesson.presentation import CriterionShown, FeatureShown, Line, Tone
-from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
+from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase, World
 from humanopts_teach.state_drawing import draw_state, StateDrawing
 
+TARGET = 1 / 3  # of the length of a bar: where a criterion begins to hold
 _BARE = {Phase.READY, Phase.DEMONSTRATING, Phase.LEARNING}  # only chosen features are shown
+
+
+class Tone(Enum):
+    """What kind of thing a line says."""
+
+    PLAIN = 'plain'
+    QUIET = 'quiet'  # read when it is looked for
+    NEWS = 'news'  # where we are now
+    GOOD = 'good'
+    WARNING = 'warning'
+    BAD = 'bad'
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A sentence or a few words."""
+
+    text: str
+    tone: Tone = Tone.PLAIN
+    strong: bool = False
+    more: tuple['Line', ...] = ()  # goes on in the same line, with tones of its own
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureShown:
+    """A feature that the option depends on."""
+
+    name: str
+    value: str  # in the state that is shown; empty: no demonstration is under way
+
+
+@dataclass(frozen=True, slots=True)
+class CriterionShown:
+    """A criterion beside what it needs."""
+
+    mark: str
+    name: str
+    now: str
+    needs: str
+    tone: Tone
+    share: float | None  # of a bar that is filled, 0 to 1; None: it is not measured
+
+
 GAP = Line('')
 
 
@@ -207,62 +256,199 @@ def _question(screen: QuestionScreen, app: App) -> Panel:
 
 @panel.register
 def _play(screen: PlayScreen, app: App) -> Panel:
-    game, running = app.world.game, app.run is not None
+    world, game = app.world, app.world.game
     lines = [Line(screen.title, strong=True), Line(screen.text, Tone.QUIET)]
     if isinstance(screen, WatchScreen):
         lines.append(Line(f'Arbitration: {EXECUTIONS[screen.in_force(app)]}.'))
     lines.append(GAP)
-    if running:
-        lines.append(Line(f'The machine drives. {app.run_text}', Tone.NEWS))
-        lines.append(presentation.pace(app.world))
+    if app.run is not None:
+        lines += [Line(f'The machine drives. {app.run_text}', Tone.NEWS), _pace(world)]
         if isinstance(screen, WatchScreen) and screen.in_force(app) in MODULAR:
-            lines += _given(presentation.winner(app.world))
-        elif isinstance(screen, WatchScreen) and app.world.running:
-            lines.append(Line(f'It runs: {app.world.running.replace("action:", "one step ")}'))
+            lines += _winner(world)
+        elif isinstance(screen, WatchScreen) and world.running:
+            lines.append(Line(f'It runs: {world.running.replace("action:", "one step ")}'))
     if game is not None and game.episode:
-        lines.append(Line(f'episode {game.episode}, step {game.step}'))
-        lines += _given(presentation.last_step(app.world), presentation.ending(app.world))
+        lines += [Line(f'episode {game.episode}, step {game.step}'), *_last_step(world)]
+        if game.terminated:
+            lines.append(Line('The task is over.', Tone.NEWS))
+        elif game.truncated:
+            lines.append(Line('The episode is over: it is at its step limit.', Tone.WARNING))
     return Panel(lines)
+
+
+def _pace(world: World) -> Line:
+    """Return how fast the machine moves."""
+    if world.paused_by:
+        return Line('The machine waits.', Tone.WARNING)
+    return Line(f'A step every {world.step_period:g} s at least.', Tone.QUIET)
+
+
+def _winner(world: World) -> Iterator[Line]:
+    """Yield which option took the last step, where one did and it is known."""
+    game = world.game or Transition()
+    if option := world.acted.get((game.action_publisher_id, game.action_sequence)):
+        yield Line(f'{option} won this step.')
+
+
+def _last_step(world: World) -> Iterator[Line]:
+    """Yield what the last step did and its reward, where one was taken."""
+    game, effect = world.game, world.last_effect
+    if game is not None and game.step:
+        text = effect.text if effect is not None else f'last: {game.previous_action}'
+        without = effect is not None and not effect.changed
+        yield Line(f'{text} (reward {game.reward:g})', Tone.WARNING if without else Tone.PLAIN)
 
 
 @panel.register
 def _lesson(screen: LessonScreen, app: App) -> Panel:
-    lesson = app.world.lesson
+    world, lesson = app.world, app.world.lesson
     if lesson is None:
         return Panel((GAP,))
     title = Line('Teaching: ', more=(Line(lesson.option_name, strong=True),))
     if lesson.phase is Phase.ASKING:
-        group = app.groups.open_group(app.domain, lesson)
-        asked, *rest = presentation.question(app.domain, lesson, group)
-        return Panel((title, GAP, asked, GAP, *rest))
-    progress = app.world.progress_of(lesson.participant, lesson.option_name)
-    parts: list[Block] = [title, presentation.place(app.world, lesson)]
+        return Panel((title, GAP, *_question_lines(app, lesson)))
+    progress = world.progress_of(lesson.participant, lesson.option_name)
+    parts: list[Block] = [title, _standing(world, lesson)]
     if app.run is not None:
-        parts.append(Line('The machine shows what it learned.', Tone.NEWS))
-        parts.append(presentation.pace(app.world))
+        parts += [Line('The machine shows what it learned.', Tone.NEWS), _pace(world)]
     if lesson.phase is Phase.DEMONSTRATING:
-        parts += _given(presentation.last_step(app.world))
-    features = presentation.features(app.world, lesson)
-    parts.append(Features(features, presentation.hidden(app.domain, lesson)))
-    parts += _given(presentation.planned(lesson))
-    parts += _criteria(lesson, progress)
-    if progress is None:
-        return Panel(parts)
-    below = _given(
-        None if math.isnan(progress.mean_return_policy) else presentation.returns(progress),
-        presentation.outdated(lesson, progress),
-        *presentation.conflicts(progress, screen.questions_key(app)),
-        presentation.ends(progress, *screen.ending_keys(app)),
-    )
-    return Panel(parts, below)
-
-
-def _criteria(lesson: LessonView, progress: OptionStatus | None) -> list[Block]:
+        parts += _last_step(world)
+    parts.append(_features(app, lesson))
+    if lesson.method == GOAL:
+        parts.append(Line(f'policy {METHODS[GOAL]}', Tone.QUIET))
     if progress is None or not progress.criteria:
-        return [Line('Nothing is learned yet.')]
-    rows = Criteria(presentation.criteria(progress))
-    return [presentation.heading(progress), rows, presentation.estimate(lesson, progress)]
+        parts.append(Line('Nothing is learned yet.'))
+    else:
+        way = 'goal' if progress.method == GOAL else 'trees'
+        parts += [
+            Line(f'By {way}, on starts it has not seen:', Tone.QUIET),
+            Criteria([_criterion(criterion) for criterion in progress.criteria]),
+            _estimate(lesson, progress),
+        ]
+    return Panel(parts, [] if progress is None else list(_remarks(screen, app, lesson, progress)))
 
 
-def _given(*lines: Line | None) -> list[Line]:
-    return [line for line in lines if line is not None]
+def _question_lines(app: App, lesson: LessonView) -> tuple[Line, ...]:
+    """Return the open question, how many there are, and what was answered."""
+    names = [feature.name for feature in app.domain.features]
+    number = names.index(lesson.question_feature) + 1 if lesson.question_feature in names else 0
+    text, which = lesson.question, f'question {number} of {lesson.questions_total}'
+    group = app.groups.open_group(app.domain, lesson)
+    if group is not None:
+        text = f"Does the '{lesson.option_name}' option depend on anything about {group.words}?"
+        which = f'At yes, {len(group.features)} features of {group.words} are asked about.'
+    yes = ', '.join(map(_plain, lesson.chosen_features)) or 'nothing yet'
+    asked = Line(text, strong=True)
+    return asked, GAP, Line(which, Tone.QUIET), Line(f'It depends on: {yes}')
+
+
+def _standing(world: World, lesson: LessonView) -> Line:
+    """Return where the lesson stands, and how much was shown."""
+    game, shown = world.game, lesson.n_demonstrations + lesson.n_not_here
+    where = f'Enter shows start {shown + 1}.'
+    if lesson.phase is Phase.DEMONSTRATING and game is not None:
+        where = f'start {shown + 1}, step {game.step}' if game.step else f'next: start {shown + 1}'
+    elif lesson.phase is Phase.LEARNING:
+        where = 'learning ...'
+    elif lesson.phase is Phase.FINISHED:
+        where = 'This lesson is finished.'
+    elif lesson.paused:
+        where = 'The lesson is paused.'
+    counts = f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here'
+    shown_so_far = Line(f'  ({counts}; at most {lesson.budget})', Tone.QUIET)
+    return Line(where, Tone.NEWS, more=(shown_so_far,))
+
+
+def _features(app: App, lesson: LessonView) -> Features:
+    """Return what the option depends on, with its values in the state that is shown."""
+    domain, game = app.domain, app.world.game
+    values: Sequence[int] = []
+    if game is not None and game.state and lesson.phase is Phase.DEMONSTRATING:
+        values = domain.feature_values(domain.decode(game.state)).tolist()
+    shown = [
+        FeatureShown(_plain(feature.name), feature.values[values[index]] if len(values) else '')
+        for index, feature in enumerate(domain.features)
+        if feature.name in lesson.chosen_features
+    ]
+    groups = feature_groups(domain)
+    unseen = [g.words for g in groups if not set(lesson.chosen_features) & set(g.features)]
+    hidden = f'hidden: {", ".join(unseen)}' if unseen else 'all else is hidden'
+    return Features(shown, hidden if len(shown) < len(domain.features) else '')
+
+
+def _plain(name: str) -> str:
+    """Return the name of a feature as people read it."""
+    return name.replace('_', ' ')
+
+
+def _criterion(criterion: Criterion) -> CriterionShown:
+    value, threshold = criterion.value, criterion.threshold
+    if criterion.name == RETURN:
+        now = (
+            f'{abs(value):.2f} {"worse" if value >= 0 else "better"}' if value is not None else ''
+        )
+        needs = f'{threshold:.2f}'
+    else:
+        now = f'{100 * value:.1f} % wrong' if value is not None else ''
+        needs = f'{100 * threshold:.1f} %'
+    return CriterionShown(
+        '✓' if criterion.met else '?' if criterion.undecided else '·',
+        criterion.name,
+        now or 'not measured',  # shorter than the verdict: a window has 80 columns
+        f'≤ {needs}',
+        Tone.GOOD if criterion.met else Tone.WARNING,
+        None if value is None else _share(value, threshold),
+    )
+
+
+def _share(value: float, threshold: float) -> float:
+    """Return how far a bar is filled whose mark, at ``TARGET``, is the threshold."""
+    if threshold <= 0:
+        return 0.0 if value <= threshold else 1.0
+    return min(max(TARGET * value / threshold, 0.0), 1.0)
+
+
+def _estimate(lesson: LessonView, progress: OptionStatus) -> Line:
+    """Return how far it is until the criteria hold."""
+    if progress.criteria_met:
+        goes_on = lesson.phase in {Phase.READY, Phase.DEMONSTRATING}
+        still = goes_on and set(progress.features) == set(lesson.chosen_features)
+        but = ', but from some starts it still fails.' if still else '.'
+        return Line(f'All criteria hold{but}', Tone.GOOD)
+    if progress.n_demonstrations < (least := fewest(lesson.method)):
+        return Line(f'Measured from {least} demonstrations on.')
+    undecided = [c.name for c in progress.criteria if c.undecided]
+    why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
+    if progress.more_needed < 0 or progress.method == GOAL:
+        return Line(f'How many more it takes cannot be told yet{why}.')
+    low, high = likely_range(progress.more_needed)
+    return Line(f'Perhaps {low} to {high} more are needed{why}.')
+
+
+def _remarks(
+    screen: LessonScreen, app: App, lesson: LessonView, progress: OptionStatus
+) -> Iterator[Line]:
+    """Yield what else there is to know of what was learned, and what to press about it."""
+    yours, its = progress.mean_return_demonstrations, progress.mean_return_policy
+    if not math.isnan(its):
+        text = f'on starts it has seen, mean return: yours {yours:.2f}, the option {its:.2f}'
+        yield Line(text, Tone.QUIET)
+    changed = (progress.method == GOAL) != (lesson.method == GOAL)
+    if changed or set(progress.features) != set(lesson.chosen_features):
+        yield Line('These are for the earlier answers: show one more.', Tone.WARNING)
+    if progress.conflicts:
+        more = len(progress.conflicts) - 1
+        also = f' (and {more} more)' if more else ''
+        yield Line(f'Alike, but shown differently{also}:', Tone.WARNING)
+        yield Line(progress.conflicts[0])
+    if progress.conflicts and progress.suggested_feature:
+        key = screen.questions_key(app)
+        how = f' ({key})' if key else ''
+        text = f'Add "{_plain(progress.suggested_feature)}"{how}: it tells most apart.'
+        yield Line(text, Tone.WARNING)
+    elif not progress.suggested_feature and any(NO_START in text for text in progress.conflicts):
+        # Some say that it can start here, and some not; where a feature is missing, that is why.
+        again_key, list_key = screen.ending_keys(app)
+        slip = f'If the last one was a slip, delete it ({list_key}).'
+        text = f'{slip} Where an end can be a start, press {again_key} before done.'
+        yield Line(text, Tone.WARNING)

@@ -13,7 +13,6 @@ from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.dialogue.driving import PACE, pace_words, set_pace
 from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen, Item, ListScreen
 from humanopts_teach.dialogue.keys import Command, ENTER, key_table, KeyTable, label, SPACE
-from humanopts_teach.lesson import presentation
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -61,21 +60,6 @@ _IN_PHASE: dict[Phase, tuple[Command, ...]] = {
     ),
 }
 _ELSE = (Command.MENU, Command.HELP, Command.QUIT)
-_SHORT = {
-    Command.DONE: 'done',
-    Command.NOT_HERE: 'not here',
-    Command.DISCARD: 'discard',
-    Command.UNDO: 'undo a step',
-    Command.DEMONSTRATIONS: 'what was shown',
-    Command.WATCH: 'watch and correct',
-    Command.BACK: 'back a question',
-    Command.QUESTIONS: 'questions',
-    Command.BEGIN: 'begin',
-    Command.RUN: 'run it',
-    Command.MENU: 'menu',
-    Command.HELP: 'help',
-    Command.QUIT: 'quit',
-}
 _LONG = {
     Command.DONE: 'the option ends here: keep this demonstration',
     Command.START_AGAIN: 'with done: the option could start again where it ended, or could not',
@@ -203,10 +187,10 @@ class LessonScreen(Screen):
         if phase is Phase.DEMONSTRATING:
             first = [(label(action.key), action.name) for action in app.domain.actions]
         again = f'can restart at its end: {"YES" if _can_start_again(app) else "no"}'
-        words = _SHORT | {Command.START_AGAIN: again} | pace_words(app)
+        words = {Command.START_AGAIN: again, **pace_words(app)}
         if phase is Phase.FINISHED:
             words[Command.BEGIN] = 'show one more'
-        return first + [(label(key), words[command]) for key, command in table.commands.items()]
+        return first + table.labelled(words)
 
     def _carry_out(self, command: Command, lesson: LessonView, app: App) -> None:
         def leave(words: str, go: Callable[[App], None]) -> None:
@@ -319,9 +303,7 @@ class LessonScreen(Screen):
             return
         back = partial(self._show_demonstrations, shown)
         items = [
-            Item(
-                *presentation.demonstration(demo), partial(self._show_one, demo, back), demo.states
-            )
+            Item(*_in_words(demo), partial(self._show_one, demo, back), demo.states)
             for demo in reversed(shown)
         ]
         app.show(ListScreen('What was shown, the newest first', items, back=self._back))
@@ -332,7 +314,7 @@ class LessonScreen(Screen):
         if not demo.withdrawn:
             note = 'it counts no more, and its start comes again'
             items.append(Item('Delete it', note, partial(self._delete, demo.uuid), states))
-        title = ' '.join(presentation.demonstration(demo))
+        title = ' '.join(_in_words(demo))
         app.show(ListScreen(title, items, back))
 
     def _show_contradiction(self, answer: Answer, app: App) -> None:
@@ -373,6 +355,18 @@ class LessonScreen(Screen):
     def _ask_again(self, lesson: LessonView, app: App) -> None:
         app.show(self)
         app.ask(DefineOption(lesson.option_name, ask_again=True))
+
+
+def _in_words(demo: Demonstration) -> tuple[str, str]:
+    """Return a demonstration in a few words, and what else there is to say."""
+    steps = len(demo.actions)
+    what = f'{steps} step{"s"[: steps != 1]}, return {demo.total_reward:g}'
+    notes = [f'by {demo.method}', f'{demo.seconds:.0f} s']
+    if demo.machine_steps:
+        notes.append(f'{demo.machine_steps} by the machine')
+    if demo.withdrawn:
+        notes.append('DELETED')
+    return f'no. {demo.number}: {what if steps else "not here"}', ', '.join(notes)
 
 
 def _can_skip(lesson: LessonView) -> bool:
@@ -437,8 +431,7 @@ def _help(app: App) -> Sequence[tuple[str, str]]:
     leave = (label('ctrl-c'), 'leave at once')
     if _phase(app) is Phase.ASKING:
         table = key_table((), _IN_PHASE[Phase.ASKING])
-        commands = [(label(key), _LONG.get(c, _SHORT[c])) for key, c in table.commands.items()]
-        return [*_question_keys(app), *commands, leave]
+        return [*_question_keys(app), *table.labelled(_LONG), leave]
     table = _showing(app)
     actions = [(label(action.key), action.description) for action in app.domain.actions]
     commands = [(label(key), _LONG[c]) for key, c in table.commands.items() if c in _LONG]

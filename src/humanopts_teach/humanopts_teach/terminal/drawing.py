@@ -14,12 +14,13 @@ from humanopts_teach.dialogue.panel import (
     Criteria,
     Features,
     KeyList,
+    Line,
     Page,
+    Tone,
     TypedText,
     View,
     view,
 )
-from humanopts_teach.lesson.presentation import Line, Tone
 from humanopts_teach.state_drawing import StateDrawing
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, ConsoleOptions, Group, RenderableType
