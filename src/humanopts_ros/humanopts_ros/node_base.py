@@ -435,7 +435,7 @@ class NodeBase(Node):
         except PublishError as error:
             self.get_logger().error(str(error))
 
-    def tell_life(self) -> None:
+    def publish_status_again(self) -> None:
         """Publish the node's state again, as a sign that it goes on."""
         self.set_status(self._own_state, self._own_text)
 
@@ -496,13 +496,13 @@ class NodeBase(Node):
         """Publish soon what was refused or failed, at a limited rate."""
         if self._remark_timer.is_canceled():
             self._remark_timer.reset()
-            self.tell_life()
+            self.publish_status_again()
 
     def _on_remark_timer(self) -> None:
         if self._remark_sent == self.guard.remark:
             self._remark_timer.cancel()
         else:
-            self.tell_life()
+            self.publish_status_again()
 
     def _try_start(self) -> None:
         try:

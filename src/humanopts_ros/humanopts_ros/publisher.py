@@ -73,7 +73,7 @@ class StampedPublisher(Generic[M]):
         """Return whether every subscription of the topic would get a message."""
         return bool(self._publisher.get_subscription_count() >= len(self.readers()))
 
-    def heard_by(self, node_name: str) -> bool:
+    def is_matched_by(self, node_name: str) -> bool:
         """Return whether a node's subscription is matched, so that a message would arrive."""
         return self.is_matched() and node_name in self.readers()
 

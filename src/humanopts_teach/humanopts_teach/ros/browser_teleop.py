@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 import threading
-import time
 import traceback
 from typing import Any
 
@@ -10,12 +9,11 @@ from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase
 from humanopts_teach.dialogue.panel import View, view
-from humanopts_teach.ros.teleop import PARTING_SECONDS, POLL_SECONDS, TeleopNode
+from humanopts_teach.ros.teleop import POLL_SECONDS, TeleopNode
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
 _IDLE_SECONDS = 0.1  # between looks at what is due where nothing happens
@@ -44,8 +42,6 @@ class BrowserTeleopNode(TeleopNode):
         self.app.way_out = _WAY_OUT
         self._show_frame, self._tell_end = show, ended
         self._said_end = False
-        self.answers: list[Future] | None = None  # to the last requests; None: it goes on
-        self._until = 0.0
 
     def turn_once(self) -> None:
         """Do what is due; an error ends this dialogue and no other."""
@@ -59,16 +55,6 @@ class BrowserTeleopNode(TeleopNode):
         if self.app.ended and not self._said_end:
             self._said_end = True
             self._tell_end()
-
-    def begin_parting(self) -> None:
-        """Make the last requests."""
-        self.answers, self._until = self.part(), time.monotonic() + PARTING_SECONDS
-
-    @property
-    def parted(self) -> bool:
-        """Whether the last requests are answered, or nobody answers them in time."""
-        late = time.monotonic() > self._until
-        return self.answers is not None and (late or all(f.done() for f in self.answers))
 
 
 class TeleopThread:
@@ -127,10 +113,10 @@ class TeleopThread:
 
     def _run(self) -> None:
         while not self._ending:
-            busy = any(node.busy or node.answers is not None for node in self._nodes)
+            busy = any(node.busy or node.last_answers is not None for node in self._nodes)
             self._spin(POLL_SECONDS if busy else _IDLE_SECONDS)
             for node, then in list(self._nodes.items()):
-                if node.answers is None:
+                if node.last_answers is None:
                     node.turn_once()
                 elif node.parted:
                     self._leave(node)

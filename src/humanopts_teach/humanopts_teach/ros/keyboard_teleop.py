@@ -3,10 +3,9 @@
 from collections.abc import Callable
 from functools import partial
 import sys
-import time
 
 from humanopts_ros.process import run_node
-from humanopts_teach.ros.teleop import PARTING_SECONDS, POLL_SECONDS, TeleopNode
+from humanopts_teach.ros.teleop import POLL_SECONDS, TeleopNode
 from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.drawing import frame
 from rclpy.executors import Executor
@@ -22,7 +21,9 @@ class KeyboardTeleopNode(TeleopNode):
         with Device(_FAREWELL) as device:
             while not (stop() or self.app.ended or device.closed):
                 self._turn(executor, device)
-        self._part(executor)
+        self.begin_parting()
+        while not self.parted:
+            self.turn(executor, POLL_SECONDS)
 
     def _turn(self, executor: Executor, device: Device) -> None:
         self.turn(executor, POLL_SECONDS)
@@ -31,12 +32,6 @@ class KeyboardTeleopNode(TeleopNode):
         if self.frame_due() or device.resized():
             device.draw(partial(frame, self.app))
             self.drawn()
-
-    def _part(self, executor: Executor) -> None:
-        """Make the last requests, as far as somebody is there to answer them."""
-        until, pending = time.monotonic() + PARTING_SECONDS, self.part()
-        while not all(future.done() for future in pending) and time.monotonic() < until:
-            self.turn(executor, POLL_SECONDS)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -97,7 +97,7 @@ class LessonClient:
             kind: node.recorded_client(*service) for kind, service in self._services.items()
         }
         self._action = node.stamped_publisher(msg.ActionCommand, 'action')
-        self._renewal = node.create_timer(_RENEWAL, node.tell_life, autostart=False)
+        self._renewal = node.create_timer(_RENEWAL, node.publish_status_again, autostart=False)
         self._game = GameSubscriber(node, self._on_domain)
         self._restarts = NodeRestarts(node, self._on_restart)
         self._subscriptions = [
@@ -131,7 +131,7 @@ class LessonClient:
         for topic, found in (('domain_info', self.domain), ('lesson_state', self.lesson)):
             if found is None:
                 return topic
-        if not self._action.heard_by('game'):
+        if not self._action.is_matched_by('game'):
             return 'game'
         clients = self._clients.values()
         return next((c.srv_name for c in clients if not c.service_is_ready()), None)
@@ -207,7 +207,7 @@ class LessonClient:
     def is_ready(self, request: ServiceRequest | Drive) -> bool:
         """Return whether the receiver is matched: a request sent before would be lost."""
         if isinstance(request, Drive):
-            return self._action.heard_by('game')
+            return self._action.is_matched_by('game')
         return bool(self._clients[type(request)].service_is_ready())
 
     def send(self, request: ServiceRequest | Drive) -> Future:
@@ -289,7 +289,7 @@ class LessonClient:
         world.holder, world.paused_by = control.holder_id, control.paused_by
         world.step_period = control.step_period
         if world.me in (world.holder, world.paused_by):
-            self._node.tell_life()
+            self._node.publish_status_again()
             self._renewal.reset()
         else:
             self._renewal.cancel()
