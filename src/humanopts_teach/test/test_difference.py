@@ -6,15 +6,14 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_teach.evaluation.bag_evaluation import evaluate
-from humanopts_teach.evaluation.difference import compare, Difference, difference_text, Lesson
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
+from humanopts_teach.evaluation.difference import compare, Difference, difference_text
 from humanopts_teach.evaluation.measures import Settings
 import pytest
 
 
-def lesson(domain: Domain[Any], demos: list[Demonstration], seed: int = 5) -> Lesson:
-    evaluation = evaluate(demos, domain, Settings(seed))
-    return Lesson(evaluation, {demo.uuid: demo for demo in demos})
+def lesson(domain: Domain[Any], demos: list[Demonstration], seed: int = 5) -> BagEvaluation:
+    return evaluate(demos, domain, Settings(seed))
 
 
 @pytest.fixture(scope='module')
@@ -26,7 +25,7 @@ def short(taxi_lesson: list[Demonstration]) -> list[Demonstration]:
 
 
 @pytest.fixture(scope='module')
-def whole(taxi: Domain[Any], short: list[Demonstration]) -> Lesson:
+def whole(taxi: Domain[Any], short: list[Demonstration]) -> BagEvaluation:
     return lesson(taxi, short)
 
 
@@ -35,7 +34,7 @@ def kinds(found: list[Difference]) -> set[str]:
 
 
 def test_a_lesson_does_not_differ_from_itself(
-    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+    taxi: Domain[Any], short: list[Demonstration], whole: BagEvaluation
 ) -> None:
     found = compare(whole, lesson(taxi, short))
     assert found == []
@@ -43,13 +42,13 @@ def test_a_lesson_does_not_differ_from_itself(
 
 
 def test_settings_are_compared_by_name(
-    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+    taxi: Domain[Any], short: list[Demonstration], whole: BagEvaluation
 ) -> None:
     assert Difference('setting', 'seed', 5, 6) in compare(whole, lesson(taxi, short, seed=6))
 
 
 def test_a_demonstration_that_is_missing_is_named_and_changes_what_is_learned(
-    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+    taxi: Domain[Any], short: list[Demonstration], whole: BagEvaluation
 ) -> None:
     found = compare(whole, lesson(taxi, short[1:]))
     (missing,) = (d for d in found if d.what == 'demonstration')
@@ -62,7 +61,7 @@ def test_a_demonstration_that_is_missing_is_named_and_changes_what_is_learned(
 
 
 def test_a_demonstration_that_was_taken_back_is_told_to_be_so(
-    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+    taxi: Domain[Any], short: list[Demonstration], whole: BagEvaluation
 ) -> None:
     withdrawn = replace(short[0], withdrawn=True)
     undone = lesson(taxi, [withdrawn, *short[1:]])
@@ -76,7 +75,7 @@ def test_a_demonstration_that_was_taken_back_is_told_to_be_so(
 
 
 def test_every_criterion_and_what_was_not_here_are_compared(
-    taxi: Domain[Any], taxi_lesson: list[Demonstration], whole: Lesson
+    taxi: Domain[Any], taxi_lesson: list[Demonstration], whole: BagEvaluation
 ) -> None:
     found = compare(whole, lesson(taxi, taxi_lesson))
     told = {d.of.split(' of ')[0] for d in found if d.what == 'criteria'}
@@ -85,7 +84,7 @@ def test_every_criterion_and_what_was_not_here_are_compared(
 
 
 def test_a_demonstration_that_was_changed_is_told_by_field(
-    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+    taxi: Domain[Any], short: list[Demonstration], whole: BagEvaluation
 ) -> None:
     slower = [replace(short[0], seconds=99.0), *short[1:]]
     (found,) = compare(whole, lesson(taxi, slower))
@@ -94,7 +93,7 @@ def test_a_demonstration_that_was_changed_is_told_by_field(
 
 
 def test_times_of_demonstrations_are_one_line_of_the_text(
-    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+    taxi: Domain[Any], short: list[Demonstration], whole: BagEvaluation
 ) -> None:
     slower = [replace(demo, seconds=demo.seconds + 2) for demo in short[:3]]
     found = compare(whole, lesson(taxi, [*slower, *short[3:]]))
@@ -106,7 +105,7 @@ def test_times_of_demonstrations_are_one_line_of_the_text(
 
 
 def test_participants_options_features_and_plans_are_compared(
-    taxi: Domain[Any], short: list[Demonstration], whole: Lesson
+    taxi: Domain[Any], short: list[Demonstration], whole: BagEvaluation
 ) -> None:
     found = compare(whole, lesson(taxi, [replace(d, participant='p2') for d in short]))
     assert Difference('participant', 'p1', True, None) in found

@@ -61,7 +61,7 @@ def test_publishers_are_told_apart_as_long_as_memory_allows() -> None:
     for number in range(MOST_STREAMS + 5):
         ledger.add('/game_state', Stamp(f'/made_up#{number}', 2))
     ledger.add('/game_state', Stamp('/made_up#0', 3))
-    assert (ledger.missing, ledger.uncounted) == (MOST_STREAMS, 5)
+    assert (ledger.missing, len(list(ledger))) == (MOST_STREAMS, MOST_STREAMS)
 
 
 def test_the_software_is_named() -> None:

@@ -23,10 +23,10 @@ from humanopts_teach.report.episode import episode_strip, Frame
 from humanopts_teach.report.findings import findings
 from humanopts_teach.report.pages import counted, DASH, MINUS, number, percent
 from humanopts_teach.report.people import (
-    demonstration_rows,
     people_findings,
+    shown_demonstrations,
     shown_return,
-    teacher_rows,
+    teachers,
 )
 from humanopts_teach.report.rules import option_rules
 from humanopts_teach.report.write import render_report, ReportData, write_evaluation_report
@@ -323,27 +323,22 @@ def test_every_demonstration_is_in_the_table_once_with_what_became_of_it(
     stray = replace(last, uuid='stray', number=99)
     shown = [*taxi_lesson[::-1], back, stray]  # repeated and out of order
     told = replace(evaluation, demonstrations=shown)
-    rows = demonstration_rows(told)
-    assert [row.number for row in rows] == [*range(1, 13), 99, *range(1, 13)]
-    assert [row.option for row in rows] == [last.option_name] * 13 + [back.option_name] * 12
-    assert [row.verdict for row in rows[13:]] == [
+    rows = shown_demonstrations(told)
+    names = [last.option_name] * 13 + [back.option_name] * 12
+    assert [demo.number for demo, _ in rows] == [*range(1, 13), 99, *range(1, 13)]
+    assert [demo.option_name for demo, _ in rows] == names
+    assert [verdict for _, verdict in rows[13:]] == [
         'taken back' if demo is taxi_lesson[3] else 'kept' if demo.actions else 'kept: not here'
         for demo in taxi_lesson[:12]
     ]
-    assert rows[12].verdict == 'left out'
-    for row, demo in zip(rows[:12], taxi_lesson[12:]):
-        total = sum(demo.rewards) if demo.actions else None
-        assert (row.start, row.steps, row.total, row.seconds) == (
-            *(demo.states[0], len(demo.actions)),
-            *(total, demo.seconds),
-        )
+    assert rows[12][1] == 'left out'
+    assert [demo for demo, _ in rows[:12]] == taxi_lesson[12:]
     corrected = [replace(demo, machine_steps=len(demo.actions)) for demo in taxi_lesson]
-    verdicts = {row.verdict for row in demonstration_rows(replace(told, demonstrations=corrected))}
+    rows = shown_demonstrations(replace(told, demonstrations=corrected))
+    verdicts = {verdict for _, verdict in rows}
     assert f'kept: the machine took the first {len(taxi_lesson[0].actions)}' in verdicts
-    assert [evaluation.demonstrations, demonstration_rows(evaluation)[0].verdict] == [
-        taxi_lesson,
-        'kept',
-    ]
+    assert evaluation.demonstrations == taxi_lesson
+    assert shown_demonstrations(evaluation)[0][1] == 'kept'
 
 
 def test_the_page_has_demonstrations_references_and_intervals(
@@ -373,10 +368,10 @@ def test_people_are_compared_by_option_and_by_their_plans(evaluation: BagEvaluat
         options=(*evaluation.options, *others),
         plans=(human, worse, replace(human, participant='cleo'), primitive),
     )
-    rows = teacher_rows(two)
-    assert [row.participant for row in rows] == ['p1', 'ben'] * 2
-    assert [row.option for row in rows] == [name for name in TAUGHT for _ in range(2)]
-    assert teacher_rows(evaluation) == []
+    taught = [option for option, _, _ in teachers(two)]
+    assert [option.participant for option in taught] == ['p1', 'ben'] * 2
+    assert [option.last.block.name for option in taught] == [n for n in TAUGHT for _ in range(2)]
+    assert teachers(evaluation) == []
     texts = [finding.text for finding in people_findings(two)]
     lost = np.arange(len(human.totals))
     half = stats.t.ppf(1 - 0.05 / 3 / 2, len(lost) - 1) * stats.sem(lost)

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from humanopts_teach.bags import BagError
-from humanopts_teach.bags.info import table
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.rosbag2 import Extent, FILE, profiles
 from humanopts_teach.bags.sequence_numbers import Stamp, Stream, Tally
 from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
+from humanopts_teach.text_table import table
 
 RECORDER = '(recorder)'  # shown as publisher where only the recorder numbers messages
 UNNUMBERED = '(nobody)'  # shown where messages have no numbers, so loss cannot be counted

@@ -29,6 +29,7 @@ from humanopts_teach.bags.reader import Bag, BEING_RECORDED, Recorded
 from humanopts_teach.bags.rosbag2 import Topic
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.sequence_numbers import Stream, Tally
+from humanopts_teach.text_table import table
 
 NO_TEACHER = 'none: a person taught'  # shown for the simulated teacher's error rate
 _STATUS = 'humanopts_interfaces/msg/LearningStatus'
@@ -36,6 +37,12 @@ _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 PLAN_RESULT = 'humanopts_interfaces/msg/PlanResult'
 _POLICY_RESULT = 'humanopts_interfaces/msg/PolicyResult'
 _constants = lru_cache(constants)
+# What JSON has of a topic and of a stream.
+_OF_TOPIC = ('name', 'type', 'messages', 'counted')
+_OF_STREAM = (
+    *('topic', 'publisher', 'first', 'last', 'received'),
+    *('missing', 'replaced', 'duplicates'),
+)
 
 
 @dataclass(frozen=True)
@@ -161,28 +168,8 @@ class BagInfo:
         return {
             'sittings': facts.pop('open_sessions'),  # the key of version 0.1.0
             **facts,
-            'topics': [
-                {
-                    'name': topic.name,
-                    'type': topic.type,
-                    'messages': topic.messages,
-                    'counted': topic.counted,
-                }
-                for topic in self.topics
-            ],
-            'streams': [
-                {
-                    'topic': stream.topic,
-                    'publisher': stream.publisher,
-                    'first': stream.first,
-                    'last': stream.last,
-                    'received': stream.received,
-                    'missing': stream.missing,
-                    'replaced': stream.replaced,
-                    'duplicates': stream.duplicates,
-                }
-                for stream in self.streams
-            ],
+            'topics': [{name: getattr(t, name) for name in _OF_TOPIC} for t in self.topics],
+            'streams': [{name: getattr(s, name) for name in _OF_STREAM} for s in self.streams],
             'messages': self.messages,
             'missing': self.missing,
             'participants': list(self.participants),
@@ -439,27 +426,3 @@ class _Collector:
         if recorded.type == _POLICY_RESULT:  # older versions have no such fields
             self._info.interruptions += getattr(message, 'interruptions', 0)
             self._info.execution_changes += getattr(message, 'execution_changes', 0)
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out rows in columns, numbers to the right; empty where there are no rows."""
-    if not rows:
-        return ''
-    right = [isinstance(value, int | float) for value in rows[0]]
-    return '\n'.join(aligned([head, *(list(map(str, row)) for row in rows)], right))
-
-
-def aligned(rows: Sequence[Sequence[str]], right: Sequence[bool]) -> list[str]:
-    """
-    Return lines with the columns aligned.
-
-    :param right: whether each column is aligned to the right.
-    """
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    return [
-        '  '.join(
-            cell.rjust(width) if to_right else cell.ljust(width)
-            for cell, width, to_right in zip(row, widths, right, strict=True)
-        ).rstrip()
-        for row in rows
-    ]

@@ -10,8 +10,9 @@ import platform
 
 UNKNOWN = 'not known'
 LOCK = 'requirements.lock'
+OWN_VERSION = 'humanopts_version'
 _PACKAGES = {
-    'humanopts_version': 'humanopts_teach',
+    OWN_VERSION: 'humanopts_teach',
     'numpy': 'numpy',
     'scikit-learn': 'scikit-learn',
 }

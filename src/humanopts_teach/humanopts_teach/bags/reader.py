@@ -29,12 +29,12 @@ _MESSAGE_MEMORY = 500  # bytes that a message takes in memory apart from its dat
 BEING_RECORDED = 'the bag is being recorded: this is what it holds so far'
 MOST_NOTES = 1000  # kinds of damage that are kept
 _UNDECODABLE = (*DAMAGE, IndexError, TypeError, AttributeError)  # what bytes of another type raise
-ProgressCallback = Callable[[int, int], object]  # takes how many bytes are read, and of how many
+ReadCallback = Callable[[int, int], object]  # takes how many bytes are read, and of how many
 T = TypeVar('T')
 
 
-def ignore_progress(done: int, total: int) -> None:
-    """Do nothing."""
+def ignore_progress(*_: object) -> None:
+    """Show no progress."""
 
 
 class Recorded(NamedTuple):
@@ -68,7 +68,7 @@ class Bag:
     ) -> None:
         self.path = path
         self.information = information
-        self.on_read: ProgressCallback = ignore_progress
+        self.on_read: ReadCallback = ignore_progress
         self.files = [file.path for file in files]
         self.metadata = {name: each for file in files for name, each in file.metadata.items()}
         self.attachments = {name: at for file in files for name, at in file.attachments.items()}
@@ -278,7 +278,7 @@ class Bag:
                 self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
 
-def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> Bag:
+def open_bag(path: Path | str, on_read: ReadCallback = ignore_progress) -> Bag:
     """
     Open a rosbag2 directory or an MCAP file.
 
@@ -312,7 +312,7 @@ def open_bag(path: Path | str, on_read: ProgressCallback = ignore_progress) -> B
     return bag
 
 
-def _by_file(files: Sequence[Path], on_read: ProgressCallback) -> Callable[[int, int], object]:
+def _by_file(files: Sequence[Path], on_read: ReadCallback) -> Callable[[int, int], object]:
     """Return what takes the number of a file and the offset up to which it is read."""
     sizes = [file.stat().st_size if file.exists() else 0 for file in files]
     total = sum(sizes)

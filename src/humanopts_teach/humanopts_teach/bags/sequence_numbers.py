@@ -126,15 +126,10 @@ class Stream:
 
 
 class Ledger:
-    """
-    Streams by topic and publisher.
-
-    :ivar uncounted: messages of publishers beyond the first ``MOST_STREAMS``.
-    """
+    """Streams by topic and publisher; publishers beyond the first ``MOST_STREAMS`` have none."""
 
     def __init__(self) -> None:
         self._streams: dict[tuple[str, str], Stream] = {}
-        self.uncounted = 0
 
     def add(self, topic: str, stamp: Stamp, *, latched: bool = False) -> None:
         """
@@ -145,7 +140,6 @@ class Ledger:
         key = (topic, stamp.publisher_id)
         if key not in self._streams:
             if len(self._streams) == MOST_STREAMS:
-                self.uncounted += 1
                 return
             self._streams[key] = Stream(*key, latched=latched)
         self._streams[key].add(stamp.sequence)

@@ -1,9 +1,10 @@
 """Writes a rosbag2 directory: MCAP files (profile ros2) and metadata.yaml."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 import fcntl
+from itertools import count, takewhile
 import os
 from pathlib import Path
 from typing import Any, cast, IO
@@ -134,6 +135,26 @@ def is_being_written(path: Path) -> bool:
     except OSError:
         pass  # it cannot be opened or locked, so nobody is known to write it
     return False
+
+
+def _names(bag: Path) -> Iterator[Path]:
+    yield bag
+    for number in count(2):
+        yield bag.with_name(f'{bag.name}-{number}')
+
+
+def parts(bag: Path) -> list[Path]:
+    """
+    Return the bags of a recording that there are, in order: ``bag``, ``bag-2``, ``bag-3``.
+
+    A recorder that is started again begins the next, and leaves the one before as it was.
+    """
+    return list(takewhile(Path.exists, _names(bag)))
+
+
+def next_part(bag: Path) -> Path:
+    """Return where the recording of a bag is to be begun, or goes on."""
+    return next(path for path in _names(bag) if not path.exists())
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@
 What a command needs is imported when it runs, so that help and completion are quick.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
@@ -13,7 +13,7 @@ import os
 from pathlib import Path
 import sys
 import time
-from typing import Annotated, Any, Literal, Protocol, TextIO, TYPE_CHECKING
+from typing import Annotated, Any, Literal, TextIO, TYPE_CHECKING
 
 from humanopts_ros.limits import printable
 from humanopts_teach.commands import CommandError
@@ -40,17 +40,13 @@ Json = Annotated[bool, typer.Option('--json', help='print JSON')]
 speed_factor = number('from 1/16 to 64', lambda value: 1 / 16 <= value <= 64)
 
 
-class ProgressCallback(Protocol):
-    """Shows how far work is."""
-
-    def __call__(self, done: float, total: float, text: str = 'reading') -> None:
-        """Show how much is done, of how much, and what is under way."""
-        ...
-
-
 @contextmanager
-def progress_bar() -> Iterator[ProgressCallback]:
-    """Show a bar on standard error where it is a terminal."""
+def progress_bar() -> Iterator[Callable[..., None]]:
+    """
+    Show a bar on standard error where it is a terminal.
+
+    What is yielded takes how much is done, of how much and, where it is known, what is under way.
+    """
     from rich.console import Console
     from rich.progress import Progress
 
@@ -187,14 +183,15 @@ def diff(
 ) -> int:
     """Show what differs between two lessons; status 1: it does."""
     from humanopts_teach.bags.reader import open_bag
-    from humanopts_teach.evaluation.difference import compare, difference_text, read_lesson
+    from humanopts_teach.evaluation.bag_evaluation import evaluate_bag
+    from humanopts_teach.evaluation.difference import compare, difference_text
 
     with progress_bar() as show:
         opened = [open_bag(path, show) for path in (a, b)]
-        lessons = [read_lesson(each, show) for each in opened]
+        lessons = [evaluate_bag(each, show) for each in opened]
     found = compare(*lessons)
     for each, lesson in zip(opened, lessons):
-        _warn('diff', each, lesson.evaluation.warnings)
+        _warn('diff', each, lesson.warnings)
     listed = {'same': not found, 'differences': [asdict(difference) for difference in found]}
     _print(_json(listed) if json else difference_text(found))
     return 1 if found else 0

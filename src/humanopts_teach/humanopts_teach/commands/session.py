@@ -19,7 +19,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_ros.recording import Selection
-from humanopts_teach.bags.parts import parts
+from humanopts_teach.bags.writer import parts
 from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.launching import LaunchError

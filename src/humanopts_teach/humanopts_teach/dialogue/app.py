@@ -240,10 +240,6 @@ class App:
             self.world.running = ''
         self._look_at_waiting(now)
 
-    def run_said(self, text: str) -> None:
-        """Show how far the run is."""
-        self.run_text = text
-
     def run_ended(self, run: Run, well: bool, text: str) -> None:
         """Show how a run ended, unless it is another one."""
         if self.run is run:

@@ -35,12 +35,11 @@ from humanopts_ros.limits import parse_json
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.provenance import software, UNKNOWN
-from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.bags.reader import Bag, ignore_progress, open_bag
 from humanopts_teach.evaluation.games import (
     evaluate_games,
     GAMES,
     GamesEvaluation,
-    no_progress,
     ProgressCallback,
 )
 from humanopts_teach.evaluation.measures import (
@@ -200,7 +199,7 @@ def judged_by(domain: Domain[Any]) -> int:
 
 
 def evaluate_bag(
-    bag: str | Path | Bag, progress: ProgressCallback | None = None, episodes: int = 0
+    bag: str | Path | Bag, progress: ProgressCallback = ignore_progress, episodes: int = 0
 ) -> BagEvaluation:
     """
     Evaluate a bag with the settings that it carries.
@@ -231,7 +230,7 @@ def evaluate(
     domain: Domain[Any],
     settings: Settings,
     warnings: Sequence[str] = (),
-    progress: ProgressCallback | None = None,
+    progress: ProgressCallback = ignore_progress,
     episodes: int = 0,
     jobs: int = 1,
 ) -> BagEvaluation:
@@ -264,9 +263,8 @@ def evaluate(
         *(f'planning with {action_set} actions' for _, action_set in requests),
     ]
     costs = [*map(len, groups.values()), *[math.inf for _ in requests]]
-    report = progress or no_progress
-    report(0, len(calls), f'{len(demonstrations)} demonstrations')
-    results = all_of(calls, names, costs, report, jobs)
+    progress(0, len(calls), f'{len(demonstrations)} demonstrations')
+    results = all_of(calls, names, costs, progress, jobs)
     options = [
         OptionEvaluation(participant, curve) for (participant, _), curve in zip(groups, results)
     ]
@@ -415,7 +413,7 @@ def check_games(domain: Domain[Any]) -> None:
 
 
 def with_games(
-    evaluation: BagEvaluation, games: int = GAMES, progress: ProgressCallback | None = None
+    evaluation: BagEvaluation, games: int = GAMES, progress: ProgressCallback = ignore_progress
 ) -> BagEvaluation:
     """
     Compare each participant's options with their baselines in many games.
@@ -431,7 +429,7 @@ def with_games(
         options = [each.last.option for each in evaluation.of(person)]
 
         def report(done: float, total: float, text: str, before: int = number) -> None:
-            (progress or no_progress)(before + done / total, len(people), text)
+            progress(before + done / total, len(people), text)
 
         try:
             found[person] = evaluate_games(

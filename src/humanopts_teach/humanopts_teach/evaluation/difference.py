@@ -7,12 +7,9 @@ import json
 from typing import Any
 
 from humanopts_learner.demonstrations import Demonstration, each_once
-from humanopts_teach.bags.contents import read_demonstrations
-from humanopts_teach.bags.info import table
-from humanopts_teach.bags.reader import Bag
-from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate_bag
-from humanopts_teach.evaluation.games import ProgressCallback
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
 from humanopts_teach.evaluation.measures import finite
+from humanopts_teach.text_table import table
 
 HEAD = ('what', 'of', 'A', 'B')
 DEMONSTRATION = 'demonstration'
@@ -33,26 +30,7 @@ class Difference:
     b: Any
 
 
-@dataclass(frozen=True)
-class Lesson:
-    """A bag, evaluated."""
-
-    evaluation: BagEvaluation
-    demonstrations: Mapping[str, Demonstration]  # by uuid
-
-
-def read_lesson(bag: Bag, progress: ProgressCallback | None = None) -> Lesson:
-    """
-    Learn everything in a bag again.
-
-    :raises BagError: it is not a readable bag.
-    :raises EvaluationError: it holds no demonstration to learn from.
-    """
-    evaluation = evaluate_bag(bag, progress)
-    return Lesson(evaluation, {demo.uuid: demo for demo in each_once(read_demonstrations(bag))})
-
-
-def compare(a: Lesson, b: Lesson) -> list[Difference]:
+def compare(a: BagEvaluation, b: BagEvaluation) -> list[Difference]:
     """Return all that differs, seconds of computing apart; empty: the lessons are the same."""
     one, other = _facts(a), _facts(b)
     found = []
@@ -70,16 +48,19 @@ def compare(a: Lesson, b: Lesson) -> list[Difference]:
     return found
 
 
-def _labelled(what: str, of: str, lesson: Lesson) -> str:
+def _labelled(what: str, of: str, evaluation: BagEvaluation) -> str:
     if what != DEMONSTRATION:
         return of
-    demo = lesson.demonstrations[of]
+    demo = _by_uuid(evaluation)[of]
     return f'{of} (of {demo.option_name} by {demo.participant})'
 
 
-def _facts(lesson: Lesson) -> dict[tuple[str, str], dict[str, Any]]:
+def _by_uuid(evaluation: BagEvaluation) -> dict[str, Demonstration]:
+    return {demo.uuid: demo for demo in each_once(evaluation.demonstrations)}
+
+
+def _facts(evaluation: BagEvaluation) -> dict[tuple[str, str], dict[str, Any]]:
     """Return what is compared, as JSON data by name; a group is a kind and what it belongs to."""
-    evaluation = lesson.evaluation
     options = {f'{o.last.block.name} by {o.participant}': o.last for o in evaluation.options}
     settings = asdict(evaluation.settings)
     limits = settings.pop('thresholds')
@@ -97,8 +78,9 @@ def _facts(lesson: Lesson) -> dict[tuple[str, str], dict[str, Any]]:
             **{f'criterion {c.name}': finite(c.value) for c in learned.judgement.criteria},
         }
         facts['tree', name] = {part: getattr(learned.option, part).to_dict() for part in TREES}
-    facts[DEMONSTRATION, ''] = {u: _brief(demo) for u, demo in lesson.demonstrations.items()}
-    for uuid, demo in lesson.demonstrations.items():
+    shown = _by_uuid(evaluation)
+    facts[DEMONSTRATION, ''] = {uuid: _brief(demo) for uuid, demo in shown.items()}
+    for uuid, demo in shown.items():
         whole = json.loads(demo.to_json())
         facts[DEMONSTRATION, uuid] = {**whole, 'withdrawn': demo.withdrawn}
     plans = evaluation.named_plans

@@ -41,6 +41,7 @@ from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
+from humanopts_teach.bags.reader import ignore_progress
 from humanopts_teach.evaluation.side_by_side import all_of
 import numpy as np
 
@@ -321,7 +322,7 @@ def evaluate_games(
     games: int = GAMES,
     game_steps: int = GAME_STEPS,
     limits: CurveLimits = CurveLimits(),
-    progress: ProgressCallback | None = None,
+    progress: ProgressCallback = ignore_progress,
     jobs: int = 0,
 ) -> GamesEvaluation:
     """
@@ -351,18 +352,13 @@ def evaluate_games(
         partial(_curves, variant, options, seed, games, limits),
     ]
     costs = [*(each.budget_steps + PLAYING for _, each in plays), math.inf]
-    report = progress or no_progress
-    report(0, len(calls), f'{len(calls)} parts, side by side')
-    *rows, curves = all_of(calls, names, costs, report, jobs)
+    progress(0, len(calls), f'{len(calls)} parts, side by side')
+    *rows, curves = all_of(calls, names, costs, progress, jobs)
     settings = tuple(
         Setting(name, tuple(row for (of, _), row in zip(plays, rows) if of == name))
         for name in variants
     )
     return GamesEvaluation(games, settings, first, curves, baselines_of(variant).targets)
-
-
-def no_progress(done: float, total: float, text: str) -> None:
-    """Show no progress."""
 
 
 def _curves(

@@ -14,11 +14,11 @@ from humanopts_learner.demonstrations import demonstration_from_message, Kind
 from humanopts_learner.intervals import Interval
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import DEMONSTRATION, domains_played, LESSON_STATE
-from humanopts_teach.bags.info import aligned
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.rosbag2 import load
 from humanopts_teach.evaluation.measures import finite
 from humanopts_teach.study.record import BUTTON, event_of
+from humanopts_teach.text_table import aligned
 import numpy as np
 
 STUDY_EVENT = 'humanopts_interfaces/msg/StudyEvent'

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.criteria import Criterion, likely_range
-from humanopts_teach.bags.info import aligned
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation, PLAN, RANDOM
 from humanopts_teach.evaluation.measures import PlanningRow
+from humanopts_teach.text_table import aligned
 
 MOST_POINTS = 12  # of a learning curve that are printed
 REPRODUCED = {

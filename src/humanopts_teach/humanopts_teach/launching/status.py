@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 from humanopts_ros.limits import shown
+from humanopts_teach.text_table import aligned
 
 NO_GRAPH = 2  # exit status: there is nothing in this ROS_DOMAIN_ID and namespace
 LITTLE_DISK = 10**9  # bytes that are left on the disk of the recording, below which it is told
@@ -132,11 +133,7 @@ class GraphReport:
             return f'no node of humanopts is in {self._place}'
         heads = ('node', 'state', 'answers', 'restarts', 'process', 'memory', 'threads', 'says')
         rows = [heads, *map(_row, self.nodes)]
-        widths = [max(len(row[at]) for row in rows) for at in range(len(heads) - 1)]
-        lines = [
-            '  '.join([*(cell.ljust(w) for cell, w in zip(row, widths)), row[-1]]).rstrip()
-            for row in rows
-        ]
+        lines = aligned(rows, [False] * len(heads))
         lines += ['', *self._game_lines(), *self._recorder_lines()]
         faults = self.faults
         lines += [f'fault: {fault}' for fault in faults] or ['all is well']

@@ -1,49 +1,26 @@
-"""What people showed, and how they compare: tables of demonstrations and of teachers."""
+"""What people showed, and how they compare."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations
 
 from humanopts_learner.demonstrations import Demonstration, each_once, Kind
 from humanopts_learner.intervals import Interval, level_of_each
 from humanopts_learner.planning.request import HUMAN
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
-from humanopts_teach.report.pages import duration, Finding, limits, number
+from humanopts_teach.report.pages import Finding, limits, number
 
 
-@dataclass(frozen=True)
-class DemonstrationRow:
-    """One demonstration or "not here" answer, as the report tells it."""
+def shown_demonstrations(evaluation: BagEvaluation) -> list[tuple[Demonstration, str]]:
+    """
+    Return all demonstrations, each once, and what became of each in words.
 
-    participant: str
-    number: int
-    option: str
-    start: str  # in the notation of the domain
-    steps: int
-    total: float | None  # return, reward units; None: "not here"
-    seconds: float
-    verdict: str
-
-
-def demonstration_rows(evaluation: BagEvaluation) -> list[DemonstrationRow]:
-    """Return all demonstrations, each once: by person and option as they came, and by number."""
+    They are sorted by person and option as these came, and by number.
+    """
     used = {uuid for option in evaluation.options for uuid in option.last.option.uuids}
     demos = each_once(evaluation.demonstrations)
     order = list(dict.fromkeys((demo.participant, demo.option_name) for demo in demos))
     demos.sort(key=lambda d: (order.index((d.participant, d.option_name)), d.number))
-    return [
-        DemonstrationRow(
-            demo.participant,
-            demo.number,
-            demo.option_name,
-            demo.states[0] if demo.states else '',
-            len(demo.actions),
-            demo.total_reward if demo.kind is Kind.TRAJECTORY else None,
-            demo.seconds,
-            _verdict(demo, demo.uuid in used),
-        )
-        for demo in demos
-    ]
+    return [(demo, _verdict(demo, demo.uuid in used)) for demo in demos]
 
 
 def _verdict(demo: Demonstration, used: bool) -> str:
@@ -65,23 +42,12 @@ def shown_return(evaluation: BagEvaluation, option: OptionEvaluation) -> Interva
     )
 
 
-@dataclass(frozen=True)
-class TeacherRow:
-    """One option as one of several people taught it."""
+def teachers(evaluation: BagEvaluation) -> list[tuple[OptionEvaluation, int, Interval]]:
+    """
+    Return each option of each person, those of a name together; none where one person taught.
 
-    option: str
-    participant: str
-    demonstrations: int
-    withdrawn: int
-    seconds: str  # of teaching
-    shown: Interval  # return of a demonstration
-    gain: Interval  # of the policy over the demonstrations, from the same starts
-    accuracies: tuple[float | None, float | None, float | None]  # of policy, I and beta
-    criteria_met: bool
-
-
-def teacher_rows(evaluation: BagEvaluation) -> list[TeacherRow]:
-    """Return a row for each option and person, those of an option together; of one person none."""
+    Beside it are how many of its demonstrations were taken back, and the return of those shown.
+    """
     if len(evaluation.people) < 2:
         return []
     back = [
@@ -89,29 +55,12 @@ def teacher_rows(evaluation: BagEvaluation) -> list[TeacherRow]:
         for demo in each_once(evaluation.demonstrations)
         if demo.withdrawn
     ]
-    rows = []
-    for name in dict.fromkeys(block.name for block in evaluation.blocks):
-        for option in evaluation.options:
-            point, block = option.last, option.last.block
-            if block.name == name:
-                rows.append(
-                    TeacherRow(
-                        name,
-                        option.participant,
-                        block.n_demonstrations,
-                        back.count((option.participant, name)),
-                        duration(point.seconds),
-                        shown_return(evaluation, option),
-                        point.judgement.gain,
-                        (
-                            block.policy_accuracy,
-                            block.classification_accuracy_initiation,
-                            block.classification_accuracy_termination,
-                        ),
-                        block.criteria_met,
-                    )
-                )
-    return rows
+    return [
+        (option, back.count((option.participant, name)), shown_return(evaluation, option))
+        for name in dict.fromkeys(block.name for block in evaluation.blocks)
+        for option in evaluation.options
+        if option.last.block.name == name
+    ]
 
 
 def people_findings(evaluation: BagEvaluation) -> Iterator[Finding]:

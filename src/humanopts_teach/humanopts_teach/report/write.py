@@ -1,17 +1,15 @@
 """Writing a report: one HTML file with everything in it."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-import platform
 
 from humanopts_env.domains.base import is_enumerable
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_teach.bags.info import summarise, TopicRow
+from humanopts_teach.bags.provenance import OWN_VERSION, software, UNKNOWN
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
 from humanopts_teach.evaluation.summary import Live, write_text
@@ -26,7 +24,7 @@ from humanopts_teach.report.charts import (
 from humanopts_teach.report.episode import episode_strip, Frame, read_last_episode
 from humanopts_teach.report.findings import findings, planning_rows
 from humanopts_teach.report.pages import DASH, duration, percent, render
-from humanopts_teach.report.people import demonstration_rows, shown_return, teacher_rows
+from humanopts_teach.report.people import shown_demonstrations, shown_return, teachers
 from humanopts_teach.report.rules import option_rules
 
 MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
@@ -102,8 +100,8 @@ def render_report(data: ReportData) -> str:
             )
             for place, option in enumerate(evaluation.options)
         ],
-        'demonstrations': demonstration_rows(evaluation),
-        'teachers': teacher_rows(evaluation),
+        'demonstrations': shown_demonstrations(evaluation),
+        'teachers': teachers(evaluation),
         'shown': [shown_return(evaluation, each) for each in evaluation.options],
         'strategy': evaluation.settings.strategy,
         'several': len(evaluation.people) > 1,
@@ -156,9 +154,6 @@ def _provenance(data: ReportData) -> dict[str, str]:
 
 
 def _versions() -> str:
-    packages = {'NumPy': 'numpy', 'scikit-learn': 'scikit-learn', 'humanopts': 'humanopts_teach'}
-    found = [f'Python {platform.python_version()}']
-    for name, package in packages.items():
-        with suppress(PackageNotFoundError):
-            found.append(f'{name} {version(package)}')
-    return ', '.join(found)
+    now, names = software(), ('Python', 'NumPy', 'scikit-learn')
+    versions = {**{name: now[name.lower()] for name in names}, 'humanopts': now[OWN_VERSION]}
+    return ', '.join(f'{name} {found}' for name, found in versions.items() if found != UNKNOWN)

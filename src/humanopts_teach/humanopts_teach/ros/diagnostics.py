@@ -35,7 +35,8 @@ class DiagnosticsNode(NodeBase):
         self._recorder: RecorderStatus | None = None
         self._out = self.create_publisher(DiagnosticArray, TOPIC, STREAM)
         self.subscribe(NodeStatus, 'node_status', self._read, self._keep, LATCHED_ALL)
-        self.create_subscription(RecorderStatus, 'recorder_status', self._keep_recorder, CURRENT)
+        keep = partial(setattr, self, '_recorder')
+        self.create_subscription(RecorderStatus, 'recorder_status', keep, CURRENT)
         self.create_timer(_PERIOD, self._publish)
 
     def _read(self, status: NodeStatus) -> NodeStatus:
@@ -45,9 +46,6 @@ class DiagnosticsNode(NodeBase):
 
     def _keep(self, status: NodeStatus) -> None:
         self._statuses[status.node] = status
-
-    def _keep_recorder(self, status: RecorderStatus) -> None:
-        self._recorder = status
 
     def _publish(self) -> None:
         found = list(of_nodes(self._statuses, set(self.nodes_there())))

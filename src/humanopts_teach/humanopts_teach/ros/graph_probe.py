@@ -79,7 +79,7 @@ class _Probe:
             (msg.DomainInfo, 'domain_info'),
             (msg.ControlState, 'control'),
         ):
-            keep = self._keeper(topic)
+            keep = partial(self._newest.__setitem__, topic)
             self._node.create_subscription(kind, topic, keep, CURRENT)
 
     def look(self) -> GraphReport:
@@ -89,7 +89,11 @@ class _Probe:
         self._serve(lambda: bool(there) and self._statuses.keys() >= there, _SEARCH)
         nodes = sorted({*self._statuses, *self._nodes(), *there})
         began, before = time.monotonic(), dict(self._newest)
-        asked = {name: self._client(name) for name in nodes if name != CONDUCTOR}
+        asked = {
+            name: self._node.create_client(GetParameters, f'{name}/get_parameters')
+            for name in nodes
+            if name != CONDUCTOR
+        }
         self._serve(lambda: self._ask(asked), _WINDOW if nodes else 0.0)
         self._serve(lambda: False, _WINDOW - (time.monotonic() - began) if nodes else 0.0)
         passed = time.monotonic() - began
@@ -129,9 +133,6 @@ class _Probe:
         while not done() and (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(min(left, 0.05))
 
-    def _client(self, name: str) -> Client:
-        return self._node.create_client(GetParameters, f'{name}/get_parameters')
-
     def _ask(self, clients: dict[str, Client]) -> bool:
         """Ask the nodes that are found by now for a parameter; return whether all answered."""
         for name, client in clients.items():
@@ -150,12 +151,6 @@ class _Probe:
         stamps = [(s.header.stamp.sec, s.header.stamp.nanosec) for s in (status, known or status)]
         if stamps[0] >= stamps[1]:
             self._statuses[name] = status
-
-    def _keeper(self, topic: str) -> Callable[[Any], None]:
-        def keep(message: Any) -> None:
-            self._newest[topic] = message
-
-        return keep
 
     def _text(self, name: str) -> str:
         return self._statuses[name].text if name in self._statuses else ''

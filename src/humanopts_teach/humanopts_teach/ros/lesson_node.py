@@ -69,7 +69,7 @@ class LessonNode(NodeBase):
             30.0,
             'longest wait for the learner after a demonstration, s',
             PATIENCE,
-            on_change=self._on_learner_deadline,
+            on_change=partial(setattr, self, '_learner_deadline'),
         )
         self._participant = self.setting(
             'participant', '', 'code of the person whose session is opened at the start; or empty'
@@ -106,9 +106,6 @@ class LessonNode(NodeBase):
             msg.RecorderStatus, 'recorder_status', self._read_recorder, self._on_recorder, CURRENT
         )
         self.create_subscription(msg.LessonState, 'lesson_state', self._on_lesson_state, CURRENT)
-
-    def _on_learner_deadline(self, seconds: float) -> None:
-        self._learner_deadline = seconds
 
     def _read_rules(self) -> LessonRules:
         what, usual = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy

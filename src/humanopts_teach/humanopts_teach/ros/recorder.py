@@ -21,10 +21,9 @@ from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
 from humanopts_ros.recording import MOST_BYTES, Selection
 from humanopts_teach.bags import BagWriteError, SchemaError
-from humanopts_teach.bags.parts import next_part, parts
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp
-from humanopts_teach.bags.writer import BagWriter, Limits
+from humanopts_teach.bags.writer import BagWriter, Limits, next_part, parts
 from humanopts_teach.launching.usage import look
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
 

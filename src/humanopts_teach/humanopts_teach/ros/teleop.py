@@ -266,7 +266,7 @@ class Runs:
 
         def on_feedback(message: Any) -> None:
             if self._app.run is run:
-                self._app.run_said(_progress_text(message.feedback))
+                self._app.run_text = _progress_text(message.feedback)
 
         sent = self._clients[type(run)].send_goal_async(goal, feedback_callback=on_feedback)
         sent.add_done_callback(lambda done: self._accepted(run, done))

@@ -1,0 +1,27 @@
+"""Tables as lines of text, for terminals."""
+
+from collections.abc import Sequence
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Lay out rows in columns, numbers to the right; empty where there are no rows."""
+    if not rows:
+        return ''
+    right = [isinstance(value, int | float) for value in rows[0]]
+    return '\n'.join(aligned([head, *(list(map(str, row)) for row in rows)], right))
+
+
+def aligned(rows: Sequence[Sequence[str]], right: Sequence[bool]) -> list[str]:
+    """
+    Return lines with the columns aligned.
+
+    :param right: whether each column is aligned to the right.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    return [
+        '  '.join(
+            cell.rjust(width) if to_right else cell.ljust(width)
+            for cell, width, to_right in zip(row, widths, right, strict=True)
+        ).rstrip()
+        for row in rows
+    ]
