@@ -23,7 +23,7 @@ from humanopts_teach.bags.sequence_numbers import count_loss
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec
-from humanopts_teach.launching.usage import look, Usage
+from humanopts_teach.launching.usage import Usage, usage_of
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import serialize_message
@@ -159,7 +159,7 @@ def _send(load: Load, reader: ProcessSpec, folder: Path, on_sent: OnSent) -> dic
     with launched([reader], folder) as launcher:
 
         def watch() -> None:
-            looks.append(look(launcher.pid(reader.name)))
+            looks.append(usage_of(launcher.pid(reader.name)))
             on_sent(min(1.0, (looks[-1].time - looks[0].time) / load.seconds))
             launcher.check()
 

@@ -17,7 +17,7 @@ from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import check_demonstration
 from humanopts_learner.intervals import Interval
-from humanopts_teach.launching.usage import look
+from humanopts_teach.launching.usage import usage_of
 import numpy as np
 import pytest
 from rich.console import Console
@@ -149,10 +149,10 @@ def test_messages_that_a_reader_lost_or_did_not_get_are_named_in_words() -> None
 
 
 def test_processor_time_and_memory_of_a_process_are_seen() -> None:
-    before = look(os.getpid())
+    before = usage_of(os.getpid())
     while time.process_time() < before.cpu + 0.03:
         sum(range(1000))
-    after = look(os.getpid())
+    after = usage_of(os.getpid())
     assert after.cpu > before.cpu
     assert after.time > before.time
     assert 10**6 < before.memory <= after.peak

@@ -112,7 +112,7 @@ def test_a_node_that_is_stopped_is_told_by_name_and_when_it_goes_on(
 ) -> None:
     launcher = launch(spec('game', GAME))
     said: list[str] = []
-    launcher.tell = said.append
+    launcher.report = said.append
     live.ready('/game')
     pid = launcher.pid('game')
     os.kill(pid, signal.SIGSTOP)

@@ -385,7 +385,7 @@ def lesson(folder: Path, outcome: Outcome, rng: random.Random) -> Iterator[Soak]
         step_period=0.005,
     )
     said: list[str] = []
-    with session(setup, '/', tell=said.append, restarts=10**9) as running:
+    with session(setup, '/', report=said.append, restarts=10**9) as running:
         soak = Soak(running, rng, outcome)
         soak.told = said
         try:

@@ -95,7 +95,7 @@ class Person:
     def begins(self, request: Request | None, episode: int) -> Request | None:
         """Have the lesson begin a demonstration that was asked for; return the next request."""
         assert isinstance(request, BeginDemonstration)
-        self.world.see(Transition(episode=episode, state=request.start_state or START))
+        self.world.update_game(Transition(episode=episode, state=request.start_state or START))
         self.lesson(Phase.DEMONSTRATING, episode=episode, machine_steps=0)
         return self.answer(request, episode=episode)
 
@@ -107,7 +107,7 @@ class Person:
     def game(self, **fields: Any) -> Request | None:
         """Have the game go on; return the next request."""
         assert self.world.game is not None
-        self.world.see(replace(self.world.game, **fields))
+        self.world.update_game(replace(self.world.game, **fields))
         asked = self.app.waits_for
         if isinstance(asked, Drive):
             self.app.replied(asked, Answer(RequestStatus.OK, ''), self.now)

@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 
-LOOKS = 7  # looks without a sign of the holder, after which its control ends
+CHECKS = 7  # checks without a sign of the holder, after which its control ends
 MOST_KNOWN = 1000  # publishers that are remembered
 
 
@@ -18,15 +18,15 @@ class Lease:
     def __init__(self) -> None:
         """Begin without a holder."""
         self._holder = ''
-        self._silent = 0  # looks since the last sign of the holder
-        self._known: OrderedDict[str, None] = OrderedDict()  # publishers that told their life
+        self._silent = 0  # checks since the last sign of the holder
+        self._known: OrderedDict[str, None] = OrderedDict()  # publishers of statuses
 
     def begin(self, holder_id: str) -> None:
         """Begin the lease of a holder; empty: nobody holds control."""
         self._holder, self._silent = holder_id, 0
 
     def knows(self, publisher_id: str) -> bool:
-        """Return whether a publisher has told its life, and has not ended."""
+        """Return whether a publisher has published a status, and has not ended."""
         return publisher_id in self._known
 
     def renew(self, publisher_id: str) -> None:
@@ -34,11 +34,11 @@ class Lease:
         if publisher_id == self._holder:
             self._silent = 0
 
-    def heard(self, publisher_id: str, *, ended: bool = False) -> str:
+    def note_status(self, publisher_id: str, *, ended: bool = False) -> str:
         """
-        Count that a publisher tells its life.
+        Count a status of a publisher.
 
-        :param ended: it is the last time.
+        :param ended: it is the last one.
         :return: why the holder's control ends now; empty: it does not.
         """
         self.renew(publisher_id)
@@ -55,10 +55,10 @@ class Lease:
         again = new and publisher_id != self._holder and _node(publisher_id) == _node(self._holder)
         return f'{_node(publisher_id)} was started again' if again else ''
 
-    def look(self) -> str:
-        """Count a look; return why the holder's control ends now, or nothing."""
+    def check(self) -> str:
+        """Count a check; return why the holder's control ends now, or nothing."""
         self._silent += 1
-        if not self._holder or self._silent < LOOKS:
+        if not self._holder or self._silent < CHECKS:
             return ''
         return f'{self._holder} is silent, and has not renewed its control'
 

@@ -73,7 +73,7 @@ class Waiting:
             _CHECK_PERIOD, self.look, callback_group=ReentrantCallbackGroup(), autostart=False
         )
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Wake the coroutines whose condition holds or whose time is over."""
         now = self._monotonic()
         still = []

@@ -248,10 +248,10 @@ def status(
     import json as json_text
 
     from humanopts_teach.commands.session import check_place
-    from humanopts_teach.ros.graph_probe import look_at_graph
+    from humanopts_teach.ros.graph_probe import probe_graph
 
     check_place(namespace)
-    report = look_at_graph(namespace)
+    report = probe_graph(namespace)
     print(json_text.dumps(report.to_dict(), indent=2) if json else printable(report.to_text()))
     return report.status
 
@@ -270,8 +270,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except typer.Exit as end:
         return end.exit_code
     except typer.TyperException as error:
-        place = getattr(error, 'ctx', None)  # of every usage error
-        path = place.command_path if place else NAME
+        usage = getattr(error, 'ctx', None)  # of every usage error
+        path = usage.command_path if usage else NAME
         text = ' '.join(error.format_message().split()).rstrip('.')
         return _complain(path, f'{text[:1].lower()}{text[1:]}; see {path} --help', 2)
     except (CommandError, BagError) as error:

@@ -39,10 +39,10 @@ MOST = 500  # MiB, of a command that reads such a bag
 MEASURE = """
 import os, sys
 from humanopts_teach.cli import main
-from humanopts_teach.launching.usage import look
+from humanopts_teach.launching.usage import usage_of
 
 status = main(['bag', *sys.argv[1:]])
-print(look(os.getpid()).peak // 2**20, status, file=sys.stderr)
+print(usage_of(os.getpid()).peak // 2**20, status, file=sys.stderr)
 """
 
 

@@ -109,7 +109,7 @@ def test_ctrl_c_ends_at_once_whatever_is_under_way(shower: Person) -> None:
     shower.press('ctrl-c')
     assert shower.app.ended
     shower.world.holder = 'me'
-    assert shower.app.parting() == [
+    assert shower.app.last_requests() == [
         EndDemonstration(Verdict.DISCARD, 2, 0),
         SetControl(hold=False),
     ]

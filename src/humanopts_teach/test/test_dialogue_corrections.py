@@ -214,7 +214,7 @@ def test_where_chance_plays_a_part_a_step_cannot_be_undone() -> None:
     person.world.game = Transition(episode=1, state=start)
     person.names_option(Phase.READY, chosen_features=('row',))
     begun = person.press('enter')
-    person.world.see(Transition(episode=2, state=start))
+    person.world.update_game(Transition(episode=2, state=start))
     person.lesson(Phase.DEMONSTRATING, episode=2)
     person.answer(begun, episode=2)
     drive(person, 'left')

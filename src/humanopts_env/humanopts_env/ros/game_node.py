@@ -183,10 +183,10 @@ class GameNode(NodeBase):
         """Renew what a node holds that tells its life, or free what one held that ended."""
         ended = status.state == NodeStatus.STATE_STOPPING
         leases = self._lease, self._pause_lease
-        self._release(*(lease.heard(status.publisher_id, ended=ended) for lease in leases))
+        self._release(*(lease.note_status(status.publisher_id, ended=ended) for lease in leases))
 
     def _check_lease(self) -> None:
-        self._release(self._lease.look(), self._pause_lease.look())
+        self._release(self._lease.check(), self._pause_lease.check())
 
     def _release(self, control: str, pause: str) -> None:
         """Free control, and end a pause, for a reason each; empty: it stays as it is."""

@@ -132,7 +132,7 @@ class PlannerNode(NodeBase):
     def _on_options(self, message: LearnedOptions) -> None:
         self._state.taught, problems = options_from_message(message)
         self._state.taught_sequence = message.sequence
-        self.waiting.look()
+        self.waiting.check()
         for problem in problems:
             self.refuse('learned_options', message, problem)
 

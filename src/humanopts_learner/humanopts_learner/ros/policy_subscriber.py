@@ -73,7 +73,7 @@ class PolicySubscriber:
 
     def _on_values(self, read: tuple[OptionValues, PlanValues]) -> None:
         (self._message, self._values), self._arbiters = read, {}
-        self._node.waiting.look()
+        self._node.waiting.check()
 
     def _on_execution(self, message: ExecutionState) -> None:
         self._state = message

@@ -287,7 +287,7 @@ class Runner:
         if known is not None and same_game and (episode, step) <= _position(known):
             return
         self._state = observed
-        self._node.waiting.look()
+        self._node.waiting.check()
         active = self._active
         if active is None:
             return

@@ -16,7 +16,7 @@ from humanopts_learner.demonstrations import (
 )
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
-from humanopts_teach.bags.sequence_numbers import read_stamp, tells_place
+from humanopts_teach.bags.sequence_numbers import has_step, read_stamp
 
 DEMONSTRATION = 'humanopts_interfaces/msg/Demonstration'
 DOMAIN_INFO = 'humanopts_interfaces/msg/DomainInfo'
@@ -106,7 +106,7 @@ class EpisodeGrouping:
     def __init__(self, bag: Bag) -> None:
         """Begin with nothing; topics whose messages do not tell their episode are left out."""
         states = [t for t in bag.of_type(GAME_STATE) if t.rpartition('/')[2] != STATE_COPY]
-        self.topics = {name for name in states if tells_place(bag.topics[name].schema)}
+        self.topics = {name for name in states if has_step(bag.topics[name].schema)}
         for name in sorted({*states} - self.topics):
             bag.note(f'{name} is left out: its messages do not begin with their place')
         self._bag = bag
@@ -114,22 +114,22 @@ class EpisodeGrouping:
 
     def add(self, recorded: Recorded) -> EpisodeMessages | None:
         """Add a message of ``topics``; return the episode that it shows to be over."""
-        place = read_stamp(recorded.data, place=True)
-        if place is None:
+        stamp = read_stamp(recorded.data, with_step=True)
+        if stamp is None:
             self._bag.note(f'a message on {recorded.topic} does not decode')
             return None
-        if place.episode == 0:
+        if stamp.episode == 0:
             return None
-        game = (recorded.topic, place.publisher_id)
+        game = (recorded.topic, stamp.publisher_id)
         before = self._under_way.get(game)
-        if before is not None and place.episode < before.number:
+        if before is not None and stamp.episode < before.number:
             self._bag.note(f'{recorded.topic}: states after a later episode are left out')
             return None
         group = before
-        if group is None or place.episode > group.number:
-            group = EpisodeMessages(*game, place.episode, recorded.log_time)
+        if group is None or stamp.episode > group.number:
+            group = EpisodeMessages(*game, stamp.episode, recorded.log_time)
             self._under_way[game] = group
-        group.states[place.step] = recorded.data
+        group.states[stamp.step] = recorded.data
         group.first = min(group.first, recorded.log_time)
         group.last = max(group.last, recorded.log_time)
         return None if group is before else before

@@ -18,7 +18,7 @@ _FIELDS = [
     ('string', 'publisher_id'),
     ('uint64', 'sequence'),
 ]
-_PLACE = [('uint32', 'episode'), ('uint32', 'step')]
+_STEP_FIELDS = [('uint32', 'episode'), ('uint32', 'step')]
 _ORIGIN = 4  # CDR aligns from after the encapsulation header
 _FRAME_ID = _ORIGIN + 8  # after header.stamp
 
@@ -37,16 +37,16 @@ def is_stamped(schema: str) -> bool:
     return field_lines(schema)[:3] == _FIELDS
 
 
-def tells_place(schema: str) -> bool:
+def has_step(schema: str) -> bool:
     """Tell whether episode and step follow the stamp."""
-    return field_lines(schema)[:5] == [*_FIELDS, *_PLACE]
+    return field_lines(schema)[:5] == [*_FIELDS, *_STEP_FIELDS]
 
 
-def read_stamp(data: bytes, *, place: bool = False) -> Stamp | None:
+def read_stamp(data: bytes, *, with_step: bool = False) -> Stamp | None:
     """
     Return the stamp of a CDR message whose type ``is_stamped``; None: it is damaged.
 
-    :param place: read episode and step too, of a message whose type ``tells_place``.
+    :param with_step: read episode and step too, of a message whose type ``has_step``.
     """
     try:
         order = '<' if data[1] & 1 else '>'
@@ -54,7 +54,7 @@ def read_stamp(data: bytes, *, place: bool = False) -> Stamp | None:
         start = _align(_FRAME_ID + 4 + length, 4)
         (length,) = struct.unpack_from(order + 'I', data, start)
         end = start + 4 + length
-        numbers = struct.unpack_from(order + ('QII' if place else 'Q'), data, _align(end, 8))
+        numbers = struct.unpack_from(order + ('QII' if with_step else 'Q'), data, _align(end, 8))
         return Stamp(data[start + 4 : end - 1].decode(), *numbers)
     except (struct.error, IndexError, UnicodeDecodeError):
         return None

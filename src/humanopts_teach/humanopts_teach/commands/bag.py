@@ -347,9 +347,9 @@ def _first_with(name: str, options: Sequence[Sequence[str]], bag: Path) -> int:
     :raises CommandError: no option or several have this in their name; the text says which.
     """
     episodes: dict[str, list[int]] = {}
-    for place, names in enumerate(options, start=1):
+    for at, names in enumerate(options, start=1):
         for each in names:
-            episodes.setdefault(each, []).append(place)
+            episodes.setdefault(each, []).append(at)
     alike = [each for each in episodes if name.casefold() in each.casefold()]
     chosen = [name] if name in episodes else alike
     if len(chosen) != 1:

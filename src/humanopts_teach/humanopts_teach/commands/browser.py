@@ -15,7 +15,7 @@ from typing import Any
 from humanopts_teach.browser.pages import serve
 from humanopts_teach.browser.seats import GameError, Press, Seat, Seats, Turn
 from humanopts_teach.commands import CommandError, noticed_interrupts
-from humanopts_teach.commands.session import check_folder, new_name, session, tell
+from humanopts_teach.commands.session import check_folder, new_name, print_line, session
 from humanopts_teach.dialogue.panel import View
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import processes, Setup
@@ -129,10 +129,10 @@ async def game(
 
     :param setup: of this seat.
     """
-    place = f'{namespace.rstrip("/")}/seat_{seat.number}'
+    own_namespace = f'{namespace.rstrip("/")}/seat_{seat.number}'
     loop = asyncio.get_running_loop()
     (spec,) = [spec for spec in processes(setup) if spec.terminal]
-    async with _graph(setup, place, seat):
+    async with _graph(setup, own_namespace, seat):
         found: asyncio.Future[Any] = loop.create_future()
 
         def show(view: View, frame: int) -> None:
@@ -142,7 +142,7 @@ async def game(
             loop.call_soon_threadsafe(seat.end)
 
         thread.open(
-            lambda: BrowserTeleopNode(place, spec.parameters, show, end),
+            lambda: BrowserTeleopNode(own_namespace, spec.parameters, show, end),
             lambda node: loop.call_soon_threadsafe(found.set_result, node),
         )
         node = await found
@@ -215,7 +215,7 @@ def main() -> int:
             print(json.dumps(text), flush=True)
 
     def report(line: str) -> None:
-        tell(f'{setup.participant}: {line}')
+        print_line(f'{setup.participant}: {line}')
 
     running = None
     try:

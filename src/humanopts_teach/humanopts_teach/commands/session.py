@@ -168,22 +168,24 @@ class Session:
         self.interrupts.check()
         self.launcher.check(*besides)
 
-    def stay(self, tell: Callable[[str], None], look: Callable[[], object] = lambda: None) -> None:
+    def stay(
+        self, report: Callable[[str], None], watch: Callable[[], object] = lambda: None
+    ) -> None:
         """
         Stay until the session is to end.
 
-        :param tell: called with each line that a node says of itself.
-        :param look: called again and again, for what the command looks after besides.
+        :param report: called with each line that a node says of itself.
+        :param watch: called again and again, for what the command looks after besides.
         :raises LaunchError: a node ended, and is not started again, or not all was recorded.
         :raises KeyboardInterrupt: the session is to end, and all was recorded.
         """
 
         def check() -> None:
-            look()
+            watch()
             self.check(RECORDER)
 
         try:
-            self.graph.stay(check, tell)
+            self.graph.stay(check, report)
         except KeyboardInterrupt:
             self.check_recording()
             raise
@@ -215,7 +217,7 @@ class Session:
         """Say what did not go well although the session came to its end; return its status."""
         restarts = self.restarts()
         for line in restarts:
-            tell(line)
+            print_line(line)
         return 1 if restarts or self.unclean else 0
 
 
@@ -266,7 +268,7 @@ def _try_writing(folder: Path) -> None:
                 path.rmdir()
 
 
-def tell(line: str) -> None:
+def print_line(line: str) -> None:
     """Print a line of the command on standard error, at once."""
     print(f'humanopts: {line}', file=sys.stderr, flush=True)
 
@@ -276,7 +278,7 @@ def session(
     setup: Setup,
     namespace: str,
     progress: Callable[[GraphClient], None] = lambda _: None,
-    tell: Callable[[str], object] = tell,
+    report: Callable[[str], object] = print_line,
     restarts: int = MOST,
 ) -> Iterator[Session]:
     """
@@ -286,7 +288,7 @@ def session(
 
     :param progress: called about twenty times a second while something is waited for.
     :param restarts: times in a row that a node is started again.
-    :param tell: called with a line about a node that ended, was stopped or goes on.
+    :param report: called with a line about a node that ended, was stopped or goes on.
     :raises LaunchError: a node ended and is not started again, or does not become ready, or
         another launch is in the way.
     :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come; everything is stopped.
@@ -306,9 +308,9 @@ def session(
         def on_end(end: NodeExit) -> None:
             graph.note_end(end)
             if end.again:  # the other is an error of the session
-                tell(end.text)
+                report(end.text)
 
-        launcher.on_end, launcher.tell = on_end, tell
+        launcher.on_end, launcher.report = on_end, report
         try:
             for late in (False, True):
                 launcher.start(late=late)
@@ -320,7 +322,7 @@ def session(
             finally:
                 running.unclean.extend(launcher.stop())
                 for problem in running.unclean:
-                    tell(problem)
+                    report(problem)
 
 
 def run_in_terminal(
@@ -336,12 +338,12 @@ def run_in_terminal(
     print('starting ...', flush=True)
     said: list[str] = []  # while the terminal is not ours
     try:
-        with session(setup, namespace, tell=said.append) as running:
+        with session(setup, namespace, report=said.append) as running:
             status = running.launcher.run_terminal(running.interrupts.check)
             done(running)
             running.graph.catch_up()
             running.check_recording()
     finally:
         for line in said:
-            tell(line)
+            print_line(line)
     return running, status

@@ -35,13 +35,13 @@ async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIte
         try:
             participant = study.enter(seat.participant)
             while (turn := study.next_turn(participant)) is not None:
-                place = Turn(seat)
-                async with game(turn.setup, study.namespace, thread, place) as pressed:
+                condition = Turn(seat)
+                async with game(turn.setup, study.namespace, thread, condition) as pressed:
                     press = pressed
-                    await place.over.wait()
+                    await condition.over.wait()
                     press = _nothing
                     seat.show(message(seat.head, 'The next part is being prepared ...'), 0)
-                if farewell := place.farewell or study.farewell(participant, turn):
+                if farewell := condition.farewell or study.farewell(participant, turn):
                     seat.end(farewell)
                     return
             seat.end(study.finish(participant))

@@ -194,16 +194,16 @@ def simulated_part(
     :param teach: has a simulated teacher teach, and returns what was learned.
     """
     rng = generator(seed, 'simulated participant', number, part.key)
-    place = {'part': part.key, 'condition': part.condition}
-    record.note(PART_BEGAN, kind=part.kind.value, **place)
+    where = {'part': part.key, 'condition': part.condition}
+    record.note(PART_BEGAN, kind=part.kind.value, **where)
     if part.kind is Kind.TEACH:
-        record.note(LEARNED, options=learned_rows(teach()), **place)
+        record.note(LEARNED, options=learned_rows(teach()), **where)
     elif part.kind is Kind.BUTTONS:
         shares = TABLE_1.get(part.domain, {})
         named = [name for name, share in shares.items() if rng.random() < share]
         for rank, text in enumerate(named[: part.most], start=1):
-            record.note(BUTTON, domain=part.domain, rank=rank, text=text, **place)
+            record.note(BUTTON, domain=part.domain, rank=rank, text=text, **where)
     for question in part.questions:
         value = int(rng.integers(1, question.points + 1))
-        record.note(ANSWER, item=question.name, value=value, points=question.points, **place)
-    record.note(PART_ENDED, kind=part.kind.value, why=FINISHED, **place)
+        record.note(ANSWER, item=question.name, value=value, points=question.points, **where)
+    record.note(PART_ENDED, kind=part.kind.value, why=FINISHED, **where)

@@ -208,7 +208,7 @@ class App:
         :param now: seconds, never going back.
         :return: the next request to make; its answer goes to ``replied``.
         """
-        self._look_at_waiting(now)
+        self._check_waiting(now)
         while self._waiting is None and not self.ended:
             if self._outbox:
                 request = self._outbox.popleft()
@@ -238,7 +238,7 @@ class App:
         if answer.ok and isinstance(request, Run):
             self.run, self.run_text = request, ''
             self.world.running = ''
-        self._look_at_waiting(now)
+        self._check_waiting(now)
 
     def run_ended(self, run: Run, well: bool, text: str) -> None:
         """Show how a run ended, unless it is another one."""
@@ -258,7 +258,7 @@ class App:
         if self.run is not None:
             self.run_ended(self.run, False, f'{server(self.run)} is gone.')
 
-    def parting(self) -> list[Request]:
+    def last_requests(self) -> list[Request]:
         """Return what is left to ask when the terminal ends, so that nothing is left hanging."""
         lesson, game = self.world.lesson, self.world.game
         mine = lesson is not None and lesson.participant == self.participant
@@ -281,7 +281,7 @@ class App:
         group = self.groups.open_group(domain, lesson)
         return lesson.phase, lesson.option_name, lesson.question_id, group, lesson.episode
 
-    def _look_at_waiting(self, now: float) -> None:
+    def _check_waiting(self, now: float) -> None:
         waiting = self._waiting
         if waiting is None:
             return

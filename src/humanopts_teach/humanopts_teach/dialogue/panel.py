@@ -250,8 +250,8 @@ def _question(screen: QuestionScreen, app: App) -> Panel:
     asked, count = screen.question, len(screen.questions)
     points = ['●' if value == screen.value else '○' for value in range(1, asked.points + 1)]
     scale = Line(f'{asked.low}  {" ".join(points)}  {asked.high}')
-    place = Line(f'question {screen.place + 1} of {count}', Tone.QUIET)
-    return Panel((Line(asked.text, strong=True), GAP, scale, GAP, place))
+    number = Line(f'question {screen.index + 1} of {count}', Tone.QUIET)
+    return Panel((Line(asked.text, strong=True), GAP, scale, GAP, number))
 
 
 @panel.register

@@ -44,7 +44,7 @@ class StudyApp(App):
         self._parts, self._record, self._code = list(parts), record, participant
         self._part: Part | None = None
         self._began = 0.0  # s, of the part
-        self._told = False  # that its time is over
+        self._announced = False  # that its time is over
 
     def advance(self, now: float) -> Request | None:
         """Carry out what can be carried out now; end a part whose time is over."""
@@ -53,7 +53,7 @@ class StudyApp(App):
         part = self._part
         if part is not None and part.minutes and now - self._began >= 60 * part.minutes:
             if self.world.lesson is not None and self.world.lesson.phase is Phase.DEMONSTRATING:
-                self._tell_last()
+                self._announce_last()
             elif self.waits_for is None:
                 self._end_part(TIME)
         return super().advance(now)
@@ -80,15 +80,15 @@ class StudyApp(App):
         if not self._parts:
             self.ended = True
             return
-        self._part, self._began, self._told = self._parts.pop(0), now, False
+        self._part, self._began, self._announced = self._parts.pop(0), now, False
         self._note(PART_BEGAN, kind=self._part.kind.value)
         self.show(_first_screen(self._part, self._code))
 
-    def _tell_last(self) -> None:
+    def _announce_last(self) -> None:
         """Say once that the time is over."""
-        if not self._told:
+        if not self._announced:
             self.say(_LAST)
-        self._told = True
+        self._announced = True
 
     def _end_part(self, why: str) -> None:
         """End the part; the next one begins in the next turn."""
@@ -108,8 +108,8 @@ class StudyApp(App):
 
     def _note(self, what: str, **values: object) -> None:
         assert self._part is not None, 'something was noted between two parts'
-        place = {'part': self._part.key, 'condition': self._part.condition}
-        self._record.note(what, **place, **values)
+        where = {'part': self._part.key, 'condition': self._part.condition}
+        self._record.note(what, **where, **values)
 
 
 @dataclass
@@ -150,13 +150,13 @@ class QuestionScreen(Screen):
 
     shows_board: ClassVar[bool] = False
     questions: Sequence[Question]
-    place: int = 0  # of the question
+    index: int = 0  # of the question
     value: int | None = field(default=None, init=False)  # chosen so far
 
     @property
     def question(self) -> Question:
         """The question that is shown."""
-        return self.questions[self.place]
+        return self.questions[self.index]
 
     def press(self, key: str, app: App) -> None:
         """Choose, and accept."""
@@ -170,9 +170,9 @@ class QuestionScreen(Screen):
             self.value = int(key)
         elif key == ENTER and self.value is not None:
             app.answer(self.question, self.value)
-            self.place, self.value = self.place + 1, None
-            if self.place == len(self.questions):
-                self.place -= 1
+            self.index, self.value = self.index + 1, None
+            if self.index == len(self.questions):
+                self.index -= 1
                 app.end()
 
     def keys(self, app: App) -> Keys:

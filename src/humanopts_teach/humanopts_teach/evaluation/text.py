@@ -92,7 +92,7 @@ def interval(found: Interval, digits: int) -> str:
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Return lines with the columns aligned, the first to the left and the others to the right."""
     rule = ['-' * max(map(len, column)) for column in zip(head, *rows)]
-    return aligned([head, rule, *rows], [place > 0 for place in range(len(head))])
+    return aligned([head, rule, *rows], [column > 0 for column in range(len(head))])
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -83,13 +83,13 @@ def _steps_table(bag: Bag) -> Table:
 def _steps(
     bag: Bag, features: Sequence[Sequence[str]], actors: Actors
 ) -> Iterator[tuple[Any, ...]]:
-    for place, episode in enumerate(read_episodes(bag), start=1):
+    for number, episode in enumerate(read_episodes(bag), start=1):
         for at in episode.transitions:
             words = _words(features, at.features)
             if words is None:
                 bag.note(f'{episode.topic}: states with other features have none in the table')
             yield (
-                *(place, episode.publisher_id, episode.number, at.step, at.state),
+                *(number, episode.publisher_id, episode.number, at.step, at.state),
                 *(words or (None,) * len(features)),
                 *(at.previous_action, at.reward, at.terminated, at.truncated),
                 *(source_of(at), actor_of(at, actors)),

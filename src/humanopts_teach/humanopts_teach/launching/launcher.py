@@ -39,7 +39,7 @@ _ENDS_AS_ASKED = (
 )
 
 
-def _place(namespace: str) -> tuple[int, Path]:
+def _lock_file(namespace: str) -> tuple[int, Path]:
     """Return the ROS_DOMAIN_ID, and the file that is locked by a launch in it."""
     domain = int(os.environ.get('ROS_DOMAIN_ID') or 0)
     key = hashlib.sha256(f'{domain} {namespace}'.encode()).hexdigest()[:12]
@@ -54,7 +54,7 @@ def processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
     """
     found: dict[str, psutil.Process | None] = {}
     try:
-        launcher = psutil.Process(int(_place(namespace)[1].read_text('utf-8')))
+        launcher = psutil.Process(int(_lock_file(namespace)[1].read_text('utf-8')))
         found[CONDUCTOR] = launcher
         for process in launcher.children(recursive=True):
             files = [Path(word) for word in process.cmdline() if word.endswith('.yaml')]
@@ -75,7 +75,7 @@ def only_launch(namespace: str) -> Iterator[None]:
 
     :raises LaunchError: another one holds it; the text names its process.
     """
-    domain, path = _place(namespace)
+    domain, path = _lock_file(namespace)
     with path.open('a+', encoding='utf-8') as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -122,7 +122,7 @@ class Launcher:
 
     :ivar ends: of nodes that nobody asked to end, in order.
     :ivar on_end: called with each of them.
-    :ivar tell: called with a line about a process that is stopped, and when it goes on.
+    :ivar report: called with a line about a process that is stopped, and when it goes on.
     """
 
     def __init__(
@@ -144,8 +144,8 @@ class Launcher:
         self._restarts = restarts
         self.ends: list[NodeExit] = []
         self.on_end: Callable[[NodeExit], object] = lambda ended: None
-        self.tell: Callable[[str], object] = lambda line: None
-        self._looked = 0.0  # when it was last looked for stopped processes, s
+        self.report: Callable[[str], object] = lambda line: None
+        self._checked = 0.0  # when it was last looked for stopped processes, s
         self._running: list[_Running] = []
         self._terminal: list[Any] | None = None
         self._server: ForkServer | None = None  # None: nothing is started
@@ -224,9 +224,9 @@ class Launcher:
                 self._ended(running, status, now)
             if running.given_up is not None and running.spec.name not in besides:
                 raise LaunchError(running.given_up.text)
-        if now - self._looked > _STOPPED_PERIOD:
-            self._looked = now
-            self._look_for_stopped()
+        if now - self._checked > _STOPPED_PERIOD:
+            self._checked = now
+            self._check_stopped()
 
     def stop(self) -> list[str]:
         """
@@ -278,7 +278,7 @@ class Launcher:
         self.ends.append(end)
         self.on_end(end)
 
-    def _look_for_stopped(self) -> None:
+    def _check_stopped(self) -> None:
         """Tell which processes are stopped, and which go on."""
         for running in self._running:
             process = running.process
@@ -289,7 +289,7 @@ class Launcher:
                 running.stopped = stopped
                 name = running.spec.name
                 what = f'is stopped; kill -CONT {process.known_pid} lets it go on'
-                self.tell(f'the node {name} {what if stopped else "goes on"}')
+                self.report(f'the node {name} {what if stopped else "goes on"}')
 
     def _parameters(self, spec: ProcessSpec) -> Path:
         path = self._directory / f'{spec.name}.yaml'

@@ -130,7 +130,7 @@ class GraphReport:
     def to_text(self) -> str:
         """Return the report as plain text."""
         if not self.nodes:
-            return f'no node of humanopts is in {self._place}'
+            return f'no node of humanopts is in {self._where}'
         heads = ('node', 'state', 'answers', 'restarts', 'process', 'memory', 'threads', 'says')
         rows = [heads, *map(_row, self.nodes)]
         lines = aligned(rows, [False] * len(heads))
@@ -140,7 +140,7 @@ class GraphReport:
         return '\n'.join(lines)
 
     @property
-    def _place(self) -> str:
+    def _where(self) -> str:
         return f'ROS_DOMAIN_ID {self.domain_id}, namespace {self.namespace}'
 
     def _game_lines(self) -> list[str]:

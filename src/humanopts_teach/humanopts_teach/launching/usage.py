@@ -10,7 +10,7 @@ import psutil
 
 @dataclass(frozen=True)
 class Usage:
-    """One look at a process."""
+    """What a process uses."""
 
     time: float  # s, of a clock that only goes on
     cpu: float  # s of processor time since it began, over all threads
@@ -18,9 +18,9 @@ class Usage:
     peak: int  # the most that it has had at once
 
 
-def look(pid: int) -> Usage:
+def usage_of(pid: int) -> Usage:
     """
-    Look at a process.
+    Return what a process uses.
 
     :raises psutil.Error: it is gone.
     """

@@ -58,7 +58,7 @@ class Attempt:
             )
         self.transitions.append(transition)
 
-    def spoilt(self, transition: Transition) -> str:
+    def invalidated_by(self, transition: Transition) -> str:
         """
         Return why the demonstration cannot go on after one more state; empty: it can.
 

@@ -521,7 +521,7 @@ class Lesson:
         attempt = self._under_way
         if attempt is None:
             return False
-        if cause := attempt.spoilt(transition):
+        if cause := attempt.invalidated_by(transition):
             self._give_up(f'The demonstration is given up: {cause}.')
             return True
         over = transition.terminated or transition.truncated

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-PATIENCE = 50  # looks without a new status, after which a recorder is taken to be gone
+PATIENCE = 50  # checks without a new status, after which a recorder is taken to be gone
 _ADVICE = 'Everything taught so far is on disk: quit, and the same command takes it up again.'
 SILENT = (
     'nothing is heard of the recorder any more, and the bag may lack the last seconds. ' + _ADVICE
@@ -15,14 +15,14 @@ class _Recorder:
     complete: bool
     stopped: bool
     text: str
-    looks: int = 0  # since this status
+    checks: int = 0  # since this status
 
 
 class Recorders:
     """
     The last status of every recorder; a new recorder may start beside one that has stopped.
 
-    Silence is counted in looks, not in seconds, so that a lesson that was busy itself does not
+    Silence is counted in checks, not in seconds, so that a lesson that was busy itself does not
     take its own delay for that of the recorder.
     """
 
@@ -34,8 +34,8 @@ class Recorders:
         """
         self._expected = expected
         self._known: dict[str, _Recorder] = {}  # by publisher_id
-        self._heard: set[str] = set()  # recorders that have published a status
-        self._again = False  # since the last look, the first of another recorder has come
+        self._published: set[str] = set()  # recorders that have published a status
+        self._again = False  # since the last check, the first of another recorder has come
         self._fault = ''
 
     def update(self, recorder: str, *, complete: bool, stopped: bool, text: str) -> None:
@@ -44,25 +44,25 @@ class Recorders:
 
         :param recorder: its publisher_id; the rest is as in RecorderStatus.
         """
-        self._again |= bool(self._heard) and recorder not in self._heard and not stopped
-        self._heard.add(recorder)
+        self._again |= bool(self._published) and recorder not in self._published and not stopped
+        self._published.add(recorder)
         self._known[recorder] = _Recorder(complete, stopped, text)
 
-    def look(self, there: bool) -> str:
+    def check(self, present: bool) -> str:
         """
         Return why nothing is recorded and what to do; empty: it is recorded.
 
         A new recorder ends a fault once it has every topic. One that follows another without a
-        fault is one itself for a look: a lesson has to publish everything again for it.
+        fault is one itself for a check: a lesson has to publish everything again for it.
 
-        :param there: a recorder is on the graph; one that was killed stays there for a while.
+        :param present: a recorder is on the graph; one that was killed stays there for a while.
         """
         for recorder in self._known.values():
-            recorder.looks += 1
+            recorder.checks += 1
         self._known = {
             who: recorder
             for who, recorder in self._known.items()
-            if there and recorder.looks <= PATIENCE
+            if present and recorder.checks <= PATIENCE
         }
         known = self._known.values()
         again, self._again = self._again, False
@@ -72,6 +72,6 @@ class Recorders:
             self._fault = ''
         elif known and all(recorder.stopped for recorder in known):
             self._fault = f'{next(iter(known)).text}. {_ADVICE}'
-        elif not known and self._expected and (self._heard or not there):
+        elif not known and self._expected and (self._published or not present):
             self._fault = self._fault or SILENT
         return self._fault

@@ -370,7 +370,7 @@ class World:
         """Whether this terminal holds control."""
         return bool(self.me) and self.holder == self.me
 
-    def see(self, game: Transition) -> None:
+    def update_game(self, game: Transition) -> None:
         """Keep the newest state of the game, and the one before it where no step is missing."""
         now = self.game
         if now is None or (game.episode, game.step) != (now.episode, now.step):

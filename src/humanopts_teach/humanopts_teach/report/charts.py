@@ -78,9 +78,9 @@ def _chart(
         yield work
 
 
-def _series(place: int) -> dict[str, Any]:
+def _series(index: int) -> dict[str, Any]:
     """Return colour and marker of one of several series."""
-    return {'color': SERIES[place % len(SERIES)], 'marker': MARKERS[place % len(MARKERS)]}
+    return {'color': SERIES[index % len(SERIES)], 'marker': MARKERS[index % len(MARKERS)]}
 
 
 def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> list[str]:
@@ -208,8 +208,8 @@ def _planning_times(rows: Mapping[str, PlanningRow], name: str) -> str:
                     list(rows), values, 0.55, left=left, color=SERIES[color], label=label
                 )
                 left = [a + b for a, b in zip(left, values)]
-        for place, total in enumerate(left):
-            _value_label(work, (total, place), f'{total:.3g} {unit}', (5, 0), 'left')
+        for index, total in enumerate(left):
+            _value_label(work, (total, index), f'{total:.3g} {unit}', (5, 0), 'left')
         work.axes.set_xlim(0, 1.22 * max(left))
         work.axes.invert_yaxis()
         work.figure.legend(loc='outside lower center', ncols=3)
@@ -223,16 +223,16 @@ def _mean_returns(returns: Mapping[str, PlanningRow], name: str) -> str:
         for series, (kind, shift) in enumerate((('undiscounted', 10), ('discounted', -10))):
             style = {**_series(series), 'ms': 8, 'ls': ''}
             work.axes.plot([], [], label=kind, **style)
-            for place, row in enumerate(returns.values()):
+            for index, row in enumerate(returns.values()):
                 value = (row.mean_return, row.mean_discounted_return)[series]
                 if value is None:
                     continue
-                work.axes.plot(value, place, **style)
-                _value_label(work, (value, place), number(value), (0, shift), 'center')
-        for place, row in enumerate(returns.values()):
+                work.axes.plot(value, index, **style)
+                _value_label(work, (value, index), number(value), (0, shift), 'center')
+        for index, row in enumerate(returns.values()):
             if row.mean_return_low is not None and row.mean_return_high is not None:
                 ends = row.mean_return_low, row.mean_return_high
-                work.axes.hlines(place, *ends, color=SERIES[0], lw=2.0, alpha=0.5)
+                work.axes.hlines(index, *ends, color=SERIES[0], lw=2.0, alpha=0.5)
         work.axes.axvline(0, color=MUTED, lw=0.8)
         work.axes.set_yticks(range(len(returns)), list(returns))
         work.axes.set_ylim(len(returns) - 0.4, -0.6)
@@ -302,11 +302,11 @@ def _residuals(tables: Mapping[str, Sequence[SweepRow]], name: str) -> str:
     label = 'Residual by sweep'
     with _chart(name, label, title=title, xlabel='sweep', ylabel=unit, yscale='log') as work:
         axes = work.axes
-        for place, (called, rows) in enumerate(tables.items()):
+        for index, (called, rows) in enumerate(tables.items()):
             changed = [row for row in rows[1:] if row.residual > 0]  # the last may change nothing
             sweeps, residuals = [row.sweep for row in changed], [row.residual for row in changed]
             text = f'{called}: {len(rows) - 1} sweeps'
-            axes.plot(sweeps, residuals, ms=3, label=text, **_series(place))
+            axes.plot(sweeps, residuals, ms=3, label=text, **_series(index))
         low, high = axes.get_ylim()
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 100 * low else (1,)))
         axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
@@ -344,11 +344,11 @@ def _intervals(
     label = f'{title} by what plays, with 95 % intervals'
     with _chart(name, label, size, 'x', title=title, xlabel=f'{unit}, with 95 % interval') as work:
         axes = work.axes
-        for place, setting in enumerate(settings):
+        for index, setting in enumerate(settings):
             found = [value(row) for row in setting.rows]
-            shift = 0.2 * (place - (len(settings) - 1) / 2)
+            shift = 0.2 * (index - (len(settings) - 1) / 2)
             heights = [row + shift for row in range(len(found))]
-            style = _series(place)
+            style = _series(index)
             low, high = [each.low for each in found], [each.high for each in found]
             axes.hlines(heights, low, high, color=style['color'], lw=2.0)
             means = [each.mean for each in found]
@@ -379,9 +379,9 @@ def _score_curves(games: GamesEvaluation, name: str) -> str:
         name, f'Mean score by planning seconds{where}', (WIDTH, 4.4), 'both', **names
     ) as work:
         axes = work.axes
-        for place, curve in enumerate(games.curves):
+        for index, curve in enumerate(games.curves):
             seconds, scores = [r.seconds for r in curve.rows], [r.score for r in curve.rows]
-            style = _series(place)
+            style = _series(index)
             low, high = [score.low for score in scores], [score.high for score in scores]
             axes.fill_between(seconds, low, high, color=style['color'], alpha=0.2, lw=0)
             label = _curve_label(curve, games.targets)

@@ -87,18 +87,18 @@ def render_report(data: ReportData) -> str:
         'title': data.title,
         'findings': list(findings(evaluation, live, data.topics)),
         'games': [
-            (person, games, games_figures(games, f'games-{place}'))
-            for place, (person, games) in enumerate(evaluation.games.items())
+            (person, games, games_figures(games, f'games-{index}'))
+            for index, (person, games) in enumerate(evaluation.games.items())
         ],
         'sweeps': sweep_report(exact, 'sweeps'),
         'sampled': any(row.game_steps for row in planning.values()),
         'options': [
             (
                 option,
-                learning_curves(option.curve, f'option-{place}', option.last.block.name),
+                learning_curves(option.curve, f'option-{index}', option.last.block.name),
                 option_rules(option.last.option, evaluation.domain),
             )
-            for place, option in enumerate(evaluation.options)
+            for index, option in enumerate(evaluation.options)
         ],
         'demonstrations': shown_demonstrations(evaluation),
         'teachers': teachers(evaluation),

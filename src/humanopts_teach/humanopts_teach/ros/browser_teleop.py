@@ -97,7 +97,7 @@ class TeleopThread:
         """Have a node make its last requests and leave the graph, and call ``then``."""
 
         def part() -> None:
-            node.begin_parting()
+            node.send_last_requests()
             self._nodes[node] = then
 
         self.call(part)

@@ -207,12 +207,12 @@ class GraphClient(NodeBase):
             if (entry.participant, entry.name) in status
         ]
 
-    def stay(self, check: Callable[[], None], tell: Callable[[str], None]) -> None:
+    def stay(self, check: Callable[[], None], report: Callable[[str], None]) -> None:
         """
         Serve the graph until somebody interrupts.
 
         :param check: called all the while, to look after the processes.
-        :param tell: called with a line when a node pauses, and when it goes on.
+        :param report: called with a line when a node pauses, and when it goes on.
         :raises LaunchError: another launch has come to the same place; or from ``check``.
         """
         reported: dict[str, str] = {}
@@ -224,10 +224,10 @@ class GraphClient(NodeBase):
             for name in sorted(reported.keys() - paused.keys()):
                 status = self.statuses.get(name)
                 if status is not None and status.state == msg.NodeStatus.STATE_READY:
-                    tell(f'{name} goes on')
+                    report(f'{name} goes on')
             for name, text in paused.items():
                 if reported.get(name) != text:
-                    tell(f'{name} is paused: {text}')
+                    report(f'{name} is paused: {text}')
             reported = paused
 
     def catch_up(self) -> None:

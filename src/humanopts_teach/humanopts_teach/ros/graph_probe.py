@@ -37,7 +37,7 @@ _STATES = {
 }
 
 
-def look_at_graph(namespace: str) -> GraphReport:
+def probe_graph(namespace: str) -> GraphReport:
     """Look at the nodes of a namespace in this ROS_DOMAIN_ID; takes about two seconds."""
     prepare_discovery()
     context = Context()
@@ -45,7 +45,7 @@ def look_at_graph(namespace: str) -> GraphReport:
     executor = SingleThreadedExecutor(context=context)
     try:
         probe = _Probe(namespace, context, executor)
-        return probe.look()
+        return probe.report()
     finally:
         executor.shutdown()
         context.try_shutdown()
@@ -82,7 +82,7 @@ class _Probe:
             keep = partial(self._newest.__setitem__, topic)
             self._node.create_subscription(kind, topic, keep, CURRENT)
 
-    def look(self) -> GraphReport:
+    def report(self) -> GraphReport:
         """Find the nodes, ask them, and look twice."""
         self._processes = processes_of_launch(self._namespace)
         there = set(self._processes)
@@ -111,7 +111,7 @@ class _Probe:
         return GraphReport(
             domain_id=int(os.environ.get('ROS_DOMAIN_ID') or 0),
             namespace=self._namespace,
-            nodes=[self._report(name, restarts[name]) for name in nodes],
+            nodes=[self._node_report(name, restarts[name]) for name in nodes],
             recorder=self._recorder(
                 'recorder' in self._statuses,
                 rate('recorder_status', lambda status: int(status.messages)),
@@ -155,7 +155,7 @@ class _Probe:
     def _text(self, name: str) -> str:
         return self._statuses[name].text if name in self._statuses else ''
 
-    def _report(self, name: str, restarts: int) -> NodeReport:
+    def _node_report(self, name: str, restarts: int) -> NodeReport:
         status = self._statuses.get(name)
         process = self._processes.get(name)
         found: dict[str, Any] = {}
@@ -180,9 +180,9 @@ class _Probe:
             **found,
         )
 
-    def _recorder(self, there: bool, rate: float | None) -> RecorderReport | None:
+    def _recorder(self, present: bool, rate: float | None) -> RecorderReport | None:
         status = self._newest.get('recorder_status')
-        if status is None or not there:
+        if status is None or not present:
             return None
         try:
             left = shutil.disk_usage(status.path).free

@@ -21,7 +21,7 @@ class KeyboardTeleopNode(TeleopNode):
         with Device(_FAREWELL) as device:
             while not (stop() or self.app.ended or device.closed):
                 self._turn(executor, device)
-        self.begin_parting()
+        self.send_last_requests()
         while not self.parted:
             self.turn(executor, POLL_SECONDS)
 

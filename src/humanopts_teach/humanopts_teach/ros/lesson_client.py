@@ -237,7 +237,7 @@ class LessonClient:
             if isinstance(request, ListOptions):  # that there are none is an answer, too
                 found = replace(found, status=RequestStatus.OK)
             answer.set_result(found)
-            self._node.waiting.look()
+            self._node.waiting.check()
 
         self._asked = [asked for asked in self._asked if not asked[1].done()]
         self._asked.append((server(request), answer))
@@ -277,7 +277,7 @@ class LessonClient:
 
     def _on_game(self, observed: Observed) -> None:
         game = observed.transition
-        self.world.see(game)
+        self.world.update_game(game)
         self._answer_driven(
             lambda drive, _: (drive.episode, drive.step) != (game.episode, game.step),
             Answer(RequestStatus.OK, ''),
@@ -314,7 +314,7 @@ class LessonClient:
 
     def _changed(self) -> None:
         self._on_news()
-        self._node.waiting.look()
+        self._node.waiting.check()
 
 
 def run_with_lesson(

@@ -242,7 +242,7 @@ class LessonNode(NodeBase):
     def _on_game_state(self, observed: Observed) -> None:
         if self._lesson.add_transition(observed.transition):
             self._show()
-        self.waiting.look()
+        self.waiting.check()
 
     def _on_receipt(self, receipt: msg.DemonstrationReceipt) -> None:
         if receipt.status == msg.DemonstrationReceipt.STATUS_REFUSED:
@@ -280,12 +280,12 @@ class LessonNode(NodeBase):
             text=status.text,
         )
 
-    def _look_at_recording(self) -> None:
+    def _check_recording(self) -> None:
         """Pause while nothing is recorded; then publish everything again for the new bag."""
-        there = self._recorder_status.get_publisher_count()
-        fault = self._recorders.look(there > 0)
+        present = self._recorder_status.get_publisher_count()
+        fault = self._recorders.check(present > 0)
         if self._unrecorded and not fault:
-            if not self.records(self._demonstrations_out, there):  # also one that has stopped
+            if not self.records(self._demonstrations_out, present):  # also one that has stopped
                 return
             self._unsent.extend(self._lesson.demonstrations())
         self._unrecorded = fault
@@ -315,7 +315,7 @@ class LessonNode(NodeBase):
             self._lesson.learner_silent()
             self._learner = ''  # it may lack what was sent, once it publishes again
         if self.ready:
-            self._look_at_recording()
+            self._check_recording()
         self._show()
 
     def _show(self) -> None:

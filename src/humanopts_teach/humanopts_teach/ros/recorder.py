@@ -24,7 +24,7 @@ from humanopts_teach.bags import BagWriteError, SchemaError
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp
 from humanopts_teach.bags.writer import BagWriter, Limits, next_part, parts
-from humanopts_teach.launching.usage import look
+from humanopts_teach.launching.usage import usage_of
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
 
 _NS = 10**9
@@ -274,7 +274,7 @@ class Recorder(NodeBase):
         return self._text or (types and f'types not installed here: {types}')
 
     def _status_message(self, text: str) -> RecorderStatus:
-        used = look(os.getpid())
+        used = usage_of(os.getpid())
         return RecorderStatus(
             path=str(self._bag.path),
             files=self._bag.n_files,

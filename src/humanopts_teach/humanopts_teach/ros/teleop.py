@@ -92,7 +92,7 @@ class TeleopNode(NodeBase):
         self._runs = Runs(self, self.app)
         self._held: Request | None = None  # its server is not there yet
         self._came: set[str] = set()  # nodes that were there once
-        self._started = self._looked = time.monotonic()
+        self._started = self._checked = time.monotonic()
         self._drawn = self._asked = 0.0
         self._news = True  # something came in since the last frame
         self._seen: object = None  # what the last frame showed
@@ -137,7 +137,7 @@ class TeleopNode(NodeBase):
         if request is not None:
             self._asked = now
         self._send(request or self._held)
-        self._look_around(now)
+        self._check_presence(now)
         self._news |= self._seen != self.app.shown
 
     def frame_due(self) -> bool:
@@ -151,9 +151,9 @@ class TeleopNode(NodeBase):
         self._drawn, self._seen, self._news = time.monotonic(), self.app.shown, False
         return self.app.drawn()
 
-    def begin_parting(self) -> None:
+    def send_last_requests(self) -> None:
         """Make the last requests to those who are there."""
-        sent = [self._send_last(request) for request in self.app.parting()]
+        sent = [self._send_last(request) for request in self.app.last_requests()]
         self.last_answers = [future for future in sent if future is not None]
         self._parted_at = time.monotonic() + _PARTING_SECONDS
 
@@ -190,11 +190,11 @@ class TeleopNode(NodeBase):
     def _answer(self, request: Request, answer: Answer) -> None:
         self.app.replied(request, answer, time.monotonic())
 
-    def _look_around(self, now: float) -> None:
+    def _check_presence(self, now: float) -> None:
         """Notice nodes that are gone."""
-        if now - self._looked < _PRESENCE_SECONDS:
+        if now - self._checked < _PRESENCE_SECONDS:
             return
-        self._looked = now
+        self._checked = now
         there = {node for node, topic in _NEEDED.items() if self.count_publishers(topic)}
         self._came |= there
         late = now - self._started > _START_SECONDS

@@ -73,7 +73,7 @@ class ViewsNode(NodeBase):
         self.subscribe(
             OptionValues, 'option_values', option_values_from_message, self._on_values, CURRENT
         )
-        self._timer = self.create_timer(_PERIOD, self._look, autostart=False)
+        self._timer = self.create_timer(_PERIOD, self._draw_newest, autostart=False)
 
     def waits_for(self) -> str | None:
         """Return what the node waits for: the domain of the game."""
@@ -98,7 +98,7 @@ class ViewsNode(NodeBase):
         self._plan, self._cells = None if plan.sampled else plan, {}
         self._changed = True
 
-    def _look(self) -> None:
+    def _draw_newest(self) -> None:
         """Draw the newest state, where anything has changed."""
         if (newest := self._newest.take()) is not None:
             self._state = newest

@@ -122,13 +122,13 @@ class StudyPlan:
 
         :param number: of the participant in the order of arrival, from 0.
         """
-        places = list(range(len(self.conditions)))
+        indices = list(range(len(self.conditions)))
         if self.order is Order.BALANCED:
-            square = balanced_latin_square(len(places))
-            places = square[number % len(square)]
+            square = balanced_latin_square(len(indices))
+            indices = square[number % len(square)]
         elif self.order is Order.RANDOM:
-            places = generator(self.seed, 'order', number).permutation(places).tolist()
-        return [self.conditions[place] for place in places]
+            indices = generator(self.seed, 'order', number).permutation(indices).tolist()
+        return [self.conditions[index] for index in indices]
 
     def turns_of(self, number: int) -> list[tuple[Condition, list[Part]]]:
         """
@@ -164,7 +164,7 @@ def balanced_latin_square(count: int) -> list[list[int]]:
     first = [0]
     for step in range(1, count):
         first.append((step + 1) // 2 if step % 2 else count - step // 2)
-    rows = [[(place + row) % count for place in first] for row in range(count)]
+    rows = [[(index + row) % count for index in first] for row in range(count)]
     return rows + [row[::-1] for row in rows] if count % 2 and count > 1 else rows
 
 

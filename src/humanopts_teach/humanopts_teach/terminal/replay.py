@@ -37,7 +37,7 @@ class Replay:
         domain: Domain[Any],
         episodes: Sequence[Callable[[], Episode]],
         actors_of: Callable[[Episode], Actors],
-        place: int = 0,
+        index: int = 0,
         speed: float = 1.0,
     ) -> None:
         """
@@ -45,12 +45,12 @@ class Replay:
 
         :param episodes: one or more, each a function that reads it.
         :param actors_of: whose the commands in an episode were.
-        :param place: of the episode, from 0.
+        :param index: of the episode, from 0.
         :param speed: 2 is twice as fast.
         """
         self._domain, self._episodes, self._actors_of = domain, episodes, actors_of
-        self._place = self._step = 0
-        self._begin(place)
+        self._index = self._step = 0
+        self._begin(index)
         self.speed = speed
         self.running, self.over = True, False
 
@@ -107,16 +107,16 @@ class Replay:
     def _go(self, step: int) -> None:
         self._step = min(max(step, 0), self._last)
 
-    def _begin(self, place: int) -> None:
+    def _begin(self, index: int) -> None:
         """Stand at the first step of an episode."""
-        self._place, self._step = place, 0
-        self._episode = self._episodes[place]()
+        self._index, self._step = index, 0
+        self._episode = self._episodes[index]()
         self._actors = self._actors_of(self._episode)
 
     def _turn(self, by: int) -> None:
-        place = self._place + by
-        if 0 <= place < len(self._episodes):
-            self._begin(place)
+        index = self._index + by
+        if 0 <= index < len(self._episodes):
+            self._begin(index)
             self.running = True
 
     def _board(self) -> tuple[Text, Text]:
@@ -128,7 +128,7 @@ class Replay:
         episode, transitions = self._episode, self._episode.transitions
         at = transitions[self._step]
         parts = [
-            f'episode {self._place + 1} of {len(self._episodes)}',
+            f'episode {self._index + 1} of {len(self._episodes)}',
             f'step {at.step} of {transitions[-1].step}',
         ]
         if at.previous_action:
