@@ -18,22 +18,16 @@ from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError, interruptible
 from humanopts_teach.commands.bag import app as bag_app
 from humanopts_teach.commands.options import (
-    BrowserOption,
     CommandGroup,
-    HOST,
-    HostOption,
     LaunchOptions,
-    LINGER,
-    LingerOption,
     node_names,
     OnlyOption,
+    PageOptions,
     PLAIN,
-    PORT,
-    PortOption,
     several_games,
     share,
     whole,
-    with_launch_options,
+    with_options,
 )
 from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError
@@ -110,9 +104,8 @@ def humanopts(
 
 
 @app.command(cls=DomainCommand)
-@with_launch_options
+@with_options
 def demo(
-    launch: LaunchOptions,
     domain: str = 'taxi',
     episodes: Annotated[
         int | None,
@@ -140,6 +133,8 @@ def demo(
             help="share of the simulated teacher's steps that are wrong",
         ),
     ] = 0.02,
+    *,
+    launch: LaunchOptions,
 ) -> int:
     """Run the whole graph with a simulated teacher: bag, options, report."""
     from humanopts_teach.commands.demo import run_demo
@@ -148,12 +143,13 @@ def demo(
 
 
 @app.command(cls=DomainCommand)
-@with_launch_options
+@with_options
 def up(
-    launch: LaunchOptions,
     domain: DomainArgument,
     no_record: Annotated[bool, typer.Option('--no-record', help='do not write a bag')] = False,
     only: OnlyOption = '',
+    *,
+    launch: LaunchOptions,
 ) -> int:
     """Launch the nodes and stay until Ctrl-C."""
     from humanopts_teach.commands.session import check_folder, new_name, session, setup_from
@@ -178,9 +174,8 @@ def up(
 
 
 @app.command(cls=DomainCommand)
-@with_launch_options
+@with_options
 def teach(
-    launch: LaunchOptions,
     domain: DomainArgument,
     participant: Annotated[
         str,
@@ -190,11 +185,10 @@ def teach(
             help='of the person: letters, digits, - and _, at most 60 of them; default: ask',
         ),
     ] = '',
-    browser: BrowserOption = False,
-    host: HostOption = HOST,
-    port: PortOption = PORT,
-    linger: LingerOption = LINGER,
+    *,
+    pages: PageOptions,
     only: OnlyOption = '',
+    launch: LaunchOptions,
 ) -> int:
     """Launch, and teach from this terminal's keyboard, or from browsers."""
     from humanopts_teach.commands.session import (
@@ -210,9 +204,9 @@ def teach(
     given: dict[str, Any] = {'participant': participant, 'ask_participant': False}
     if participant and not CODE.fullmatch(participant):
         raise CommandError(f'--participant {participant!r} is not a code: {CODE_RULE}')
-    if not browser and not (sys.stdin.isatty() and sys.stdout.isatty()):
+    if not pages.browser and not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise CommandError('teaching needs a terminal for input and output, or --browser')
-    if browser and only:
+    if pages.browser and only:
         raise CommandError('--only is not for --browser, where each page has nodes of its own')
     setup = setup_from(
         domain,
@@ -224,10 +218,10 @@ def teach(
         only=node_names(only),
     )
     check_folder(setup)
-    if browser:
-        from humanopts_teach.commands.browser import Address, teach_in_browser
+    if pages.browser:
+        from humanopts_teach.commands.browser import teach_in_browser
 
-        return teach_in_browser(setup, launch.namespace, Address(host, port), participant, linger)
+        return teach_in_browser(setup, launch.namespace, pages, participant)
 
     def say_where(running: Session) -> None:
         print(f'demonstrations and options are in {setup.directory}')

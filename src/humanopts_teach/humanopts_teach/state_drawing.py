@@ -58,13 +58,11 @@ def draw_state(
     return StateDrawing(tuple(lines[:end]), tuple(lines[end:]), domain.glyph_styles)
 
 
-def board_svg(drawing: StateDrawing, label: str = 'the board') -> str:
+def board_svg(drawing: StateDrawing) -> str:
     """
     Return the board as an SVG picture, whose colours are classes of the style sheet.
 
     Lines of box characters are joined, and signs that fonts draw differently have shapes.
-
-    :param label: what it is called where it cannot be seen.
     """
     width, height = CELL
     classes = {glyph: style_classes(style) for glyph, style in drawing.styles.items()}
@@ -89,7 +87,7 @@ def board_svg(drawing: StateDrawing, label: str = 'the board') -> str:
     drawn = ''.join(f'<path class="{name}" d="{path}"/>' for name, path in lines.items())
     size = max(map(len, drawing.board), default=0) * width, len(drawing.board) * height
     return (
-        f'<svg class="board" role="img" aria-label="{html.escape(label)}" '
+        f'<svg class="board" role="img" aria-label="the board" '
         f'viewBox="-5 0 {size[0] + 10} {size[1]}">{drawn}{"".join(signs)}</svg>'
     )
 

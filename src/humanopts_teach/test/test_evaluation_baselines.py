@@ -22,7 +22,6 @@ from humanopts_teach.evaluation.games import (
     baselines_of,
     carried_over,
     ComparisonRow,
-    CurveLimits,
     HEURISTIC,
     PLAN,
     planning_curve,
@@ -96,11 +95,8 @@ def test_a_plan_is_judged_as_when_it_is_made_alone(
 def test_a_curve_has_the_same_score_for_the_same_budget(
     domain: PacMan, options: list[LearnedOption], rows: list[ComparisonRow]
 ) -> None:
-    plan, limits = (
-        Baseline('planned', PLAN, HUMAN, options),
-        CurveLimits(STEPS // 2, STEPS),
-    )
-    curve = planning_curve(domain, plan, limits, SEED, GAMES)
+    plan = Baseline('planned', PLAN, HUMAN, options)
+    curve = planning_curve(domain, plan, (STEPS // 2, STEPS), SEED, GAMES)
     assert [row.budget_steps for row in curve.rows] == [STEPS // 2, STEPS]
     assert curve.rows[-1].score == rows[0].score
 
@@ -108,17 +104,15 @@ def test_a_curve_has_the_same_score_for_the_same_budget(
 def test_a_curve_ends_where_the_target_is_reached_and_shows_where_it_is_not(
     domain: PacMan, options: list[LearnedOption]
 ) -> None:
-    """Budgets are doubled; there are not so many points to be had."""
-    plan = Baseline('planned', PLAN, HUMAN, options)
-    limits = CurveLimits(STEPS, 2 * STEPS, target=1e9)
-    curve = planning_curve(domain, plan, limits, SEED, GAMES)
+    plan, budgets = Baseline('planned', PLAN, HUMAN, options), (STEPS, 2 * STEPS)
+    curve = planning_curve(domain, plan, budgets, SEED, GAMES, target=1e9)  # there are not so many
     assert [row.budget_steps for row in curve.rows] == [STEPS, 2 * STEPS]
     assert curve.seconds_to_reach(1e9) is None
-    curve = planning_curve(domain, plan, replace(limits, target=-1e9), SEED, GAMES)
+    curve = planning_curve(domain, plan, budgets, SEED, GAMES, target=-1e9)
     assert [row.budget_steps for row in curve.rows] == [STEPS]
     assert curve.seconds_to_reach(-1e9) == curve.rows[0].seconds > 0.0
-    limits = replace(limits, enough_seconds=1e-9)
-    assert len(planning_curve(domain, plan, limits, SEED, GAMES).rows) == 1
+    curve = planning_curve(domain, plan, budgets, SEED, GAMES, enough_seconds=1e-9)
+    assert len(curve.rows) == 1
 
 
 def test_a_rule_is_that_of_the_baselines(domain: PacMan, rows: list[ComparisonRow]) -> None:

@@ -20,7 +20,6 @@ from humanopts_teach.evaluation.bag_evaluation import (
 )
 from humanopts_teach.evaluation.games import (
     Curve,
-    CurveLimits,
     CurveRow,
     evaluate_games,
     every_baseline,
@@ -44,7 +43,7 @@ import pytest
 pytestmark = pytest.mark.heavy
 
 GAMES, SEED, STEPS = 20, 5, 4_992
-SMALL = CurveLimits(500, 1_000)  # budgets that are far too small to play well
+SMALL = (500, 1_000)  # budgets that are far too small to play well
 
 
 @pytest.fixture(scope='module')
@@ -79,8 +78,8 @@ def games(
 ) -> GamesEvaluation:
     """What they came to."""
     return evaluate_games(
-        *(brief, options, SEED, GAMES, SMALL.first),
-        limits=SMALL,
+        *(brief, options, SEED, GAMES, SMALL[0]),
+        budgets=SMALL,
         progress=lambda done, total, text: told.append((text, done / total)),
         jobs=2,
     )
@@ -143,7 +142,7 @@ def test_two_processes_play_the_games_that_this_one_does(
 ) -> None:
     """Every fourth way to play: plans, run to the end and interrupted, chance, and a rule."""
     chase = make_domain('pacman', {**brief.parameters, 'ghosts': 'chase'})
-    ways = every_baseline(chase, options, SMALL.first)
+    ways = every_baseline(chase, options, SMALL[0])
     again = [play_baseline(chase, way, SEED, GAMES) for way in ways[::4]]
     assert {row.kind for row in again} == {PLAN, RANDOM, HEURISTIC}
     assert [(row.name, row.score, row.outcomes) for row in again] == [
@@ -160,7 +159,7 @@ def test_whoever_watches_can_end_it(brief: Domain[Any], options: list[LearnedOpt
             raise PlanCanceled
 
     with pytest.raises(PlanCanceled):
-        evaluate_games(brief, options, SEED, 2, SMALL.first, SMALL, progress=stop, jobs=1)
+        evaluate_games(brief, options, SEED, 2, SMALL[0], SMALL, progress=stop, jobs=1)
     assert told == [0, 1]
 
 

@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 import json
 import secrets
@@ -15,6 +15,7 @@ from typing import Any
 from humanopts_teach.browser.pages import serve
 from humanopts_teach.browser.seats import GameError, Press, Seat, Seats, Turn
 from humanopts_teach.commands import CommandError, noticed_interrupts
+from humanopts_teach.commands.options import PageOptions
 from humanopts_teach.commands.session import check_folder, new_name, print_line, session
 from humanopts_teach.dialogue.panel import View
 from humanopts_teach.launching import LaunchError
@@ -26,27 +27,16 @@ _TOKEN_BYTES = 12
 _STOPPING_SECONDS = 40.0  # for the processes of a graph to end; each has less
 
 
-@dataclass(frozen=True)
-class Address:
-    """Where the pages are served."""
-
-    host: str
-    port: int
-
-
 OpenGame = Callable[[TeleopThread, Seat], AbstractAsyncContextManager[Press]]
 
 
-def teach_in_browser(
-    setup: Setup, namespace: str, address: Address, participant: str, linger: float
-) -> int:
+def teach_in_browser(setup: Setup, namespace: str, pages: PageOptions, participant: str) -> int:
     """
     Serve pages until Ctrl-C.
 
     :param setup: of each participant's graph, besides its folder and bag.
     :param namespace: in which each graph has one of its own.
     :param participant: code that is proposed; empty: none.
-    :param linger: how long a game goes on whose page is closed, s.
     :raises CommandError: the address cannot be used.
     """
 
@@ -63,27 +53,24 @@ def teach_in_browser(
         return game(own(seat), namespace, thread, seat)
 
     print(f'Each participant has a folder in {setup.directory}.')
-    return serve_seats(setup.domain, open_game, address, participant, linger)
+    return serve_seats(setup.domain, open_game, pages, participant)
 
 
-def serve_seats(
-    name: str, open_game: OpenGame, address: Address, participant: str, linger: float
-) -> int:
+def serve_seats(name: str, open_game: OpenGame, pages: PageOptions, participant: str) -> int:
     """
     Serve pages, each with a seat, until Ctrl-C.
 
     :param name: of the game, or the study.
     :param open_game: returns the game of a seat.
     :param participant: code that is proposed; empty: none.
-    :param linger: how long a game goes on whose page is closed, s.
     :raises CommandError: the address cannot be used.
     """
-    listening, token = _listen(address), secrets.token_urlsafe(_TOKEN_BYTES)
-    host, port = _name(address.host), listening.getsockname()[1]
+    listening, token = _listen(pages), secrets.token_urlsafe(_TOKEN_BYTES)
+    host, port = _name(pages.host), listening.getsockname()[1]
     thread = TeleopThread()
     try:
         with noticed_interrupts() as interrupts:
-            seats = Seats(name, partial(open_game, thread), linger)
+            seats = Seats(name, partial(open_game, thread), pages.linger)
             print(f'Open http://{host}:{port}/{token} in a browser; Ctrl-C stops everything.')
             sys.stdout.flush()
             asyncio.run(
@@ -96,14 +83,14 @@ def serve_seats(
     return 0
 
 
-def _listen(address: Address) -> socket.socket:
+def _listen(pages: PageOptions) -> socket.socket:
     try:
-        family = socket.AF_INET6 if ':' in address.host else socket.AF_INET
-        return socket.create_server((address.host, address.port), family=family)
+        family = socket.AF_INET6 if ':' in pages.host else socket.AF_INET
+        return socket.create_server((pages.host, pages.port), family=family)
     except OSError as error:
         why = str(error.strerror).partition(' (')[0]
         raise CommandError(
-            f'cannot serve at {address.host}, port {address.port}: {why}; choose another --host '
+            f'cannot serve at {pages.host}, port {pages.port}: {why}; choose another --host '
             'or --port'
         ) from error
 

@@ -1,7 +1,7 @@
 """The options that ``demo``, ``up`` and ``teach`` share, and how texts become their values."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, MISSING
+from dataclasses import dataclass, Field, field, fields, is_dataclass, MISSING
 import inspect
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -78,25 +78,6 @@ linger = number('from 1 to 86400', lambda value: 1 <= value <= 86400)
 split_seconds = number('a number of seconds up to 1000000', lambda value: 0 < value <= 10**6)
 
 
-# Of the commands that serve pages.
-HOST, PORT, LINGER = '127.0.0.1', 8080, 120.0
-BrowserOption = Annotated[
-    bool, typer.Option('--browser', help='serve pages; several people can take part at once')
-]
-HostOption = Annotated[
-    str, typer.Option(metavar='ADDRESS', help='with --browser: to serve at; 0.0.0.0: all')
-]
-PortOption = Annotated[
-    int, typer.Option(min=0, max=65535, metavar='N', help='with --browser; 0: any that is free')
-]
-LingerOption = Annotated[
-    float,
-    typer.Option(
-        parser=linger,
-        metavar='SECONDS',
-        help='with --browser: how long a game goes on whose page is closed',
-    ),
-]
 OnlyOption = Annotated[
     str,
     typer.Option(
@@ -111,6 +92,30 @@ OnlyOption = Annotated[
 def node_names(text: str) -> tuple[str, ...]:
     """Return the names in a text, where they are separated by commas."""
     return tuple(name.strip() for name in text.split(',') if name.strip())
+
+
+@dataclass(frozen=True)
+class PageOptions:
+    """What the command line says about pages that are served; each field is an option."""
+
+    browser: Annotated[
+        bool, typer.Option('--browser', help='serve pages; several people can take part at once')
+    ] = False
+    host: Annotated[
+        str, typer.Option(metavar='ADDRESS', help='with --browser: to serve at; 0.0.0.0: all')
+    ] = '127.0.0.1'
+    port: Annotated[
+        int,
+        typer.Option(min=0, max=65535, metavar='N', help='with --browser; 0: any that is free'),
+    ] = 8080
+    linger: Annotated[
+        float,
+        typer.Option(
+            parser=linger,
+            metavar='SECONDS',
+            help='with --browser: how long a game goes on whose page is closed',
+        ),
+    ] = 120.0
 
 
 @dataclass(frozen=True)
@@ -223,31 +228,33 @@ class LaunchOptions:
     ] = False
 
 
-def with_launch_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Give a command every field of LaunchOptions as an option, for its argument ``launch``."""
-    shared = [
-        inspect.Parameter(
-            option.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=[] if option.default is MISSING else option.default,
-            annotation=option.type,
-        )
-        for option in fields(LaunchOptions)
-    ]
+def with_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Give a command every field of its arguments that are dataclasses as an option."""
+    signature = inspect.signature(command)
+    given = {p.name: p.annotation for p in signature.parameters.values()}
+    bundles = {name: fields(kind) for name, kind in given.items() if is_dataclass(kind)}
 
     def run(**values: Any) -> int:
-        launch = LaunchOptions(**{option.name: values.pop(option.name) for option in shared})
-        return command(launch=launch, **values)
+        for name, options in bundles.items():
+            values[name] = given[name](**{each.name: values.pop(each.name) for each in options})
+        return command(**values)
 
-    signature = inspect.signature(command)
-    own = [
-        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for parameter in signature.parameters.values()
-        if parameter.name != 'launch'
-    ]
+    parameters = []
+    for parameter in signature.parameters.values():
+        options = bundles.get(parameter.name)
+        parameters += [parameter] if options is None else map(_parameter, options)
+    keyword = inspect.Parameter.KEYWORD_ONLY
     run.__name__, run.__doc__ = command.__name__, command.__doc__
-    run.__signature__ = signature.replace(parameters=[*own, *shared])  # type: ignore[attr-defined]
+    run.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[parameter.replace(kind=keyword) for parameter in parameters]
+    )
     return run
+
+
+def _parameter(option: 'Field[Any]') -> inspect.Parameter:
+    default = [] if option.default is MISSING else option.default
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(option.name, kind, default=default, annotation=option.type)
 
 
 class CommandGroup(TyperGroup):

@@ -8,17 +8,7 @@ from typing import Annotated, Any, TYPE_CHECKING
 from humanopts_ros.limits import printable
 from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError
-from humanopts_teach.commands.options import (
-    BrowserOption,
-    HOST,
-    HostOption,
-    LINGER,
-    LingerOption,
-    PLAIN,
-    PORT,
-    PortOption,
-    whole,
-)
+from humanopts_teach.commands.options import PageOptions, PLAIN, whole, with_options
 import typer
 from typer.core import TyperGroup
 
@@ -50,6 +40,7 @@ def study() -> None:
 
 
 @app.command()
+@with_options
 def run(
     plan: PlanArgument,
     participant: Annotated[
@@ -65,10 +56,8 @@ def run(
     ] = 0,
     folder: StudyOption = None,
     namespace: Annotated[str, typer.Option(metavar='NAME', help='of the nodes')] = '/',
-    browser: BrowserOption = False,
-    host: HostOption = HOST,
-    port: PortOption = PORT,
-    linger: LingerOption = LINGER,
+    *,
+    pages: PageOptions,
 ) -> int:
     """Take one participant through the study in this terminal, or several in browsers."""
     from humanopts_teach.commands.study_session import Study
@@ -79,11 +68,10 @@ def run(
             study.simulate(f'simulated-{number}')
         _export(study.folder, study.folder.path / 'tables')
         return 0
-    if browser:
-        from humanopts_teach.commands.browser import Address
+    if pages.browser:
         from humanopts_teach.commands.study_browser import study_in_browser
 
-        return study_in_browser(study, Address(host, port), participant, linger)
+        return study_in_browser(study, pages, participant)
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise CommandError(
             'a study needs a terminal for input and output, or --browser, or --simulate N'

@@ -6,12 +6,13 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppres
 
 from humanopts_teach.browser.seats import GameError, message, Press, Seat, Turn
 from humanopts_teach.commands import CommandError
-from humanopts_teach.commands.browser import Address, game, serve_seats
+from humanopts_teach.commands.browser import game, serve_seats
+from humanopts_teach.commands.options import PageOptions
 from humanopts_teach.commands.study_session import Study
 from humanopts_teach.ros.browser_teleop import TeleopThread
 
 
-def study_in_browser(study: Study, address: Address, participant: str, linger: float) -> int:
+def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
     """
     Serve pages until Ctrl-C; parameters and errors are those of ``serve_seats``.
 
@@ -22,7 +23,7 @@ def study_in_browser(study: Study, address: Address, participant: str, linger: f
         return _all_turns(study, thread, seat)
 
     print(f'{study.plan.name}: everything is kept in {study.folder.path}.')
-    return serve_seats(study.plan.name, open_game, address, participant, linger)
+    return serve_seats(study.plan.name, open_game, pages, participant)
 
 
 @asynccontextmanager

@@ -13,7 +13,7 @@ taken as long as anyone wants to wait. Planning seconds are those of the process
 made from scratch, models counted; judging is not.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 import math
@@ -48,6 +48,7 @@ import numpy as np
 GAMES = 1000  # that each way to play is judged by
 TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primitive actions' time
 PATIENCE = 4.0  # s of planning after which options that do not reach the target are given up
+BUDGETS = tuple(12_500 * 2**n for n in range(12))  # game steps, of the plans of a curve
 GENEROUS = 4  # times the game steps, in a second plan with primitive actions
 CURVES = 'score by planning time'
 PLAYING = 50_000  # game steps that take about as long as to judge a way to play
@@ -215,45 +216,34 @@ class Curve:
         return max(row.seconds for row in self.rows)
 
 
-@dataclass(frozen=True)
-class CurveLimits:
-    """Where a curve begins, and where it ends."""
-
-    first: int = 12_500  # budget of game steps
-    largest: int = 25_600_000  # budget
-    target: float = math.inf  # mean score that is enough
-    enough_seconds: float = math.inf  # no larger budget is tried once a plan took so long
-
-    def budgets(self) -> Iterator[int]:
-        """Yield the first budget, doubled while it is at most the largest."""
-        budget = self.first
-        while budget <= self.largest:
-            yield budget
-            budget *= 2
-
-
 def planning_curve(
     domain: Domain[Any],
     baseline: Baseline,
-    limits: CurveLimits,
+    budgets: Sequence[int],
     seed: int,
     games: int = 1000,
+    *,
+    target: float = math.inf,
+    enough_seconds: float = math.inf,
 ) -> Curve:
     """
     Make plans from budget after budget, and judge each.
 
     :param baseline: a plan; its own budget is not used.
+    :param budgets: of game steps, ascending.
+    :param target: mean score that is enough.
+    :param enough_seconds: no larger budget is tried once a plan took so long.
     :param seed: of the plans, and of the games, which are drawn independently.
     :param games: that each plan is judged by, two or more.
     :raises PlanError: as ``make_sampled_plan``.
     """
     rows: list[CurveRow] = []
-    for budget in limits.budgets():
+    for budget in budgets:
         plan = _make_plan(domain, replace(baseline, budget_steps=budget), seed)
         score = Interval.of(plan.play(seed, games).total)
         states = len(plan.solution.values)
         rows.append(CurveRow(baseline.action_set, budget, plan.seconds, score, states))
-        if score.low >= limits.target or plan.seconds >= limits.enough_seconds:
+        if score.low >= target or plan.seconds >= enough_seconds:
             break
     return Curve(baseline.name, tuple(rows))
 
@@ -321,7 +311,7 @@ def evaluate_games(
     seed: int,
     games: int = GAMES,
     game_steps: int = GAME_STEPS,
-    limits: CurveLimits = CurveLimits(),
+    budgets: Sequence[int] = BUDGETS,
     progress: ProgressCallback = ignore_progress,
     jobs: int = 0,
 ) -> GamesEvaluation:
@@ -331,7 +321,7 @@ def evaluate_games(
     :param options: of one participant, learned in ``domain`` or in a variant of it.
     :param games: that each way to play is judged by, two or more.
     :param game_steps: that the plans which are compared are made from.
-    :param limits: of the budgets of the curves; the scores of interest are added.
+    :param budgets: of the curves, game steps, ascending.
     :param progress: called as the work goes on; what it raises passes through.
     :param jobs: processes that do the work; 0: one for each core; 1: this one.
     :raises PlanError: the domain cannot play many games, or the options are of another one.
@@ -349,7 +339,7 @@ def evaluate_games(
     names = [*(f'{name}: {each.name}' if name else each.name for name, each in plays), CURVES]
     calls: list[Callable[[], Any]] = [
         *(partial(play_baseline, variants[name], each, seed, games) for name, each in plays),
-        partial(_curves, variant, options, seed, games, limits),
+        partial(_curves, variant, options, seed, games, budgets),
     ]
     costs = [*(each.budget_steps + PLAYING for _, each in plays), math.inf]
     progress(0, len(calls), f'{len(calls)} parts, side by side')
@@ -362,7 +352,7 @@ def evaluate_games(
 
 
 def _curves(
-    domain: Domain[Any], options: Options, seed: int, games: int, limits: CurveLimits
+    domain: Domain[Any], options: Options, seed: int, games: int, budgets: Sequence[int]
 ) -> tuple[Curve, ...]:
     """
     Return the curves of options and of primitive actions.
@@ -371,12 +361,12 @@ def _curves(
     """
     usual = baselines_of(domain)
     moved = [carried_over(option, domain) for option in options]
-    limits = replace(limits, target=max(usual.targets, default=math.inf), enough_seconds=PATIENCE)
+    curve = partial(planning_curve, target=max(usual.targets, default=math.inf))
     of_options = Baseline(f'human, {_counted(options)}', PLAN, HUMAN, moved)
-    human = planning_curve(domain, of_options, limits, seed, games)
-    limits = replace(limits, enough_seconds=TENFOLD * _needed(human, usual.targets))
+    human = curve(domain, of_options, budgets, seed, games, enough_seconds=PATIENCE)
+    enough = TENFOLD * _needed(human, usual.targets)
     of_actions = _planned(PRIMITIVE, PRIMITIVE, (), 0, usual.primitive)
-    return human, planning_curve(domain, of_actions, limits, seed, games)
+    return human, curve(domain, of_actions, budgets, seed, games, enough_seconds=enough)
 
 
 def every_baseline(domain: Domain[Any], options: Options, steps: int) -> list[Baseline]:
