@@ -1,7 +1,7 @@
 """Writes a rosbag2 directory: MCAP files (profile ros2) and metadata.yaml."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 import fcntl
 from itertools import count, takewhile
@@ -168,7 +168,7 @@ class Limits:
 NO_LIMITS = Limits()
 
 
-class BagWriter:
+class BagWriter(AbstractContextManager['BagWriter']):
     """
     One recording.
 
@@ -324,12 +324,7 @@ class BagWriter:
             self._files[-1].finish(information)
             self._describe(information)
 
-    def __enter__(self) -> 'BagWriter':
-        """Return the writer; leaving the context closes it."""
-        return self
-
     def __exit__(self, *error: object) -> None:
-        """Close the bag."""
         self.close()
 
     def _channel(self, topic: Topic) -> int:

@@ -103,12 +103,10 @@ class PlayScreen(Screen):
         return NewEpisode(int(rng.integers(2**63)))
 
     def table(self, app: App) -> KeyTable:
-        """Return the keys."""
         pace = PACE if app.run is not None else ()
         return key_table(app.domain.actions, (*pace, *self.commands))
 
     def keys(self, app: App) -> Keys:
-        """Return the keys and what they do."""
         running = app.run is not None
         words = {Command.MENU: 'stop it'} if running else {}
         table, idle = self.table(app), _IDLE if running else ()
@@ -143,7 +141,6 @@ class RunScreen(PlayScreen):
     option_name: str
 
     def __post_init__(self) -> None:
-        """Name the option."""
         self.title = f'Run: {self.option_name}'
 
     def start(self, app: App) -> None:
@@ -199,7 +196,6 @@ class WatchScreen(PlayScreen):
         return Execution(app.world.execution) if playing else self.execution
 
     def start(self, app: App) -> None:
-        """Plan."""
         app.ask(SetControl(hold=False), PlanOptions(self.action_set, app.participant, app.seed))
 
     def run_ended(self, run: Run, well: bool, app: App) -> None:

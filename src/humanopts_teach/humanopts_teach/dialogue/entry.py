@@ -37,7 +37,6 @@ class TextScreen(Screen):
     _edited: bool = field(default=False, init=False)
 
     def press(self, key: str, app: App) -> None:
-        """Edit the line, or submit it."""
         kept, self._edited = self.typed if self._edited else '', True
         if key == ENTER and self.typed.strip():
             self.submit(self.typed.strip(), app)
@@ -51,11 +50,9 @@ class TextScreen(Screen):
             self.typed = kept + key
 
     def replied(self, request: Request, answer: Answer, app: App) -> None:
-        """Go on, or stay with what was refused."""
         self.answered(request, answer, app)
 
     def keys(self, app: App) -> Keys:
-        """Return the keys of a line editor."""
         back = [(label(ESCAPE), self.back_words)] if self.back is not None else []
         return [('Enter', 'accept'), ('Backspace', 'erase'), *back, ('Ctrl-C', 'quit')]
 
@@ -88,7 +85,6 @@ class ListScreen(Screen):
         return states[self.step] if states else ''
 
     def press(self, key: str, app: App) -> None:
-        """Move, or pick."""
         number = self.at - self.at % PAGE + int(key) - 1 if key in set('123456789') else -1
         if key in (UP, DOWN):
             self.at, self.step = (self.at + (1 if key == DOWN else -1)) % len(self.items), 0
@@ -108,11 +104,9 @@ class ListScreen(Screen):
             app.end()
 
     def replied(self, request: Request, answer: Answer, app: App) -> None:
-        """Go on with what was picked."""
         self.answered(request, answer, app)
 
     def keys(self, app: App) -> Keys:
-        """Return the keys of a list."""
         back = [(label(ESCAPE), 'back')] if self.back is not None else []
         along = [(label(LEFT), 'back'), (label(RIGHT), 'along its way')]
         way = along if len(self.items[self.at].states) > 1 else []
@@ -129,11 +123,9 @@ class ConfirmScreen(Screen):
     back: Callable[[App], None]
 
     def press(self, key: str, app: App) -> None:
-        """Affirm or go back."""
         (self.affirm if key == ENTER else self.back)(app)
 
     def keys(self, app: App) -> Keys:
-        """Return the two answers."""
         return [('Enter', 'yes'), ('any other key', 'go on as before')]
 
 
@@ -147,11 +139,9 @@ class HelpScreen(Screen):
     title: str = 'Keys'
 
     def press(self, key: str, app: App) -> None:
-        """Go back."""
         self.back(app)
 
     def keys(self, app: App) -> Keys:
-        """Return the one thing to do."""
         return [('any key', 'go back')]
 
 

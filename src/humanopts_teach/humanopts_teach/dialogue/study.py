@@ -68,7 +68,6 @@ class StudyApp(App):
         self.ended = True
 
     def answer(self, question: Question, value: int) -> None:
-        """Note an answer."""
         self._note(ANSWER, item=question.name, value=value, points=question.points)
 
     def suggest(self, rank: int, text: str) -> None:
@@ -121,7 +120,6 @@ class PageScreen(Screen):
     asks: bool = False  # whether the person agrees
 
     def press(self, key: str, app: App) -> None:
-        """Go on, or do not."""
         assert isinstance(app, StudyApp)
         if key.lower() == 'y' if self.asks else key == ENTER:
             app.end()
@@ -129,7 +127,6 @@ class PageScreen(Screen):
             app.refuse()
 
     def keys(self, app: App) -> Keys:
-        """Return the keys."""
         if self.asks:
             return [('y', 'I agree and take part'), ('n', 'I do not take part')]
         return [('Enter', 'go on')]
@@ -159,7 +156,6 @@ class QuestionScreen(Screen):
         return self.questions[self.index]
 
     def press(self, key: str, app: App) -> None:
-        """Choose, and accept."""
         assert isinstance(app, StudyApp)
         points = self.question.points
         if key in (LEFT, RIGHT):
@@ -176,7 +172,6 @@ class QuestionScreen(Screen):
                 app.end()
 
     def keys(self, app: App) -> Keys:
-        """Return the keys."""
         accept = [('Enter', 'accept')] if self.value is not None else []
         return [(label(LEFT), 'lower'), (label(RIGHT), 'higher'), *accept]
 

@@ -158,7 +158,6 @@ class LessonScreen(Screen):
             app.ask(SetControl(hold=True))
 
     def table(self, app: App) -> KeyTable:
-        """Return the keys of the phase."""
         phase = _phase(app)
         actions = app.domain.actions if phase is Phase.DEMONSTRATING else ()
         commands = list(_IN_PHASE.get(phase, _ELSE))
@@ -181,7 +180,6 @@ class LessonScreen(Screen):
         return table.key(Command.START_AGAIN), table.key(Command.DEMONSTRATIONS)
 
     def keys(self, app: App) -> Keys:
-        """Return the keys of the phase and what they do."""
         phase, table = _phase(app), self.table(app)
         first = _question_keys(app) if phase is Phase.ASKING else []
         if phase is Phase.DEMONSTRATING:

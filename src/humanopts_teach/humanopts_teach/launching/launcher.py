@@ -18,7 +18,6 @@ import sys
 import tempfile
 import termios
 import time
-from typing import Any
 
 from humanopts_ros.environment import LAUNCHER_PID
 from humanopts_teach.launching import LaunchError
@@ -147,7 +146,6 @@ class Launcher:
         self.report: Callable[[str], object] = lambda line: None
         self._checked = 0.0  # when it was last looked for stopped processes, s
         self._running: list[_Running] = []
-        self._terminal: list[Any] | None = None
         self._server: ForkServer | None = None  # None: nothing is started
 
     @property
@@ -193,18 +191,17 @@ class Launcher:
             without the recorder the lesson pauses, and says so. The terminal's process is ended.
         """
         (spec,) = [spec for spec in self._specs if spec.terminal]
-        self._save_terminal()
-        try:
-            running = self._start(spec)
-            while running.process.poll() is None:
-                watch()
-                self.check(RECORDER)
-                time.sleep(0.1)
-            self._running.remove(running)
-            return self._terminal_status(running)
-        finally:
-            self._end([entry for entry in self._running if entry.spec.terminal])
-            self._restore_terminal()
+        with _terminal_restored():
+            try:
+                running = self._start(spec)
+                while running.process.poll() is None:
+                    watch()
+                    self.check(RECORDER)
+                    time.sleep(0.1)
+                self._running.remove(running)
+                return self._terminal_status(running)
+            finally:
+                self._end([entry for entry in self._running if entry.spec.terminal])
 
     def check(self, *besides: str) -> None:
         """
@@ -326,14 +323,16 @@ class Launcher:
             sys.stderr.write(running.log.read_text(encoding='utf-8', errors='replace'))
         return status
 
-    def _save_terminal(self) -> None:
-        if sys.stdin.isatty():
-            self._terminal = termios.tcgetattr(sys.stdin)
 
-    def _restore_terminal(self) -> None:
-        """Undo raw mode, the alternate screen and a hidden cursor, however the node ended."""
-        if self._terminal is not None:
-            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._terminal)
+@contextmanager
+def _terminal_restored() -> Iterator[None]:
+    """Undo raw mode, the alternate screen and a hidden cursor, however the node ended."""
+    before = termios.tcgetattr(sys.stdin) if sys.stdin.isatty() else None
+    try:
+        yield
+    finally:
+        if before is not None:
+            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
             if sys.stdout.isatty():
                 # 47, not 1049: the cursor stays below what the node said at a clean end
                 sys.stdout.write('\x1b[?47l\x1b[?25h\x1b[0m')

@@ -5,8 +5,7 @@ import os
 import select
 import sys
 import time
-from types import TracebackType
-from typing import cast
+from typing import Any, cast
 
 from humanopts_teach.dialogue.keys import (
     BACKSPACE,
@@ -94,16 +93,11 @@ class Device:
         self._write(_ENTER)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         """Put the terminal back."""
         self._write(_LEAVE)
-        self._raw.__exit__(kind, error, trace)
-        if kind is None and self._farewell:
+        self._raw.__exit__(*error)
+        if error == (None, None, None) and self._farewell:
             self._write(f'{self._farewell}\n')
 
     def read(self) -> list[str]:
