@@ -34,14 +34,14 @@ Colour = tuple[float, float, float]  # red, green, blue, from 0 to 1
 
 
 class Kind(Enum):
-    """What the points of a shape are."""
+    """What the points of a shape are; the values are the types of visualization_msgs/Marker."""
 
-    LINES = 'lines'  # two for each line
-    TILES = 'tiles'  # centres of rectangles
-    DOTS = 'dots'  # centres of balls
-    BALL = 'ball'  # the centre of one
-    BOX = 'box'  # the centre of one
-    TEXT = 'text'  # the centre of a text
+    LINES = 'LINE_LIST'  # two for each line
+    TILES = 'CUBE_LIST'  # centres of rectangles
+    DOTS = 'SPHERE_LIST'  # centres of balls
+    BALL = 'SPHERE'  # the centre of one
+    BOX = 'CUBE'  # the centre of one
+    TEXT = 'TEXT_VIEW_FACING'  # the centre of a text
 
 
 @dataclass(frozen=True)

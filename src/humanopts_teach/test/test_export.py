@@ -218,10 +218,12 @@ def test_episodes_of_a_minari_dataset_step_through_our_environments(
 ) -> None:
     minari = pytest.importorskip('minari')
     pytest.importorskip('pyarrow')
-    written = write_dataset(record(tmp_path / 'b', make_domain(name, parameters), 4), tmp_path)
-    assert (written.dataset_id, written.episodes) == (f'humanopts/{name}/b-v0', 4)
+    dataset_id, _ = write_dataset(
+        record(tmp_path / 'b', make_domain(name, parameters), 4), tmp_path
+    )
+    assert (dataset_id, written.episodes) == (f'humanopts/{name}/b-v0', 4)
     monkeypatch.setenv(FOLDER, str(tmp_path))
-    dataset = minari.load_dataset(written.dataset_id)
+    dataset = minari.load_dataset(dataset_id)
     env = dataset.recover_environment()
     assert dataset.total_episodes == 4
     for episode in dataset.iterate_episodes():
@@ -244,8 +246,10 @@ def test_episodes_with_gaps_are_left_out_and_counted(tmp_path: Path, taxi: Domai
             if not lost and kind != EVENT:
                 bag.add_topic(topic, kind)
                 bag.write(topic, serialize_message(message), time)
-    written = write_dataset(open_bag(tmp_path / 'gap'), tmp_path / 'out')
-    assert (written.episodes, written.left_out) == (1, 1)
+    recorded = open_bag(tmp_path / 'gap')
+    _, count = write_dataset(recorded, tmp_path / 'out')
+    assert count == 1
+    assert '1 episodes are left out' in recorded.damage
     (kept,) = (tmp_path / 'out').rglob('data/0/metadata.json')
     assert list(json.loads(kept.read_text())['options']) == ['state']  # no request was recorded
     with pytest.raises(ExportError, match='already exists'):

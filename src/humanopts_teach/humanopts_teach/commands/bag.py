@@ -320,10 +320,10 @@ def export(
         with progress_bar() as show:
             opened = open_bag(bag, show)
             if to == 'minari':
-                found = minari_dataset.write_dataset(opened, out)
+                dataset_id, count = minari_dataset.write_dataset(opened, out)
                 written = [
-                    f'{found.episodes} episodes; with {minari_dataset.FOLDER}={out} in the '
-                    f'environment:\nminari.load_dataset({found.dataset_id!r})'
+                    f'{count} episodes; with {minari_dataset.FOLDER}={out} in the environment:\n'
+                    f'minari.load_dataset({dataset_id!r})'
                 ]
             elif to == 'files':
                 written = list(map(str, tables.write_attached(opened, out)))

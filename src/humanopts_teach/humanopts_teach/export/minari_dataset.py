@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import chain
 import os
 from pathlib import Path
@@ -30,16 +29,7 @@ FORMAT = 'arrow'
 AUTHOR = 'humanopts'
 
 
-@dataclass(frozen=True)
-class Exported:
-    """What was written as a dataset."""
-
-    dataset_id: str
-    episodes: int
-    left_out: int  # episodes of one state, or with steps missing
-
-
-def write_dataset(bag: Bag, out: Path) -> Exported:
+def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
     """
     Write the episodes that were recorded from their first state without a gap.
 
@@ -47,6 +37,7 @@ def write_dataset(bag: Bag, out: Path) -> Exported:
     gives the recorded observations, rewards and ends again.
 
     :param out: folder that Minari is to look in.
+    :return: id of the dataset, and how many episodes it has; ``Bag.damage`` says what is left out.
     :raises BagError: the bag does not say which domain was played, or it is not installed.
     :raises ExportError: Minari is not installed, there is nothing to write, the domain is no
         Gymnasium environment, or the dataset is there already.
@@ -87,7 +78,7 @@ def write_dataset(bag: Bag, out: Path) -> Exported:
             raise ExportError(f'the dataset cannot be written: {error}') from error
     if counts[False]:
         bag.note(f'{counts[False]} episodes are left out: of one state, or with steps missing')
-    return Exported(name, counts[True], counts[False])
+    return name, counts[True]
 
 
 def dataset_name(domain: Domain[Any], bag: Path) -> str:

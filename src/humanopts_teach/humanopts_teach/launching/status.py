@@ -29,28 +29,17 @@ def restarts_in(text: str) -> Counter[str]:
 
 @dataclass(frozen=True)
 class NodeReport:
-    """
-    One node.
-
-    :ivar state: starting, ready, paused or stopping; empty: it has not told.
-    :ivar answer: s that it took to answer a request; None: it did not.
-    :ivar served: it is a node that answers requests all the time; the conductor does not.
-    :ivar text: what it says: why it is paused, what it refused, what failed.
-    :ivar stopped: its process is stopped (SIGSTOP).
-    :ivar pid: of its process, where that is one of a launch on this machine; None: not known.
-    :ivar memory: bytes of it.
-    :ivar threads: of it.
-    """
+    """One node; of its process nothing is known where that is no launch's of this machine."""
 
     name: str
-    state: str = ''
-    answer: float | None = None
-    served: bool = True
-    text: str = ''
+    state: str = ''  # starting, ready, paused or stopping; empty: it has published none
+    answer: float | None = None  # s that it took to answer a request; None: it did not
+    served: bool = True  # it answers requests all the time; the conductor does not
+    text: str = ''  # what it says: why it is paused, what it refused, what failed
     restarts: int = 0
-    stopped: bool = False
+    stopped: bool = False  # its process is stopped (SIGSTOP)
     pid: int | None = None
-    memory: int | None = None
+    memory: int | None = None  # bytes
     threads: int | None = None
 
     @property

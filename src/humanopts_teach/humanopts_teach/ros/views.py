@@ -39,14 +39,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 FRAME = 'humanopts'  # below the namespace
 _PERIOD = 0.05  # s between looks at the game, and least time between two drawings
 _OCCUPIED = 100  # of OccupancyGrid
-_TYPES = {
-    Kind.LINES: Marker.LINE_LIST,
-    Kind.TILES: Marker.CUBE_LIST,
-    Kind.DOTS: Marker.SPHERE_LIST,
-    Kind.BALL: Marker.SPHERE,
-    Kind.BOX: Marker.CUBE,
-    Kind.TEXT: Marker.TEXT_VIEW_FACING,
-}
 _ALONE = (Kind.BALL, Kind.BOX, Kind.TEXT)  # at the pose of the marker
 _HEIGHTS = {'values': -0.1, 'board': 0.0}  # z of layers, m; the others lie above the board
 _THIN = 0.05  # m
@@ -151,7 +143,8 @@ class ViewsNode(NodeBase):
         z = _HEIGHTS.get(shape.layer, 0.2)
         points = [Point(x=x, y=y, z=z) for x, y in shape.points]
         colours = [ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in shape.colours]
-        marker = self._marker(ns=shape.layer, id=number, type=_TYPES[shape.kind], text=shape.text)
+        kind = getattr(Marker, shape.kind.value)
+        marker = self._marker(ns=shape.layer, id=number, type=kind, text=shape.text)
         marker.color = colours[0]
         width, height = shape.size
         marker.scale = Vector3(x=width, y=height, z=_THIN)
