@@ -218,10 +218,9 @@ def test_episodes_of_a_minari_dataset_step_through_our_environments(
 ) -> None:
     minari = pytest.importorskip('minari')
     pytest.importorskip('pyarrow')
-    dataset_id, _ = write_dataset(
-        record(tmp_path / 'b', make_domain(name, parameters), 4), tmp_path
-    )
-    assert (dataset_id, written.episodes) == (f'humanopts/{name}/b-v0', 4)
+    recorded = record(tmp_path / 'b', make_domain(name, parameters), 4)
+    dataset_id, count = write_dataset(recorded, tmp_path)
+    assert (dataset_id, count) == (f'humanopts/{name}/b-v0', 4)
     monkeypatch.setenv(FOLDER, str(tmp_path))
     dataset = minari.load_dataset(dataset_id)
     env = dataset.recover_environment()
