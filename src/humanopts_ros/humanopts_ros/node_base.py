@@ -70,7 +70,7 @@ class Waiting:
         self._node, self._monotonic = node, monotonic
         self._open: list[tuple[Future, Callable[[], bool], float]] = []
         self._timer = node.create_timer(
-            _CHECK_PERIOD, self.look, callback_group=ReentrantCallbackGroup(), autostart=False
+            _CHECK_PERIOD, self.check, callback_group=ReentrantCallbackGroup(), autostart=False
         )
 
     def check(self) -> None:

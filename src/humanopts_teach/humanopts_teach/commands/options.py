@@ -239,7 +239,7 @@ def with_options(command: Callable[..., int]) -> Callable[..., int]:
             values[name] = given[name](**{each.name: values.pop(each.name) for each in options})
         return command(**values)
 
-    parameters = []
+    parameters: list[inspect.Parameter] = []
     for parameter in signature.parameters.values():
         options = bundles.get(parameter.name)
         parameters += [parameter] if options is None else map(_parameter, options)
