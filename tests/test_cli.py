@@ -178,6 +178,8 @@ def test_a_shell_completes_what_is_typed(typed: str, offered: list[str]) -> None
         (('up', 'chess'), ["'chess'", 'taxi']),
         (('up',), ['DOMAIN']),
         (('up', 'taxi', '--step-period', -1), ['--step-period']),
+        (('up', 'taxi', '--split-seconds', 0), ['--split-seconds']),
+        (('teach', 'taxi', '--linger', 0), ['--linger']),
         (('up', 'taxi', '--parameter', 'rows=2'), ['rows', '4 to 1000']),
         (('up', 'taxi', '--parameter', 'rows=abc'), ["'abc'"]),
         (('up', 'taxi', '--parameter', 'nope=1'), ["'nope'"]),

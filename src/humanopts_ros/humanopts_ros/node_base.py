@@ -58,7 +58,7 @@ class Waiting:
     Conditions that coroutines of one node wait for.
 
     The coroutines must be in a reentrant callback group. Conditions are checked regularly while
-    there are any; ``look`` checks them at once.
+    there are any; ``check`` checks them at once.
     """
 
     def __init__(self, node: Node, monotonic: Callable[[], float]) -> None:

@@ -74,8 +74,6 @@ def several_games(count: int) -> int:
 any_number = number('a number', lambda value: True)
 share = number('from 0 to below 1', lambda value: 0 <= value < 1)
 seconds = number('from 0 to 60', lambda value: 0 <= value <= 60)
-linger = number('from 1 to 86400', lambda value: 1 <= value <= 86400)
-split_seconds = number('a number of seconds up to 1000000', lambda value: 0 < value <= 10**6)
 
 
 OnlyOption = Annotated[
@@ -111,7 +109,7 @@ class PageOptions:
     linger: Annotated[
         float,
         typer.Option(
-            parser=linger,
+            parser=number('from 1 to 86400', lambda value: 1 <= value <= 86400),
             metavar='SECONDS',
             help='with --browser: how long a game goes on whose page is closed',
         ),
@@ -204,7 +202,7 @@ class LaunchOptions:
     split_seconds: Annotated[
         float | None,
         typer.Option(
-            parser=split_seconds,
+            parser=number('a number of seconds up to 1000000', lambda value: 0 < value <= 10**6),
             metavar='SECONDS',
             help='and after this time; default: never',
         ),
