@@ -124,16 +124,16 @@ def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
     if bag.recording or not bag.information:
         return
     try:
-        total, told, times = _described(bag.information)
+        total, counted, times = _described(bag.information)
     except (KeyError, TypeError, ValueError):
         bag.note(f'{FILE} does not tell the counts and times of messages')
         return
     if total != extent.messages:
         bag.note(f'{FILE} tells of {total} messages, and {extent.messages} were read')
         return  # so that the rest differs too, as in a recording that was not closed
-    for name in sorted(told.keys() | counts.keys()):
-        if told.get(name, 0) not in (counts[name], indexed.get(name)):
-            bag.note(f'{name}: {FILE} tells of {told.get(name, 0)}, {counts[name]} were read')
+    for name in sorted(counted.keys() | counts.keys()):
+        if counted.get(name, 0) not in (counts[name], indexed.get(name)):
+            bag.note(f'{name}: {FILE} tells of {counted.get(name, 0)}, {counts[name]} were read')
     if times != (extent.first, extent.duration):
         bag.note(f'{FILE} tells of another beginning or duration than its messages')
 
@@ -188,9 +188,9 @@ def repair(bag: Bag, out: Path) -> int:
         for name, values in bag.metadata.items():
             if name not in (RECORD, SELF, REPAIR):
                 writer.note(name, values)
-        told = {'from': bag.path.name, 'damage': bag.damage, 'repeated': str(repeated)}
+        facts = {'from': bag.path.name, 'damage': bag.damage, 'repeated': str(repeated)}
         before = bag.metadata.get(REPAIR, {})
-        writer.note(REPAIR, {**told, **{f'earlier {k}': v for k, v in before.items()}})
+        writer.note(REPAIR, {**facts, **{f'earlier {k}': v for k, v in before.items()}})
         return writer.extent.messages
 
 

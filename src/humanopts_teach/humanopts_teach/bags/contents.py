@@ -186,7 +186,7 @@ def _read_again(bag: Bag, group: EpisodeMessages) -> Episode:
 
 
 def is_ended(bag: Bag, group: EpisodeMessages) -> bool:
-    """Tell whether the last recorded state of an episode is terminal or truncated."""
+    """Return whether the last recorded state of an episode is terminal or truncated."""
     last = group.states[max(group.states)]
     return bool(bag.convert(group.topic, last, lambda state: state.terminated or state.truncated))
 

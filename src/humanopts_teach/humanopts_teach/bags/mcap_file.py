@@ -96,7 +96,7 @@ class FileIndex:
         self.damage.append(f'{self.path.name}: {damage}')
 
     def describes(self, channel_id: int) -> bool:
-        """Tell whether topic and type of a channel's messages are known."""
+        """Return whether topic and type of a channel's messages are known."""
         channel = self.channels.get(channel_id)
         return channel is not None and channel.schema_id in {0, *self.schemas}
 

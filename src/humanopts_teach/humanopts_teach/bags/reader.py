@@ -112,9 +112,9 @@ class Bag:
 
     def compare_bytes(self) -> None:
         """Compare every file with the checksum over it; ``damage`` says where they differ."""
-        tell = _by_file(self.files, self.on_read)
+        report = _by_file(self.files, self.on_read)
         for number, file in enumerate(self.files):
-            if not data_fits(file, partial(tell, number)):
+            if not data_fits(file, partial(report, number)):
                 self.note(f'{file.name}: its bytes do not fit the checksum over all of them')
 
     def of_type(self, type_name: str) -> list[str]:
@@ -154,12 +154,12 @@ class Bag:
             and block.end >= between[0]
             and not block.channels.isdisjoint(wanted[number])
         )
-        tell = _by_file(self.files, self.on_read)
+        report = _by_file(self.files, self.on_read)
         waiting: list[tuple[int, int, int, int, Message]] = []  # time, file, block, place in it
         with ExitStack() as stack:
             streams = [stack.enter_context(McapStream(file)) for file in self.files]
             for here, ((_, number, offset), block) in enumerate(blocks):
-                tell(number, offset)
+                report(number, offset)
                 try:
                     records = read_block(streams[number], block)
                 except DAMAGE as error:
@@ -292,12 +292,12 @@ def open_bag(path: Path | str, on_read: ReadCallback = ignore_progress) -> Bag:
     """
     path = Path(path)
     paths, information, damage = find_files(path)
-    tell = _by_file(paths, on_read)
+    report = _by_file(paths, on_read)
     files, errors = [], []
     for number, file in enumerate(paths):
         try:
             growing = is_being_written(file)  # asked before reading: it may be closed meanwhile
-            files.append(read_index(file, partial(tell, number), growing=growing))
+            files.append(read_index(file, partial(report, number), growing=growing))
         except BagError as error:
             errors.append(error)
     if not files:

@@ -33,12 +33,12 @@ class Stamp(NamedTuple):
 
 
 def is_stamped(schema: str) -> bool:
-    """Tell whether messages of a schema begin with header, publisher_id and sequence."""
+    """Return whether messages of a schema begin with header, publisher_id and sequence."""
     return field_lines(schema)[:3] == _FIELDS
 
 
 def has_step(schema: str) -> bool:
-    """Tell whether episode and step follow the stamp."""
+    """Return whether episode and step follow the stamp."""
     return field_lines(schema)[:5] == [*_FIELDS, *_STEP_FIELDS]
 
 

@@ -126,7 +126,7 @@ class _File:
 
 
 def is_being_written(path: Path) -> bool:
-    """Tell whether a recorder of this machine has a file open for writing."""
+    """Return whether a recorder of this machine has a file open for writing."""
     try:
         with path.open('rb') as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -342,7 +342,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
         return file.channels[topic.name]
 
     def _reached_limit(self, log_time: int) -> bool:
-        """Tell whether a message of this time (ns) belongs into the next file."""
+        """Return whether a message of this time (ns) belongs into the next file."""
         file, limits = self._files[-1], self._limits
         if file.extent.messages == 0:
             return False

@@ -73,7 +73,7 @@ class Seat:
             self._leaving.cancel()
         if self.window is not None and self.window is not window:
             text = 'The lesson goes on in another window.'
-            tell(self.window, message(self.head, text, 'teach here again'), self.window.reload)
+            prompt(self.window, message(self.head, text, 'teach here again'), self.window.reload)
         self.window = window
         window.listen(lambda keys, frame: self._press(keys, frame))
         window.show(*self._shown)
@@ -95,7 +95,7 @@ class Seat:
         if self._leaving is not None:
             self._leaving.cancel()
         if (window := self.window) is not None:
-            tell(window, message(self.head, self.farewell, 'go on'), window.reload)
+            prompt(window, message(self.head, self.farewell, 'go on'), window.reload)
             await window.taken()
 
 
@@ -194,7 +194,7 @@ class Seats:
                 seat.enter(window)
 
         text = f'{seat.participant} teaches in another window just now. Nothing is lost there.'
-        tell(window, message(('humanopts', self.domain), text, 'teach here instead'), take)
+        prompt(window, message(('humanopts', self.domain), text, 'teach here instead'), take)
 
 
 def message(head: tuple[str, ...], text: str, enter: str = '') -> View:
@@ -207,7 +207,7 @@ def message(head: tuple[str, ...], text: str, enter: str = '') -> View:
     return View(head, '', None, Panel((Line(text, strong=True),)), Line('', Tone.PLAIN), keys)
 
 
-def tell(window: Window, view: View, then: Callable[[], None]) -> None:
+def prompt(window: Window, view: View, then: Callable[[], None]) -> None:
     """Show a view on which Enter does something."""
     window.listen(lambda keys, frame: then() if 'enter' in keys else None)
     window.show(view, 0)

@@ -276,7 +276,7 @@ class Launcher:
         self.on_end(end)
 
     def _check_stopped(self) -> None:
-        """Tell which processes are stopped, and which go on."""
+        """Report which processes are stopped, and which go on."""
         for running in self._running:
             process = running.process
             if not (running.runs and isinstance(process, ForkedProcess) and process.known_pid):
@@ -350,7 +350,7 @@ def _of_terminal(module: str, arguments: Sequence[str], log: Path) -> 'subproces
 
 
 def _end_of(running: _Running) -> str:
-    """Say how a process ended that was asked to, or had the terminal, and what it wrote last."""
+    """Return how a process ended that was asked to or had the terminal, and what it wrote last."""
     ended = f'the node {running.spec.name} ended ({how(running.process.wait())})'
     return f'{ended}{said_last(_last_lines(running.log))}'
 

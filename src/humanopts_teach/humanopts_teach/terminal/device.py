@@ -45,7 +45,7 @@ _HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
 
 
 def why_not() -> str:
-    """Say why standard input and output cannot be drawn on; empty: they can."""
+    """Return why standard input and output cannot be drawn on; empty: they can."""
     if not sys.stdin.isatty() or not sys.stdout.isatty():
         return 'the teaching terminal needs a terminal as standard input and output'
     if os.environ.get('TERM', '') in ('', 'dumb'):
@@ -118,7 +118,7 @@ class Device:
         self._poll.poll(1e3 * seconds)
 
     def resized(self) -> bool:
-        """Tell whether the window has another size than what was drawn."""
+        """Return whether the window has another size than what was drawn."""
         return self._window() != self._size
 
     def draw(self, frame: Callable[[int, int, Colours | None], Sequence[str]]) -> None:
