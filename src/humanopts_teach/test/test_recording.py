@@ -7,12 +7,12 @@ from typing import Any
 
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.provenance import attachments, lock_hash, software, UNKNOWN
-from humanopts_teach.bags.sequence_numbers import Ledger, MOST_STREAMS, Stamp
+from humanopts_teach.bags.sequence_numbers import LossCounter, MOST_STREAMS, Stamp
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions, size
 from humanopts_teach.commands.session import check_folder, setup_from
 from humanopts_teach.launching.processes import common_parameters, processes, Recording, Setup
-from humanopts_teach.ros.recorder import Pace
+from humanopts_teach.ros.recorder import Lag
 import numpy as np
 import pytest
 import typer
@@ -27,41 +27,41 @@ def launch(evaluated: bool = False, record: bool = True, **options: Any) -> Setu
 
 
 def test_a_message_that_waits_too_long_puts_the_recorder_behind_for_a_second() -> None:
-    pace = Pace()
-    pace.took(10.0, 0.02)
-    pace.took(10.1, 0.6)
-    assert (pace.behind(10.1), pace.behind(11.05), pace.behind(11.2)) == (True, True, False)
+    lag = Lag()
+    lag.add(10.0, 0.02)
+    lag.add(10.1, 0.6)
+    assert (lag.behind(10.1), lag.behind(11.05), lag.behind(11.2)) == (True, True, False)
 
 
 def test_the_lag_is_the_longest_since_the_last_report() -> None:
-    pace = Pace()
+    lag = Lag()
     for now, waited in ((1.0, 0.1), (1.1, 0.3), (1.2, 0.0)):
-        pace.took(now, waited)
-    assert (pace.report(), pace.report()) == (0.3, 0.0)
-    assert not pace.behind(1.2)
+        lag.add(now, waited)
+    assert (lag.take_longest(), lag.take_longest()) == (0.3, 0.0)
+    assert not lag.behind(1.2)
 
 
 def test_a_recorder_that_was_stopped_is_behind_whatever_the_messages_say() -> None:
-    pace = Pace()
-    pace.took(1.0, 0.0)
-    pace.took(4.0, 0.01)
-    assert pace.behind(4.0)
-    assert pace.report() == 3.0
+    lag = Lag()
+    lag.add(1.0, 0.0)
+    lag.add(4.0, 0.01)
+    assert lag.behind(4.0)
+    assert lag.take_longest() == 3.0
 
 
 def test_the_first_look_is_not_late() -> None:
-    pace = Pace()
-    pace.took(1000.0, 0.0)
-    assert not pace.behind(1000.0)
-    assert pace.report() == 0.0
+    lag = Lag()
+    lag.add(1000.0, 0.0)
+    assert not lag.behind(1000.0)
+    assert lag.take_longest() == 0.0
 
 
 def test_publishers_are_told_apart_as_long_as_memory_allows() -> None:
-    ledger = Ledger()
+    losses = LossCounter()
     for number in range(MOST_STREAMS + 5):
-        ledger.add('/game_state', Stamp(f'/made_up#{number}', 2))
-    ledger.add('/game_state', Stamp('/made_up#0', 3))
-    assert (ledger.missing, len(list(ledger))) == (MOST_STREAMS, MOST_STREAMS)
+        losses.add('/game_state', Stamp(f'/made_up#{number}', 2))
+    losses.add('/game_state', Stamp('/made_up#0', 3))
+    assert (losses.missing, len(list(losses))) == (MOST_STREAMS, MOST_STREAMS)
 
 
 def test_the_software_is_named() -> None:

@@ -12,12 +12,12 @@ from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.evaluation.table1 import (
     ButtonRow,
+    count_named,
     MergeError,
     named_options,
     NamedOption,
     read_merge,
     TABLE_1,
-    tally,
 )
 import pytest
 from scipy.stats import binomtest
@@ -103,17 +103,17 @@ def test_without_a_merge_file_only_case_and_spaces_are_the_same(bags: list[str])
             ('c', 'fetch'),
         )
     ]
-    (table,) = tally(named, {})
+    (table,) = count_named(named, {})
     rows = {row.option: row.people for row in table.rows if row.people}
     assert rows == {'go to passenger': 1, 'fetch': 2}
-    (capitals,) = tally(named, read_merge('Go to PASSENGER: [fetch]'))
+    (capitals,) = count_named(named, read_merge('Go to PASSENGER: [fetch]'))
     assert {row.option: row.people for row in capitals.rows if row.people} == {
         'go to passenger': 3
     }
 
 
 def test_a_domain_that_the_paper_lacks_has_no_column_of_it() -> None:
-    (table,) = tally([NamedOption('rooms', 'a', 'leave', taught=False)], {})
+    (table,) = count_named([NamedOption('rooms', 'a', 'leave', taught=False)], {})
     assert [(row.option, row.people, row.paper) for row in table.rows] == [('leave', 1, None)]
     assert isinstance(table.rows[0], ButtonRow)
 

@@ -9,7 +9,7 @@ from typing import Any
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.rosbag2 import Extent, FILE, profiles
-from humanopts_teach.bags.sequence_numbers import Stamp, Stream, Tally
+from humanopts_teach.bags.sequence_numbers import MessageCounter, Stamp, Stream
 from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
 from humanopts_teach.text_table import table
 
@@ -94,21 +94,21 @@ def check_bag(bag: Bag) -> Check:
     a few chunks, the index and one attached file.
     """
     bag.compare_bytes()
-    tally = Tally(bag)
+    counter = MessageCounter(bag)
     for recorded in bag.messages(decoded=False):
-        tally.add(recorded)
-        if bag.numbered and recorded.topic not in tally.stamped:
-            tally.ledger.add(recorded.topic, Stamp(RECORDER, recorded.sequence))
+        counter.add(recorded)
+        if bag.numbered and recorded.topic not in counter.stamped:
+            counter.losses.add(recorded.topic, Stamp(RECORDER, recorded.sequence))
     for _ in bag.attached():
         pass  # what is damaged is noted
-    _compare(bag, tally.counts, tally.extent)
-    streams = list(tally.ledger)
-    for topic in set(tally.counts) - {stream.topic for stream in streams}:
-        count = tally.counts[topic]
+    _compare(bag, counter.counts, counter.extent)
+    streams = list(counter.losses)
+    for topic in set(counter.counts) - {stream.topic for stream in streams}:
+        count = counter.counts[topic]
         streams.append(Stream(topic, UNNUMBERED, last=count, received=count))
     return Check(
         str(bag.path),
-        tally.extent.messages,
+        counter.extent.messages,
         bag.recording,
         tuple(bag.damage.splitlines()),
         tuple(sorted(streams, key=lambda stream: (stream.topic, stream.publisher))),

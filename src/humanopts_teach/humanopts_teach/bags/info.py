@@ -28,7 +28,7 @@ from humanopts_teach.bags.contents import (
 from humanopts_teach.bags.reader import Bag, BEING_RECORDED, Recorded
 from humanopts_teach.bags.rosbag2 import Topic
 from humanopts_teach.bags.schemas import constants
-from humanopts_teach.bags.sequence_numbers import Stream, Tally
+from humanopts_teach.bags.sequence_numbers import MessageCounter, Stream
 from humanopts_teach.text_table import table
 
 NO_TEACHER = 'none: a person taught'  # shown for the simulated teacher's error rate
@@ -298,7 +298,7 @@ class _Collector:
     def __init__(self, bag: Bag) -> None:
         self._info = info = BagInfo(str(bag.path))
         self._bag = bag
-        self._tally = Tally(bag)
+        self._counter = MessageCounter(bag)
         self._games = EpisodeGrouping(bag)
         self._demonstrations: list[Demonstration] = []
         self._met: dict[tuple[str, str], bool] = {}  # all criteria, by participant and option
@@ -318,7 +318,7 @@ class _Collector:
 
     def add(self, recorded: Recorded) -> None:
         """Take in one message."""
-        if not self._tally.add(recorded):
+        if not self._counter.add(recorded):
             return
         if recorded.topic in self._games.topics:
             self._episode(self._games.add(recorded))
@@ -327,15 +327,15 @@ class _Collector:
 
     def result(self) -> BagInfo:
         """Return what was collected."""
-        bag, tally = self._bag, self._tally
+        bag, counter = self._bag, self._counter
         for group in self._games.unfinished():
             self._episode(group)
         return replace(
             self._info,
             recording=bag.recording,
             damage=bag.damage,
-            start=tally.extent.first if tally.extent.messages else 0,
-            duration=tally.extent.duration,
+            start=counter.extent.first if counter.extent.messages else 0,
+            duration=counter.extent.duration,
             files=len(bag.files),
             bytes=sum(file.stat().st_size for file in bag.files),
             facts=bag.facts,
@@ -346,15 +346,15 @@ class _Collector:
             topics=[self._topic_row(topic) for topic in bag.topics.values()],
             options=self.option_rows(),
             criteria=list(self._criteria.values()),
-            streams=list(tally.ledger),
+            streams=list(counter.losses),
         )
 
     def _topic_row(self, topic: Topic) -> TopicRow:
-        tally, loss = self._tally, tuple[int, ...]()
-        if topic.name in tally.stamped:
-            missing = [stream.missing for stream in tally.ledger if stream.topic == topic.name]
+        counter, loss = self._counter, tuple[int, ...]()
+        if topic.name in counter.stamped:
+            missing = [stream.missing for stream in counter.losses if stream.topic == topic.name]
             loss = len(missing), sum(missing)
-        return TopicRow(topic.name, topic.type, tally.counts[topic.name], *loss)
+        return TopicRow(topic.name, topic.type, counter.counts[topic.name], *loss)
 
     def option_rows(self) -> list[OptionRow]:
         """Return what was collected of options."""
@@ -405,7 +405,7 @@ class _Collector:
             self._met[taught] = option.criteria_met
             for criterion in option.criteria:
                 point = CriterionPoint(
-                    (recorded.log_time - self._tally.extent.first) / 1e9,
+                    (recorded.log_time - self._counter.extent.first) / 1e9,
                     option.n_demonstrations,
                     option.n_not_here,
                     criterion.value if criterion.measurable else None,

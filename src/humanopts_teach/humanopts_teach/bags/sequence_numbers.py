@@ -125,7 +125,7 @@ class Stream:
         return True
 
 
-class Ledger:
+class LossCounter:
     """Streams by topic and publisher; publishers beyond the first ``MOST_STREAMS`` have none."""
 
     def __init__(self) -> None:
@@ -154,13 +154,13 @@ class Ledger:
         return iter(self._streams[key] for key in sorted(self._streams))
 
 
-class Tally:
+class MessageCounter:
     """Counts the messages of a bag: by topic, by time, and by their publishers' numbers."""
 
     def __init__(self, bag: 'Bag') -> None:
         self.counts: Counter[str] = Counter()  # by topic
         self.extent = Extent()
-        self.ledger = Ledger()
+        self.losses = LossCounter()
         self.stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
         self._latched = {t.name for t in bag.topics.values() if t.latched}
         self._bag = bag
@@ -174,13 +174,13 @@ class Tally:
             if stamp is None:
                 self._bag.note(f'a message on {recorded.topic} does not decode')
                 return False
-            self.ledger.add(recorded.topic, stamp, latched=recorded.topic in self._latched)
+            self.losses.add(recorded.topic, stamp, latched=recorded.topic in self._latched)
         return True
 
 
-def count_loss(bag: 'Bag') -> Ledger:
+def count_loss(bag: 'Bag') -> LossCounter:
     """Count what is missing in a bag, by the numbers in every humanopts message."""
-    tally = Tally(bag)
-    for recorded in bag.messages(tally.stamped, decoded=False):
-        tally.add(recorded)
-    return tally.ledger
+    counter = MessageCounter(bag)
+    for recorded in bag.messages(counter.stamped, decoded=False):
+        counter.add(recorded)
+    return counter.losses

@@ -274,11 +274,11 @@ def table1(
     """Count the options that people named, beside Table 1 of the paper."""
     from humanopts_teach.bags.reader import open_bag
     from humanopts_teach.evaluation.table1 import (
+        count_named,
         MergeError,
         named_options,
         read_merge,
         table_text,
-        tally,
     )
 
     try:
@@ -290,7 +290,7 @@ def table1(
     with progress_bar() as show:
         opened = [open_bag(path, show) for path in bags]
         named = [option for each in opened for option in named_options(each)]
-    tables = tally(named, canonical)
+    tables = count_named(named, canonical)
     _print(_json([each.to_dict() for each in tables]) if json else table_text(tables))
     for each in opened:
         _warn('table1', each if len(bags) > 1 else None, each.notes)

@@ -156,10 +156,10 @@ def _teach_plan_play(
         options.append(option_block(option, status, domain, references.get(option.name)))
     progress.stage('planning')
     plans = [
-        graph.persist(partial(graph.plan, name, judged, setup.seed)) for name in (HUMAN, PRIMITIVE)
+        graph.retry(partial(graph.plan, name, judged, setup.seed)) for name in (HUMAN, PRIMITIVE)
     ]
     progress.stage(f'playing {episodes} episodes')
-    played = graph.persist(partial(graph.play, HUMAN, episodes, setup.seed))
+    played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed))
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
     execution = Execution(played.episodes, played.successes, played.fallbacks, played.mean_return)
     return Live(tuple(options), tuple(map(row_of_result, plans)), execution)

@@ -137,7 +137,7 @@ def _export(folder: 'StudyFolder', out: Path) -> None:
     :raises CommandError: the folder cannot be written.
     """
     from humanopts_teach.bags.reader import open_bag
-    from humanopts_teach.evaluation.table1 import named_options, table_text, tally
+    from humanopts_teach.evaluation.table1 import count_named, named_options, table_text
     from humanopts_teach.study.tables import tables
 
     named = []
@@ -146,7 +146,7 @@ def _export(folder: 'StudyFolder', out: Path) -> None:
             named += named_options(open_bag(path))
         except BagError as error:
             print(printable(f'humanopts study export: left out: {error}'), file=sys.stderr)
-    table_1 = table_text(tally(named, {}))
+    table_1 = table_text(count_named(named, {}))
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, table in tables(folder).items():

@@ -139,7 +139,7 @@ class ButtonTable:
         return {'domain': self.domain, 'people': list(self.people), 'rows': rows}
 
 
-def tally(named: Sequence[NamedOption], canonical: Mapping[str, str]) -> list[ButtonTable]:
+def count_named(named: Sequence[NamedOption], canonical: Mapping[str, str]) -> list[ButtonTable]:
     """
     Count how many people named each option; a person counts once, in however many bags.
 
@@ -148,12 +148,12 @@ def tally(named: Sequence[NamedOption], canonical: Mapping[str, str]) -> list[Bu
     :return: a table for each domain, in order of appearance.
     """
     return [
-        _tally(domain, [each for each in named if each.domain == domain], canonical)
+        _table(domain, [each for each in named if each.domain == domain], canonical)
         for domain in dict.fromkeys(each.domain for each in named)
     ]
 
 
-def _tally(domain: str, named: Iterable[NamedOption], canonical: Mapping[str, str]) -> ButtonTable:
+def _table(domain: str, named: Iterable[NamedOption], canonical: Mapping[str, str]) -> ButtonTable:
     paper = TABLE_1.get(domain, {})
     names = {_plain(name): name for name in paper}
     names = {**names, **{w: names.get(_plain(name), name) for w, name in canonical.items()}}

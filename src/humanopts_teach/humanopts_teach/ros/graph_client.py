@@ -286,7 +286,7 @@ class GraphClient(NodeBase):
             raise LaunchError(f'the planner ended before {what}')
         return reply.result().result.result
 
-    def persist(self, work: Callable[[], T]) -> T:
+    def retry(self, work: Callable[[], T]) -> T:
         """
         Do work that can be done again, and do so where it failed while a node ended.
 

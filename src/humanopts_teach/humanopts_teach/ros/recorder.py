@@ -22,7 +22,7 @@ from humanopts_ros.qos import LATCHED
 from humanopts_ros.recording import MOST_BYTES, Selection
 from humanopts_teach.bags import BagWriteError, SchemaError
 from humanopts_teach.bags.provenance import attachments, software
-from humanopts_teach.bags.sequence_numbers import is_stamped, Ledger, read_stamp
+from humanopts_teach.bags.sequence_numbers import is_stamped, LossCounter, read_stamp
 from humanopts_teach.bags.writer import BagWriter, Limits, next_part, parts
 from humanopts_teach.launching.usage import usage_of
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
@@ -47,14 +47,14 @@ _BEHIND = (
 
 
 @dataclass
-class Pace:
+class Lag:
     """How long messages wait for a recorder; times are in seconds, by a monotonic clock."""
 
     _longest: float = 0.0  # wait since the last report
     _late: float = -math.inf  # when a message was taken that had waited too long
     _taken: float = math.inf  # when messages were last taken
 
-    def took(self, now: float, waited: float) -> None:
+    def add(self, now: float, waited: float) -> None:
         """
         Count one taking of all messages that had arrived.
 
@@ -74,7 +74,7 @@ class Pace:
         """Return whether messages wait too long."""
         return now - self._late < _RECOVERY
 
-    def report(self) -> float:
+    def take_longest(self) -> float:
         """Return how long a message waited at most since the last report."""
         longest, self._longest = self._longest, 0.0
         return longest
@@ -94,8 +94,8 @@ class Recorder(NodeBase):
         attach = self.setting('attach', [''], 'files and folders to keep in the bag at its end')
         self._attached = [Path(path) for path in attach if path]
         self._subscriber = RawSubscriber(self, self.selection)
-        self._ledger = Ledger()
-        self._pace = Pace()
+        self._losses = LossCounter()
+        self._lag = Lag()
         self._numbered: dict[str, bool] = {}  # recorded topics: whether messages carry numbers
         self._latched: set[str] = set()  # recorded topics of current values
         self._complete = False  # every publisher was matched at the last two looks
@@ -205,7 +205,7 @@ class Recorder(NodeBase):
         """Record what has arrived."""
         batch = self._subscriber.take()
         waited = (time.time_ns() - batch[0].received) / _NS if batch else 0.0
-        self._pace.took(time.monotonic(), waited)
+        self._lag.add(time.monotonic(), waited)
         busy = self._record(batch)
         if busy and self._unflushed:  # so that the bag opens, however soon the recorder is killed
             self._unflushed = False
@@ -219,7 +219,7 @@ class Recorder(NodeBase):
                 continue
             stamp = read_stamp(taken.data) if stamped else None
             if stamp is not None:
-                self._ledger.add(taken.topic, stamp, latched=taken.topic in self._latched)
+                self._losses.add(taken.topic, stamp, latched=taken.topic in self._latched)
             if not self._stopped:
                 try:
                     self._bag.write(taken.topic, taken.data, taken.received, taken.sent)
@@ -246,9 +246,9 @@ class Recorder(NodeBase):
     def _publish_status(self) -> None:
         """Publish how the recording stands, at every change that matters and once a second."""
         now = time.monotonic()
-        self._log_pace(self._pace.behind(now))
+        self._log_lag(self._lag.behind(now))
         text = self._stopped or (_BEHIND if self._behind else self._remark())
-        state = (self._complete, self._behind, text, self._ledger.missing)
+        state = (self._complete, self._behind, text, self._losses.missing)
         if state == self._published and now - self._published_at < _STATUS_PERIOD:
             return
         self._published, self._published_at = state, now
@@ -257,7 +257,7 @@ class Recorder(NodeBase):
         except PublishError as error:
             self.get_logger().error(str(error))
 
-    def _log_pace(self, behind: bool) -> None:
+    def _log_lag(self, behind: bool) -> None:
         """Log when the recorder falls behind, and when it no longer is."""
         if behind and not self._behind:
             self.get_logger().warning(_BEHIND)
@@ -282,7 +282,7 @@ class Recorder(NodeBase):
             messages=self._bag.extent.messages,
             bytes=self._bag.bytes_written,
             complete=self._complete,
-            missing=min(self._ledger.missing, _MOST_MISSING),  # numbers are what senders say
+            missing=min(self._losses.missing, _MOST_MISSING),  # numbers are what senders say
             losses=[
                 StreamLoss(
                     topic=stream.topic,
@@ -290,9 +290,9 @@ class Recorder(NodeBase):
                     sent=stream.last,
                     missing=stream.missing,
                 )
-                for stream in islice((s for s in self._ledger if s.missing), _MOST_LOSSES)
+                for stream in islice((s for s in self._losses if s.missing), _MOST_LOSSES)
             ],
-            lag=self._pace.report(),
+            lag=self._lag.take_longest(),
             behind=self._behind,
             cpu_seconds=used.cpu,
             memory=used.peak,
