@@ -181,7 +181,7 @@ def test_planning_over_options_takes_fewer_sweeps() -> None:
 
 def test_the_table_says_what_each_sweep_brought() -> None:
     """Errors fall, values spread, and in the end all are settled."""
-    table = sweep_table(model('human'), tol=1e-8, near=1e-3)
+    table = sweep_table(model('human'), near=1e-3)
     assert [row.sweep for row in table] == list(range(len(table)))
     assert np.isnan(table[0].residual)
     assert table[-1].residual <= 1e-8 < table[-2].residual

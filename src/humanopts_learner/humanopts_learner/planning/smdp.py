@@ -7,8 +7,9 @@ primitive steps counts its successor with gamma**k (Sutton, Precup and Singh 199
 row of them.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats
@@ -19,11 +20,6 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
 Rows = Any  # csr_array of float64; SciPy has no types
-Expectation = Callable[[Floats], Iterator[Floats]]
-"""
-From the values (S,) of the states to (S,) for each option: the expected discounted value of its
-successors. An array may be changed by its receiver, and is valid until the next.
-"""
 ROUNDING = 1e-9  # how far above 1 the entries of one row may sum up
 
 
@@ -66,7 +62,7 @@ class MultiTimeModel:
         """Number of states, S."""
         return int(self.reward.shape[0])
 
-    @property
+    @cached_property
     def rows(self) -> Rows:
         """The successors as sparse rows, as in ``SparseMultiTimeModel``."""
         data = np.where(self.available.T, self.discount.T, 0.0).ravel()
@@ -74,32 +70,6 @@ class MultiTimeModel:
         rows = csr_array((data, self.successor.T.ravel(), ends), shape=(len(data), self.n_states))
         rows.eliminate_zeros()
         return rows
-
-    def expectation(self) -> Expectation:
-        """
-        Return the expectation over the successors, by indexing; computing it allocates nothing.
-
-        Where all options are discounted alike, as primitive actions are, the values are discounted
-        before they are indexed, and the successor of the end of the task is one more state of
-        value 0.
-        """
-        successor = np.ascontiguousarray(self.successor.T, dtype=np.intp)
-        discount = np.ascontiguousarray(np.where(self.available.T, self.discount.T, 0.0))
-        common, nothing = float(discount.max()), discount == 0.0
-        alike = bool((nothing | (discount == common)).all())
-        if alike:
-            successor[nothing] = self.n_states
-        padded, out = np.zeros(self.n_states + 1), np.empty(self.n_states)
-
-        def expected(values: Floats) -> Iterator[Floats]:
-            np.multiply(values, common if alike else 1.0, out=padded[:-1])
-            for option in range(len(successor)):
-                np.take(padded, successor[option], out=out, mode='clip')
-                if not alike:
-                    np.multiply(out, discount[option], out=out)
-                yield out
-
-        return expected
 
 
 @dataclass(frozen=True)

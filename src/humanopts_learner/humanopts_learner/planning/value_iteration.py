@@ -6,13 +6,12 @@ depends on theirs, so sweeps leave them out, and they are valued at the end. All
 same as if they had been swept.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property
-from typing import TypeVar
+from functools import cache
+from typing import Literal
 
-from humanopts_env.arrays import Flags, Floats, Ints
+from humanopts_env.arrays import Flags, Floats
 from humanopts_learner.planning.request import check_limits
 from humanopts_learner.planning.smdp import (
     look_ahead,
@@ -24,9 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-Number = TypeVar('Number', bound=np.generic)
 OnSweep = Callable[[int, float], bool | None]
-OnValues = Callable[[Floats], object]
 COMPILED_FROM = (
     1_000_000  # pairs of state and option; sweeps over fewer end before Numba is loaded
 )
@@ -46,196 +43,67 @@ class Solution:
     converged: bool  # residual is at most tol
 
 
-class _Backup(ABC):
+class _IndexedBackup:
     """
-    One sweep over R states of a model, in place.
+    Sweeps over a model with one successor for each state and option, in place.
 
-    :ivar order: (R,) these states in an order that the backup gives; values are in it too.
+    Machine code goes state by state, and reads each number once. NumPy goes option by option, so
+    that one at a time is in cache; both come to the same bits.
+
+    :ivar n_swept: number of states that are swept, R.
     """
 
-    order: Ints | slice = slice(None)
+    def __init__(self, model: MultiTimeModel, compiled: Callable[..., float] | None) -> None:
+        """
+        Prepare the sweeps.
 
-    def __init__(self, model: Model) -> None:
+        :param compiled: ``_sweep_states`` as machine code; None: NumPy sweeps.
+        """
+        self.n_swept, self._compiled = model.n_states, compiled
         self._dead: Flags = ~np.asarray(model.available.T.any(axis=0))  # by rows in memory
+        order: Literal['C', 'F'] = 'C' if compiled else 'F'
+        discount = np.where(model.available, model.discount, 0.0)
+        nothing, self._common = discount == 0.0, float(discount.max())
+        alike = bool((nothing | (discount == self._common)).all())
+        self._discount = np.empty((0, 0)) if alike else np.array(discount, order=order)
+        del discount  # large
+        self._successor = np.array(
+            model.successor, dtype=np.uint32 if compiled else np.intp, order=order
+        )
+        np.copyto(self._successor, model.n_states, where=nothing)  # the end of the task
+        self._rewards = np.array(model.reward, order=order)
+        np.copyto(self._rewards, -np.inf, where=~model.available)
+        self._rewards[self._dead, 0] = 0.0  # nothing follows there, so their value stays 0
+        self._discounted = np.empty(0 if compiled else self.n_swept + 1)  # work space
+        self._choice = np.empty(0 if compiled else self.n_swept)
 
-    @property
-    def n_swept(self) -> int:
-        """Number of states that are swept, R."""
-        return len(self._dead[self.order])
-
-    @abstractmethod
     def sweep(self, old: Floats, new: Floats) -> float:
         """
         Write the next values to ``new``, and return the largest change.
 
         :param old: (R + 1,), the last is the end of the task, 0; as ``new``.
         """
+        if self._compiled:
+            tables = self._successor, self._rewards, self._discount
+            return self._compiled(*tables, self._common, old, new)
+        alike, new = not self._discount.size, new[:-1]
+        np.multiply(old, self._common if alike else 1.0, out=self._discounted)
+        for option in range(self._successor.shape[1]):
+            choice = self._choice if option else new
+            np.take(self._discounted, self._successor[:, option], out=choice, mode='clip')
+            if not alike:
+                choice *= self._discount[:, option]
+            choice += self._rewards[:, option]
+            np.maximum(new, choice, out=new)
+        change = np.subtract(new, old[:-1], out=self._choice)
+        return float(np.abs(change, out=change).max())
 
-    @abstractmethod
     def best(self, values: Floats) -> NDArray[np.int32]:
         """
         Return the greedy option (S,) in the order of the model, the lowest of equals.
 
         :param values: (R,).
         """
-
-    def everywhere(self, values: Floats, before: Floats) -> Floats:
-        """
-        Return the values (S,) of all states, in the order of the model.
-
-        :param values: (R,) by the last sweep.
-        :param before: (R,) by the one before it.
-        """
-        return self.in_order_of_model(values)
-
-    def in_order_of_model(self, values: NDArray[Number]) -> NDArray[Number]:
-        """Return a copy of one value for each state, (S,), in the order of the model; or 0."""
-        found = np.zeros(len(self._dead), dtype=values.dtype)
-        found[self.order] = values
-        return found
-
-
-class _LayeredBackup(_Backup):
-    """
-    A sweep without a loop over states.
-
-    Options are compared in layers. The first layer has an option for every state, a later one for
-    the first states of the order.
-    """
-
-    @cached_property
-    def _change(self) -> Floats:
-        """(R,) work space."""
-        return np.empty(self.n_swept)
-
-    def sweep(self, old: Floats, new: Floats) -> float:
-        """Write the next values to ``new``, and return the largest change; as ``_Backup``."""
-        old, new = old[:-1], new[:-1]
-        layers = self._layers(old)
-        np.copyto(new, next(layers)[1])
-        for _, choice in layers:
-            first = new[: len(choice)]
-            np.maximum(first, choice, out=first)
-        change = np.subtract(new, old, out=self._change)
-        np.abs(change, out=change)
-        return float(np.maximum.reduce(change))
-
-    def best(self, values: Floats) -> NDArray[np.int32]:
-        """Return the greedy option (S,), the lowest of equals; as ``_Backup``."""
-        greatest = np.full(len(values), -np.inf)
-        best = np.zeros(len(values), dtype=np.int32)
-        for option, choice in self._layers(values):
-            known = greatest[: len(choice)]
-            np.copyto(best[: len(choice)], option, where=choice > known, casting='same_kind')
-            np.maximum(known, choice, out=known)
-        best = self.in_order_of_model(best)
-        best[self._dead] = -1
-        return best
-
-    @abstractmethod
-    def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
-        """Yield options, lowest first, and their values in the first states, until the next."""
-
-
-class _DenseBackup(_LayeredBackup):
-    """Layer k is option k in every state, so that one option at a time is in cache."""
-
-    def __init__(self, model: MultiTimeModel) -> None:
-        super().__init__(model)
-        self._expected = model.expectation()
-        self._rewards = np.array(model.reward.T, order='C')
-        self._rewards[~model.available.T] = -np.inf
-        self._rewards[0, self._dead] = 0.0  # nothing follows there, so their value stays 0
-
-    def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
-        for option, (expected, reward) in enumerate(zip(self._expected(values), self._rewards)):
-            expected += reward
-            yield option, expected
-
-
-class _SparseBackup(_LayeredBackup):
-    """
-    Layer k is the k-th available option of each state that has so many.
-
-    States are in the order of their number of options, and then of the number of successors of the
-    first: rows of equal length are multiplied more than twice as fast as in any order.
-    """
-
-    def __init__(self, model: SparseMultiTimeModel, *, everywhere: bool) -> None:
-        """
-        Prepare the sweeps.
-
-        :param everywhere: sweep over all states, not over successors only.
-        """
-        super().__init__(model)
-        self._model = model
-        swept = np.full(model.n_states, everywhere)
-        swept[model.rows.indices] = True
-        swept[0] = True  # there is one at least
-        states = np.flatnonzero(swept)
-        available = model.available[states]
-        available[self._dead[states], 0] = True  # nothing follows there, so their value stays 0
-        n_options = available.sum(axis=1)
-        first = available.argmax(axis=1) * model.n_states + states
-        order = np.lexsort((np.diff(model.rows.indptr)[first], -n_options))
-        self.order = states[order]
-        place = np.zeros(model.n_states, dtype=np.int32)
-        place[self.order] = np.arange(len(states), dtype=np.int32)
-        at, option = np.nonzero(available)
-        layer = np.arange(len(at)) - np.repeat(np.cumsum(n_options) - n_options, n_options)
-        state = states[at]
-        pairs = np.lexsort((place[state], layer))
-        state, self._option = state[pairs], option[pairs]
-        ends = np.cumsum(np.bincount(layer)).tolist()
-        self._slices = [slice(*part) for part in zip([0, *ends], ends)]
-        rows = model.rows[self._option * model.n_states + state]
-        successor, indptr = place[rows.indices], rows.indptr.astype(np.int32)
-        self._rows = csr_array((rows.data, successor, indptr), shape=(len(state), len(states)))
-        self._rewards = np.where(self._dead[state], 0.0, model.reward[state, self._option])
-
-    def everywhere(self, values: Floats, before: Floats) -> Floats:
-        """Return the values (S,) of all states; as ``_Backup``."""
-        if self.n_swept == self._model.n_states:
-            return self.in_order_of_model(values)
-        found = look_ahead(self._model, self.in_order_of_model(before)).max(axis=1)
-        return np.where(self._dead, 0.0, found)
-
-    def best(self, values: Floats) -> NDArray[np.int32]:
-        """Return the greedy option (S,), the lowest of equals; as ``_Backup``."""
-        best = look_ahead(self._model, self.in_order_of_model(values)).argmax(axis=1)
-        return np.where(self._dead, -1, best).astype(np.int32)
-
-    def _layers(self, values: Floats) -> Iterator[tuple[int | Ints, Floats]]:
-        expected = self._rows @ values
-        expected += self._rewards
-        for part in self._slices:
-            yield self._option[part], expected[part]
-
-
-class _CompiledBackup(_Backup):
-    """The arithmetic of ``_DenseBackup`` in machine code, which reads each number once."""
-
-    def __init__(self, model: MultiTimeModel, compiled: Callable[..., float]) -> None:
-        super().__init__(model)
-        discount = np.where(model.available, model.discount, 0.0)
-        nothing, self._common = discount == 0.0, float(discount.max())
-        alike = bool((nothing | (discount == self._common)).all())
-        self._discount = np.empty((0, 0)) if alike else np.ascontiguousarray(discount)
-        del discount  # large
-        self._successor = np.array(model.successor, dtype=np.uint32, order='C')
-        np.copyto(self._successor, model.n_states, where=nothing)  # the end of the task
-        self._rewards = np.array(model.reward, order='C')
-        np.copyto(self._rewards, -np.inf, where=~model.available)
-        self._rewards[self._dead, 0] = 0.0  # nothing follows there, so their value stays 0
-        self._compiled = compiled
-
-    def sweep(self, old: Floats, new: Floats) -> float:
-        """Write the next values to ``new``, and return the largest change; as ``_Backup``."""
-        tables = self._successor, self._rewards, self._discount
-        return self._compiled(*tables, self._common, old, new)
-
-    def best(self, values: Floats) -> NDArray[np.int32]:
-        """Return the greedy option (S,), the lowest of equals; as ``_Backup``."""
         padded, best = np.append(values, 0.0), np.empty(len(values), dtype=np.int32)
         for begin in range(0, len(best), COMPARED):
             part = slice(begin, begin + COMPARED)
@@ -245,6 +113,81 @@ class _CompiledBackup(_Backup):
             best[part] = choice.argmax(axis=1)
         best[self._dead] = -1
         return best
+
+    def everywhere(self, values: Floats, before: Floats) -> Floats:
+        """
+        Return the values (S,) of all states, in the order of the model.
+
+        :param values: (R,) by the last sweep.
+        :param before: (R,) by the one before it.
+        """
+        return values.copy()
+
+
+class _SparseBackup:
+    """
+    The same for any number of successors, by layers of options and no loop over states.
+
+    Layer k is the k-th available option of each state that has so many. States are in the order of
+    their number of options, and then of the number of successors of the first: rows of equal
+    length are multiplied more than twice as fast as in any order.
+    """
+
+    def __init__(self, model: SparseMultiTimeModel) -> None:
+        """Prepare the sweeps over the states that are successors."""
+        self._model, self._dead = model, ~np.asarray(model.available.T.any(axis=0))
+        swept = np.zeros(model.n_states, dtype=np.bool_)
+        swept[model.rows.indices] = True
+        swept[0] = True  # there is one at least
+        states = np.flatnonzero(swept)
+        available = model.available[states]
+        available[self._dead[states], 0] = True  # nothing follows there, so their value stays 0
+        n_options = available.sum(axis=1)
+        first = available.argmax(axis=1) * model.n_states + states
+        order = np.lexsort((np.diff(model.rows.indptr)[first], -n_options))
+        self._order, self.n_swept = states[order], len(states)
+        place = np.zeros(model.n_states, dtype=np.int32)
+        place[self._order] = np.arange(len(states), dtype=np.int32)
+        at, option = np.nonzero(available)
+        layer = np.arange(len(at)) - np.repeat(np.cumsum(n_options) - n_options, n_options)
+        state = states[at]
+        pairs = np.lexsort((place[state], layer))
+        state, option = state[pairs], option[pairs]
+        ends = np.cumsum(np.bincount(layer)).tolist()
+        self._layers = [slice(*part) for part in zip([0, *ends], ends)]
+        rows = model.rows[option * model.n_states + state]
+        successor, indptr = place[rows.indices], rows.indptr.astype(np.int32)
+        self._rows = csr_array((rows.data, successor, indptr), shape=(len(state), len(states)))
+        self._rewards = np.where(self._dead[state], 0.0, model.reward[state, option])
+
+    def sweep(self, old: Floats, new: Floats) -> float:
+        """Write the next values to ``new``, and return the largest change."""
+        old, new = old[:-1], new[:-1]
+        choices = self._rows @ old
+        choices += self._rewards
+        np.copyto(new, choices[self._layers[0]])
+        for layer in self._layers[1:]:
+            first = new[: layer.stop - layer.start]
+            np.maximum(first, choices[layer], out=first)
+        return float(np.abs(new - old).max())
+
+    def best(self, values: Floats) -> NDArray[np.int32]:
+        """Return the greedy option (S,), the lowest of equals."""
+        best = look_ahead(self._model, self._of_all(values)).argmax(axis=1)
+        return np.where(self._dead, -1, best).astype(np.int32)
+
+    def everywhere(self, values: Floats, before: Floats) -> Floats:
+        """Return the values (S,) of all states."""
+        if self.n_swept == self._model.n_states:
+            return self._of_all(values)
+        found = look_ahead(self._model, self._of_all(before)).max(axis=1)
+        return np.where(self._dead, 0.0, found)
+
+    def _of_all(self, values: Floats) -> Floats:
+        """Return the values (S,) in the order of the model, 0 where a state is not swept."""
+        found = np.zeros(self._model.n_states)
+        found[self._order] = values
+        return found
 
 
 def _sweep_states(
@@ -296,17 +239,13 @@ def compiled_sweep() -> Callable[..., float] | None:
     return compiled
 
 
-def _backup(model: Model, *, everywhere: bool) -> _Backup:
-    """
-    Return the backup that suits a model: compiled where that is loaded, or pays for loading.
-
-    :param everywhere: all states have to be swept.
-    """
+def _backup(model: Model) -> _IndexedBackup | _SparseBackup:
+    """Return the backup that suits a model: compiled where that is loaded, or pays for loading."""
     if not isinstance(model, MultiTimeModel):
-        return _SparseBackup(model, everywhere=everywhere)
+        return _SparseBackup(model)
     loaded = compiled_sweep.cache_info().currsize > 0
-    compiled = compiled_sweep() if loaded or model.reward.size >= COMPILED_FROM else None
-    return _CompiledBackup(model, compiled) if compiled else _DenseBackup(model)
+    pays = loaded or model.reward.size >= COMPILED_FROM
+    return _IndexedBackup(model, compiled_sweep() if pays else None)
 
 
 def solve_smdp(
@@ -314,7 +253,6 @@ def solve_smdp(
     tol: float = 1e-8,
     max_sweeps: int = 10_000,
     on_sweep: OnSweep | None = None,
-    on_values: OnValues | None = None,
 ) -> Solution:
     """
     Return the best value of every state, from values of 0.
@@ -324,18 +262,15 @@ def solve_smdp(
     :param on_sweep: called with the number of sweeps and the residual after each, which is that of
         the states that are swept; returning True ends the work early, and what it raises passes
         through.
-    :param on_values: called with the values (S,) after each sweep.
     :raises PlanError: tol is negative or no number, or max_sweeps is below 1.
     """
     check_limits(tol, max_sweeps)
-    backup = _backup(model, everywhere=on_values is not None)
+    backup = _backup(model)
     partial = backup.n_swept < model.n_states
     values, before, earlier = np.zeros((3, backup.n_swept + 1))  # by the last sweep, and so on
     for sweeps in range(1, max_sweeps + 1):
         residual = backup.sweep(values, earlier)
         values, before, earlier = earlier, values, before
-        if on_values is not None:
-            on_values(backup.in_order_of_model(values[:-1]))
         stop = on_sweep is not None and on_sweep(sweeps, residual)
         if stop or residual <= tol or sweeps == max_sweeps:
             found = backup.everywhere(values[:-1], before[:-1])
@@ -364,21 +299,24 @@ def value_history(model: Model, tol: float = 1e-8, max_sweeps: int = 1000) -> Fl
 
     :raises PlanError: as ``solve_smdp``.
     """
+    check_limits(tol, max_sweeps)
+    usable, residual = model.available.any(axis=1), np.inf
     history = [np.zeros(model.n_states)]
-    solve_smdp(model, tol, max_sweeps, on_values=history.append)
+    while residual > tol and len(history) <= max_sweeps:
+        ahead = look_ahead(model, history[-1]).max(axis=1)
+        history.append(np.where(usable, ahead, 0.0))
+        residual = float(np.abs(history[-1] - history[-2]).max())
     return np.array(history)
 
 
-def sweep_table(
-    model: Model, tol: float = 1e-8, near: float = 1e-3, max_sweeps: int = 1000
-) -> list[SweepRow]:
+def sweep_table(model: Model, near: float = 1e-3, max_sweeps: int = 1000) -> list[SweepRow]:
     """
     Return one row for each sweep, from the values of 0 to the final ones.
 
     :param near: a value so close to its final one, in reward units, is settled.
     :raises PlanError: as ``solve_smdp``.
     """
-    history = value_history(model, tol, max_sweeps)
+    history = value_history(model, max_sweeps=max_sweeps)
     distance = np.abs(history - history[-1])
     change = np.abs(np.diff(history, axis=0)).max(axis=1)
     return [
