@@ -31,9 +31,6 @@ from humanopts_learner.planning.request import PlanError
 import numpy as np
 from numpy.typing import NDArray
 
-# Called with the share of the episodes that is done, 0..1; raises ``PlanCanceled`` to stop
-Progress = Callable[[float], object]
-REPORT_EVERY = 200  # steps
 SLOWEST, FASTEST = 0.05, 1.0  # learning rates that are tried
 LEAST, MOST = 0.005, 0.3  # shares of exploring decisions that are tried
 
@@ -90,23 +87,10 @@ class Learners:
     seed: int
 
 
-def learn(
-    domain: EnumerableDomain[Any],
-    options: OptionTable,
-    rates: Sequence[Rates],
-    settings: Settings,
-    seed: int,
-    progress: Progress | None = None,
-) -> Learning:
-    """Have some learners learn; as ``learn_in_step``."""
-    return learn_in_step(domain, [Learners(options, rates, seed)], settings, progress)[0]
-
-
 def learn_in_step(
     domain: EnumerableDomain[Any],
     groups: Sequence[Learners],
     settings: Settings,
-    progress: Progress | None = None,
 ) -> list[Learning]:
     """
     Learn from values of 0, each option run to its end; groups of learners step side by side.
@@ -115,7 +99,6 @@ def learn_in_step(
 
     :return: what each group learned.
     :raises PlanError: nothing limits the episodes, or there are no learners or no episodes.
-    :raises PlanCanceled: from ``progress``.
     """
     limit = settings.max_steps or domain.max_steps
     counts = [len(group.rates) for group in groups]
@@ -134,7 +117,6 @@ def learn_in_step(
     values = np.zeros((count, domain.n_states, tables.width))
     live = _Live.begin(groups, tables, domain.n_states)
     live.state = starts.take(chance.draw(live.group, draw_start))
-    rounds, finished = 0, 0
     while live.number.size:
         free = np.flatnonzero(live.option < 0)
         if free.size:
@@ -170,14 +152,8 @@ def learn_in_step(
             live.episode[at] += 1
             live.steps[at], live.returns[at] = 0, 0.0
             live.state[at] = starts.take(chance.draw(live.group[at], draw_start))
-            finished += len(at)
             if (live.episode[at] == episodes).any():
                 live.keep(live.episode < episodes)
-        rounds += 1
-        if progress is not None and rounds % REPORT_EVERY == 0:
-            progress(finished / steps.size)
-    if progress is not None:
-        progress(1.0)
     first = np.cumsum([0, *counts])
     return [
         Learning(steps[i:k], returns[i:k], values[i:k, :, : len(group.options.names)])
@@ -385,27 +361,12 @@ def drawn_rates(seed: int, count: int) -> list[Rates]:
     return [Rates(), *(Rates(float(a), float(b)) for a, b in zip(learning, exploring))]
 
 
-def best_rates(
-    domain: EnumerableDomain[Any],
-    options: OptionTable,
-    candidates: Sequence[Rates],
-    runs: int,
-    settings: Settings,
-    seed: int,
-    progress: Progress | None = None,
-) -> Rates:
-    """Return the best rates for some options; as ``best_rates_of_each``."""
-    each = [(options, seed)]
-    return best_rates_of_each(domain, each, candidates, runs, settings, progress)[0]
-
-
 def best_rates_of_each(
     domain: EnumerableDomain[Any],
     groups: Sequence[tuple[OptionTable, int]],
     candidates: Sequence[Rates],
     runs: int,
     settings: Settings,
-    progress: Progress | None = None,
 ) -> list[Rates]:
     """
     Return the rates with the fewest steps in all episodes, averaged over some runs.
@@ -416,11 +377,11 @@ def best_rates_of_each(
     :param groups: options, each with the seed of its search.
     :param runs: learners for each candidate.
     :return: the rates of each group.
-    :raises PlanError: as ``learn``.
+    :raises PlanError: as ``learn_in_step``.
     """
     every = [rates for rates in candidates for _ in range(runs)]
     learners = [Learners(options, every, seed) for options, seed in groups]
-    learned = learn_in_step(domain, learners, settings, progress)
+    learned = learn_in_step(domain, learners, settings)
     scores = [one.steps.reshape(len(candidates), -1).mean(axis=1) for one in learned]
     return [candidates[int(score.argmin())] for score in scores]
 

@@ -15,7 +15,6 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.accuracy import (
-    average_return,
     average_returns,
     classification_accuracy,
     policy_accuracy,
@@ -135,6 +134,13 @@ def test_an_option_that_follows_the_reference_is_accurate(name: str) -> None:
     assert min(classification_accuracy(option, PACMAN, reference)) >= 0.98
     wrong = replace(option, policy=replace(option.policy, counts=option.policy.counts[:, ::-1]))
     assert policy_accuracy(wrong, PACMAN, reference) <= 0.4
+
+
+def average_return(
+    option: LearnedOption | None, domain: Domain[Any], reference: ReferenceOption
+) -> float:
+    """Return the average return of one policy."""
+    return average_returns([option], domain, reference)[0]
 
 
 def test_average_return_is_that_of_runs_to_the_references_end(

@@ -5,12 +5,14 @@ from dataclasses import replace
 from typing import Any
 import uuid
 
-from humanopts_env.domains.base import DomainError
+from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.capabilities import feature_rows, HasBatchGames
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.reference import CLOSEST_FOOD
 from humanopts_env.domains.pacman.reference import reference_options as pacman_options
 from humanopts_env.domains.reference import judge_states
+from humanopts_env.domains.rooms import Rooms, RoomsState
+from humanopts_env.domains.rooms_reference import reference_options as rooms_options
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
@@ -20,6 +22,7 @@ from humanopts_learner.options.option import (
     Mode,
     option_from_table,
     OptionError,
+    options_from_references,
     TabularOption,
     tabulate,
 )
@@ -167,16 +170,12 @@ def test_a_walk_in_a_circle_is_cut_off_at_max_steps(person: Callable[..., Any]) 
 
 
 @pytest.mark.parametrize('name', [FETCH, DELIVER])
-def test_stepwise_and_vectorised_rollouts_agree(person: Callable[..., Any], name: str) -> None:
+def test_stepwise_and_vectorised_rollouts_agree(
+    person: Callable[..., Any], plain_taxi: Domain[Any], name: str
+) -> None:
     option = learn_option(person(name).show_random(12), TAXI, 0)
     states = [TAXI.state_at(int(i)) for i in reference_options(TAXI)[name].initiation.nonzero()[0]]
-    fast = rollouts(option, TAXI, states, max_steps=30)
-    pure = replace(
-        option,
-        policy=replace(option.policy, counts=sharpened(option.policy.counts)),
-        termination=replace(option.termination, counts=sharpened(option.termination.counts)),
-    )  # with all mass on the likeliest class, sampling is greedy
-    slow = rollouts(pure, TAXI, states, mode=Mode.SAMPLED, max_steps=30)
+    fast, slow = (rollouts(option, game, states, max_steps=30) for game in (TAXI, plain_taxi))
     assert slow.total_reward.tolist() == fast.total_reward.tolist()
     assert slow.steps.tolist() == fast.steps.tolist()
     assert slow.reached.tolist() == fast.reached.tolist()
@@ -201,21 +200,15 @@ def test_runs_from_everywhere_are_the_runs_one_by_one(
         assert getattr(found, name)[ended].tolist() == getattr(each, name)[each.reached].tolist()
 
 
-def sharpened(counts: Any) -> Any:
-    """Return counts with all examples in the largest class."""
-    return np.eye(counts.shape[1], dtype=np.int64)[counts.argmax(axis=1)]
-
-
-def test_sampled_runs_depend_on_their_keys_and_not_on_each_other(
-    person: Callable[..., Any],
-) -> None:
-    option = learn_option(person(error_rate=0.3).show_random(10), TAXI, 0)
-    states = [NEAR, TaxiState(4, 4, 0, 1), TaxiState(2, 2, 0, 1)]
+def test_runs_with_chance_depend_on_their_keys_and_not_on_each_other() -> None:
+    rooms = Rooms()
+    option = options_from_references(rooms, rooms_options(rooms).values())[0]
+    states = [RoomsState(0, 0), RoomsState(4, 4), RoomsState(2, 2)]
     keys = ['a', 'b', 'c']
-    together = rollouts(option, TAXI, states, 3, keys, Mode.SAMPLED)
-    turned = rollouts(option, TAXI, states[::-1], 3, keys[::-1], Mode.SAMPLED)
+    together = rollouts(option, rooms, states, 3, keys)
+    turned = rollouts(option, rooms, states[::-1], 3, keys[::-1])
     assert together.steps.tolist() == turned.steps[::-1].tolist()
-    other = rollouts(option, TAXI, [states[1]] * 8, 3, list('stuvwxyz'), Mode.SAMPLED)
+    other = rollouts(option, rooms, [states[1]] * 8, 3, list('stuvwxyz'))
     assert len(set(other.steps.tolist())) > 1
 
 
@@ -255,8 +248,7 @@ class OneByOne(PacMan):
     batch_games = None  # type: ignore[assignment]
 
 
-@pytest.mark.parametrize('mode', Mode)
-def test_runs_in_one_batch_are_those_of_single_steps(mode: Mode) -> None:
+def test_runs_in_one_batch_are_those_of_single_steps() -> None:
     """Where a domain plays many games at once, every run keeps chance of its own."""
     domain, single = PacMan('yard', 'chase'), OneByOne('yard', 'chase')
     assert not isinstance(single, HasBatchGames)
@@ -267,9 +259,7 @@ def test_runs_in_one_batch_are_those_of_single_steps(mode: Mode) -> None:
     action = said.optimal.argmax(axis=1)
     table = TabularOption(CLOSEST_FOOD, 200, action, said.initiation, said.termination)
     option = option_from_table(domain, table, reference.features, rows)
-    ours, theirs = (
-        rollouts(option, game, states, 5, mode=mode, max_steps=25) for game in (domain, single)
-    )
+    ours, theirs = (rollouts(option, game, states, 5, max_steps=25) for game in (domain, single))
     for part in ('total_reward', 'steps', 'reached', 'over'):
         assert np.array_equal(getattr(ours, part), getattr(theirs, part))
     assert ours.steps.max() > 2

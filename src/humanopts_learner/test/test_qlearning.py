@@ -1,5 +1,6 @@
 """Q-learning over options: it comes to the values of planning, and options speed it up."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,13 +12,12 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.exact import build_model, option_table
-from humanopts_learner.planning.request import NoOptionsError, PlanCanceled, PlanError
+from humanopts_learner.planning.exact import build_model, option_table, OptionTable
+from humanopts_learner.planning.request import NoOptionsError, PlanError
 from humanopts_learner.planning.value_iteration import solve_smdp
 from humanopts_learner.qlearning import (
-    best_rates,
+    best_rates_of_each,
     drawn_rates,
-    learn,
     learn_in_step,
     Learners,
     Learning,
@@ -33,6 +33,13 @@ TAXI = Taxi()
 FETCH, DELIVER = 'go to passenger and pickup', 'go to destination and dropoff'
 WILD = Rates(learning_rate=1.0, explore=1.0)  # exact, and tries everything, without chance
 MIXED = 'human+primitive'
+
+
+def learn(
+    domain: Any, options: OptionTable, rates: Sequence[Rates], settings: Settings, seed: int
+) -> Learning:
+    """Have learners with the same options learn."""
+    return learn_in_step(domain, [Learners(options, rates, seed)], settings)[0]
 
 
 @dataclass(frozen=True)
@@ -225,7 +232,7 @@ def test_the_set_human_has_primitive_actions_where_no_option_can_start() -> None
 def test_the_search_finds_the_rates_that_learn_faster() -> None:
     slow, fast = Rates(0.1, 1.0), Rates(0.8, 0.02)
     choices = option_table(TAXI, 'human', taxi_options()[:1])
-    assert best_rates(TAXI, choices, [slow, fast], 4, Settings(40), 0) is fast
+    assert best_rates_of_each(TAXI, [(choices, 0)], [slow, fast], 4, Settings(40)) == [fast]
 
 
 def test_rates_to_try_begin_with_the_usual_ones() -> None:
@@ -233,20 +240,6 @@ def test_rates_to_try_begin_with_the_usual_ones() -> None:
     assert (len(drawn), drawn[0]) == (8, Rates(0.1, 0.1))
     assert drawn == drawn_rates(3, 8)
     assert drawn[1:] != drawn_rates(4, 8)[1:]
-
-
-def test_progress_can_cancel() -> None:
-    told = []
-
-    def note(done: float) -> None:
-        told.append(done)
-        if done > 0.3:
-            raise PlanCanceled
-
-    with pytest.raises(PlanCanceled):
-        learn(TAXI, option_table(TAXI, 'primitive', ()), [Rates()], Settings(20), 0, note)
-    assert told == sorted(told)
-    assert told[-1] < 1.0
 
 
 def test_requests_that_make_no_sense_are_refused() -> None:

@@ -5,8 +5,6 @@ Sutton, Precup and Singh (1999), section 3: from anywhere in a room, or from its
 option walks to one of the room's two doorways, and it ends wherever it has left the room.
 """
 
-from functools import cached_property
-
 from humanopts_env.domains.base import EnumerableDomain, feature_columns, Transitions
 from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.rooms import NOWHERE, ROOM_VALUES, ROOMS, RoomsState
@@ -19,30 +17,7 @@ Domain = EnumerableDomain[RoomsState]
 Mask = NDArray[np.bool_]
 
 
-class HallwayOption(TabularReferenceOption):
-    """A reference option of a domain with chance; ``distance`` is for moves that never slip."""
-
-    @cached_property
-    def expected_steps(self) -> NDArray[np.float64]:
-        """
-        Expected steps (S,) to the end by the first optimal action; NaN outside the initiation set.
-
-        The solution of t = 1 + Q t, with Q (n, n) the probabilities of going on.
-        """
-        states = np.flatnonzero(self.initiation)
-        table, action = self.domain.transitions(), self.optimal[states].argmax(axis=1)
-        step = np.zeros((len(states), self.domain.n_states))
-        row = np.arange(len(states))[:, None]
-        np.add.at(step, (row, table.successor[states, action]), table.probability[states, action])
-        step[:, self.termination] = 0.0
-        expected = np.full(self.domain.n_states, np.nan)
-        expected[states] = np.linalg.solve(
-            np.eye(len(states)) - step[:, states], np.ones(len(row))
-        )
-        return read_only(expected)
-
-
-def reference_options(domain: Domain) -> dict[str, HallwayOption]:
+def reference_options(domain: Domain) -> dict[str, TabularReferenceOption]:
     """
     Return the hallway options by name: two for each room, whatever the goal.
 
@@ -65,7 +40,7 @@ def _pairs(domain: Domain) -> list[tuple[str, str]]:
     return pairs
 
 
-def _build(domain: Domain, room: str, doorway: str) -> HallwayOption:
+def _build(domain: Domain, room: str, doorway: str) -> TabularReferenceOption:
     inside = _column(domain, 'room') == ROOM_VALUES.index(room)
     target = _column(domain, 'doorway') == NOWHERE.index(doorway)
     table, over = domain.transitions(), domain.over()
@@ -76,13 +51,14 @@ def _build(domain: Domain, room: str, doorway: str) -> HallwayOption:
     initiation = walks & ~over
     straight = _without_slips(table)
     distance, _ = distance_to(straight, target[straight.successor[:, :, 0]], walks)
-    return HallwayOption(
+    return TabularReferenceOption(
         domain=domain,
         name=f'{room} room to {doorway} doorway',
         features=FEATURES,
         initiation=read_only(initiation),
         termination=read_only(~inside | over),
         optimal=read_only(optimal & initiation[:, None]),
+        # for moves that never slip
         distance=read_only(np.where(initiation, distance, -1).astype(np.int32)),
         judged=read_only(~over | around),
         definition=(

@@ -84,13 +84,6 @@ def action_accuracy(
     return float(right.optimal[np.arange(len(action)), action].mean())
 
 
-def average_return(
-    option: LearnedOption | None, domain: Domain[Any], reference: ReferenceOption
-) -> float:
-    """Return the average undiscounted return of one policy; as ``average_returns``."""
-    return average_returns([option], domain, reference)[0]
-
-
 def average_returns(
     options: Sequence[LearnedOption | None], domain: Domain[Any], reference: ReferenceOption
 ) -> list[float]:

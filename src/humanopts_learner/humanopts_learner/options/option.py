@@ -34,7 +34,7 @@ class OptionError(ValueError):
 
 
 class Mode(Enum):
-    """How the probabilities of an option become decisions, in execution and in models."""
+    """How the probabilities of an option become decisions in execution; models are greedy."""
 
     GREEDY = 'greedy'  # the likeliest action; ends where beta is 0.5 or more
     SAMPLED = 'sampled'  # drawn
@@ -142,29 +142,15 @@ class LearnedOption:
 
     def choose_action(self, row: Rows, mode: Mode, rng: np.random.Generator) -> int:
         """Return the action in one state (F,)."""
-        return self.choose_actions(row[None], mode, [rng])[0]
+        if mode is Mode.GREEDY:
+            return int(self.greedy_action(row[None])[0])
+        return int(rng.choice(len(self.actions), p=self.action_probabilities(row[None])[0]))
 
     def choose_end(self, row: Rows, mode: Mode, rng: np.random.Generator) -> bool:
         """Return whether the option ends in one state (F,), after a step."""
-        return self.choose_ends(row[None], mode, [rng])[0]
-
-    def choose_actions(
-        self, rows: Rows, mode: Mode, rngs: Sequence[np.random.Generator]
-    ) -> list[int]:
-        """Return the actions in N states, each with a generator of its own."""
         if mode is Mode.GREEDY:
-            return list(map(int, self.greedy_action(rows)))
-        shares = zip(self.action_probabilities(rows), rngs, strict=True)
-        return [int(rng.choice(len(self.actions), p=share)) for share, rng in shares]
-
-    def choose_ends(
-        self, rows: Rows, mode: Mode, rngs: Sequence[np.random.Generator]
-    ) -> list[bool]:
-        """Return whether the option ends in each of N states, after a step."""
-        if mode is Mode.GREEDY:
-            return list(map(bool, self.ends(rows)))
-        limits = [1.0 - rng.random() for rng in rngs]
-        return list(map(bool, self.termination_probability(rows) >= limits))
+            return bool(self.ends(row[None])[0])
+        return bool(self.termination_probability(row[None])[0] >= 1.0 - rng.random())
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,9 +194,7 @@ def tabulate(
 
 
 def options_from_references(
-    domain: EnumerableDomain[Any],
-    references: Iterable[ReferenceOption],
-    max_steps: int = REFERENCE_MAX_STEPS,
+    domain: EnumerableDomain[Any], references: Iterable[ReferenceOption]
 ) -> list[LearnedOption]:
     """
     Return reference options in the form of learned ones: options without a teacher.
@@ -224,7 +208,7 @@ def options_from_references(
     for reference in references:
         if not isinstance(reference, TabularReferenceOption):
             raise DomainError(f'{reference.name!r} of {domain.name} has no tables')
-        table = TabularOption.of_reference(reference, max_steps)
+        table = TabularOption.of_reference(reference)
         known = reference.initiation, reference.judged & ~domain.over(), reference.judged
         rows = domain.feature_table()
         found.append(option_from_table(domain, table, reference.features, rows, known))

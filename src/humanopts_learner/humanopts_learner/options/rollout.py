@@ -9,7 +9,7 @@ from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain, is
 from humanopts_env.domains.capabilities import BatchGames, feature_rows, HasBatchGames
 from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import LearnedOption, Mode, TabularOption, tabulate
+from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,11 +42,10 @@ def rollouts(
     starts: Sequence[Any],
     seed: int = 0,
     keys: Sequence[str] = (),
-    mode: Mode = Mode.GREEDY,
     max_steps: int | NDArray[np.integer] | None = None,
 ) -> Rollouts:
     """
-    Run an option from every start state, all in step.
+    Run an option, in greedy mode, from every start state, all in step.
 
     A run ends where the termination condition holds, which is looked at only after a step; where
     the task is over; or after ``max_steps``. Each has a random generator of its own, so its
@@ -66,7 +65,7 @@ def rollouts(
     which = np.array([number[id(option)] for option in each], dtype=np.intp)
     own_limits = np.array([option.max_steps for option in each], dtype=np.intp)
     limits = own_limits if max_steps is None else np.broadcast_to(max_steps, count)
-    if mode is Mode.GREEDY and is_deterministic(domain):
+    if is_deterministic(domain):
         tables = [tabulate(option, domain) for option in several.values()]
         at = np.array([domain.index(state) for state in starts], dtype=np.intp)
         return tabular_rollouts(domain, tables, which, at, limits)
@@ -74,7 +73,7 @@ def rollouts(
         option.check_domain(domain)
     names = keys or [str(index) for index in range(count)]
     rngs = [generator(seed, 'rollout', o.name, key) for o, key in zip(each, names, strict=True)]
-    return _step_by_step(list(several.values()), which, domain, starts, rngs, limits, mode)
+    return _step_by_step(list(several.values()), which, domain, starts, rngs, limits)
 
 
 def _step_by_step(
@@ -84,7 +83,6 @@ def _step_by_step(
     starts: Sequence[Any],
     rngs: Sequence[np.random.Generator],
     limits: NDArray[np.integer],
-    mode: Mode,
 ) -> Rollouts:
     """
     Run options by the rules of any domain; parameters as in ``rollouts``.
@@ -104,7 +102,7 @@ def _step_by_step(
         for index, option in enumerate(options):
             at = np.flatnonzero(running == index)
             if at.size:
-                actions[at] = option.choose_actions(rows[at], mode, [own[k] for k in at])
+                actions[at] = option.greedy_action(rows[at])
         total[going] += games.batch_step_each(batch, actions, own)
         steps[going] += 1
         rows, ended = games.batch_features(batch), games.batch_over(batch)
@@ -112,7 +110,7 @@ def _step_by_step(
         for index, option in enumerate(options):
             at = np.flatnonzero((running == index) & ~over[going])
             if at.size:
-                ended[at] = option.choose_ends(rows[at], mode, [own[k] for k in at])
+                ended[at] = option.ends(rows[at])
         reached[going] = ended
         on = np.flatnonzero(~ended & (steps[going] < limits[going]))
         if len(on) < len(going):
