@@ -27,7 +27,7 @@ import pandas as pd
 
 from experiments.people import CAREFUL, Participant, participants, Study
 from experiments.report import Comparison, Done, goal, grouped, Picture, Section, Table, written
-from experiments.trials import code_version, Trial
+from experiments.trials import Trial
 
 NAME = 'demonstrations'
 TITLE = 'Demonstrations that an option takes'
@@ -176,7 +176,7 @@ def present(done: Done) -> Section:
             Table('demonstrations-summary', 'Demonstrations by option', summary_table(counts)),
             Table('demonstrations-each', 'Each lesson', counts, shown=False),
         ],
-        {'code': code_version(), 'budget': BUDGET, 'error_rate': ERROR_RATE},
+        {'budget': BUDGET, 'error_rate': ERROR_RATE},
     )
 
 

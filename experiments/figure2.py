@@ -65,7 +65,7 @@ from experiments.report import (
     Table,
     written,
 )
-from experiments.trials import code_version, Trial
+from experiments.trials import Trial
 
 NAME = 'fig2'
 TITLE = 'Figure 2: accuracy against demonstrations'
@@ -193,14 +193,9 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
         parameters['strategy'], ASKED * wanted, person.seed, until_no_failures=False
     )
     taught = teach(domain, person.teaching(name), rules, measure)
-    points, best = _points(list(learned.values()), domain, reference)
-    return {
-        'points': points,
-        'best_return': best,
-        'others': others,
-        'seconds': taught.seconds,
-        'cut_short': taught.cut_short,
-    }
+    measured = _measured(list(learned.values()), domain, reference)
+    told = {'seconds': taught.seconds, 'cut_short': taught.cut_short}
+    return {**measured, 'others': others, **told}
 
 
 def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -217,33 +212,23 @@ def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
             learned[option.n_demonstrations] = option
             if reference and demos[count - 1].kind is Kind.TRAJECTORY:
                 others += _others(option, demos[:count], domain, reference, lesson.seed)
-    points, best = _points(list(learned.values()), domain, reference)
-    return {
-        'points': points,
-        'best_return': best,
-        'others': others,
-        'seconds': sum(demo.seconds for demo in demos),
-        'cut_short': '',
-    }
+    measured = _measured(list(learned.values()), domain, reference)
+    told = {'seconds': sum(demo.seconds for demo in demos), 'cut_short': ''}
+    return {**measured, 'others': others, **told}
 
 
-def _points(
+def _measured(
     options: Sequence[LearnedOption], domain: Domain[Any], reference: ReferenceOption | None
-) -> tuple[list[list[float | None]], float | None]:
+) -> dict[str, Any]:
     """Return the point of each option, and the best return; without a reference, None for it."""
     returns: list[float | None] = [None] * (len(options) + 1)
     if reference:
         returns = [finite(each) for each in average_returns([*options, None], domain, reference)]
     points = [
-        [
-            option.n_demonstrations,
-            option.n_not_here,
-            its_return,
-            *accuracies(option, domain, reference),
-        ]
-        for option, its_return in zip(options, returns)
+        [option.n_demonstrations, option.n_not_here, its, *accuracies(option, domain, reference)]
+        for option, its in zip(options, returns)
     ]
-    return points, returns[-1]
+    return {'points': points, 'best_return': returns[-1]}
 
 
 def _others(
@@ -452,7 +437,6 @@ def present(done: Done) -> Section:
             Table('fig2-people', 'Each person', people.drop(columns=hidden), shown=False),
         ],
         {
-            'code': code_version(),
             'shown': {f'{game.domain}, {game.features}': game.shown for game in GAMES},
             'pace': PACE,
             'longest': LONGEST,

@@ -25,7 +25,7 @@ import pandas as pd
 from experiments import paper
 from experiments.people import extraction, Study
 from experiments.report import compared, Comparison, Done, Picture, Section, Table, written
-from experiments.trials import code_version, Trial
+from experiments.trials import Trial
 
 NAME = 'fig3'
 TITLE = 'Figure 3: automatic options'
@@ -98,7 +98,6 @@ def present(done: Done) -> Section:
             Table('fig3-options', 'The options', option_table(done), shown=False),
             Table('fig3-extractions', 'Each extraction, and what it cost', extraction_table(done)),
         ],
-        {'code': code_version()},
     )
 
 

@@ -56,7 +56,7 @@ from experiments.report import (
     Table,
     written,
 )
-from experiments.trials import code_version, Trial
+from experiments.trials import Trial
 
 NAME, DOMAIN = 'fig4', 'taxi'
 TITLE = 'Figure 4: steps per episode of Q-learning'
@@ -210,7 +210,7 @@ def present(done: Done) -> Section:
             Table('fig4-summary', 'Steps while learning', summary),
             Table('fig4-curves', 'The curves', curves, shown=False),
         ],
-        {'code': code_version(), 'episodes': paper.EPISODES, 'limit': LIMIT, 'rates tried': TRIED},
+        {'episodes': paper.EPISODES, 'limit': LIMIT, 'rates tried': TRIED},
     )
 
 

@@ -23,6 +23,7 @@ import pandas as pd
 from experiments import paper
 from experiments.paper import Statement
 from experiments.people import Participant, Study
+from experiments.trials import code_version
 
 PAGE = 'report.html'
 TITLE = 'The paper\N{RIGHT SINGLE QUOTATION MARK}s figures and tables, reproduced'
@@ -225,6 +226,7 @@ def section_json(section: Section) -> str:
     """Return comparisons and tables of a section as JSON; null is a missing number."""
     values: dict[str, Any] = {
         'title': section.title,
+        'code': code_version(),
         **section.facts,
         'comparisons': [
             {'said': c.said, 'where': c.where, 'found': c.found, 'verdict': c.mark.value}

@@ -38,7 +38,7 @@ from experiments.people import options_of, owners, PERSON, Study
 from experiments.report import Done, mean_intervals, Section, Table
 from experiments.table2 import EFFORT
 from experiments.transfer import taught_in_usual_maze
-from experiments.trials import code_version, Trial
+from experiments.trials import Trial
 
 NAME, DOMAIN = 'settings', 'pacman'
 TITLE = 'Settings: the same search with every action set'
@@ -190,4 +190,4 @@ def present(done: Done) -> Section:
         chosen = choice_table(scores)
         tables.insert(0, Table('settings-choices', 'What the search finds', chosen))
     facts = {'steps': EFFORT.search_steps, 'primitive_steps': EFFORT.primitive_search_steps}
-    return Section(NAME, TITLE, [], [], tables, {'code': code_version(), **facts, 'games': GAMES})
+    return Section(NAME, TITLE, [], [], tables, {**facts, 'games': GAMES})

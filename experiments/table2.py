@@ -17,7 +17,8 @@ from humanopts_env.domains.pacman.baselines import INTERRUPTED
 from humanopts_env.domains.pacman.baselines import PRIMITIVE as PRIMITIVE_SETTINGS
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import LearnedOption, TabularOption
+from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
+from humanopts_learner.options.rollout import tabular_rollouts
 from humanopts_learner.planning.evaluate import play, Returns
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.interruption import as_executed, policy_values
@@ -33,18 +34,20 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
     Sampling,
 )
+from humanopts_learner.planning.sampled.action_set import ActionSet
+from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import (
     make_sampled_plan,
     make_sampled_plans,
     play_in_step,
 )
+from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_teach.evaluation.games import carried_over
 from humanopts_teach.evaluation.measures import finite
 import numpy as np
 from numpy.typing import NDArray
 
 from experiments import paper
-from experiments.chance import play_games_by_chance, play_states_by_chance
 from experiments.learners import LEARNERS, with_cloned_policies
 from experiments.people import (
     CLOCK,
@@ -285,7 +288,10 @@ def choose_by_chance(
     seed: int,
 ) -> list[dict[str, Any]]:
     """
-    Play as plans do, with random choice among the same options.
+    Play as plans do, with random choice among the same options: what a plan has to beat.
+
+    Wherever a choice is due, any option that can start is chosen, each with the same probability,
+    and runs to its end. Where none can start, a primitive action is taken.
 
     :param plans: how often, with chance of its own each time.
     :return: rows as those of plans.
@@ -298,10 +304,45 @@ def choose_by_chance(
             done = returns.successes
         else:
             games = _draw(seed, 'games', number)
-            returns = play_games_by_chance(domain, options, games, effort.games)
+            actions = ActionSet(domain, HUMAN, options)
+            policy = UniformPolicy(actions)
+            returns = play_games(actions, policy, domain.gamma, games, effort.games)
             done = returns.outcomes['cleared']
         rows.append({'action set': variant.name, **_record(0, None, returns, done)})
     return rows
+
+
+def play_states_by_chance(
+    domain: EnumerableDomain[Any],
+    options: Sequence[LearnedOption | TabularOption],
+    rng: np.random.Generator,
+) -> Returns:
+    """Play an episode from every start state of a domain in which every action has one outcome."""
+    everywhere = np.ones(domain.n_states, dtype=np.bool_)
+    tables = [tabulate(option, domain) for option in options]
+    tables += [
+        TabularOption(action.name, 1, np.full(domain.n_states, index), everywhere, everywhere)
+        for index, action in enumerate(domain.actions)
+    ]
+    can = np.array([table.initiation for table in tables])  # (O + A, S)
+    can[len(options) :] = ~can[: len(options)].any(axis=0)
+    longest = np.array([table.max_steps for table in tables])
+    at = domain.start_states().astype(np.intp)
+    returns, going = Returns.of_none(np.zeros(len(at), dtype=np.bool_)), np.arange(len(at))
+    while going.size:
+        draws = np.where(can[:, at[going]], rng.random((len(tables), len(going))), -1.0)
+        which = draws.argmax(axis=0)
+        limits = np.minimum(longest[which], domain.max_steps - returns.steps[going])
+        runs = tabular_rollouts(domain, tables, which, at[going], limits)
+        returns.total[going] += runs.total_reward
+        returns.steps[going] += runs.steps
+        returns.decisions[going] += 1
+        returns.fallbacks[going] += which >= len(options)
+        returns.successes[going] = runs.over
+        at[going] = runs.final
+        going = going[~runs.over & (returns.steps[going] < domain.max_steps)]
+    returns.discounted[:] = np.nan  # what a run earned is known, not when
+    return returns
 
 
 def _draw(seed: int, purpose: str, number: int = 0) -> int:
@@ -357,42 +398,40 @@ def plan_exactly(
 # Sampled models.
 
 
-@dataclass(frozen=True)
-class Setting:
-    """One way to plan from samples."""
-
-    gamma: float
-    sampling: Sampling
-
-    def to_dict(self) -> dict[str, float]:
-        """Return as JSON data what differs between settings."""
-        how = self.sampling
-        return {
-            'gamma': self.gamma,
-            'rounds': how.rounds,
-            'explore': how.explore,
-            'min_samples': how.min_samples,
-            'penalty': how.penalty,
-            'pooling': how.shrinkage,
-            'margin': how.interruption_margin,
-        }
-
-
-def settings_to_try(gamma: float, count: int) -> list[Setting]:
+def settings_to_try(variant: Variant, gamma: float, count: int) -> list[PlanRequest]:
     """
-    Return settings, the same for every variant; the first is the usual one.
+    Return requests without budgets, with the same settings for every variant.
 
-    The second was found by hand with primitive actions, the third and fourth with the reference
-    options, in either kind of ghosts; the last looks farther ahead.
+    The first are the usual ones. The second were found by hand with primitive actions, the third
+    and fourth with the reference options, in either kind of ghosts; the last look farther ahead.
 
     :param gamma: the domain's own.
     :param count: 1 to 5.
     """
-    by_hand = [
-        Setting(one.gamma, Sampling(**one.sampling))
-        for one in (PRIMITIVE_SETTINGS, *INTERRUPTED.values())
+    by_hand = (PRIMITIVE_SETTINGS, *INTERRUPTED.values())
+    settings = [
+        (gamma, Sampling()),
+        *((one.gamma, Sampling(**one.sampling)) for one in by_hand),
+        (0.985, Sampling()),
     ]
-    return [Setting(gamma, Sampling()), *by_hand, Setting(0.985, Sampling())][:count]
+    return [
+        PlanRequest(variant.action_set, gamma, sampling=sampling, execution=variant.execution)
+        for gamma, sampling in settings[:count]
+    ]
+
+
+def _setting_row(request: PlanRequest) -> dict[str, float]:
+    """Return what differs between settings."""
+    how = request.sampling
+    return {
+        'gamma': request.gamma,
+        'rounds': how.rounds,
+        'explore': how.explore,
+        'min_samples': how.min_samples,
+        'penalty': how.penalty,
+        'pooling': how.shrinkage,
+        'margin': how.interruption_margin,
+    }
 
 
 def plan_from_samples(
@@ -414,18 +453,9 @@ def plan_from_samples(
     named = {'action set': variant.name}
     few, most = effort.steps(variant)
 
-    def asked(setting: Setting, budget: int, seed: int) -> PlanRequest:
-        return PlanRequest(
-            variant.action_set,
-            gamma=setting.gamma,
-            game_steps=budget,
-            seed=seed,
-            sampling=setting.sampling,
-            execution=variant.execution,
-        )
-
-    settings, search = settings_to_try(domain.gamma, effort.tried), _draw(seed, 'search')
-    candidates = make_sampled_plans(domain, options, [asked(one, few, search) for one in settings])
+    settings, search = settings_to_try(variant, domain.gamma, effort.tried), _draw(seed, 'search')
+    asked = [replace(one, game_steps=few, seed=search) for one in settings]
+    candidates = make_sampled_plans(domain, options, asked)
     searched = play_in_step([(plan, search, None) for plan in candidates], effort.search_games)
     tried = [float(returns.total.mean()) for returns in searched]
     best = settings[int(np.argmax(tried))]
@@ -434,7 +464,10 @@ def plan_from_samples(
     numbers = [0] * (len(budgets) - plans + 1) + list(range(1, plans))
     made = [  # one after another, since their seconds are results
         make_sampled_plan(
-            domain, options, asked(best, budget, _draw(seed, 'plan', number)), clock=CLOCK
+            domain,
+            options,
+            replace(best, game_steps=budget, seed=_draw(seed, 'plan', number)),
+            clock=CLOCK,
         )
         for budget, number in zip(budgets, numbers)
     ]
@@ -461,7 +494,7 @@ def plan_from_samples(
     return {
         'curve': records[: len(records) - plans + 1],
         'plans': records[-plans:],
-        'settings': [{**named, **best.to_dict(), **chosen}],
+        'settings': [{**named, **_setting_row(best), **chosen}],
         'gains': [
             {'carried out as': other.name, 'mean': gain}
             for other, gain in zip([one for one in others for _ in range(plans)], gained)

@@ -43,7 +43,6 @@ from experiments.table2 import (
     UNIFORM,
     VARIANTS,
 )
-from experiments.trials import code_version
 
 TITLE = 'Table 2: planning time and return'
 KEYS = ['game', 'action set']
@@ -268,7 +267,7 @@ def present(done: Done) -> Section:
                 'table2-settings', 'Settings that were chosen', setting_table(done), shown=False
             ),
         ],
-        {'code': code_version(), 'effort': asdict(table2.EFFORT)},
+        {'effort': asdict(table2.EFFORT)},
     )
 
 

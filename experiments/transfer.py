@@ -41,7 +41,7 @@ from experiments.report import (
     Table,
     written,
 )
-from experiments.trials import code_version, Trial
+from experiments.trials import Trial
 
 NAME, DOMAIN = 'transfer', 'pacman'
 TITLE = 'Transfer: options of one maze in others'
@@ -145,7 +145,7 @@ def present(done: Done) -> Section:
             Table('transfer-scores', 'Scores by maze', scores, shown=False),
             Table('transfer-mazes', 'The mazes', _maze_table(done), shown=False),
         ],
-        {'code': code_version(), 'steps': STEPS, 'games': GAMES},
+        {'steps': STEPS, 'games': GAMES},
     )
 
 

@@ -15,12 +15,12 @@ from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import find_options, to_learned_options
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import options_from_references, tabulate
+from humanopts_learner.planning.request import Sampling
 from humanopts_teach.report.figures import Drawing
 import numpy as np
 import pytest
 
 from experiments import paper, table2
-from experiments.chance import play_states_by_chance
 from experiments.learners import cloned_accuracies, LEARNERS, with_cloned_policies
 from experiments.people import BagLesson, OwnedOptions, Study
 from experiments.report import Comparison, Done, Mark, Section
@@ -33,6 +33,7 @@ from experiments.table2 import (
     NOBODY,
     PERSON,
     plan_from_samples,
+    play_states_by_chance,
     SECONDS,
     settings_to_try,
     TAXI,
@@ -90,9 +91,9 @@ def test_domains_that_nobody_in_the_bags_taught_are_left_out() -> None:
 
 
 def test_all_action_sets_try_the_same_settings_and_the_first_is_the_usual_one() -> None:
-    few, many = settings_to_try(0.97, 2), settings_to_try(0.97, 5)
+    few, many = (settings_to_try(VARIANTS[0], 0.97, count) for count in (2, 5))
     assert many[:2] == few
-    assert many[0].sampling == type(many[0].sampling)()
+    assert many[0].sampling == Sampling()
     assert len(set(many)) == 5
 
 
