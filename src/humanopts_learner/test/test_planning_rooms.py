@@ -174,18 +174,17 @@ def test_planning_over_options_takes_fewer_sweeps() -> None:
     both = sweep_table(model('human+primitive'))
     assert len(options) < len(both) < len(primitives)
     assert len(options) <= len(primitives) / 3 + 1
-    assert options[2].valued == 103
+    assert np.count_nonzero(value_history(model('human'))[2]) == 103
     assert options[2].error < 0.11 < primitives[2].error
-    assert primitives[2].valued < 10
+    assert np.count_nonzero(value_history(model('primitive'))[2]) < 10
 
 
 def test_the_table_says_what_each_sweep_brought() -> None:
-    """Errors fall, values spread, and in the end all are settled."""
+    """Errors fall, and in the end all are settled."""
     table = sweep_table(model('human'), near=1e-3)
     assert [row.sweep for row in table] == list(range(len(table)))
     assert np.isnan(table[0].residual)
     assert table[-1].residual <= 1e-8 < table[-2].residual
-    assert (table[0].valued, table[-1].valued) == (0, 103)
     assert (table[-1].error, table[-1].settled) == (0.0, 104)
     errors = [row.error for row in table]
     assert errors == sorted(errors, reverse=True)

@@ -68,23 +68,13 @@ class SparseOptionModel:
         return worth
 
 
+@dataclass(frozen=True)
 class DeterministicModeller:
     """Models the options of one domain in which every action has one outcome."""
 
-    def __init__(self, transitions: Transitions, over: Flags, gamma: float) -> None:
-        """
-        Prepare for one domain.
-
-        :param over: (S,) states where the task is over.
-        """
-        self._n_actions = transitions.successor.shape[1]
-        self._gamma = gamma
-        self._over = over
-        self._successor = transitions.successor.ravel()
-        self._reward = transitions.reward.ravel()
-        self._terminated = transitions.terminated.ravel()
-        self._floats = np.empty(len(over))  # work space
-        self._ints = np.empty(len(over), dtype=np.intp)
+    transitions: Transitions
+    over: Flags  # (S,) states where the task is over
+    gamma: float
 
     def model(
         self,
@@ -109,7 +99,7 @@ class DeterministicModeller:
         :raises PlanError: max_steps is below 1.
         """
         _check_max_steps(max_steps)
-        policy = self._policy(action, termination | self._over, starts)
+        policy = self._policy(action, termination | self.over, starts)
         walk = self._walk(policy, max_steps - 1, starts)
         return self._last_step(policy, walk)
 
@@ -118,15 +108,16 @@ class DeterministicModeller:
     ) -> '_PolicyTable':
         """Tabulate one step from the starts if no run leaves them, or else from all states."""
         states = np.arange(len(ends)) if starts is None else np.flatnonzero(starts)
-        pair = states * self._n_actions
+        rules = self.transitions
+        pair = states * rules.successor.shape[1]
         pair += action[states]
-        successor = self._successor[pair].astype(np.intp)
-        terminated = self._terminated[pair]
+        successor = rules.successor.ravel()[pair].astype(np.intp)
+        terminated = rules.terminated.ravel()[pair]
         last = ends[successor]
         last |= terminated
         if starts is not None and not (last | starts[successor]).all():
             return self._policy(action, ends, None)
-        return _PolicyTable(states, successor, self._reward[pair], terminated, last)
+        return _PolicyTable(states, successor, rules.reward.ravel()[pair], terminated, last)
 
     def _walk(self, policy: '_PolicyTable', steps: int, starts: Flags | None) -> '_Walk':
         """Move ``steps`` times from every row, but stay before a step that would be the last."""
@@ -134,48 +125,25 @@ class DeterministicModeller:
         here = np.arange(len(last))
         if steps == 0:
             return _Walk(here, np.zeros(len(last)), np.ones(len(last)))
-        row_of = np.zeros(len(self._over), dtype=np.intp)
+        row_of = np.zeros(len(self.over), dtype=np.intp)
         row_of[policy.states] = here
         one = _Walk(
             np.where(last, here, row_of[policy.successor]),
             np.where(last, 0.0, policy.reward),
-            np.where(last, 1.0, self._gamma),
+            np.where(last, 1.0, self.gamma),
         )
         wanted = None if starts is None else starts[policy.states]
         highest = 1 << (steps.bit_length() - 1)
-        walk = self._power(one, highest, last, wanted)
+        walk = _power(one, highest, last, wanted)
         if highest < steps and not _all_stay(walk, last, wanted):
-            self._append(walk, self._power(one, steps - highest, last, wanted))
+            walk.append(_power(one, steps - highest, last, wanted))
         return walk
-
-    def _power(self, one: '_Walk', steps: int, last: Flags, wanted: Flags | None) -> '_Walk':
-        """Return ``steps`` moves (1 or more), or fewer where more would change nothing."""
-        walk = _Walk(one.row.copy(), one.reward.copy(), one.discount.copy())
-        for bit in bin(steps)[3:]:  # the highest bit is ``one`` itself
-            if _all_stay(walk, last, wanted):
-                break
-            self._append(walk, walk)
-            if bit == '1':
-                self._append(walk, one)
-        return walk
-
-    def _append(self, walk: '_Walk', then: '_Walk') -> None:
-        """Go on from where ``walk`` leads by ``then``, which may be ``walk`` itself."""
-        at = walk.row
-        floats, ints = self._floats[: len(at)], self._ints[: len(at)]
-        np.take(then.reward, at, out=floats, mode='clip')
-        floats *= walk.discount
-        walk.reward += floats
-        np.take(then.discount, at, out=floats, mode='clip')
-        walk.discount *= floats
-        np.take(then.row, at, out=ints, mode='clip')
-        at[:] = ints
 
     def _last_step(self, policy: '_PolicyTable', walk: '_Walk') -> OptionModel:
         """Take the step that ends the option, or the last that ``max_steps`` allows."""
         end = walk.row
         walk.reward += walk.discount * policy.reward[end]
-        walk.discount *= self._gamma
+        walk.discount *= self.gamma
         walk.discount[policy.terminated[end]] = 0.0
         return OptionModel(
             policy.states, walk.reward, policy.successor[end], walk.discount, ~policy.last[end]
@@ -201,22 +169,39 @@ class _Walk:
     reward: Floats  # (n,) discounted to the start
     discount: Floats  # (n,) gamma to the number of moves
 
+    def append(self, then: '_Walk') -> None:
+        """Go on by ``then``, which may be this walk itself."""
+        gained = then.reward.take(self.row)
+        gained *= self.discount
+        self.reward += gained
+        self.discount *= then.discount.take(self.row)
+        self.row = then.row.take(self.row)
+
+
+def _power(one: _Walk, steps: int, last: Flags, wanted: Flags | None) -> _Walk:
+    """Return ``steps`` moves (1 or more), or fewer where more would change nothing."""
+    walk = _Walk(one.row, one.reward.copy(), one.discount.copy())
+    for bit in bin(steps)[3:]:  # the highest bit is ``one`` itself
+        if _all_stay(walk, last, wanted):
+            break
+        walk.append(walk)
+        if bit == '1':
+            walk.append(one)
+    return walk
+
 
 def _all_stay(walk: _Walk, last: Flags, wanted: Flags | None) -> bool:
     stays = last[walk.row]
     return bool(stays.all() if wanted is None else (stays | ~wanted).all())
 
 
+@dataclass(frozen=True)
 class StochasticModeller:
-    """Models the options of one domain, with chance or without."""
+    """Models the options of one domain, with chance or without; as ``DeterministicModeller``."""
 
-    def __init__(self, transitions: Transitions, over: Flags, gamma: float) -> None:
-        """
-        Prepare for one domain.
-
-        :param over: (S,) states where the task is over.
-        """
-        self._rules, self._over, self._gamma = transitions, over, gamma
+    transitions: Transitions
+    over: Flags
+    gamma: float
 
     def model(
         self,
@@ -227,7 +212,7 @@ class StochasticModeller:
     ) -> SparseOptionModel:
         """Run an option from many states; parameters and errors as ``DeterministicModeller``."""
         _check_max_steps(max_steps)
-        step = self._step(action, termination | self._over, starts)
+        step = self._step(action, termination | self.over, starts)
         reward, running = _rewards(step, max_steps)
         successor = _unlimited_successors(step)
         late = running > NEGLIGIBLE
@@ -238,7 +223,7 @@ class StochasticModeller:
     def _step(
         self, action: NDArray[np.integer], ends: Flags, starts: Flags | None
     ) -> '_StochasticStep':
-        rules = self._rules
+        rules = self.transitions
         states = np.arange(len(ends)) if starts is None else visited(rules, action, ends, starts)
         at = states, action[states]
         successor, probability = rules.successor[at], rules.probability[at]  # (n, B)
@@ -248,7 +233,7 @@ class StochasticModeller:
         row_of[states] = np.arange(len(states))
 
         def rows(kept: Flags, columns: NDArray[np.integer], width: int) -> Rows:
-            data = np.where(kept, self._gamma * probability, 0.0).ravel()
+            data = np.where(kept, self.gamma * probability, 0.0).ravel()
             pointers = np.arange(0, data.size + 1, probability.shape[1])
             found = csr_array((data, columns.ravel(), pointers), shape=(len(states), width))
             found.sum_duplicates()

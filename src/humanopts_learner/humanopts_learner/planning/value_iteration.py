@@ -289,7 +289,6 @@ class SweepRow:
     sweep: int  # 0: before the first
     residual: float  # largest change of the sweep, reward units; NaN before the first
     error: float  # largest distance from the final values
-    valued: int  # states whose value is no longer 0
     settled: int  # states whose value is as near to its final value as asked
 
 
@@ -324,7 +323,6 @@ def sweep_table(model: Model, near: float = 1e-3, max_sweeps: int = 1000) -> lis
             sweep=sweep,
             residual=float(change[sweep - 1]) if sweep else float('nan'),
             error=float(distance[sweep].max()),
-            valued=int((history[sweep] != 0).sum()),
             settled=int((distance[sweep] <= near).sum()),
         )
         for sweep in range(len(history))

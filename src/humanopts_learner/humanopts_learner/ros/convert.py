@@ -2,7 +2,7 @@
 
 from array import array
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 import math
 from typing import Any
 
@@ -25,28 +25,11 @@ from numpy.typing import NDArray
 
 def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
     """Encode a demonstration; header, publisher_id and sequence are left to the publisher."""
-    return msg.Demonstration(
-        kind=KIND_NUMBERS[demo.kind],
-        uuid=demo.uuid,
-        domain=demo.domain,
-        domain_parameters=demo.domain_parameters,
-        participant=demo.participant,
-        session=demo.session,
-        option_name=demo.option_name,
-        number=demo.number,
-        chosen_features=list(demo.chosen_features),
-        feature_names=list(demo.feature_names),
-        features=[value for row in demo.features for value in row],
-        states=list(demo.states),
-        actions=list(demo.actions),
-        rewards=list(demo.rewards),
-        terminated=demo.terminated,
-        can_start_at_end=demo.can_start_at_end,
-        seconds=demo.seconds,
-        withdrawn=demo.withdrawn,
-        method=demo.method,
-        machine_steps=demo.machine_steps,
-    )
+    values = {field.name: getattr(demo, field.name) for field in fields(demo)}
+    values |= {name: list(each) for name, each in values.items() if isinstance(each, tuple)}
+    values['kind'] = KIND_NUMBERS[demo.kind]
+    values['features'] = [value for row in demo.features for value in row]
+    return msg.Demonstration(**values)
 
 
 def status_to_message(option: LearnedOption, judgement: Judgement) -> msg.OptionStatus:
