@@ -1,11 +1,11 @@
 """How many game steps a second the batched forms take, beside the single form."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.request import batch_games
@@ -29,18 +29,18 @@ def measure(
     :param single_steps: steps of one game that one sample of the yardstick takes.
     :param repeats: turns of each form.
     """
-    forms: list[tuple[str, Domain[Any], Callable[..., Timed], bool, float | None]] = [
-        ('Pac-Man: rules', PacMan(), _many_pacman, False, RULES_TARGET),
-        ('Pac-Man: rules and every feature', PacMan(), _many_pacman, True, FEATURES_TARGET),
-        ('Taxi: rules', Taxi(), _many_taxi, False, None),
-        ('Taxi: rules and every feature', Taxi(), _many_taxi, True, None),
+    forms: list[tuple[str, Domain[Any], bool, float | None]] = [
+        ('Pac-Man: rules', PacMan(), False, RULES_TARGET),
+        ('Pac-Man: rules and every feature', PacMan(), True, FEATURES_TARGET),
+        ('Taxi: rules', Taxi(), False, None),
+        ('Taxi: rules and every feature', Taxi(), True, None),
     ]
     rows = []
-    for number, (what, domain, many, features, target) in enumerate(forms):
+    for number, (what, domain, features, target) in enumerate(forms):
         progress(number / len(forms), what)
         ours, one = in_turns(
             [
-                partial(many, domain, batch_steps, features=features),
+                partial(_many, domain, batch_steps, features=features),
                 partial(_one, domain, single_steps, features=features),
             ],
             repeats,
@@ -52,9 +52,10 @@ def measure(
     return rows
 
 
-def _many_pacman(domain: PacMan, steps: int, *, features: bool) -> Timed:
+def _many(domain: Domain[Any], steps: int, *, features: bool) -> Timed:
     """Return the time of one step of one game among many."""
-    games, rng = batch_games(domain), generator(SEED, 'benchmark', 'games')
+    games = TabularGames(domain) if is_enumerable(domain) else batch_games(domain)
+    rng = generator(SEED, 'benchmark', 'games')
     moves = rng.integers(len(domain.actions), size=(steps, BATCH))
     batch = games.batch_reset(BATCH, rng)
     began = clocks()
@@ -62,27 +63,8 @@ def _many_pacman(domain: PacMan, steps: int, *, features: bool) -> Timed:
         games.batch_step(batch, move, rng)
         if features:
             games.batch_features(batch)
-        batch.restart(np.flatnonzero(batch.over))
-    return since(began).per(steps * BATCH)
-
-
-def _many_taxi(domain: Taxi, steps: int, *, features: bool) -> Timed:
-    """Return the time of one step of one game among many, by the tables of the rules."""
-    rng, rules = generator(SEED, 'benchmark', 'games'), domain.transitions()
-    successor, reward, ends = (
-        part[:, :, 0] for part in (rules.successor, rules.reward, rules.terminated)
-    )
-    table = domain.feature_table()
-    actions = rng.integers(len(domain.actions), size=(steps, BATCH))
-    state, total = rng.choice(domain.start_states(), BATCH), np.zeros(BATCH)
-    began = clocks()
-    for action in actions:
-        total += reward[state, action]
-        over = np.flatnonzero(ends[state, action])
-        state = successor[state, action]
-        if features:
-            table[state]
-        state[over] = rng.choice(domain.start_states(), len(over))
+        over = np.flatnonzero(games.batch_over(batch))
+        games.batch_put(batch, over, games.batch_reset(len(over), rng))
     return since(began).per(steps * BATCH)
 
 

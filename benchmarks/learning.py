@@ -4,15 +4,14 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.taxi import Taxi
-from humanopts_env.domains.taxi_reference import reference_options
-from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration, make_demonstration
+from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.learn import learn_option, make_dataset
-import numpy as np
+from humanopts_teach.lesson.in_process import teach
+from humanopts_teach.lesson.seeded_starts import LessonRules
+from humanopts_teach.lesson.simulated_teacher import TeacherSettings
 
 from benchmarks.measure import clocks, compare, in_turns, OnMeasured, Row, since, Timed
 from benchmarks.planning import OPTIONS
@@ -21,6 +20,7 @@ COUNTS = (10, 20, 40)
 QUICK = ((10,), 2)
 YARDSTICK = 'one scikit-learn tree of the rows of the policy'
 SEED = 1
+ASKED = 6  # most start states for each demonstration, "not here" answers included
 
 
 def measure(progress: OnMeasured, counts: Sequence[int] = COUNTS, repeats: int = 20) -> list[Row]:
@@ -31,47 +31,23 @@ def measure(progress: OnMeasured, counts: Sequence[int] = COUNTS, repeats: int =
     :param repeats: turns of each work.
     """
     domain, rows = Taxi(), []
-    shown = demonstrations(domain, reference_options(domain)[OPTIONS[0]], max(counts))
+    shown = demonstrations(domain, OPTIONS[0], max(counts))
     for number, count in enumerate(counts):
         progress(number / len(counts), f'learning after {count} demonstrations')
         rows += _rows(shown[:count], domain, repeats)
     return rows
 
 
-def demonstrations(
-    domain: Taxi, reference: TabularReferenceOption, count: int
-) -> list[Demonstration]:
-    """Show a reference option from start states that are drawn, without errors."""
-    rng = generator(SEED, 'benchmark', 'starts', reference.name)
-    starts = rng.choice(np.flatnonzero(reference.initiation), count)
-    return [_show(domain, reference, int(start), n) for n, start in enumerate(starts, start=1)]
-
-
-def _show(
-    domain: Taxi, reference: TabularReferenceOption, start: int, number: int
-) -> Demonstration:
-    rng = generator(SEED, 'benchmark', 'demonstration', number)
-    states, over = [domain.state_at(start)], False
-    actions: list[str] = []
-    rewards: list[float] = []
-    while not actions or not (over or reference.ends(states[-1])):
-        action = reference.optimal_actions(states[-1])[0]
-        outcome = domain.step(states[-1], action, rng)
-        states.append(outcome.state)
-        actions.append(domain.actions[action].name)
-        rewards.append(outcome.reward)
-        over = outcome.terminated
-    return make_demonstration(
+def demonstrations(domain: Taxi, option: str, count: int) -> list[Demonstration]:
+    """Have a simulated teacher show an option from random start states, without errors."""
+    rules = LessonRules('random', ASKED * count, SEED)
+    taught = teach(
         domain,
-        reference.name,
-        states,
-        actions,
-        rewards,
-        features=reference.features,
-        participant='benchmark',
-        session='benchmark',
-        number=number,
+        TeacherSettings((option,), seed=SEED),
+        rules,
+        lambda shown, learned: learned.n_demonstrations >= count,
     )
+    return [demo for demo in taught.demonstrations if demo.actions]
 
 
 def _rows(shown: Sequence[Demonstration], domain: Taxi, repeats: int) -> list[Row]:

@@ -285,8 +285,8 @@ def test_works_take_turns_and_the_first_turn_is_not_counted() -> None:
 def test_what_is_learned_from_are_whole_demonstrations_of_the_option() -> None:
     domain = Taxi()
     reference = reference_options(domain)[OPTIONS[0]]
-    given = demonstrations(domain, reference, 12)
-    assert [demo.number for demo in given] == list(range(1, 13))
+    given = demonstrations(domain, OPTIONS[0], 12)
+    assert len(given) == 12
     assert len({demo.uuid for demo in given}) == 12
     for demo in given:
         check_demonstration(demo, domain)
@@ -304,7 +304,7 @@ def test_learning_has_rows_for_trees_and_criteria_beside_one_tree() -> None:
         for what in ('three trees fitted', 'the criteria judged')
     ]
     domain = Taxi()
-    given = demonstrations(domain, reference_options(domain)[OPTIONS[0]], 3)
+    given = demonstrations(domain, OPTIONS[0], 3)
     steps = sum(len(demo.actions) for demo in given)
     assert rows[-1]['facts'] == {'demonstrations': 3, 'rows': steps}
     assert heard == [0.0, 0.5]

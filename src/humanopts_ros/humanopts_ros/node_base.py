@@ -46,6 +46,7 @@ _CHECK_PERIOD = 0.02  # s between checks while a node starts or ends, or a corou
 T = TypeVar('T')
 V = TypeVar('V')
 D = TypeVar('D', bound=Any)  # a dataclass
+E = TypeVar('E', Service, Client)
 Range = tuple[float, float]  # least and largest value
 
 
@@ -320,21 +321,13 @@ class NodeBase(Node):
         group: CallbackGroup | None = None,
     ) -> Service:
         """Create a service whose requests and responses are on the graph."""
-        service = self.create_service(kind, name, callback, callback_group=group)
-        service.configure_introspection(
-            self.get_clock(), STREAM, ServiceIntrospectionState.CONTENTS
+        return self._introspected(
+            self.create_service(kind, name, callback, callback_group=group), name
         )
-        self._hidden.append(f'{name}/_service_event')
-        return service
 
     def recorded_client(self, kind: Any, name: str, group: CallbackGroup | None = None) -> Client:
         """Create a client whose requests and responses are on the graph."""
-        client = self.create_client(kind, name, callback_group=group)
-        client.configure_introspection(
-            self.get_clock(), STREAM, ServiceIntrospectionState.CONTENTS
-        )
-        self._hidden.append(f'{name}/_service_event')
-        return client
+        return self._introspected(self.create_client(kind, name, callback_group=group), name)
 
     def recorded_action(
         self,
@@ -482,6 +475,12 @@ class NodeBase(Node):
         deadline = time.monotonic() + _DRAIN
         for publisher in self._stamped:
             publisher.drain(max(0.0, deadline - time.monotonic()))
+
+    def _introspected(self, endpoint: E, name: str) -> E:
+        contents = ServiceIntrospectionState.CONTENTS
+        endpoint.configure_introspection(self.get_clock(), STREAM, contents)
+        self._hidden.append(f'{name}/_service_event')
+        return endpoint
 
     def _patterns(self, name: str, description: str) -> tuple[str, ...]:
         given = self.setting(name, [''], f'patterns of {description}')

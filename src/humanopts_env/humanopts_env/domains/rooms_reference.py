@@ -5,10 +5,10 @@ Sutton, Precup and Singh (1999), section 3: from anywhere in a room, or from its
 option walks to one of the room's two doorways, and it ends wherever it has left the room.
 """
 
-from humanopts_env.domains.base import EnumerableDomain, feature_columns, Transitions
+from humanopts_env.domains.base import EnumerableDomain, Transitions
 from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.rooms import NOWHERE, ROOM_VALUES, ROOMS, RoomsState
-from humanopts_env.domains.tabular import best_ways, distance_to, read_only
+from humanopts_env.domains.tabular import best_ways, distance_to, feature_column, read_only
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,7 +31,7 @@ def reference_options(domain: Domain) -> dict[str, TabularReferenceOption]:
 
 def _pairs(domain: Domain) -> list[tuple[str, str]]:
     """Return room and doorway of each option."""
-    room, doorway = (_column(domain, name) for name in ('room', 'doorway'))
+    room, doorway = (feature_column(domain, name) for name in ('room', 'doorway'))
     successor = domain.transitions().successor
     pairs = []
     for number, name in enumerate(ROOMS.values()):
@@ -41,8 +41,8 @@ def _pairs(domain: Domain) -> list[tuple[str, str]]:
 
 
 def _build(domain: Domain, room: str, doorway: str) -> TabularReferenceOption:
-    inside = _column(domain, 'room') == ROOM_VALUES.index(room)
-    target = _column(domain, 'doorway') == NOWHERE.index(doorway)
+    inside = feature_column(domain, 'room') == ROOM_VALUES.index(room)
+    target = feature_column(domain, 'doorway') == NOWHERE.index(doorway)
     table, over = domain.transitions(), domain.over()
     around = np.zeros_like(inside)
     around[table.successor[inside]] = True
@@ -74,8 +74,3 @@ def _without_slips(table: Transitions) -> Transitions:
     return Transitions(
         table.successor[:, :, :1], np.ones(reward.shape), reward, table.terminated[:, :, :1]
     )
-
-
-def _column(domain: Domain, name: str) -> NDArray[np.int32]:
-    values: NDArray[np.int32] = domain.feature_table()[:, feature_columns(domain, [name])[0]]
-    return values

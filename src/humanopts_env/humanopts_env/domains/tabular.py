@@ -3,7 +3,7 @@
 from typing import Any, TypeVar
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_env.domains.base import EnumerableDomain, Transitions
+from humanopts_env.domains.base import EnumerableDomain, feature_columns, Transitions
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
@@ -16,6 +16,12 @@ def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
     """Return the same array, made read-only so that it can be shared."""
     array.setflags(write=False)
     return array
+
+
+def feature_column(domain: EnumerableDomain[Any], name: str) -> NDArray[np.int32]:
+    """Return (S,): the value of one feature in every state."""
+    values: NDArray[np.int32] = domain.feature_table()[:, feature_columns(domain, [name])[0]]
+    return values
 
 
 def reachable(domain: EnumerableDomain[Any]) -> NDArray[np.bool_]:
@@ -59,7 +65,7 @@ def distance_to(
     before = csr_array(step, shape=(n_states, n_states))  # row: a state, columns: its predecessors
     frontier = np.flatnonzero(reaching)
     for steps in range(2, n_states + 2):
-        previous = np.unique(before.indices[_entries(before.indptr, frontier)])
+        previous = np.unique(before[frontier].indices)
         frontier = previous[allowed[previous] & (distance[previous] < 0)]
         if not frontier.size:
             break
@@ -67,13 +73,6 @@ def distance_to(
     optimal = (distance[successor] == distance[:, None] - 1) & (distance > 1)[:, None]
     optimal |= goal & (distance == 1)[:, None]
     return distance, optimal
-
-
-def _entries(pointers: NDArray[np.integer], rows: Ints) -> Ints:
-    """Return the places of all entries of some rows of a sparse array."""
-    first, count = pointers[rows], pointers[rows + 1] - pointers[rows]
-    skipped = np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count)
-    return skipped + np.arange(int(count.sum()))
 
 
 def best_ways(
@@ -138,8 +137,7 @@ class TabularSimulator:
         self.transitions, self._over = transitions, over
         self._limits = None if transitions.deterministic else outcome_limits(transitions)
         tables = transitions.successor, transitions.reward, transitions.terminated
-        flat = all(table.flags.c_contiguous for table in tables)  # one look-up is quicker there
-        self._flat = [table.ravel() for table in tables] if flat else None
+        self._tables = [table.ravel() for table in tables]  # one look-up in each is quicker
 
     @property
     def deterministic(self) -> bool:
@@ -159,13 +157,8 @@ class TabularSimulator:
         outcome: Ints | int = 0
         if self._limits is not None:
             outcome = draw_outcomes(self._limits, state, action, drawn)
-        if self._flat is not None:
-            _, actions, outcomes = self.transitions.successor.shape
-            place = (state * actions + action) * outcomes + outcome
-            successor, reward, terminated = (table.take(place) for table in self._flat)
-        else:
-            at = state, action, outcome
-            successor, reward = self.transitions.successor[at], self.transitions.reward[at]
-            terminated = self.transitions.terminated[at]
+        _, actions, outcomes = self.transitions.successor.shape
+        place = (state * actions + action) * outcomes + outcome
+        successor, reward, terminated = (table.take(place) for table in self._tables)
         there = successor.astype(np.intp)
         return there, reward, terminated | self._over.take(there)

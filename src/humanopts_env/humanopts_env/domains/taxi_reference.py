@@ -9,9 +9,9 @@ over are in no initiation set.
 from collections.abc import Container
 from dataclasses import dataclass
 
-from humanopts_env.domains.base import EnumerableDomain, feature_columns
+from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.reference import TabularReferenceOption
-from humanopts_env.domains.tabular import distance_to, reachable, read_only
+from humanopts_env.domains.tabular import distance_to, feature_column, reachable, read_only
 from humanopts_env.domains.taxi import TaxiState
 import numpy as np
 from numpy.typing import NDArray
@@ -47,10 +47,10 @@ def _buttons(domain: Taxi) -> list[_Button]:
     successor = transitions.successor[:, :, 0]
     reward, delivers = transitions.reward[:, :, 0], transitions.terminated[:, :, 0]
     aboard, at_passenger, at_destination = (
-        _column(domain, name) == 1
+        feature_column(domain, name) == 1
         for name in ('passenger_in_taxi', 'taxi_at_passenger', 'taxi_at_destination')
     )
-    blocked = _column(domain, 'blocked_moves') != 0
+    blocked = feature_column(domain, 'blocked_moves') != 0
     taxi = ('taxi_row', 'taxi_col')
     passenger = ('passenger_row', 'passenger_col')
     destination = ('destination_row', 'destination_col')
@@ -106,11 +106,6 @@ def _buttons(domain: Taxi) -> list[_Button]:
             ~blocked[successor],
         ),
     ]
-
-
-def _column(domain: Taxi, name: str) -> NDArray[np.int32]:
-    values: NDArray[np.int32] = domain.feature_table()[:, feature_columns(domain, [name])[0]]
-    return values
 
 
 def _build(domain: Taxi, button: _Button) -> TabularReferenceOption:

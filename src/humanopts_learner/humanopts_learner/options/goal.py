@@ -47,22 +47,38 @@ def ways_to_goal(
     :param chosen: indices of the features that the option depends on.
     :param termination: (S,) where beta holds.
     """
-    planner = _Planner(domain, termination)
+    table, stops = domain.transitions(), termination | domain.over()
+    gamma = min(domain.gamma, MOST_GAMMA)
+
+    def ways(ends: Flags) -> Ways:
+        """Return the ways to some of the states (S,) in which the option stops."""
+        goal = (stops & ends)[table.successor] & (table.probability > 0)
+        return Ways(*best_ways(table, goal, ~stops, gamma))
+
+    def ways_to_best(rank: Ints) -> Ways:
+        """Return the ways to those of highest rank (S,) among the stops that can be reached."""
+        value, optimal = np.zeros(len(stops)), np.zeros(table.successor.shape[:2], dtype=np.bool_)
+        for best in np.unique(rank[stops])[::-1]:
+            found = ways(rank == best)
+            fresh = (found.value > 0) & (value == 0)
+            value[fresh], optimal[fresh] = found.value[fresh], found.optimal[fresh]
+        return Ways(value, optimal)
+
     looks = np.column_stack([domain.over(), domain.feature_table()[:, chosen]])
     starts, ends = (
         np.array([domain.index(domain.decode(demo.states[at])) for demo in trajectories])
         for at in (0, -1)
     )
     alike = np.column_stack([_as_most(values, values[ends]) for values in looks.T])
-    nearest = planner.ways_to_best(alike[:, 0].astype(np.intp))
+    nearest = ways_to_best(alike[:, 0].astype(np.intp))
     passed = np.zeros(len(ends), dtype=np.bool_)
     for look in np.unique(looks[ends], axis=0):
         same = (looks == look).all(axis=1)
-        there, by = planner.ways(same), same[ends]
+        there, by = ways(same), same[ends]
         passed[by] = nearest.value[starts[by]] > there.value[starts[by]] + TIE
     if passed.mean() <= 1 - MOST:
         return nearest
-    return planner.ways_to_best(alike @ [1 + len(chosen), *[1] * len(chosen)])
+    return ways_to_best(alike @ [1 + len(chosen), *[1] * len(chosen)])
 
 
 def preferred_actions(
@@ -93,28 +109,3 @@ def _as_most(values: Ints, shown: Ints) -> Flags:
     found, counts = np.unique(shown, return_counts=True)
     same: Flags = (values == found[counts.argmax()]) & (counts.max() >= MOST * len(shown))
     return same
-
-
-class _Planner:
-    """Plans ways to states in which an option stops."""
-
-    def __init__(self, domain: EnumerableDomain[Any], termination: Flags) -> None:
-        self._transitions = domain.transitions()
-        self._stops = termination | domain.over()
-        self._gamma = min(domain.gamma, MOST_GAMMA)
-
-    def ways(self, ends: Flags) -> Ways:
-        """Return the ways to some of the states (S,) in which the option stops."""
-        table = self._transitions
-        goal = (self._stops & ends)[table.successor] & (table.probability > 0)
-        return Ways(*best_ways(table, goal, ~self._stops, self._gamma))
-
-    def ways_to_best(self, rank: Ints) -> Ways:
-        """Return the ways to those of highest rank (S,) among the stops that can be reached."""
-        value = np.zeros(len(self._stops))
-        optimal = np.zeros(self._transitions.successor.shape[:2], dtype=np.bool_)
-        for best in np.unique(rank[self._stops])[::-1]:
-            ways = self.ways(rank == best)
-            fresh = (ways.value > 0) & (value == 0)
-            value[fresh], optimal[fresh] = ways.value[fresh], ways.optimal[fresh]
-        return Ways(value, optimal)
