@@ -6,7 +6,7 @@ import math
 import time
 from typing import Any
 
-from humanopts_env.arrays import Flags, Floats
+from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
@@ -20,7 +20,6 @@ from humanopts_learner.planning.request import (
     PlanError,
     PlanRequest,
     Progress,
-    Sampling,
 )
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import (
@@ -170,7 +169,7 @@ def _planning(
     progress: Progress = ignore_progress,
     clock: Clock = time.perf_counter,
 ) -> Process[SampledPlan]:
-    config, limits = asked.sampling, (asked.tol, asked.max_sweeps)
+    config = asked.sampling
     counts = SampleCounts(actions.modelled, actions.first_fallback)
     sampler = Sampler(
         actions,
@@ -179,7 +178,6 @@ def _planning(
         asked.gamma,
         generator(asked.seed, 'sampled_plan', asked.action_set),
     )
-    estimate = _Estimate(actions, counts, config)
     part = asked.game_steps // config.rounds
     policy: Policy = UniformPolicy(actions)
     game_steps, model_seconds, sweep_seconds = 0, 0.0, 0.0
@@ -192,87 +190,66 @@ def _planning(
         game_steps += yield from sampler.play(policy, part, on_steps)
         model = counts.model(config.min_samples, config.penalty)
         modelled = clock()
-        estimate.update(model, *limits, SweepProgress(progress, *limits))
+        on_sweep = SweepProgress(progress, asked.tol, asked.max_sweeps)
+        solution, greedy = _solve(model, actions, counts, asked, on_sweep)
         model_seconds += modelled - began
         sweep_seconds += clock() - modelled
-        policy = estimate.exploring(asked.execution)
+        # sampled from without an interruption margin
+        values = replace(greedy.values, interruption_margin=0.0)
+        policy = ExploringPolicy(replace(greedy, values=values), config.explore)
     return SampledPlan(
         domain=domain,
         action_set=asked.action_set,
         gamma=asked.gamma,
         actions=actions,
-        solution=estimate.solution,
-        policy=replace(estimate.policy, execution=asked.execution),
+        solution=solution,
+        policy=greedy,
         game_steps=game_steps,
         model_seconds=model_seconds,
         sweep_seconds=sweep_seconds,
     )
 
 
-class _Estimate:
-    """The values by the samples so far, and the policy that is greedy with respect to them."""
-
-    solution: Solution
-    policy: GreedyPolicy
-    _shrink: Callable[[Floats], Floats]  # of the values (S, O) of the options to choose among
-
-    def __init__(
-        self,
-        actions: ActionSet,
-        counts: SampleCounts,
-        config: Sampling,
-    ) -> None:
-        self._actions, self._counts = actions, counts
-        self._config = config
-        self._shrinks = config.shrinkage > 0.0 and actions.abstraction.context != ()
-
-    def update(
-        self, model: SparseMultiTimeModel, tol: float, max_sweeps: int, on_sweep: SweepProgress
-    ) -> None:
-        """Solve the model of all samples so far, and make the policy of its values."""
-        choosable = model.first(self._actions.first_fallback)
-        self._shrink = self._shrinkage(choosable.available) if self._shrinks else np.copy
-        self.solution = solve_smdp(choosable, tol, max_sweeps, on_sweep)
-        values = self.solution.values
-        for _ in range(IMPROVEMENTS if self._shrinks else 0):
-            option_values = self._shrink(look_ahead(choosable, values))
-            policy = np.where(choosable.available, option_values, -np.inf).argmax(axis=1)
-            values = solve_smdp(choosable.of_policy(policy), tol, max_sweeps).values
-        self._set_policy(look_ahead(model, values))
-
-    def exploring(self, execution: Execution) -> ExploringPolicy:
-        """Return the policy for sampling, without an interruption margin."""
-        values = replace(self.policy.values, interruption_margin=0.0)
-        policy = replace(self.policy, values=values, execution=execution)
-        return ExploringPolicy(policy, self._config.explore)
-
-    def _shrinkage(self, available: Flags) -> Shrinkage:
-        """Return the shrinkage towards the states that differ in context only."""
-        states = self._actions.abstraction.without_context(self._counts.index.codes)
-        group = np.unique(states, return_inverse=True)[1]
-        samples = self._counts.samples[:, : self._actions.first_fallback]
-        return Shrinkage(available, samples, group, self._config.shrinkage)
-
-    def _set_policy(self, values: Floats) -> None:
-        """Make the policy of the values (S, modelled)."""
-        choosable = self._actions.first_fallback
-        option_values, others = self._shrink(values[:, :choosable]), values[:, choosable:]
-        if n_options := len(self._actions.options):
-            option_values[:, n_options:] -= self._config.primitive_penalty
-        continuation_values = np.full(option_values.shape, -np.inf)
-        continuation_values[:, : others.shape[1]] = others
-        codes = self._counts.index.codes
-        order = np.argsort(codes)
-        self.solution = replace(
-            self.solution, values=self.solution.values[order], best=self.solution.best[order]
-        )
-        table = OptionValues(
-            action_set=self._actions.action_set,
-            names=self._actions.names[: self._actions.first_fallback],
-            states=codes[order],
-            option_values=option_values[order],
-            continuation_values=continuation_values[order],
-            interruption_margin=self._config.interruption_margin,
-            sampled=True,
-        )
-        self.policy = GreedyPolicy(self._actions, table)
+def _solve(
+    model: SparseMultiTimeModel,
+    actions: ActionSet,
+    counts: SampleCounts,
+    asked: PlanRequest,
+    on_sweep: SweepProgress,
+) -> tuple[Solution, GreedyPolicy]:
+    """Return the solution of the model of all samples so far, and the policy of its values."""
+    n_choosable, config = actions.first_fallback, asked.sampling
+    choosable = model.first(n_choosable)
+    shrinks = config.shrinkage > 0.0 and actions.abstraction.context != ()
+    shrink: Callable[[Floats], Floats] = np.copy  # of the values (S, O) of those to choose among
+    if shrinks:  # towards the states that differ in context only
+        group = np.unique(
+            actions.abstraction.without_context(counts.index.codes), return_inverse=True
+        )[1]
+        samples = counts.samples[:, :n_choosable]
+        shrink = Shrinkage(choosable.available, samples, group, config.shrinkage)
+    solution = solve_smdp(choosable, asked.tol, asked.max_sweeps, on_sweep)
+    values = solution.values
+    for _ in range(IMPROVEMENTS if shrinks else 0):
+        option_values = shrink(look_ahead(choosable, values))
+        best = np.where(choosable.available, option_values, -np.inf).argmax(axis=1)
+        values = solve_smdp(choosable.of_policy(best), asked.tol, asked.max_sweeps).values
+    ahead = look_ahead(model, values)  # (S, modelled)
+    option_values, others = shrink(ahead[:, :n_choosable]), ahead[:, n_choosable:]
+    if n_options := len(actions.options):
+        option_values[:, n_options:] -= config.primitive_penalty
+    continuation_values = np.full(option_values.shape, -np.inf)
+    continuation_values[:, : others.shape[1]] = others
+    codes = counts.index.codes
+    order = np.argsort(codes)
+    table = OptionValues(
+        action_set=actions.action_set,
+        names=actions.names[:n_choosable],
+        states=codes[order],
+        option_values=option_values[order],
+        continuation_values=continuation_values[order],
+        interruption_margin=config.interruption_margin,
+        sampled=True,
+    )
+    solution = replace(solution, values=solution.values[order], best=solution.best[order])
+    return solution, GreedyPolicy(actions, table, asked.execution)
