@@ -1,6 +1,7 @@
 """``humanopts reproduce``: the paper's figures and tables, computed again."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib.metadata import version
 import os
 from pathlib import Path
@@ -30,9 +31,9 @@ from experiments import (
     table2_report,
     transfer,
 )
-from experiments.people import BagLesson, Participant, read_bag_lessons, Study
+from experiments.people import Participant, read_bag_lessons, Study
 from experiments.report import Done, PAGE, Reproduction, Section, write_reproduction
-from experiments.trials import ClusterError, LIBRARIES, Outcome, run_trials, Trial
+from experiments.trials import ClusterError, LIBRARIES, OnTrial, Outcome, run_trials, Trial
 
 _LINE_EVERY = 15.0  # s between lines, where there is no terminal
 app = typer.Typer(**PLAIN)
@@ -107,7 +108,12 @@ def reproduce(
     ] = [],  # noqa: B006
 ) -> int:
     """Compute the missing trials, and write the report; return the exit status."""
-    study = Study(participants, seeds, seed, _read_bags(bags), _read_mazes(mazes))
+    try:
+        lessons = tuple(lesson for bag in bags for lesson in read_bag_lessons(bag))
+        own_mazes = tuple(load_maze(source).text for source in mazes)
+    except (BagError, MazeError) as error:
+        raise CommandError(str(error)) from error
+    study = Study(participants, seeds, seed, lessons, own_mazes)
     wanted = ALL if what == 'all' else [what]
     trials = {name: EXPERIMENTS[name][0](study) for name in wanted}
     every = [trial for name in wanted for trial in trials[name]]
@@ -115,7 +121,7 @@ def reproduce(
     began = time.monotonic()
     try:
         out.mkdir(parents=True, exist_ok=True)
-        with TrialProgress() as progress:
+        with trial_progress() as progress:
             outcome = run_trials(every, out / 'trials', progress, jobs, dask)
         where = f'{jobs} processes of this machine' if jobs > 1 else 'one process of this machine'
         facts = {
@@ -147,20 +153,6 @@ def reproduce(
     return 1 if missing else 0
 
 
-def _read_bags(paths: Sequence[Path]) -> tuple[BagLesson, ...]:
-    try:
-        return tuple(lesson for path in paths for lesson in read_bag_lessons(path))
-    except BagError as error:
-        raise CommandError(str(error)) from error
-
-
-def _read_mazes(sources: Sequence[str]) -> tuple[str, ...]:
-    try:
-        return tuple(load_maze(source).text for source in sources)
-    except MazeError as error:
-        raise CommandError(str(error)) from error
-
-
 def _who(study: Study) -> str:
     if study.bags:
         return counted(len({lesson.participant for lesson in study.bags}), 'person')
@@ -174,58 +166,44 @@ def _people(trials: Sequence[Trial]) -> list[Participant]:
     return [Participant(**values) for values in found.values()]
 
 
-class TrialProgress:
-    """A bar on a terminal, lines anywhere else, on standard error."""
+@contextmanager
+def trial_progress(
+    console: Console | None = None, clock: Callable[[], float] = time.monotonic
+) -> Iterator[OnTrial]:
+    """Show on standard error how far the work is: a bar on a terminal, lines anywhere else."""
+    console = console or Console(stderr=True)
+    columns = (TextColumn('{task.description}'), BarColumn(), TimeElapsedColumn())
+    left_column = TextColumn('{task.fields[left]}')
+    bar = Progress(*columns, left_column, console=console, disable=not console.is_terminal)
+    task = bar.add_task('', total=None, left='')
+    began = last_line = clock()
+    cost = 0.0  # of the trials that have ended
 
-    def __init__(
-        self, console: Console | None = None, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._console = console or Console(stderr=True)
-        self._clock = clock
-        self._bar = Progress(
-            TextColumn('{task.description}'),
-            BarColumn(),
-            TimeElapsedColumn(),
-            TextColumn('{task.fields[left]}'),
-            console=self._console,
-            disable=not self._console.is_terminal,
-        )
-        self._task = self._bar.add_task('', total=None, left='')
-        self._began = self._last_line = clock()
-        self._cost = 0.0  # of the trials that have ended
+    def line(text: str) -> None:
+        if not console.is_terminal:
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
 
-    def __enter__(self) -> 'TrialProgress':
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, outcome: Outcome, ended: Trial | None) -> None:
-        """Show how far the work is: with no trial at its begin, then with each that has ended."""
+    def show(outcome: Outcome, ended: Trial | None) -> None:
+        nonlocal began, last_line, cost
         finished, count = outcome.finished, len(outcome.missing)
         cost_of_all = sum(trial.cost for trial in outcome.missing)
-        now, left = self._clock(), ''
+        now, left = clock(), ''
         if ended is None:
-            self._began = self._last_line = now
+            began = last_line = now
             before = len(outcome.results)
-            self._line(f'{before + count} trials, {before} of them done before')
+            line(f'{before + count} trials, {before} of them done before')
         else:
-            self._cost += ended.cost
-            spent = now - self._began
-            left = f'about {duration(spent * (cost_of_all / self._cost - 1))} left'
+            cost += ended.cost
+            left = f'about {duration((now - began) * (cost_of_all / cost - 1))} left'
             if finished == count:
                 left = 'done'
             if ended.key in outcome.failures:
-                self._console.print(f'failed: {ended}', markup=False, highlight=False)
-            if now - self._last_line >= _LINE_EVERY or finished == count:
-                self._last_line = now
-                self._line(f'{finished} of {count} trials, {left}')
+                console.print(f'failed: {ended}', markup=False, highlight=False)
+            if now - last_line >= _LINE_EVERY or finished == count:
+                last_line = now
+                line(f'{finished} of {count} trials, {left}')
         text = f'{finished} of {count} trials'
-        self._bar.update(
-            self._task, total=cost_of_all, completed=self._cost, description=text, left=left
-        )
+        bar.update(task, total=cost_of_all, completed=cost, description=text, left=left)
 
-    def _line(self, text: str) -> None:
-        if not self._console.is_terminal:
-            self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+    with bar:
+        yield show

@@ -292,9 +292,8 @@ def _code(parameters: Mapping[str, Any]) -> str:
 def _features(parameters: Mapping[str, Any]) -> str:
     """Return the name of the list of features that a trial has."""
     named = json.loads(parameters['domain_parameters']).get('features')
-    mine = [game for game in GAMES if game.domain == parameters['domain']]
-    known = {json.loads(game.parameters).get('features'): game.features for game in mine}
-    return known.get(named, 'all')
+    known = {(g.domain, json.loads(g.parameters).get('features')): g.features for g in GAMES}
+    return known.get((parameters['domain'], named), 'all')
 
 
 def curve_table(points: pd.DataFrame) -> pd.DataFrame:

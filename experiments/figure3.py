@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from humanopts_env.arrays import Ints
-from humanopts_env.domains.registry import make_domain
+from humanopts_env.domains.registry import make_domain, parameters_json
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.automatic.extract import AutomaticOptions, search_space
@@ -49,7 +49,8 @@ def trials(study: Study) -> list[Trial]:
 
 def extract(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Find the options of a domain; return them and the cost, see ``as_json``."""
-    return as_json(extraction(make_domain(parameters['domain']), parameters['seed']))
+    domain = make_domain(parameters['domain'])
+    return as_json(extraction(domain.name, parameters_json(domain), parameters['seed']))
 
 
 def as_json(found: AutomaticOptions) -> dict[str, Any]:

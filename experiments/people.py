@@ -218,7 +218,7 @@ def options_of(
     :param names: what a simulated person teaches; empty: what the paper's participants did.
     """
     if 'extraction' in owner:
-        found = extraction(domain, owner['extraction'])
+        found = extraction(domain.name, parameters_json(domain), owner['extraction'])
         options = found.options if is_enumerable(domain) else to_learned_options(domain, found)
         return OwnedOptions(tuple(options), seconds=found.seconds, game_steps=found.game_steps)
     if 'teacher' not in owner:
@@ -230,13 +230,9 @@ def options_of(
     return _from_bag(owner['teacher'])
 
 
-def extraction(domain: Domain[Any], seed: int) -> AutomaticOptions:
-    """Return the automatic options of a domain; each process computes them once."""
-    return _extraction(domain.name, parameters_json(domain), seed)
-
-
 @lru_cache(maxsize=64)
-def _extraction(domain: str, parameters: str, seed: int) -> AutomaticOptions:
+def extraction(domain: str, parameters: str, seed: int) -> AutomaticOptions:
+    """Return the automatic options of a domain; each process computes them once."""
     return find_options(domain_from_json(domain, parameters), seed, clock=CLOCK)
 
 

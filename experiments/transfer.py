@@ -10,6 +10,7 @@ are the independent units, so differences are paired by maze.
 from collections.abc import Mapping
 from functools import cache, partial
 import json
+import re
 from typing import Any
 
 from humanopts_env.domains.pacman.random_mazes import random_maze
@@ -50,7 +51,7 @@ STEPS, GAMES = 100_000, 150  # game steps of a plan; games that each way to play
 COST = 60.0
 KEYS = ['game', 'way to play']
 SIZE = (7.6, 3.8)  # inches
-INTERRUPTED = 'interrupted'  # ends the name of the plan with options alone that interrupts them
+INTERRUPTED = re.compile('human,.*interrupted')  # names of plans with options alone
 
 
 def trials(study: Study) -> list[Trial]:
@@ -135,6 +136,7 @@ def summary_table(scores: pd.DataFrame) -> pd.DataFrame:
 def present(done: Done) -> Section:
     """Return the section of the report."""
     scores = score_table(done)
+    mazes = pd.DataFrame([(p['number'], p['maze']) for p, _ in done], columns=['maze', 'text'])
     return Section(
         NAME,
         TITLE,
@@ -143,14 +145,10 @@ def present(done: Done) -> Section:
         [
             Table('transfer-summary', 'Mean scores over the mazes', summary_table(scores)),
             Table('transfer-scores', 'Scores by maze', scores, shown=False),
-            Table('transfer-mazes', 'The mazes', _maze_table(done), shown=False),
+            Table('transfer-mazes', 'The mazes', mazes, shown=False),
         ],
         {'steps': STEPS, 'games': GAMES},
     )
-
-
-def _maze_table(done: Done) -> pd.DataFrame:
-    return pd.DataFrame([(p['number'], p['maze']) for p, _ in done], columns=['maze', 'text'])
 
 
 def _by_maze(rows: pd.DataFrame) -> dict[str, pd.Series]:
@@ -164,7 +162,7 @@ def _comparisons(scores: pd.DataFrame) -> list[Comparison]:
     for (game,), rows in grouped(scores, ['game']):
         by_way = _by_maze(rows)
         kinds = dict(zip(rows['way to play'], rows['kind']))
-        plans = [n for n in by_way if kinds[n] == PLAN and _is_interrupted(n)]
+        plans = [n for n in by_way if kinds[n] == PLAN and INTERRUPTED.fullmatch(n)]
         if not plans:
             continue
         plan = plans[-1]  # with all options
@@ -178,10 +176,6 @@ def _comparisons(scores: pd.DataFrame) -> list[Comparison]:
                 said = f'Options that are planned with and interrupted score more than: {other}.'
                 found.append(goal(said, text, more.above()))
     return found
-
-
-def _is_interrupted(name: str) -> bool:
-    return name.startswith('human,') and name.endswith(INTERRUPTED)
 
 
 def _pictures(scores: pd.DataFrame) -> list[Picture]:

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from experiments import figure2
 from experiments import trials as experiment_trials
-from experiments.command import TrialProgress
+from experiments.command import trial_progress
 from experiments.people import CAREFUL, participants, Study, VARIED
 from experiments.trials import ClusterError, digest, Outcome, run_trials, Trial
 
@@ -138,7 +138,7 @@ def test_time_left_is_estimated_by_the_cost_of_what_is_done() -> None:
     now, out = [0.0], io.StringIO()
     trials = [Trial('squares', {'number': n}, len, cost) for n, cost in enumerate((3.0, 1.0))]
     outcome = Outcome(trials)
-    with TrialProgress(Console(file=out), clock=lambda: now[0]) as progress:
+    with trial_progress(Console(file=out), clock=lambda: now[0]) as progress:
         progress(outcome, None)
         now[0], outcome.computed = 60.0, 1
         progress(outcome, trials[0])
