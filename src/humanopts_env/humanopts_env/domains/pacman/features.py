@@ -177,17 +177,9 @@ class FeatureReader:
         """Names of the features."""
         return tuple(feature.name for feature in pacman_features(self.rules))
 
-    def __call__(
-        self, batch: PacManBatch, out: NDArray[np.int32] | None = None
-    ) -> NDArray[np.int32]:
-        """
-        Return the features of every game.
-
-        :param out: (N, F) to write into; None: a new array.
-        :return: (N, F).
-        """
-        if out is None:
-            out = np.empty((len(batch), len(self.names)), dtype=np.int32)
+    def __call__(self, batch: PacManBatch) -> NDArray[np.int32]:
+        """Return the features of every game, (N, F)."""
+        out = np.empty((len(batch), len(self.names)), dtype=np.int32)
         groups, here = len(batch.ghosts), batch.pacman
         seen = self._look(batch)
         out[:, :2] = self._place.take(here, axis=0)

@@ -225,15 +225,9 @@ def _near(direction: NDArray[Any], away: NDArray[Any], near: Ints) -> Ints:
     )
 
 
-def abstract_features(batch: PacManBatch, seen: Surroundings | None = None) -> NDArray[np.int32]:
-    """
-    Return the buckets of every game.
-
-    :param seen: the result of ``look_around``, if it is computed already.
-    :return: (N, P), in the order of ABSTRACT_FEATURES.
-    """
-    seen = seen or look_around(batch)
-    paths, here = batch.rules.paths, batch.pacman
+def abstract_features(batch: PacManBatch) -> NDArray[np.int32]:
+    """Return the buckets of every game, (N, P), in the order of ABSTRACT_FEATURES."""
+    seen, paths, here = look_around(batch), batch.rules.paths, batch.pacman
     fruit_at = np.where(batch.fruit > 0, batch.fruit_at, here)
     way = here * len(paths.step) + fruit_at
     fruit = paths.distance.ravel().take(way).astype(np.intp)
