@@ -1,9 +1,8 @@
 """Pac-Man's reference options by hand, and ways to play with them."""
 
-from humanopts_env.arrays import Flags, Ints
-from humanopts_env.domains.pacman.baselines import hand_rule, play_options
+from humanopts_env.arrays import Ints
+from humanopts_env.domains.pacman.baselines import play_heuristic
 from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_env.domains.pacman.features import Surroundings
 from humanopts_env.domains.pacman.reference import reference_options
 from humanopts_env.domains.pacman.rules import PacManBatch
 from humanopts_env.seeding import generator
@@ -108,14 +107,6 @@ def test_closest_food_is_eaten_in_as_many_steps_as_it_is_away() -> None:
     assert domain.is_over(state)
 
 
-def random_choice(
-    batch: PacManBatch, seen: Surroundings, available: Flags, rng: np.random.Generator
-) -> Ints:
-    """Choose among the options that can start, each alike."""
-    chosen: Ints = np.where(available, rng.random(available.shape), -1.0).argmax(axis=0)
-    return chosen
-
-
 def random_moves(domain: PacMan, games: int) -> Ints:
     """Return the scores of games with random moves."""
     batch, rng = PacManBatch.begin(domain.rules, games), generator(1, 'random moves')
@@ -126,15 +117,11 @@ def random_moves(domain: PacMan, games: int) -> Ints:
 
 @pytest.mark.heavy
 def test_better_players_score_more() -> None:
-    """Random moves, random options, and a rule over the options, at both speeds of ghosts."""
+    """Random moves, and a rule over the options, to their end and at every step."""
     for ghosts in ('random', 'chase'):
         domain = PacMan(ghosts=ghosts)
-        options = list(reference_options(domain).values())
-        by_chance = play_options(options, random_choice, 60, 1000, seed=1)
-        by_rule = play_options(options, hand_rule(options), 60, 1000, seed=1)
-        every_step = play_options(options, hand_rule(options), 60, 1000, seed=1, to_end=False)
-        scores = random_moves(domain, 60), by_chance.total, by_rule.total, every_step.total
-        means = [score.mean() for score in scores]
+        by_rule, every_step = (play_heuristic(domain, 60, 1, to_end=end) for end in (True, False))
+        means = [s.mean() for s in (random_moves(domain, 60), by_rule.total, every_step.total)]
         assert means == sorted(means)
         assert max(by_rule.total) <= 2080
         assert (every_step.outcomes['lives left'][every_step.outcomes['cleared']] > 0).all()
@@ -142,7 +129,7 @@ def test_better_players_score_more() -> None:
 
 def test_the_same_seed_plays_the_same_baseline_games() -> None:
     """And another seed plays others."""
-    options = list(reference_options(PacMan('yard')).values())
-    runs = [play_options(options, random_choice, 20, 200, seed).total for seed in (1, 1, 2)]
+    domain = PacMan('yard', max_steps=200)
+    runs = [play_heuristic(domain, 20, seed, to_end=True).total for seed in (1, 1, 2)]
     assert np.array_equal(runs[0], runs[1])
     assert not np.array_equal(runs[0], runs[2])

@@ -6,7 +6,7 @@ end, or one is chosen at every step. The plan settings were found by hand in the
 the reference options.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,6 @@ from humanopts_env.domains.pacman.reference import (
     CLOSEST_FOOD,
     EAT_GHOST,
     NEAREST_PILL,
-    PacManOption,
     reference_options,
 )
 from humanopts_env.domains.pacman.rules import GHOST_RULES, PacManBatch
@@ -73,70 +72,46 @@ def pacman_baselines(domain: 'PacMan', *, usual: bool) -> Baselines:
 
 
 def play_heuristic(domain: 'PacMan', games: int, seed: int, *, to_end: bool) -> Scores:
-    """Play games by the hand-written rule; the parameters are those of ``Heuristic``."""
-    options = list(reference_options(domain).values())
-    choose = hand_rule(options)
-    return play_options(options, choose, games, domain.max_steps, seed, to_end=to_end)
-
-
-# Arguments: games, surroundings, (O, N) whether each option can start, and a generator. Returns
-# (N,) option indices.
-Chooser = Callable[[PacManBatch, Surroundings, Flags, np.random.Generator], Ints]
-
-
-def hand_rule(options: Sequence[PacManOption]) -> Chooser:
     """
-    Return the hand-written rule over the four options of table 1, in any order, among others.
+    Play games by the hand-written rule, with the first of equally good moves.
 
-    The rule is: eat a scared ghost that can be caught in time, unless a dangerous one is near;
-    else, where a dangerous ghost is too near, go to a power pill that is nearer, or avoid the
-    ghost; else go to the closest food.
+    The parameters are those of ``Heuristic``.
     """
+    options, rng = list(reference_options(domain).values()), generator(seed, 'baseline', 'options')
     names = [option.name for option in options]
-    food, avoid, pill, eat = map(names.index, (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST))
-
-    def choose(
-        batch: PacManBatch, seen: Surroundings, available: Flags, rng: np.random.Generator
-    ) -> Ints:
-        threatened = seen.danger <= TOO_NEAR
-        return np.select(
-            [
-                available[eat] & (seen.prey <= seen.fear) & (seen.danger > 2),
-                available[pill] & threatened & (seen.pill < TOO_NEAR),
-                available[avoid] & threatened,
-            ],
-            [eat, pill, avoid],
-            food,
-        )
-
-    return choose
-
-
-def play_options(
-    options: Sequence[PacManOption],
-    choose: Chooser,
-    games: int,
-    max_steps: int,
-    seed: int,
-    *,
-    to_end: bool = True,
-) -> Scores:
-    """
-    Play games with options, with the first of equally good moves.
-
-    :param to_end: True: an option runs to its end; False: an option is chosen at every step.
-    """
-    rng = generator(seed, 'baseline', 'options')
     running = np.full(games, -1, dtype=np.intp)
-    batch, each = PacManBatch.begin(options[0].rules, games), np.arange(games)
-    for _ in range(max_steps):
+    batch, each = PacManBatch.begin(domain.rules, games), np.arange(games)
+    for _ in range(domain.max_steps):
         if batch.over.all():
             break
         seen = look_around(batch)
         said = [option.judge(batch, seen) for option in options]
         ended = np.stack([judgement.termination for judgement in said])[running, each]
-        chosen = choose(batch, seen, np.stack([j.initiation for j in said]), rng)
+        chosen = _by_rule(names, seen, np.stack([judgement.initiation for judgement in said]))
         running = np.where(ended | (running < 0) | (not to_end), chosen, running)
         moves: Ints = np.stack([j.optimal for j in said])[running, each].argmax(axis=1)
         batch.step(moves, batch.draws(rng))
     return Scores(batch.score, batch_outcome(batch))
+
+
+def _by_rule(names: Sequence[str], seen: Surroundings, available: Flags) -> Ints:
+    """
+    Return (N,): the index of the option that the hand-written rule chooses, by their names (O,).
+
+    The rule is: eat a scared ghost that can be caught in time, unless a dangerous one is near;
+    else, where a dangerous ghost is too near, go to a power pill that is nearer, or avoid the
+    ghost; else go to the closest food.
+
+    :param available: (O, N) whether each option can start.
+    """
+    food, avoid, pill, eat = map(names.index, (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST))
+    threatened = seen.danger <= TOO_NEAR
+    return np.select(
+        [
+            available[eat] & (seen.prey <= seen.fear) & (seen.danger > 2),
+            available[pill] & threatened & (seen.pill < TOO_NEAR),
+            available[avoid] & threatened,
+        ],
+        [eat, pill, avoid],
+        food,
+    )
