@@ -34,20 +34,6 @@ NEAREST_PILL = 'go to the nearest power pellet'
 EAT_GHOST = 'eat the ghost'
 TO_FRUIT = 'go to the fruit'
 DANGER = 4  # steps within which a dangerous ghost is avoided
-DIRECTIONS_USED = {  # features of each option, where the domain has directions
-    CLOSEST_FOOD: ('food_direction', 'ate'),
-    AVOID_GHOST: ('danger_direction', 'danger_distance', 'legal_moves'),
-    NEAREST_PILL: ('pill_direction', 'ate'),
-    EAT_GHOST: ('prey_direction', 'ate'),
-    TO_FRUIT: ('fruit_direction', 'ate'),
-}
-POSITIONS_USED = {  # the beginnings of their names, where it has positions only
-    CLOSEST_FOOD: ('pacman', 'food', 'ate'),
-    AVOID_GHOST: ('pacman', 'ghost'),
-    NEAREST_PILL: ('pacman', 'pill', 'ate'),
-    EAT_GHOST: ('pacman', 'ghost', 'ate'),
-    TO_FRUIT: ('pacman', 'fruit', 'ate'),
-}
 
 
 def _closest_food(batch: PacManBatch, seen: Surroundings) -> Judgement:
@@ -111,47 +97,57 @@ class PacManOption:
         return self.judge(batch, look_around(batch))
 
 
+# Name, definition, judge, features, and the beginnings of their names where the domain has
+# positions only.
+OPTIONS: tuple[tuple[str, str, Judge, tuple[str, ...], tuple[str, ...]], ...] = (
+    (
+        CLOSEST_FOOD,
+        'Starts anywhere; goes a shortest way to a nearest food; ends when food was eaten.',
+        _closest_food,
+        ('food_direction', 'ate'),
+        ('pacman', 'food', 'ate'),
+    ),
+    (
+        AVOID_GHOST,
+        f'Starts where a dangerous ghost is at most {DANGER} steps away; goes where the nearest '
+        'one is then farthest; ends when none is so near any more.',
+        _avoid_ghost,
+        ('danger_direction', 'danger_distance', 'legal_moves'),
+        ('pacman', 'ghost'),
+    ),
+    (
+        NEAREST_PILL,
+        'Starts where a power pill is left; goes a shortest way to a nearest one; ends when one '
+        'was eaten.',
+        _nearest_pill,
+        ('pill_direction', 'ate'),
+        ('pacman', 'pill', 'ate'),
+    ),
+    (
+        EAT_GHOST,
+        'Starts where a ghost is scared; goes a shortest way to where a nearest such one is; ends '
+        'when one was eaten, or when none is scared any more.',
+        _eat_ghost,
+        ('prey_direction', 'ate'),
+        ('pacman', 'ghost', 'ate'),
+    ),
+    (
+        TO_FRUIT,
+        'Starts while there is fruit; goes a shortest way to it; ends when it was eaten, or when '
+        'it is gone.',
+        _to_fruit,
+        ('fruit_direction', 'ate'),
+        ('pacman', 'fruit', 'ate'),
+    ),
+)
+
+
 def reference_options(domain: 'PacMan') -> dict[str, PacManOption]:
     """Return every Pac-Man option of the paper's table 1 by name, and the one for the fruit."""
     names = [feature.name for feature in domain.features]
-    used = DIRECTIONS_USED
-    if not domain.has_all_features:
-        used = {
-            option: tuple(name for name in names if name.startswith(beginnings))
-            for option, beginnings in POSITIONS_USED.items()
-        }
-    return {
-        name: PacManOption(domain.rules, name, used[name], definition, judge)
-        for name, definition, judge in (
-            (
-                CLOSEST_FOOD,
-                'Starts anywhere; goes a shortest way to a nearest food; ends when food was '
-                'eaten.',
-                _closest_food,
-            ),
-            (
-                AVOID_GHOST,
-                f'Starts where a dangerous ghost is at most {DANGER} steps away; goes where the '
-                'nearest one is then farthest; ends when none is so near any more.',
-                _avoid_ghost,
-            ),
-            (
-                NEAREST_PILL,
-                'Starts where a power pill is left; goes a shortest way to a nearest one; ends '
-                'when one was eaten.',
-                _nearest_pill,
-            ),
-            (
-                EAT_GHOST,
-                'Starts where a ghost is scared; goes a shortest way to where a nearest such one '
-                'is; ends when one was eaten, or when none is scared any more.',
-                _eat_ghost,
-            ),
-            (
-                TO_FRUIT,
-                'Starts while there is fruit; goes a shortest way to it; ends when it was eaten, '
-                'or when it is gone.',
-                _to_fruit,
-            ),
-        )
-    }
+    found = {}
+    for name, definition, judge, used, beginnings in OPTIONS:
+        if not domain.has_all_features:
+            used = tuple(feature for feature in names if feature.startswith(beginnings))
+        found[name] = PacManOption(domain.rules, name, used, definition, judge)
+    return found
