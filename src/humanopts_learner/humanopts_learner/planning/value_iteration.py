@@ -9,7 +9,7 @@ same as if they had been swept.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal
+from typing import Any, Literal
 
 from humanopts_env.arrays import Flags, Floats
 from humanopts_learner.planning.request import check_limits
@@ -67,9 +67,8 @@ class _IndexedBackup:
         alike = bool((nothing | (discount == self._common)).all())
         self._discount = np.empty((0, 0)) if alike else np.array(discount, order=order)
         del discount  # large
-        self._successor = np.array(
-            model.successor, dtype=np.uint32 if compiled else np.intp, order=order
-        )
+        kind: Any = np.uint32 if compiled else np.intp
+        self._successor: NDArray[np.integer] = np.array(model.successor, kind, order=order)
         np.copyto(self._successor, model.n_states, where=nothing)  # the end of the task
         self._rewards = np.array(model.reward, order=order)
         np.copyto(self._rewards, -np.inf, where=~model.available)
