@@ -99,7 +99,7 @@ class Seat:
             await window.taken()
 
 
-class Turn:
+class ConditionSeat:
     """
     A seat for one condition of a study, after which the next one follows.
 

@@ -13,7 +13,7 @@ import sys
 from typing import Any
 
 from humanopts_teach.browser.pages import serve
-from humanopts_teach.browser.seats import GameError, Press, Seat, Seats, Turn
+from humanopts_teach.browser.seats import ConditionSeat, GameError, Press, Seat, Seats
 from humanopts_teach.commands import CommandError, noticed_interrupts
 from humanopts_teach.commands.options import PageOptions
 from humanopts_teach.commands.session import check_folder, new_name, print_line, session
@@ -109,7 +109,7 @@ def _name(host: str) -> str:
 
 @asynccontextmanager
 async def game(
-    setup: Setup, namespace: str, thread: TeleopThread, seat: Seat | Turn
+    setup: Setup, namespace: str, thread: TeleopThread, seat: Seat | ConditionSeat
 ) -> AsyncIterator[Press]:
     """
     Keep the graph of a seat, and the node that its participant teaches by.
@@ -144,7 +144,7 @@ async def game(
 
 
 @asynccontextmanager
-async def _graph(setup: Setup, namespace: str, seat: Seat | Turn) -> AsyncIterator[None]:
+async def _graph(setup: Setup, namespace: str, seat: Seat | ConditionSeat) -> AsyncIterator[None]:
     """Run a graph in processes of its own until the end; the seat ends if it does."""
     try:
         check_folder(setup)

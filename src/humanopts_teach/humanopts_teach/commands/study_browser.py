@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 
-from humanopts_teach.browser.seats import GameError, message, Press, Seat, Turn
+from humanopts_teach.browser.seats import ConditionSeat, GameError, message, Press, Seat
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.browser import game, serve_seats
 from humanopts_teach.commands.options import PageOptions
@@ -36,7 +36,7 @@ async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIte
         try:
             participant = study.enter(seat.participant)
             while (turn := study.next_turn(participant)) is not None:
-                condition = Turn(seat)
+                condition = ConditionSeat(seat)
                 async with game(turn.setup, study.namespace, thread, condition) as pressed:
                     press = pressed
                     await condition.over.wait()

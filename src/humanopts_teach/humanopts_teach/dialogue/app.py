@@ -166,10 +166,6 @@ class App:
             self.ask(Drive(action, game.episode, game.step))
 
     def end(self) -> None:
-        """End what the person does here."""
-        self.at_end()
-
-    def at_end(self) -> None:
         """Leave the dialogue. To be overridden where something follows."""
         self.ended = True
 

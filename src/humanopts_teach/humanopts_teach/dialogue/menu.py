@@ -88,7 +88,7 @@ def to_menu(app: App) -> None:
     if known:
         note = 'its name, how it is learned; or delete it'
         items.append(Item('Change an option', note, _choose_changed))
-    items.append(Item(*app.leaving, App.end))
+    items.append(Item(*app.leaving, lambda app: app.end()))
     app.show(ListScreen('What next?', items, answered=_listed))
 
 

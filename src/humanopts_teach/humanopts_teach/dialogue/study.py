@@ -58,7 +58,7 @@ class StudyApp(App):
                 self._end_part(TIME)
         return super().advance(now)
 
-    def at_end(self) -> None:
+    def end(self) -> None:
         """Go on with the next part; Ctrl-C leaves the study, to be gone on with later."""
         self._end_part(FINISHED)
 
@@ -181,7 +181,7 @@ def _first_screen(part: Part, participant: str) -> Screen:
     if part.kind in (Kind.CONSENT, Kind.PAGE):
         return PageScreen(part.text, asks=part.kind is Kind.CONSENT)
     if part.kind is Kind.PLAY:
-        return FreePlayScreen(menu=App.end, title='Get to know the game')
+        return FreePlayScreen(menu=lambda app: app.end(), title='Get to know the game')
     if part.kind is Kind.BUTTONS:
         return _button(1, part.most)
     if part.kind is Kind.QUESTIONS:
@@ -204,6 +204,6 @@ def _button(rank: int, most: int) -> TextScreen:
         'Which button would make it easier and faster to win?',
         f'Say what it would do: go to ..., avoid ... Button {rank} of at most {most}.',
         submit=submit,
-        back=App.end,
+        back=lambda app: app.end(),
         back_words='no more',
     )

@@ -215,7 +215,7 @@ class LessonScreen(Screen):
             Command.RUN: lambda: self.run(lesson.option_name, app),
             Command.MENU: lambda: leave('Go to the menu', self.menu),
             Command.HELP: lambda: app.show(HelpScreen(_help(app), self._back)),
-            Command.QUIT: lambda: leave('Quit', App.end),
+            Command.QUIT: lambda: leave('Quit', lambda app: app.end()),
         }
         does[command]()
 
