@@ -267,7 +267,7 @@ def test_the_log_the_parameters_and_the_recorder_itself_are_recorded(
     bag = recording.stop()
     assert 'a line of the log' in logged()
     assert changed() == ['colour']
-    assert {'/recorder_status', '/node_status'} <= {r.topic for r in bag.messages(decoded=False)}
+    assert {'/recorder_status', '/node_status'} <= {r.topic for r in bag.messages()}
     facts = {'seed': '7', 'strategy': 'failures', 'record_include': '["*"]', **software()}
     assert facts.items() <= bag.metadata['humanopts'].items()
 

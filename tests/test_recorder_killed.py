@@ -76,7 +76,7 @@ def loss(folder: Path, bag: Bag, killed: int) -> Loss:
     """Compare a bag with what was sent, byte for byte."""
     recorded, sent = defaultdict(list), defaultdict(list)
     last = 0
-    for message in bag.messages(KINDS, decoded=False):
+    for message in bag.messages(KINDS):
         recorded[message.topic].append(message.data)
         last = max(last, message.log_time)
     for message in read_sent(folder / 'sent'):
@@ -93,7 +93,7 @@ def loss(folder: Path, bag: Bag, killed: int) -> Loss:
 
 def assert_read_by_others(bag: Bag) -> None:
     """Compare what rosbags reads with what our reader does."""
-    ours = sorted((m.topic, m.log_time, m.data) for m in bag.messages(decoded=False))
+    ours = sorted((m.topic, m.log_time, m.data) for m in bag.messages())
     with AnyReader([bag.path]) as reader:
         theirs = [(c.topic, when, data, c.msgtype) for c, when, data in reader.messages()]
         for _, _, data, kind in theirs:

@@ -64,7 +64,7 @@ def chunk_at(bag: Path, number: int) -> tuple[int, int]:
 
 def contents(bag: Path) -> list[tuple[str, int, int, bytes]]:
     """Return all messages in order."""
-    found = open_bag(bag).messages(decoded=False)
+    found = open_bag(bag).messages()
     return [(r.topic, r.log_time, r.publish_time, r.data) for r in found]
 
 

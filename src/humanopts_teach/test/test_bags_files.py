@@ -93,12 +93,8 @@ def test_messages_come_in_order_of_time_whatever_the_order_of_writing(tmp_path: 
             writer.write('/a' if step % 2 else '/b', state(step), step)
             writer.flush()
     assert steps(tmp_path / 'bag') == [0, 1, 2, 3, 4, 5]
-    only = open_bag(tmp_path / 'bag').messages(['/a'], decoded=False)
-    assert [(r.topic, r.log_time, r.message) for r in only] == [
-        ('/a', 1, None),
-        ('/a', 3, None),
-        ('/a', 5, None),
-    ]
+    only = open_bag(tmp_path / 'bag').messages(['/a'])
+    assert [(r.topic, r.log_time) for r in only] == [('/a', 1), ('/a', 3), ('/a', 5)]
 
 
 @pytest.mark.parametrize('indexed', [True, False])

@@ -98,7 +98,7 @@ def loose(lesson: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             )
             for topic in bag.topics.values()
         }
-        for r in bag.messages(decoded=False):
+        for r in bag.messages():
             writer.add_message(channels[r.topic], r.log_time, r.data, r.publish_time)
         writer.finish()
     return path
@@ -214,7 +214,7 @@ def test_no_number_of_a_mutated_bag_is_wrong_without_a_warning(
     lesson = (lesson, split)[batch % 2]
     whole = [entry(open_bag(lesson)) for entry in ENTRIES]
     assert not any(warned for _, warned in whole)
-    sent = {(r.topic, r.log_time, r.data) for r in open_bag(lesson).messages(decoded=False)}
+    sent = {(r.topic, r.log_time, r.data) for r in open_bag(lesson).messages()}
     for number in range(batch * BATCH, (batch + 1) * BATCH):
         path = tmp_path / 'bag'
         mutate(lesson, path, number)
@@ -229,7 +229,7 @@ def test_no_number_of_a_mutated_bag_is_wrong_without_a_warning(
         repair(bag, again)
         repaired = open_bag(again)
         assert not check_bag(repaired).damage, number
-        kept = [(r.topic, r.log_time, r.data) for r in repaired.messages(decoded=False)]
+        kept = [(r.topic, r.log_time, r.data) for r in repaired.messages()]
         assert len(set(kept)) == len(kept), number
         assert set(kept) <= sent, number
         assert all(file.data == ATTACHED for file in repaired.attached()), number

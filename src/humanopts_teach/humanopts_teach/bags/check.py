@@ -95,7 +95,7 @@ def check_bag(bag: Bag) -> Check:
     """
     bag.compare_bytes()
     counter = MessageCounter(bag)
-    for recorded in bag.messages(decoded=False):
+    for recorded in bag.messages():
         counter.add(recorded)
         if bag.numbered and recorded.topic not in counter.stamped:
             counter.losses.add(recorded.topic, Stamp(RECORDER, recorded.sequence))
@@ -198,7 +198,7 @@ def _copy(bag: Bag, writer: BagWriter) -> int:
     """Copy the messages; return how many repetitions were left out."""
     repeated, time = 0, -1
     now: set[tuple[str, int, bytes]] = set()  # messages of this log time that were written
-    for recorded in bag.messages(decoded=False):
+    for recorded in bag.messages():
         if recorded.log_time != time or len(now) == MOST_AT_ONCE:
             time = recorded.log_time
             now.clear()

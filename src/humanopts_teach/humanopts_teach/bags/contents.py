@@ -193,7 +193,7 @@ def is_ended(bag: Bag, group: EpisodeMessages) -> bool:
 
 def _groups(bag: Bag, between: tuple[int, int]) -> Iterator[EpisodeMessages]:
     games = EpisodeGrouping(bag)
-    for recorded in bag.messages(games.topics, decoded=False, between=between):
+    for recorded in bag.messages(games.topics, between):
         if (over := games.add(recorded)) is not None:
             yield over
     yield from games.unfinished()
@@ -339,6 +339,6 @@ def read_beginnings(bag: Bag) -> Beginnings:
             key = (topic.removesuffix(_EVENTS), answer.episode, answer.state)
             found[key] = Beginning(int(request.seed), request.start_state)
 
-    for recorded in bag.messages(bag.of_type(RESET_EVENT), decoded=False):
+    for recorded in bag.messages(bag.of_type(RESET_EVENT)):
         bag.convert(recorded.topic, recorded.data, partial(add, recorded.topic))
     return found

@@ -279,7 +279,7 @@ def _measured(point: CriterionPoint) -> str:
 def summarise(bag: Bag) -> BagInfo:
     """Read a bag once and return what it holds."""
     collector = _Collector(bag)
-    for recorded in bag.messages(decoded=False):
+    for recorded in bag.messages():
         collector.add(recorded)
     return collector.result()
 
@@ -287,7 +287,7 @@ def summarise(bag: Bag) -> BagInfo:
 def option_rows(bag: Bag) -> list[OptionRow]:
     """Return the options that were taught."""
     collector = _Collector(bag)
-    for recorded in bag.messages(bag.of_type(DEMONSTRATION) + bag.of_type(_STATUS), decoded=False):
+    for recorded in bag.messages(bag.of_type(DEMONSTRATION) + bag.of_type(_STATUS)):
         collector.add(recorded)
     return collector.option_rows()
 

@@ -46,7 +46,12 @@ class Recorded(NamedTuple):
     publish_time: int  # when it was sent, ns since the epoch
     sequence: int  # as the program that wrote the file numbered it; see ``Bag.numbered``
     data: bytes  # CDR, as received
-    message: Any  # decoded; None: it was not asked for, or it does not decode
+    bag: 'Bag'  # that it is in
+
+    @property
+    def message(self) -> Any:
+        """The decoded message; None: its bytes are damaged, which ``Bag.damage`` then says."""
+        return self.bag.decode(self.topic, self.data)
 
 
 class Bag:
@@ -124,8 +129,6 @@ class Bag:
     def messages(
         self,
         topics: Collection[str] | None = None,
-        *,
-        decoded: bool = True,
         between: tuple[int, int] = ALWAYS,
     ) -> Iterator[Recorded]:
         """
@@ -135,7 +138,6 @@ class Bag:
         bytes.
 
         :param topics: names; None: all.
-        :param decoded: fill in ``Recorded.message``.
         :param between: first and last log time, ns.
         """
         wanted = [
@@ -190,7 +192,7 @@ class Bag:
                         message.publish_time,
                         message.sequence,
                         message.data,
-                        self.decode(topic.name, message.data) if decoded else None,
+                        self,
                     )
                 del waiting[:due]
 
@@ -228,7 +230,7 @@ class Bag:
         self, type_name: str, convert: Callable[[Any], T], between: tuple[int, int] = ALWAYS
     ) -> Iterator[T]:
         """Yield what ``convert`` makes of the messages of a type, where it can, in order."""
-        for recorded in self.messages(self.of_type(type_name), decoded=False, between=between):
+        for recorded in self.messages(self.of_type(type_name), between):
             made = self.convert(recorded.topic, recorded.data, convert)
             if made is not None:
                 yield made

@@ -181,6 +181,6 @@ class MessageCounter:
 def count_loss(bag: 'Bag') -> LossCounter:
     """Count what is missing in a bag, by the numbers in every humanopts message."""
     counter = MessageCounter(bag)
-    for recorded in bag.messages(counter.stamped, decoded=False):
+    for recorded in bag.messages(counter.stamped):
         counter.add(recorded)
     return counter.losses
