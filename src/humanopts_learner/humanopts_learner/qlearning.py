@@ -17,7 +17,7 @@ Intra-option learning ignores the step limits of options, which depend on more t
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from typing import Any
@@ -115,7 +115,7 @@ def learn_in_step(
     steps, returns = np.zeros((count, episodes), dtype=np.intp), np.zeros((count, episodes))
     tables = _Tables([group.options for group in groups])
     values = np.zeros((count, domain.n_states, tables.width))
-    live = _Live.begin(groups, tables, domain.n_states)
+    live = _Live(groups, tables, domain.n_states)
     live.state = starts.take(chance.draw(live.group, draw_start))
     while live.number.size:
         free = np.flatnonzero(live.option < 0)
@@ -214,56 +214,34 @@ class _Tables:
         return found.reshape(-1, self.width)
 
 
-@dataclass
 class _Live:
-    """The n learners with episodes left, in the order of their numbers."""
+    """The n learners with episodes left, in the order of their numbers; (n,) of each."""
 
-    number: Ints  # (n,) and so all others
-    group: Ints
-    base: Ints  # number of the group's first option
-    place: Ints  # row of the group's state 0 in tables by state
-    row: Ints  # row of the learner's state 0 among all values
-    rate: Floats
-    explore: Floats
-    state: Ints
-    option: Ints  # running, of those of the group; -1: to be decided
-    begun: Ints  # state in which the option began
-    ran: Ints  # its steps so far
-    gained: Floats  # since it began, discounted
-    discount: Floats  # gamma**ran
-    episode: Ints
-    steps: Ints  # of the episode so far
-    returns: Floats  # undiscounted
-
-    @classmethod
-    def begin(cls, groups: Sequence[Learners], tables: _Tables, n_states: int) -> '_Live':
-        """Return all learners before their first episodes."""
+    def __init__(self, groups: Sequence[Learners], tables: _Tables, n_states: int) -> None:
+        """Begin with all learners before their first episodes."""
         rates = [one for group in groups for one in group.rates]
-        group = np.repeat(np.arange(len(groups)), [len(each.rates) for each in groups])
-        whole, real = np.zeros(len(rates), dtype=np.intp), np.zeros(len(rates))
-        return cls(
-            number=np.arange(len(rates)),
-            group=group,
-            base=tables.first[group],
-            place=group * n_states,
-            row=np.arange(len(rates)) * n_states,
-            rate=np.array([one.learning_rate for one in rates]),
-            explore=np.array([one.explore for one in rates]),
-            state=whole.copy(),
-            option=np.full(len(rates), -1, dtype=np.intp),
-            begun=whole.copy(),
-            ran=whole.copy(),
-            gained=real.copy(),
-            discount=np.ones(len(rates)),
-            episode=whole.copy(),
-            steps=whole.copy(),
-            returns=real.copy(),
-        )
+        count = len(rates)
+        self.number = np.arange(count)
+        self.group = np.repeat(np.arange(len(groups)), [len(each.rates) for each in groups])
+        self.base = tables.first[self.group]  # number of the group's first option
+        self.place = self.group * n_states  # row of the group's state 0 in tables by state
+        self.row = np.arange(count) * n_states  # of the learner's state 0 among all values
+        self.rate = np.array([one.learning_rate for one in rates])
+        self.explore = np.array([one.explore for one in rates])
+        self.state = np.zeros(count, dtype=np.intp)
+        self.option = np.full(count, -1, dtype=np.intp)  # running; -1: to be decided
+        self.begun = np.zeros(count, dtype=np.intp)  # state in which the option began
+        self.ran = np.zeros(count, dtype=np.intp)  # its steps so far
+        self.gained = np.zeros(count)  # since it began, discounted
+        self.discount = np.ones(count)  # gamma**ran
+        self.episode = np.zeros(count, dtype=np.intp)
+        self.steps = np.zeros(count, dtype=np.intp)  # of the episode so far
+        self.returns = np.zeros(count)  # undiscounted
 
     def keep(self, chosen: Flags) -> None:
         """Keep chosen learners (n,) only."""
-        for one in fields(self):
-            setattr(self, one.name, getattr(self, one.name)[chosen])
+        for name, values in vars(self).items():
+            setattr(self, name, values[chosen])
 
 
 def _learn_of_runs(

@@ -70,48 +70,33 @@ def _picks() -> NDArray[np.uint8]:
 PICKS = _picks()
 
 
-@dataclass(frozen=True, eq=False)
 class Tables:
-    """The maze as flat arrays, so that each quantity is one look-up."""
+    """The maze as flat read-only arrays, so that each quantity is one look-up."""
 
-    step: Ints  # (C * 5,) cell after a move
-    allowed: NDArray[np.uint8]  # (C * 5,) moves of a ghost by cell and heading
-    towards: NDArray[np.uint8]  # (C * 5 * C,) and by Pac-Man's cell
-    away: NDArray[np.uint8]
-    picks: NDArray[np.intp]  # (16 * DRAWS,) move of a draw from a mask
-    item_at: Ints  # (C,) index in ``PacManBatch.taken`` of the food or pill in a cell; K: none
-    is_food: Flags  # (C,) whether there is food in a cell
-    lays_fruit: Flags  # (K + 1,) whether fruit is laid when so much food is left
-    from_middle: Ints  # (K,) food by its distance from the middle
-    middle_cells: Ints  # (K,) and its cells
-    all_taken: Taken  # (K + P + 2,) marks of one game in which nothing is left
-    homes: Ints  # (G, 1)
-
-
-def _tables(maze: Maze, paths: Paths) -> Tables:
-    """Lay the maze out for steps of many games."""
-    food, pills = len(maze.food), len(maze.pills)
-    item_at = np.full(len(maze.cells), food, dtype=np.intp)
-    item_at[list(maze.food)] = range(food)
-    item_at[list(maze.pills)] = range(food + 1, food + 1 + pills)
-    all_taken = np.full(food + pills + 2, paths.far, dtype=paths.distance.dtype)
-    all_taken[[food, -1]] = paths.far - 1
-    left = np.arange(food + 1)
-    from_middle = np.array(maze.from_middle, dtype=np.intp)
-    return Tables(
-        step=paths.step.ravel(),
-        allowed=paths.allowed.ravel(),
-        towards=paths.towards.ravel(),
-        away=paths.away.ravel(),
-        picks=read_only(PICKS.astype(np.intp).ravel()),
-        item_at=read_only(item_at),
-        is_food=read_only(item_at < food),
-        lays_fruit=read_only(np.isin(food - left, FRUIT_AFTER) & (left > 0)),
-        from_middle=read_only(from_middle),
-        middle_cells=read_only(np.array(maze.food, dtype=np.intp)[from_middle]),
-        all_taken=read_only(all_taken),
-        homes=read_only(np.array(maze.homes, dtype=np.intp).reshape(-1, 1)),
-    )
+    def __init__(self, maze: Maze, paths: Paths) -> None:
+        food, pills = len(maze.food), len(maze.pills)
+        left = np.arange(food + 1)
+        self.step = paths.step.ravel()  # (C * 5,) cell after a move
+        self.allowed = paths.allowed.ravel()  # (C * 5,) moves of a ghost by cell and heading
+        self.towards = paths.towards.ravel()  # (C * 5 * C,) and by Pac-Man's cell
+        self.away = paths.away.ravel()
+        self.picks = PICKS.astype(np.intp).ravel()  # (16 * DRAWS,) move of a draw from a mask
+        # (C,) index in ``PacManBatch.taken`` of the food or pill in a cell; K: none
+        self.item_at = np.full(len(maze.cells), food, dtype=np.intp)
+        self.item_at[list(maze.food)] = range(food)
+        self.item_at[list(maze.pills)] = range(food + 1, food + 1 + pills)
+        self.is_food = self.item_at < food  # (C,) whether there is food in a cell
+        # (K + 1,) whether fruit is laid when so much food is left
+        self.lays_fruit = np.isin(food - left, FRUIT_AFTER) & (left > 0)
+        # (K,) food by its distance from the middle, and its cells
+        self.from_middle = np.array(maze.from_middle, dtype=np.intp)
+        self.middle_cells = np.array(maze.food, dtype=np.intp)[self.from_middle]
+        # (K + P + 2,) marks of one game in which nothing is left
+        self.all_taken = np.full(food + pills + 2, paths.far, dtype=paths.distance.dtype)
+        self.all_taken[[food, -1]] = paths.far - 1
+        self.homes = np.array(maze.homes, dtype=np.intp).reshape(-1, 1)  # (G, 1)
+        for table in vars(self).values():
+            table.setflags(write=False)
 
 
 @dataclass(frozen=True)
@@ -130,7 +115,7 @@ class Rules:
     @cached_property
     def tables(self) -> Tables:
         """The maze laid out for steps of many games."""
-        return _tables(self.maze, self.paths)
+        return Tables(self.maze, self.paths)
 
     @property
     def chase_draws(self) -> int:
