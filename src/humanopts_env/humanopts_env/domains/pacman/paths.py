@@ -6,8 +6,7 @@ and a set of moves is a mask with bit m. STAY is a fifth move that stays in the 
 it means that a ghost has no heading.
 """
 
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 from humanopts_env.domains.pacman.maze import Maze
 from humanopts_env.domains.tabular import read_only
@@ -26,47 +25,36 @@ HAS_MOVE = read_only((np.arange(16)[:, None] >> np.arange(4) & 1).astype(np.bool
 FIRST_MOVE = read_only(np.where(HAS_MOVE.any(axis=1), HAS_MOVE.argmax(axis=1), STAY))
 
 
-@dataclass(frozen=True, eq=False)
 class Paths:
-    """Moves, distances and shortest paths of a maze, computed once."""
+    """
+    Moves, distances and shortest paths of a maze, as shared and read-only arrays.
 
-    step: NDArray[np.intp]  # (C, 5) the cell after a move; the same cell at a wall
-    legal: Masks  # (C,) moves that no wall blocks
-    distance: NDArray[np.unsignedinteger]  # (C, C) steps of a shortest path, below ``far - 1``
-    shortest: Masks  # (C, C) first moves of all shortest paths from one cell to another
-    allowed: Masks  # (C, 5) moves of a ghost by its heading; it turns back only where it must
-    towards: Masks  # (C, 5, C) the allowed moves that lead nearest to a cell
-    away: Masks  # (C, 5, C) the allowed moves that lead farthest from it
+    :ivar longest: number of steps between the two cells that are farthest apart.
+    :ivar far: the largest number of the type of ``distance``, which stands for no distance.
+    """
 
-    @cached_property
-    def longest(self) -> int:
-        """Number of steps between the two cells that are farthest apart."""
-        return int(self.distance.max())
+    def __init__(self, maze: Maze) -> None:
+        # (C, 5) the cell after a move; the same cell at a wall
+        self.step = step = read_only(_steps(maze))
+        passable = step[:, :STAY] != np.arange(len(step))[:, None]
+        # (C, C) steps of a shortest path, below ``far - 1``
+        self.distance = distance = read_only(_distances(step, passable))
+        after = distance[step[:, :STAY]]  # (C, 4, C): distance to each cell after each move
+        nearer = passable[:, :, None] & (after < distance[:, None, :])
+        allowed = _allowed(passable)
+        self.legal = read_only(_masks(passable))  # (C,) moves that no wall blocks
+        # (C, C) first moves of all shortest paths from one cell to another
+        self.shortest = read_only(_masks(nearer))
+        # (C, 5) moves of a ghost by its heading; it turns back only where it must
+        self.allowed = read_only(_masks(allowed.swapaxes(1, 2)))
+        # (C, 5, C) the allowed moves that lead nearest to a cell, and farthest from it
+        self.towards = read_only(_best(after, allowed, nearest=True))
+        self.away = read_only(_best(after, allowed, nearest=False))
+        self.longest = int(distance.max())
+        self.far = int(np.iinfo(distance.dtype).max)
 
-    @cached_property
-    def far(self) -> int:
-        """The largest number of the type of ``distance``, which stands for no distance."""
-        return int(np.iinfo(self.distance.dtype).max)
 
-
-@lru_cache(maxsize=16)
-def maze_paths(maze: Maze) -> Paths:
-    """Compute the moves and all shortest paths of a maze; arrays are shared and read-only."""
-    step = _steps(maze)
-    passable = step[:, :STAY] != np.arange(len(step))[:, None]
-    distance = _distances(step, passable)
-    after = distance[step[:, :STAY]]  # (C, 4, C): distance to each cell after each move
-    nearer = passable[:, :, None] & (after < distance[:, None, :])
-    allowed = _allowed(passable)
-    return Paths(
-        step=read_only(step),
-        legal=read_only(_masks(passable)),
-        distance=read_only(distance),
-        shortest=read_only(_masks(nearer)),
-        allowed=read_only(_masks(allowed.swapaxes(1, 2))),
-        towards=read_only(_best(after, allowed, nearest=True)),
-        away=read_only(_best(after, allowed, nearest=False)),
-    )
+maze_paths = lru_cache(maxsize=16)(Paths)  # computed once for each maze
 
 
 def _steps(maze: Maze) -> NDArray[np.intp]:
@@ -107,16 +95,11 @@ def _best(
     """Return (C, 5, C): the allowed moves with the least (or the greatest) distance after."""
     count = len(after)
     best = np.empty((count, 5, count), dtype=np.uint8)
-    far = np.iinfo(after.dtype).max
+    extreme, worst = (np.min, np.iinfo(after.dtype).max) if nearest else (np.max, 0)
     for heading in range(5):
         may = allowed[:, heading, :, None]
-        if nearest:
-            value = np.where(may, after, far)
-            chosen = value == value.min(axis=1, keepdims=True)
-        else:
-            value = np.where(may, after, 0)
-            chosen = value == value.max(axis=1, keepdims=True)
-        best[:, heading] = _masks(chosen & may)
+        value = np.where(may, after, worst)
+        best[:, heading] = _masks((value == extreme(value, axis=1, keepdims=True)) & may)
     return best
 
 
