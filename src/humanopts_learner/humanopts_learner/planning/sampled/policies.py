@@ -81,9 +81,8 @@ class GreedyPolicy:
 
     def decide(self, seen: Observation) -> Choice:
         """Return the next option in each game; of modules the one that acts for a step."""
-        can = seen.startable
-        option_values, continuation_values = self._values(seen, can)
-        choice = self._choose(seen, can, option_values)
+        option_values, continuation_values = self._values(seen)
+        choice = self._choose(seen, option_values)
         if self.execution not in MODULAR:
             return choice
         strongest = self.execution is Execution.MODULAR_STRONGEST
@@ -94,8 +93,7 @@ class GreedyPolicy:
 
     def choose(self, seen: Observation) -> Choice:
         """Return the option of the greatest value in each game, whatever the execution."""
-        can = seen.startable
-        return self._choose(seen, can, self._values(seen, can)[0])
+        return self._choose(seen, self._values(seen)[0])
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
         """Return (N,): whether the running option is stopped; modules run for one step."""
@@ -103,15 +101,14 @@ class GreedyPolicy:
             return option >= 0
         if self.execution is Execution.RUN_TO_END or not (option >= 0).any():
             return np.zeros(len(option), dtype=np.bool_)
-        values = self._values(seen, seen.startable)
-        stopped = interruptions(*values, self.values.interruption_margin)
+        stopped = interruptions(*self._values(seen), self.values.interruption_margin)
         running = (option >= 0) & (option < stopped.shape[1])
         found: Flags = running & stopped[np.arange(len(option)), np.where(running, option, 0)]
         return found
 
-    def _choose(self, seen: Observation, can: Flags, values: Floats) -> Choice:
-        """Return the best option by its values (N, O), among those that can start there (N, O)."""
-        known = np.isfinite(values).any(axis=1)
+    def _choose(self, seen: Observation, values: Floats) -> Choice:
+        """Return the best option by its values (N, O), among those that can start there."""
+        can, known = seen.startable, np.isfinite(values).any(axis=1)
         option = np.where(
             known, values.argmax(axis=1), np.where(can, self.preference, -1).argmax(axis=1)
         )
@@ -121,8 +118,9 @@ class GreedyPolicy:
             option[none] = self.actions.fallback(seen.rows[none])
         return Choice(option, some & ~known)
 
-    def _values(self, seen: Observation, can: Flags) -> tuple[Floats, Floats]:
+    def _values(self, seen: Observation) -> tuple[Floats, Floats]:
         """Return option and continuation values (N, O); -inf: not available, or not known."""
+        can = seen.startable
         number, visited = self.values.find(seen.states)
         option_values = np.where(
             can & visited[:, None], self.values.option_values[number], -np.inf
