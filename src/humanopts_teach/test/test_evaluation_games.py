@@ -1,5 +1,6 @@
 """Taught options in many games of Pac-Man, and the report of what came out."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 import json
 import re
@@ -14,11 +15,15 @@ from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning import request
 from humanopts_learner.planning.request import HUMAN, PlanCanceled, PRIMITIVE
+from humanopts_teach.evaluation import games as evaluation_games
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
     evaluate,
 )
 from humanopts_teach.evaluation.games import (
+    Baseline,
+    calls_without_options,
+    ComparisonRow,
     Curve,
     CurveRow,
     evaluate_games,
@@ -148,6 +153,54 @@ def test_two_processes_play_the_games_that_this_one_does(
     assert [(row.name, row.score, row.outcomes) for row in again] == [
         (row.name, row.score, row.outcomes) for row in games.settings[1].rows[::4]
     ]
+
+
+def test_what_needs_no_options_can_be_played_before_any_is_taught(
+    brief: Domain[Any],
+    options: list[LearnedOption],
+    games: GamesEvaluation,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls = calls_without_options(brief, SEED, GAMES, SMALL[0], SMALL)
+    known = {key: call() for key, call in calls.items()}
+    played: list[Baseline] = []
+
+    def play(domain: Domain[Any], way: Baseline, *numbers: int) -> ComparisonRow:
+        played.append(way)
+        return play_baseline(domain, way, *numbers)
+
+    monkeypatch.setattr(evaluation_games, 'play_baseline', play)
+    found = evaluate_games(brief, options, SEED, GAMES, SMALL[0], SMALL, jobs=1, known=known)
+    assert all(way.options for way in played)
+    assert [numbers_of(setting.rows) for setting in found.settings] == [
+        numbers_of(setting.rows) for setting in games.settings
+    ]
+    assert found.curves[1].rows[0].score == games.curves[1].rows[0].score
+
+
+def numbers_of(rows: Sequence[ComparisonRow]) -> list[object]:
+    """Return all numbers but the seconds."""
+    return [replace(row, seconds=None) for row in rows]
+
+
+def test_what_plays_alike_plays_once(
+    brief: Domain[Any], options: list[LearnedOption], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played: list[tuple[object, ...]] = []
+
+    def play(domain: Domain[Any], way: Baseline, *numbers: int) -> ComparisonRow:
+        if way.action_set == PRIMITIVE and way.kind == PLAN:
+            played.append((domain.parameters['ghosts'], way.budget_steps))
+        return play_baseline(domain, way, *numbers)
+
+    monkeypatch.setattr(evaluation_games, 'play_baseline', play)
+    evaluate_games(brief, options, SEED, 2, SMALL[0], SMALL, jobs=1)
+    budgets = sorted(budget for ghosts, budget in played if ghosts == 'random')
+    assert budgets == [
+        500,
+        1_000,
+        2_000,
+    ]  # the curve's are 500 and 1,000, the others' 500 and 2,000
 
 
 def test_whoever_watches_can_end_it(brief: Domain[Any], options: list[LearnedOption]) -> None:

@@ -34,7 +34,9 @@ from humanopts_teach.evaluation.bag_evaluation import (
     judged_by,
     with_games,
 )
+from humanopts_teach.evaluation.games import calls_without_options
 from humanopts_teach.evaluation.measures import option_block, row_of_result
+from humanopts_teach.evaluation.side_by_side import meanwhile
 from humanopts_teach.evaluation.summary import (
     differences,
     Execution,
@@ -76,8 +78,12 @@ def run_demo(
     played = episodes or (EPISODES if exact else LONG_EPISODES)
     judged = played if exact else games or judged_by(domain)
     check_folder(setup, new=True)
+    early = calls_without_options(domain, setup.seed, games) if games and not exact else {}
     with DemoProgress() as progress:
-        with session(setup, launch.namespace, progress) as running:
+        with (
+            meanwhile(early) as known,
+            session(setup, launch.namespace, progress) as running,
+        ):
             live = _teach_plan_play(running, domain, played, judged, progress)
         progress.stage('evaluating the bag')
         try:
@@ -85,7 +91,7 @@ def run_demo(
             evaluation = evaluate_bag(bag, progress.evaluating, judged)
             if games and not exact:
                 progress.stage(f'playing {games} games with each')
-                evaluation = with_games(evaluation, games, progress.comparing)
+                evaluation = with_games(evaluation, games, progress.comparing, known)
         except BagError as error:
             raise LaunchError(f'the recording cannot be evaluated: {error}') from error
         progress.stage('writing the report')

@@ -37,9 +37,11 @@ from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, ignore_progress, open_bag
 from humanopts_teach.evaluation.games import (
+    ComparisonRow,
     evaluate_games,
     GAMES,
     GamesEvaluation,
+    PlayKey,
     ProgressCallback,
 )
 from humanopts_teach.evaluation.measures import (
@@ -413,13 +415,17 @@ def check_games(domain: Domain[Any]) -> None:
 
 
 def with_games(
-    evaluation: BagEvaluation, games: int = GAMES, progress: ProgressCallback = ignore_progress
+    evaluation: BagEvaluation,
+    games: int = GAMES,
+    progress: ProgressCallback = ignore_progress,
+    known: Mapping[PlayKey, ComparisonRow] = {},
 ) -> BagEvaluation:
     """
     Compare each participant's options with their baselines in many games.
 
     :param games: that each way to play is judged by, two or more.
     :param progress: called as the work goes on.
+    :param known: as of ``evaluate_games``.
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """
     domain, people = evaluation.domain, evaluation.people
@@ -433,7 +439,7 @@ def with_games(
 
         try:
             found[person] = evaluate_games(
-                domain, options, evaluation.settings.seed, games, progress=report
+                domain, options, evaluation.settings.seed, games, progress=report, known=known
             )
         except PlanError as error:
             raise EvaluationError(f'the games cannot be played: {error}') from error

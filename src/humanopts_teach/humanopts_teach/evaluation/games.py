@@ -14,7 +14,7 @@ made from scratch, models counted; judging is not.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 import math
 import time
@@ -50,12 +50,13 @@ TENFOLD = 10.0  # what is asked of options: the target in a tenth of the primiti
 PATIENCE = 4.0  # s of planning after which options that do not reach the target are given up
 BUDGETS = tuple(12_500 * 2**n for n in range(12))  # game steps, of the plans of a curve
 GENEROUS = 4  # times the game steps, in a second plan with primitive actions
-CURVES = 'score by planning time'
+CURVE = 'score by planning time'
 PLAYING = 50_000  # game steps that take about as long as to judge a way to play
 PLAN, RANDOM, HEURISTIC = 'plan', 'chance', 'rule'  # kinds of baseline, as in summary.json
 
 Options = Sequence[LearnedOption]
 ProgressCallback = Callable[[float, float, str], object]  # done, total, what is under way
+PlayKey = tuple[Any, ...]  # what the results of a way to play depend on
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,7 @@ class ComparisonRow:
     fallbacks: float | None = None  # decisions for a primitive action: no option could start
     game_steps: int = 0  # that planning sampled
     seconds: float | None = None  # of planning; None: nothing was planned
+    n_states: int = 0  # abstract states that planning visited; not in JSON data
     scores: Floats = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     """(E,) of each game, not in JSON data."""
 
@@ -125,7 +127,11 @@ def play_baseline(
     if baseline.kind == PLAN:
         plan = _make_plan(domain, baseline, seed)
         results = plan.play(seed, games)
-        found = {'game_steps': plan.game_steps, 'seconds': plan.seconds}
+        found = {
+            'game_steps': plan.game_steps,
+            'seconds': plan.seconds,
+            'n_states': len(plan.solution.values),
+        }
     elif baseline.kind == RANDOM:
         actions = ActionSet(domain, baseline.action_set, baseline.options)
         policy = UniformPolicy(actions)
@@ -225,6 +231,7 @@ def planning_curve(
     *,
     target: float = math.inf,
     enough_seconds: float = math.inf,
+    known: Mapping[int, ComparisonRow] = {},
 ) -> Curve:
     """
     Make plans from budget after budget, and judge each.
@@ -235,15 +242,16 @@ def planning_curve(
     :param enough_seconds: no larger budget is tried once a plan took so long.
     :param seed: of the plans, and of the games, which are drawn independently.
     :param games: that each plan is judged by, two or more.
+    :param known: what ``play_baseline`` has returned for some of the budgets.
     :raises PlanError: as ``make_sampled_plan``.
     """
     rows: list[CurveRow] = []
     for budget in budgets:
-        plan = _make_plan(domain, replace(baseline, budget_steps=budget), seed)
-        score = Interval.of(plan.play(seed, games).total)
-        states = len(plan.solution.values)
-        rows.append(CurveRow(baseline.action_set, budget, plan.seconds, score, states))
-        if score.low >= target or plan.seconds >= enough_seconds:
+        way = replace(baseline, budget_steps=budget)
+        row = known.get(budget) or play_baseline(domain, way, seed, games)
+        assert row.seconds is not None, 'it was planned'
+        rows.append(CurveRow(baseline.action_set, budget, row.seconds, row.score, row.n_states))
+        if row.score.low >= target or row.seconds >= enough_seconds:
             break
     return Curve(baseline.name, tuple(rows))
 
@@ -282,7 +290,7 @@ class GamesEvaluation:
         for setting, plain in zip(self.settings, values['settings']):
             plain['gain_over_chance'] = asdict(setting.gain)
             for row in plain['rows']:
-                del row['scores']
+                del row['scores'], row['n_states']
         for curve, plain in zip(self.curves, values['curves']):
             plain['seconds_to_reach'] = [
                 {'score': target, 'seconds': curve.seconds_to_reach(target)} for target in targets
@@ -314,6 +322,7 @@ def evaluate_games(
     budgets: Sequence[int] = BUDGETS,
     progress: ProgressCallback = ignore_progress,
     jobs: int = 0,
+    known: Mapping[PlayKey, ComparisonRow] = {},
 ) -> GamesEvaluation:
     """
     Compare action sets, chance and the domain's rule in games, and measure the curves.
@@ -324,49 +333,129 @@ def evaluate_games(
     :param budgets: of the curves, game steps, ascending.
     :param progress: called as the work goes on; what it raises passes through.
     :param jobs: processes that do the work; 0: one for each core; 1: this one.
+    :param known: results of some of ``calls_without_options``.
     :raises PlanError: the domain cannot play many games, or the options are of another one.
     """
-    variants = {
+    variants = _variants(domain)
+    first, variant = next(iter(variants.items()))
+    usual = baselines_of(variant)
+    compared = [
+        (name, way)
+        for name, each in variants.items()
+        for way in every_baseline(each, options, game_steps)
+    ]
+    curve = _primitive_plans(variant, budgets, game_steps)
+    plays: dict[PlayKey, tuple[str, Baseline]] = {}  # what plays alike does so once
+    for name, way in (*compared, *((first, way) for way in curve.values())):
+        plays.setdefault(_key(variants[name], way, seed, games), (name, way))
+    rows = {key: row for key, row in known.items() if key in plays}
+    left = {key: play for key, play in plays.items() if key not in rows}
+    calls: list[Callable[[], Any]] = [
+        *(partial(play_baseline, variants[name], way, seed, games) for name, way in left.values()),
+        partial(_curve_of_options, variant, options, budgets, seed, games),
+    ]
+    names = [*(f'{name}: {way.name}' if name else way.name for name, way in left.values()), CURVE]
+    costs = [*(_cost(way) for _, way in left.values()), math.inf]
+    progress(0, len(calls), f'{len(calls)} parts, side by side')
+    *found, human = all_of(calls, names, costs, progress, jobs)
+    rows |= zip(left, found)
+
+    def row_of(of: Domain[Any], way: Baseline) -> ComparisonRow:
+        return replace(rows[_key(of, way, seed, games)], name=way.name)
+
+    settings = tuple(
+        Setting(name, tuple(row_of(each, way) for of, way in compared if of == name))
+        for name, each in variants.items()
+    )
+    primitive = planning_curve(
+        *(variant, _planned(PRIMITIVE, PRIMITIVE, (), 0, usual.primitive), budgets, seed, games),
+        target=_target(usual),
+        enough_seconds=TENFOLD * _needed(human, usual.targets),
+        known={budget: row_of(variant, way) for budget, way in curve.items()},
+    )
+    return GamesEvaluation(games, settings, first, (human, primitive), usual.targets)
+
+
+def calls_without_options(
+    domain: Domain[Any],
+    seed: int,
+    games: int = GAMES,
+    game_steps: int = GAME_STEPS,
+    budgets: Sequence[int] = BUDGETS,
+) -> dict[PlayKey, Callable[[], ComparisonRow]]:
+    """
+    Return the calls of ``evaluate_games`` that need no options, the costliest first.
+
+    They can be made before anything is taught. The parameters are those of ``evaluate_games``.
+    """
+    variants = _variants(domain)
+    first = next(iter(variants.values()))
+    plays = [
+        *(
+            (variant, way)
+            for variant in variants.values()
+            for way in every_baseline(variant, (), game_steps)
+            if way.kind == HEURISTIC or way.action_set == PRIMITIVE
+        ),
+        *((first, way) for way in _primitive_plans(first, budgets, game_steps).values()),
+    ]
+    return {
+        _key(variant, way, seed, games): partial(play_baseline, variant, way, seed, games)
+        for variant, way in sorted(plays, key=lambda play: -_cost(play[1]))
+    }
+
+
+def _variants(domain: Domain[Any]) -> dict[str, Domain[Any]]:
+    """Return the variants of a game by name; the curves are measured in the first."""
+    return {
         name: make_domain(domain.name, {**domain.parameters, **changed})
         for name, changed in baselines_of(domain).variants.items()
     } or {'': domain}
-    plays = [
-        (name, baseline)
-        for name, variant in variants.items()
-        for baseline in every_baseline(variant, options, game_steps)
-    ]
-    first, variant = next(iter(variants.items()))
-    names = [*(f'{name}: {each.name}' if name else each.name for name, each in plays), CURVES]
-    calls: list[Callable[[], Any]] = [
-        *(partial(play_baseline, variants[name], each, seed, games) for name, each in plays),
-        partial(_curves, variant, options, seed, games, budgets),
-    ]
-    costs = [*(each.budget_steps + PLAYING for _, each in plays), math.inf]
-    progress(0, len(calls), f'{len(calls)} parts, side by side')
-    *rows, curves = all_of(calls, names, costs, progress, jobs)
-    settings = tuple(
-        Setting(name, tuple(row for (of, _), row in zip(plays, rows) if of == name))
-        for name in variants
-    )
-    return GamesEvaluation(games, settings, first, curves, baselines_of(variant).targets)
 
 
-def _curves(
-    domain: Domain[Any], options: Options, seed: int, games: int, budgets: Sequence[int]
-) -> tuple[Curve, ...]:
+def _key(domain: Domain[Any], way: Baseline, seed: int, games: int) -> PlayKey:
+    """Return what the results of a way to play depend on; of its options the names."""
+    parts = {each.name: getattr(way, each.name) for each in fields(way) if each.name != 'name'}
+    parts['options'] = tuple(option.name for option in way.options)
+    return (domain.name, parameters_json(domain), seed, games, *parts.values())
+
+
+def _cost(way: Baseline) -> float:
+    """Return about how many game steps take as long, without options."""
+    return way.budget_steps + PLAYING
+
+
+def _target(usual: Baselines) -> float:
+    """Return the score at which a curve ends."""
+    return max(usual.targets, default=math.inf)
+
+
+def _primitive_plans(
+    domain: Domain[Any], budgets: Sequence[int], steps: int
+) -> dict[int, Baseline]:
     """
-    Return the curves of options and of primitive actions.
+    Return plans with primitive actions by budget, up to the largest of those that are compared.
 
-    The second goes on until planning took ten times as long as the options needed.
+    Where their curve ends decides what options need, so some may turn out not to belong to it.
     """
-    usual = baselines_of(domain)
+    settings = baselines_of(domain).primitive
+    return {
+        budget: _planned(f'{CURVE}, {PRIMITIVE}, {budget:,}', PRIMITIVE, (), budget, settings)
+        for budget in budgets
+        if budget <= GENEROUS * steps
+    }
+
+
+def _curve_of_options(
+    domain: Domain[Any], options: Options, budgets: Sequence[int], seed: int, games: int
+) -> Curve:
+    """Return the curve of all options, which goes on for as long as anyone wants to wait."""
     moved = [carried_over(option, domain) for option in options]
-    curve = partial(planning_curve, target=max(usual.targets, default=math.inf))
     of_options = Baseline(f'human, {_counted(options)}', PLAN, HUMAN, moved)
-    human = curve(domain, of_options, budgets, seed, games, enough_seconds=PATIENCE)
-    enough = TENFOLD * _needed(human, usual.targets)
-    of_actions = _planned(PRIMITIVE, PRIMITIVE, (), 0, usual.primitive)
-    return human, curve(domain, of_actions, budgets, seed, games, enough_seconds=enough)
+    target = _target(baselines_of(domain))
+    return planning_curve(
+        domain, of_options, budgets, seed, games, target=target, enough_seconds=PATIENCE
+    )
 
 
 def every_baseline(domain: Domain[Any], options: Options, steps: int) -> list[Baseline]:

@@ -1,7 +1,9 @@
 """Work done side by side by processes of this machine, which end with the one that began them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import closing, contextmanager, ExitStack
+from functools import partial
 from multiprocessing import resource_tracker
 import os
 import signal
@@ -9,8 +11,12 @@ import threading
 from typing import TypeVar
 
 from joblib import delayed, Parallel, parallel_config
+from joblib.externals.loky import ProcessPoolExecutor
 from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
+NICE = 10  # of a process whose work can wait
+_ONE_THREAD = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}  # as joblib's processes
+Key = TypeVar('Key', bound=Hashable)
 Result = TypeVar('Result')
 
 
@@ -65,6 +71,35 @@ def all_of(
             results[number] = result
             report(len(results), len(calls), names[number])
     return [results[number] for number in range(len(calls))]
+
+
+@contextmanager
+def meanwhile(calls: Mapping[Key, Callable[[], Result]]) -> Iterator[dict[Key, Result]]:
+    """
+    Have another process make calls, in order, while this one has work that goes first.
+
+    :param calls: as of ``as_they_end``, by what their results are known by.
+    :return: the results so far, of calls that raised nothing. At the end what is still under way
+        is given up.
+    """
+    results: dict[Key, Result] = {}
+    if not calls:
+        yield results
+        return
+    executor = ProcessPoolExecutor(1, initializer=os.nice, initargs=(NICE,), env=_ONE_THREAD)
+
+    def keep(key: Key, call: Future[Result]) -> None:
+        if not call.cancelled() and call.exception() is None:
+            results[key] = call.result()
+
+    with _quiet_thread():
+        try:
+            with _started_without_interrupts():
+                for key, call in calls.items():
+                    executor.submit(call).add_done_callback(partial(keep, key))
+            yield results
+        finally:
+            executor.shutdown(kill_workers=True)
 
 
 def _numbered(number: int, call: Callable[[], Result]) -> tuple[int, Result]:
