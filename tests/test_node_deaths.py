@@ -117,7 +117,8 @@ def check_bags(command: Command, folder: Path, before: list[Demonstration], dama
 def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays(
     start: Start, tmp_path: Path
 ) -> None:
-    command = start('--learn', GOAL, '--episodes', 10)
+    # The machine is paced, so that its play lasts until the planner is killed.
+    command = start('--learn', GOAL, '--episodes', 10, '--step-period', 0.02)
     command.until(lambda: in_first_bag(tmp_path), 'a demonstration in the bag', 3 * PATIENCE)
     before = in_first_bag(tmp_path)
     command.kill('recorder', SIGKILL)
