@@ -9,6 +9,7 @@ same as if they had been swept.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Any, Literal
 
 from humanopts_env.arrays import Flags, Floats
@@ -150,10 +151,11 @@ class _SparseBackup:
         at, option = np.nonzero(available)
         layer = np.arange(len(at)) - np.repeat(np.cumsum(n_options) - n_options, n_options)
         state = states[at]
-        pairs = np.lexsort((place[state], layer))
+        ends = np.append(0, np.cumsum(np.bincount(layer)))
+        pairs = np.empty(len(at), dtype=np.intp)
+        pairs[ends[layer] + place[state]] = np.arange(len(at))
         state, option = state[pairs], option[pairs]
-        ends = np.cumsum(np.bincount(layer)).tolist()
-        self._layers = [slice(*part) for part in zip([0, *ends], ends)]
+        self._layers = [slice(*part) for part in pairwise(ends.tolist())]
         rows = model.rows[option * model.n_states + state]
         successor, indptr = place[rows.indices], rows.indptr.astype(np.int32)
         self._rows = csr_array((rows.data, successor, indptr), shape=(len(state), len(states)))
@@ -163,12 +165,16 @@ class _SparseBackup:
         """Write the next values to ``new``, and return the largest change."""
         old, new = old[:-1], new[:-1]
         choices = self._rows @ old
-        choices += self._rewards
-        np.copyto(new, choices[self._layers[0]])
-        for layer in self._layers[1:]:
-            first = new[: layer.stop - layer.start]
-            np.maximum(first, choices[layer], out=first)
-        return float(np.abs(new - old).max())
+        if len(self._layers) == 1:  # as where a policy is evaluated
+            np.add(choices, self._rewards, out=new)
+        else:
+            choices += self._rewards
+            np.copyto(new, choices[self._layers[0]])
+            for layer in self._layers[1:]:
+                first = new[: layer.stop - layer.start]
+                np.maximum(first, choices[layer], out=first)
+        change = np.subtract(new, old, out=choices[: self.n_swept])
+        return float(np.maximum.reduce(np.abs(change, out=change)))
 
     def best(self, values: Floats) -> NDArray[np.int32]:
         """Return the greedy option (S,), the lowest of equals."""
@@ -263,9 +269,30 @@ def solve_smdp(
         through.
     :raises PlanError: tol is negative or no number, or max_sweeps is below 1.
     """
-    check_limits(tol, max_sweeps)
     backup = _backup(model)
-    partial = backup.n_swept < model.n_states
+    swept, found, sweeps, residual = _sweep(backup, model.n_states, tol, max_sweeps, on_sweep)
+    return Solution(found, backup.best(swept), sweeps, residual, residual <= tol)
+
+
+def evaluate_policy(model: SparseMultiTimeModel, tol: float, max_sweeps: int) -> Floats:
+    """
+    Return the values (S,) of the only option of a model; as ``solve_smdp``.
+
+    :raises PlanError: as ``solve_smdp``.
+    """
+    return _sweep(_SparseBackup(model), model.n_states, tol, max_sweeps)[1]
+
+
+def _sweep(
+    backup: _IndexedBackup | _SparseBackup,
+    n_states: int,
+    tol: float,
+    max_sweeps: int,
+    on_sweep: OnSweep | None = None,
+) -> tuple[Floats, Floats, int, float]:
+    """Return the values (R,) of the last sweep, those of all states, sweeps and residual."""
+    check_limits(tol, max_sweeps)
+    partial = backup.n_swept < n_states
     values, before, earlier = np.zeros((3, backup.n_swept + 1))  # by the last sweep, and so on
     for sweeps in range(1, max_sweeps + 1):
         residual = backup.sweep(values, earlier)
@@ -278,7 +305,7 @@ def solve_smdp(
                 residual = float(np.abs(found - old).max())
             if stop or residual <= tol:
                 break
-    return Solution(found, backup.best(values[:-1]), sweeps, residual, residual <= tol)
+    return values[:-1], found, sweeps, residual
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from humanopts_learner.planning.sampled.policies import (
 )
 from humanopts_learner.planning.sampled.sampled_models import SampleCounts, Shrinkage
 from humanopts_learner.planning.smdp import look_ahead, SparseMultiTimeModel
-from humanopts_learner.planning.value_iteration import Solution, solve_smdp
+from humanopts_learner.planning.value_iteration import evaluate_policy, Solution, solve_smdp
 import numpy as np
 
 IMPROVEMENTS = 4  # policy improvements by shrunk values after value iteration, each evaluated
@@ -233,7 +233,7 @@ def _solve(
     for _ in range(IMPROVEMENTS if shrinks else 0):
         option_values = shrink(look_ahead(choosable, values))
         best = np.where(choosable.available, option_values, -np.inf).argmax(axis=1)
-        values = solve_smdp(choosable.of_policy(best), asked.tol, asked.max_sweeps).values
+        values = evaluate_policy(choosable.of_policy(best), asked.tol, asked.max_sweeps)
     ahead = look_ahead(model, values)  # (S, modelled)
     option_values, others = shrink(ahead[:, :n_choosable]), ahead[:, n_choosable:]
     if n_options := len(actions.options):
