@@ -40,12 +40,17 @@ class UniformPolicy:
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
         """Return the next option in each game."""
+        option = self.drawn(seen, rng.random(seen.startable.shape))
+        return Choice(option, np.zeros(len(option), dtype=np.bool_))
+
+    def drawn(self, seen: Observation, draws: Floats) -> Ints:
+        """Return the option of the greatest draw (N, O) in each game, (N,)."""
         can = seen.startable
-        option = np.where(can, rng.random(can.shape), -1.0).argmax(axis=1)
+        option: Ints = np.where(can, draws, -1.0).argmax(axis=1)
         none = np.flatnonzero(~can.any(axis=1))
         if none.size:
             option[none] = self.actions.fallback(seen.rows[none])
-        return Choice(option, np.zeros(len(option), dtype=np.bool_))
+        return option
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
         """Return False for every game."""
@@ -81,10 +86,13 @@ class GreedyPolicy:
 
     def decide(self, seen: Observation) -> Choice:
         """Return the next option in each game; of modules the one that acts for a step."""
-        option_values, continuation_values = self._values(seen)
+        row = self._row(seen)
+        option_values = self._option_values(seen, row)
         choice = self._choose(seen, option_values)
         if self.execution not in MODULAR:
             return choice
+        going_on = self._table[2].take(row, axis=0)
+        continuation_values = np.where(seen.startable, option_values, going_on)
         strongest = self.execution is Execution.MODULAR_STRONGEST
         competing = continuation_values if strongest else option_values
         known = np.isfinite(competing).any(axis=1)
@@ -93,40 +101,61 @@ class GreedyPolicy:
 
     def choose(self, seen: Observation) -> Choice:
         """Return the option of the greatest value in each game, whatever the execution."""
-        return self._choose(seen, self._values(seen)[0])
+        return self._choose(seen, self._option_values(seen, self._row(seen)))
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
         """Return (N,): whether the running option is stopped; modules run for one step."""
         if self.execution in MODULAR:
             return option >= 0
-        if self.execution is Execution.RUN_TO_END or not (option >= 0).any():
-            return np.zeros(len(option), dtype=np.bool_)
-        stopped = interruptions(*self._values(seen), self.values.interruption_margin)
-        running = (option >= 0) & (option < stopped.shape[1])
-        found: Flags = running & stopped[np.arange(len(option)), np.where(running, option, 0)]
-        return found
+        stopped = np.zeros(len(option), dtype=np.bool_)
+        modelled = (option >= 0) & (option < self.actions.first_fallback)
+        running = np.flatnonzero(modelled)
+        if self.execution is Execution.RUN_TO_END or not running.size:
+            return stopped
+        row, can = self._row(seen), seen.startable
+        option_values, going_on = self._option_values(seen, row), self._table[2]
+        at = running, option[running]
+        worth = np.where(can[at], option_values[at], going_on[row[running], at[1]])
+        best = option_values.take(running, axis=0)
+        margin = self.values.interruption_margin
+        stopped[running] = interruptions(best, worth[:, None], margin)[:, 0]
+        return stopped
 
     def _choose(self, seen: Observation, values: Floats) -> Choice:
         """Return the best option by its values (N, O), among those that can start there."""
-        can, known = seen.startable, np.isfinite(values).any(axis=1)
-        option = np.where(
-            known, values.argmax(axis=1), np.where(can, self.preference, -1).argmax(axis=1)
-        )
-        some = np.asarray(can.any(axis=1))
-        none = np.flatnonzero(~some)
-        if none.size:
-            option[none] = self.actions.fallback(seen.rows[none])
-        return Choice(option, some & ~known)
+        option = values.argmax(axis=1)
+        unknown = np.zeros(len(option), dtype=np.bool_)
+        greatest = values.ravel().take(option + np.arange(0, values.size, values.shape[1]))
+        others = np.flatnonzero(greatest == -np.inf)
+        if others.size:
+            can = seen.startable.take(others, axis=0)
+            option[others] = np.where(can, self.preference, -1).argmax(axis=1)
+            unknown[others] = some = can.any(axis=1)
+            none = others[~some]
+            if none.size:
+                option[none] = self.actions.fallback(seen.rows[none])
+        return Choice(option, unknown)
 
-    def _values(self, seen: Observation) -> tuple[Floats, Floats]:
-        """Return option and continuation values (N, O); -inf: not available, or not known."""
-        can = seen.startable
-        number, visited = self.values.find(seen.states)
-        option_values = np.where(
-            can & visited[:, None], self.values.option_values[number], -np.inf
+    @cached_property
+    def _table(self) -> tuple[NDArray[np.int64], Floats, Floats]:
+        """States (K + 1,), option values and continuation values (K + 1, O); the last: unknown."""
+        values, nothing = self.values, np.full((1, self.values.option_values.shape[1]), -np.inf)
+        return (
+            np.append(values.states, np.iinfo(np.int64).max),
+            np.concatenate([values.option_values, nothing]),
+            np.concatenate([values.continuation_values, nothing]),
         )
-        going_on = np.where(visited[:, None], self.values.continuation_values[number], -np.inf)
-        return option_values, np.where(can, option_values, going_on)
+
+    def _row(self, seen: Observation) -> Ints:
+        """Return (N,): the row of each game's state in the table."""
+        states = self._table[0]
+        row = states.searchsorted(seen.states)
+        row[states.take(row) != seen.states] = len(states) - 1
+        return row
+
+    def _option_values(self, seen: Observation, row: Ints) -> Floats:
+        """Return option values (N, O); -inf: the option cannot start, or is not known."""
+        return np.where(seen.startable, self._table[1].take(row, axis=0), -np.inf)
 
 
 @dataclass(frozen=True)
@@ -139,9 +168,11 @@ class ExploringPolicy:
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
         """Return the next option in each game."""
         best = self.greedy.decide(seen)
-        free = UniformPolicy(self.greedy.actions)(seen, rng)
-        explore = rng.random(len(best.option)) < self.share
-        return Choice(np.where(explore, free.option, best.option), best.unknown)
+        draws = rng.random(seen.startable.shape)
+        explore = np.flatnonzero(rng.random(len(best.option)) < self.share)
+        uniform = UniformPolicy(self.greedy.actions)
+        best.option[explore] = uniform.drawn(seen.take(explore), draws.take(explore, axis=0))
+        return best
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
         """Return (N,): whether the running option is stopped."""
