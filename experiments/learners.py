@@ -42,12 +42,7 @@ def cloned_policy(
     data = make_dataset(demonstrations, domain)
     seen, actions = encode_rows(data.encoding, data.policy.rows), data.policy.labels
     model = LEARNERS[learner](len(actions), seed).fit(seen, actions)
-
-    def choose(rows: Rows) -> Ints:
-        chosen: Ints = model.predict(encode_rows(data.encoding, rows))
-        return chosen
-
-    return choose
+    return lambda rows: model.predict(encode_rows(data.encoding, rows))
 
 
 def cloned_accuracies(

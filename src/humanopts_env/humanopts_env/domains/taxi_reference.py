@@ -7,7 +7,6 @@ over are in no initiation set.
 """
 
 from collections.abc import Container
-from dataclasses import dataclass
 
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.reference import TabularReferenceOption
@@ -19,30 +18,10 @@ from numpy.typing import NDArray
 Taxi = EnumerableDomain[TaxiState]
 
 
-@dataclass(frozen=True, slots=True)
-class _Button:
-    """One option before its shortest paths are computed."""
-
-    name: str
-    definition: str
-    features: tuple[str, ...]
-    initiation: NDArray[np.bool_]  # (S,); states that are over or not reachable leave it later
-    goal: NDArray[np.bool_]  # (S, A), the transitions that reach its goal
-    ends_episode: bool = False  # whether one of them can
-
-
 def reference_options(
     domain: Taxi, names: Container[str] | None = None
 ) -> dict[str, TabularReferenceOption]:
     """Return the Taxi options of the paper's table 1 by name; ``names``: only these of them."""
-    return {
-        button.name: _build(domain, button)
-        for button in _buttons(domain)
-        if names is None or button.name in names
-    }
-
-
-def _buttons(domain: Taxi) -> list[_Button]:
     transitions = domain.transitions()
     successor = transitions.successor[:, :, 0]
     reward, delivers = transitions.reward[:, :, 0], transitions.terminated[:, :, 0]
@@ -54,73 +33,88 @@ def _buttons(domain: Taxi) -> list[_Button]:
     taxi = ('taxi_row', 'taxi_col')
     passenger = ('passenger_row', 'passenger_col')
     destination = ('destination_row', 'destination_col')
-    return [
-        _Button(
-            'go to passenger and pickup',
-            'Starts where the passenger waits; drives there and picks up; ends with the '
-            'passenger aboard.',
-            (*taxi, *passenger, 'passenger_in_taxi'),
-            ~aboard,
-            aboard[successor],
-        ),
-        _Button(
-            'go to destination and dropoff',
-            'Starts with the passenger aboard; drives to the destination and drops off; ends '
-            'with the passenger delivered.',
-            (*taxi, *destination, 'passenger_in_taxi'),
-            aboard,
-            delivers,
-            ends_episode=True,
-        ),
-        _Button(
-            'go to passenger',
-            'Starts where the passenger waits in another cell; drives there; ends with the taxi '
-            'where the passenger is.',
-            (*taxi, *passenger, 'taxi_at_passenger'),
-            ~at_passenger,
-            at_passenger[successor],
-        ),
-        _Button(
-            'go to destination',
-            'Starts away from the destination, whether or not the passenger is aboard; drives '
-            'there; ends with the taxi at the destination.',
-            (*taxi, *destination, 'taxi_at_destination'),
-            ~at_destination,
-            at_destination[successor],
-        ),
-        _Button(
-            'pickup/dropoff',
-            'Starts with the taxi where the passenger waits, or at the destination with the '
-            'passenger aboard; picks up or drops off; ends after that one action.',
-            ('passenger_in_taxi', 'taxi_at_passenger', 'taxi_at_destination'),
-            np.where(aboard, at_destination, at_passenger),
-            reward > -1,  # a legal pickup or a delivery
-            ends_episode=True,
-        ),
-        _Button(
-            'move away from obstacles',
-            'Starts where a wall or the edge blocks a move; drives to the nearest cell that is '
-            'open on all four sides; ends there.',
-            (*taxi, 'blocked_moves'),
-            blocked,
-            ~blocked[successor],
-        ),
-    ]
-
-
-def _build(domain: Taxi, button: _Button) -> TabularReferenceOption:
-    """Add the shortest paths to the goal within the initiation set."""
     visited, over = reachable(domain), domain.over()
-    initiation = button.initiation & visited & ~over
-    distance, optimal = distance_to(domain.transitions(), button.goal, initiation)
-    return TabularReferenceOption(
-        domain=domain,
-        name=button.name,
-        features=button.features,
-        initiation=read_only(initiation),
-        termination=read_only(~initiation),
-        optimal=read_only(optimal),
-        distance=read_only(distance),
-        judged=read_only(visited & (~over | button.ends_episode)),
-        definition=button.definition,
+    found = {}
+
+    def add(
+        name: str,
+        definition: str,
+        features: tuple[str, ...],
+        initiation: NDArray[np.bool_],
+        goal: NDArray[np.bool_],
+        ends_episode: bool = False,
+    ) -> None:
+        """
+        Add an option, with the shortest paths to its goal within its initiation set.
+
+        :param initiation: (S,); states that are over or not reachable leave it.
+        :param goal: (S, A), the transitions that reach its goal.
+        :param ends_episode: whether one of them can.
+        """
+        if names is not None and name not in names:
+            return
+        initiation = initiation & visited & ~over
+        distance, optimal = distance_to(transitions, goal, initiation)
+        found[name] = TabularReferenceOption(
+            domain=domain,
+            name=name,
+            features=features,
+            initiation=read_only(initiation),
+            termination=read_only(~initiation),
+            optimal=read_only(optimal),
+            distance=read_only(distance),
+            judged=read_only(visited & (~over | ends_episode)),
+            definition=definition,
+        )
+
+    add(
+        'go to passenger and pickup',
+        'Starts where the passenger waits; drives there and picks up; ends with the '
+        'passenger aboard.',
+        (*taxi, *passenger, 'passenger_in_taxi'),
+        ~aboard,
+        aboard[successor],
     )
+    add(
+        'go to destination and dropoff',
+        'Starts with the passenger aboard; drives to the destination and drops off; ends '
+        'with the passenger delivered.',
+        (*taxi, *destination, 'passenger_in_taxi'),
+        aboard,
+        delivers,
+        ends_episode=True,
+    )
+    add(
+        'go to passenger',
+        'Starts where the passenger waits in another cell; drives there; ends with the taxi '
+        'where the passenger is.',
+        (*taxi, *passenger, 'taxi_at_passenger'),
+        ~at_passenger,
+        at_passenger[successor],
+    )
+    add(
+        'go to destination',
+        'Starts away from the destination, whether or not the passenger is aboard; drives '
+        'there; ends with the taxi at the destination.',
+        (*taxi, *destination, 'taxi_at_destination'),
+        ~at_destination,
+        at_destination[successor],
+    )
+    add(
+        'pickup/dropoff',
+        'Starts with the taxi where the passenger waits, or at the destination with the '
+        'passenger aboard; picks up or drops off; ends after that one action.',
+        ('passenger_in_taxi', 'taxi_at_passenger', 'taxi_at_destination'),
+        np.where(aboard, at_destination, at_passenger),
+        reward > -1,  # a legal pickup or a delivery
+        ends_episode=True,
+    )
+    add(
+        'move away from obstacles',
+        'Starts where a wall or the edge blocks a move; drives to the nearest cell that is '
+        'open on all four sides; ends there.',
+        (*taxi, 'blocked_moves'),
+        blocked,
+        ~blocked[successor],
+    )
+    return found
