@@ -204,7 +204,8 @@ class FeatureReader:
 
         :param sought: (N,) indices into ``SOUGHT``; another number: of nothing.
         """
-        here, food, pill = batch.pacman, np.flatnonzero(sought == 0), np.flatnonzero(sought == 1)
+        here = batch.pacman
+        food, pill = (sought == 0).nonzero()[0], (sought == 1).nonzero()[0]
         cells = np.full(len(batch), len(self._place) - 1, dtype=np.intp)
         if food.size:
             taken = batch.food_taken.take(food, axis=0)
@@ -233,8 +234,8 @@ class FeatureReader:
         self, items: _Nearest, here: NDArray[np.intp], taken: NDArray[np.unsignedinteger]
     ) -> NDArray[np.intp]:
         """Return the cell of the nearest thing that is not taken; C where there is none."""
-        nearest = _nearest(items.distance, here, taken)[1]
-        found: NDArray[np.intp] = items.cells.take(nearest.argmax(axis=1))
+        nearest = _distances_left(items.distance, here, taken).argmin(axis=1)
+        found: NDArray[np.intp] = items.cells.take(nearest)
         return found
 
     def _nearest_ghosts(self, batch: PacManBatch) -> NDArray[np.intp]:
@@ -308,18 +309,21 @@ def _nearest_things(
         none = np.zeros(len(batch), dtype=np.intp)
         return none + paths.far, none.astype(np.uint8)
     distance, shortest = _to_things(paths, tuple(cells))
-    least, nearest = _nearest(distance, batch.pacman, taken[:, :-1])
-    first = shortest.take(batch.pacman, axis=0) * nearest
+    steps = _distances_left(distance, batch.pacman, taken[:, :-1])
+    least = steps.min(axis=1)
+    nearest = steps == least[:, None]
+    first = shortest.take(batch.pacman, axis=0)
+    first *= nearest.view(np.uint8)
     masks: Masks = np.bitwise_or.reduce(first, axis=1)
     masks[least == paths.far] = 0
     return least.astype(np.intp), masks
 
 
-def _nearest(
+def _distances_left(
     distance: NDArray[np.unsignedinteger], here: NDArray[np.intp], taken: Taken
-) -> tuple[NDArray[np.unsignedinteger], Flags]:
+) -> NDArray[np.unsignedinteger]:
     """
-    Return the fewest steps to something that is not taken, (N,), and what is as near, (N, K).
+    Return the steps to each thing, (N, K); ``far`` where it is taken.
 
     :param distance: (C, K) from each cell to each thing.
     :param here: (N,) cells.
@@ -327,8 +331,7 @@ def _nearest(
     """
     steps = distance.take(here, axis=0)
     np.bitwise_or(steps, taken, out=steps)
-    least = steps.min(axis=1)
-    return least, steps == least[:, None]
+    return steps
 
 
 @lru_cache(maxsize=8)

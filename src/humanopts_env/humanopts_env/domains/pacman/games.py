@@ -320,9 +320,9 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
         batch, playing = games.after(drawn[step]), order[drawn[step] :]
         move = read.first_moves(batch, _AIMS[want[playing]])
         batch.step(np.where(move < len(MOVES), move, at_random[playing]), draws[:, playing])
-        over = batch.over
-        if over.any():
-            batch.restart(np.flatnonzero(over))
+        over = batch.over.nonzero()[0]
+        if over.size:
+            batch.restart(over)
     return games.take(np.argsort(order))
 
 
