@@ -2,6 +2,8 @@
 
 from functools import partial
 import os
+import subprocess
+import sys
 import time
 
 from humanopts_teach.evaluation.side_by_side import meanwhile, NICE
@@ -30,6 +32,26 @@ def test_calls_are_made_in_a_process_that_others_go_before_until_their_end_or_ou
     lowest = 19
     assert found == {'niceness': min(os.nice(0) + NICE, lowest), 'process': process.pid}
     assert at_work() == []
+
+
+def test_the_process_ends_with_the_one_that_began_it_even_where_that_is_killed() -> None:
+    first = subprocess.Popen([sys.executable, '-c', _KILLED], stdout=subprocess.PIPE, text=True)
+    assert first.stdout is not None
+    process = psutil.Process(int(first.stdout.readline()))
+    first.kill()
+    first.communicate()
+    process.wait(timeout=30.0)
+
+
+_KILLED = """
+import os, time
+from humanopts_teach.evaluation.side_by_side import meanwhile
+with meanwhile({'process': os.getpid}) as found:
+    while not found:
+        time.sleep(0.01)
+    print(found['process'], flush=True)
+    time.sleep(600.0)
+"""
 
 
 def test_without_calls_no_process_is_started() -> None:

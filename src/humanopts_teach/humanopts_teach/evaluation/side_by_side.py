@@ -8,6 +8,7 @@ from multiprocessing import resource_tracker
 import os
 import signal
 import threading
+import time
 from typing import TypeVar
 
 from joblib import delayed, Parallel, parallel_config
@@ -15,6 +16,7 @@ from joblib.externals.loky import ProcessPoolExecutor
 from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
 NICE = 10  # of a process whose work can wait
+_LOOK = 1.0  # s between looks at whether the process that began this one is still there
 _ONE_THREAD = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}  # as joblib's processes
 Key = TypeVar('Key', bound=Hashable)
 Result = TypeVar('Result')
@@ -86,7 +88,9 @@ def meanwhile(calls: Mapping[Key, Callable[[], Result]]) -> Iterator[dict[Key, R
     if not calls:
         yield results
         return
-    executor = ProcessPoolExecutor(1, initializer=os.nice, initargs=(NICE,), env=_ONE_THREAD)
+    executor = ProcessPoolExecutor(
+        1, initializer=_give_way, initargs=(os.getpid(),), env=_ONE_THREAD
+    )
 
     def keep(key: Key, call: Future[Result]) -> None:
         if not call.cancelled() and call.exception() is None:
@@ -100,6 +104,18 @@ def meanwhile(calls: Mapping[Key, Callable[[], Result]]) -> Iterator[dict[Key, R
             yield results
         finally:
             executor.shutdown(kill_workers=True)
+
+
+def _give_way(parent: int) -> None:
+    """Let other processes go first, and end with the one that began this one."""
+    os.nice(NICE)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_LOOK)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _numbered(number: int, call: Callable[[], Result]) -> tuple[int, Result]:
