@@ -205,7 +205,10 @@ def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, An
         domain = make_domain(game.domain, game.parameters)
         seed = owner_seed(parameters, NAME, game.name)
         for variant, owner in owned:
-            options = _in_game(owner.options, domain)
+            options = [  # for use with other parameters than they were taught with
+                carried_over(option, domain) if isinstance(option, LearnedOption) else option
+                for option in owner.options
+            ]
             if variant.by_chance:
                 tables = {'plans': choose_by_chance(domain, variant, options, plans, effort, seed)}
             elif is_enumerable(domain):
@@ -224,14 +227,6 @@ def _cost(variant: Variant, owned: OwnedOptions) -> dict[str, Any]:
         'options': len(owned.options),
         **{name: getattr(owned, name) for name in names},
     }
-
-
-def _in_game(options: Sequence[Any], domain: Any) -> list[Any]:
-    """Return options for use in a game with other parameters than they were taught in."""
-    return [
-        carried_over(option, domain) if isinstance(option, LearnedOption) else option
-        for option in options
-    ]
 
 
 def _options_by_variant(parameters: Mapping[str, Any]) -> list[tuple[Variant, OwnedOptions]]:
