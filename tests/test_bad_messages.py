@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from action_msgs.msg import GoalStatus
-from graph_support.live import GAME, Graph, LEARNER, LESSON, OPTION_SERVER, PLANNER
+from graph_support.live import GAME, Graph, LEARNER, LESSON, OPTION_SERVER, PLANNER, RECORDER
 from graph_support.player import Player
 from graph_support.scripted import FETCH, TAXI, walk
 from humanopts_env.domains.registry import make_domain
@@ -280,6 +280,20 @@ def test_a_recorder_that_is_none_pauses_no_lesson(live: Graph, tmp_path: Path) -
     live.until(lambda: lesson.guard.refused, 'the refusal')
     assert 'it is not from /recorder' in lesson.guard.remark
     assert live.state('/lesson') == NodeStatus.STATE_READY
+
+
+def test_a_lesson_goes_on_after_a_forged_status_of_the_recorder(
+    live: Graph, tmp_path: Path
+) -> None:
+    live.start(GAME)
+    live.start(RECORDER, path=tmp_path / 'bag')
+    live.start(LESSON, directory=tmp_path / 'lesson', expect_recorder=True)
+    live.ready('/lesson', '/game', '/recorder')
+    out = live.node.create_publisher(RecorderStatus, 'recorder_status', LATCHED)
+    live.until(lambda: out.get_subscription_count() > 1, 'its readers')
+    out.publish(RecorderStatus(publisher_id='/recorder#garbage'))
+    live.until(lambda: live.state('/lesson') == NodeStatus.STATE_PAUSED, 'the lesson to pause')
+    live.until(lambda: live.state('/lesson') == NodeStatus.STATE_READY, 'the lesson to go on')
 
 
 def test_a_current_state_that_another_node_publishes_is_replaced(live: Graph) -> None:

@@ -282,10 +282,12 @@ class LessonNode(NodeBase):
 
     def _check_recording(self) -> None:
         """Pause while nothing is recorded; then publish everything again for the new bag."""
-        present = self._recorder_status.get_publisher_count()
-        fault = self._recorders.check(present > 0)
+        fault = self._recorders.check(self._recorder_status.get_publisher_count() > 0)
         if self._unrecorded and not fault:
-            if not self.records(self._demonstrations_out, present):  # also one that has stopped
+            # Others may publish on the topic; one that has stopped counts, too.
+            there = self.get_publishers_info_by_topic('recorder_status')
+            present = sum(each.node_name == RECORDER for each in there)
+            if not self.records(self._demonstrations_out, present):
                 return
             self._unsent.extend(self._lesson.demonstrations())
         self._unrecorded = fault
