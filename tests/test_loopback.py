@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from graph_support.live import GAME, Graph, LEARNER
+from humanopts_ros import environment
 from humanopts_ros.environment import PEERS, prepare_discovery, PROFILES, RANGE
 import psutil
 import pytest
@@ -43,6 +44,7 @@ def test_the_profile_follows_from_the_range(
         monkeypatch.delenv(name, raising=False)
     for name, value in given.items():
         monkeypatch.setenv(name, value)
+    monkeypatch.setattr(environment, '_await_network', lambda: None)
     prepare_discovery()
     found = os.environ.get(PROFILES[0])
     assert (Path(found).name if found else None, os.environ.get(RANGE)) == (profile, kept)
