@@ -1,5 +1,5 @@
 """
-One lesson over two hosts whose cable is pulled in the middle.
+One lesson over two hosts whose cable is pulled in the middle, or plugged in late.
 
 ``make test-hosts`` runs it; ``make test`` leaves it out, since it needs namespaces of networks.
 """
@@ -25,6 +25,7 @@ pytestmark = [pytest.mark.hosts, pytest.mark.live, pytest.mark.timeout(600)]
 OPTION = 'go to passenger and pickup'
 BUDGET = 14  # demonstrations and "not here" answers; fewer than the criteria need
 PULLED_AT = 4  # kept demonstrations
+LATE = 5.0  # s after the launch of a host that its network is up; it waits for twice that
 LEASE = 20.0  # s without a sign after which Fast DDS forgets the nodes of the other host
 HERE, THERE = 'game,lesson,recorder', 'learner,option_server,planner'
 
@@ -143,3 +144,18 @@ def test_nothing_is_lost_or_done_twice_when_the_cable_is_pulled(
         (r.command_publisher_id, r.command_sequence) for r in values(bag, '/action_refused')
     }
     assert set(steps) == sent - refused
+
+
+@pytest.mark.parametrize('peers', [True, False], ids=['static peers', 'subnet'])
+def test_a_host_whose_network_is_up_after_its_launch_began_is_found(
+    hosts: tuple[Host, Host], peers: bool
+) -> None:
+    a, b = hosts
+    logs = [host.folder / 'up.log' for host in hosts]
+    with pulled(a):
+        began = up(b, THERE, peers)
+        time.sleep(LATE)
+    with running(began) as second, running(up(a, HERE, peers)) as first:
+        until(lambda: all(map(is_ready, logs)), 'nodes', 90.0, *logs)
+        assert end(second) == 0, logs[1].read_text()
+        assert end(first) == 0, logs[0].read_text()
