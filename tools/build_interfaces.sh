@@ -36,10 +36,12 @@ if [ -d "$cache" ]; then
   echo "from $cache"
   exit
 fi
+light='-O1 -DNDEBUG'  # a tenth less time than -O3; messages are converted as quickly
 export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv MAKEFLAGS=-j$(nproc)
 PATH="$venv/bin:$PATH" "$venv/bin/colcon" --log-level error build \
   --event-handlers console_direct- summary- --packages-select "$name" --cmake-args \
-  -DPython3_EXECUTABLE="$venv/bin/python" -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF \
+  -DPython3_EXECUTABLE="$venv/bin/python" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release \
+  -DCMAKE_C_FLAGS_RELEASE="$light" -DCMAKE_CXX_FLAGS_RELEASE="$light" \
   -DCMAKE_PROJECT_INCLUDE="$root/tools/drop_missing_includes.cmake" \
   -DHUMANOPTS_PYTHON_ONLY=ON > build/interfaces.log 2>&1 || { cat build/interfaces.log; exit 1; }
 copy "$built" "$cache" "$root" @ROOT@ || echo "$cache cannot be written"
