@@ -9,7 +9,7 @@ and no action applied twice. A table says what was done and what came of it.
 import argparse
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 import os
 from pathlib import Path
@@ -282,7 +282,8 @@ class Soak:
             self._outcome.remarks[
                 f'the teacher is started again, it said: {status.text[:200]}'
             ] += 1
-            os.kill(self._pid('simulated_teacher'), signal.SIGTERM)
+            with suppress(ProcessLookupError):  # it has just ended
+                os.kill(self._pid('simulated_teacher'), signal.SIGTERM)
 
     def _told(self, node: str) -> bool:
         said = []
