@@ -38,6 +38,9 @@ def test_it_tells_which_nodes_live_which_were_started_again_and_which_is_stopped
 
         command.kill('learner', signal.SIGKILL)
         command.until(lambda: 'is started again' in command.errors, 'its restart')
+        command.until(
+            lambda: 'learner' in [node['name'] for node in look()[1]['nodes']], 'the new learner'
+        )
         command.kill('game', signal.SIGSTOP)
         status, found = look()
         nodes = {node['name']: node for node in found['nodes']}
