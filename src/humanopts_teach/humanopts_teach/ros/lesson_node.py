@@ -45,6 +45,7 @@ from humanopts_teach.ros.convert import (
 )
 from rclpy.callback_groups import ReentrantCallbackGroup
 
+_NO_NAME_YET = '_NODE_NAME_UNKNOWN_'  # of a node that was found just now, as the middleware says
 _TICK = 0.1  # s between looks at deadlines
 _SAY_AGAIN = 1.0  # s between states that are published again because others were
 _GAME_DEADLINE = 5.0  # s for game to answer, and for a state that was announced to arrive
@@ -284,9 +285,10 @@ class LessonNode(NodeBase):
         """Pause while nothing is recorded; then publish everything again for the new bag."""
         fault = self._recorders.check(self._recorder_status.get_publisher_count() > 0)
         if self._unrecorded and not fault:
-            # Others may publish on the topic; one that has stopped counts, too.
+            # Others may publish on the topic. A recorder that has stopped counts, too, and one
+            # whose name has not come yet: what is sent before it listens is not in its bag.
             there = self.get_publishers_info_by_topic('recorder_status')
-            present = sum(each.node_name == RECORDER for each in there)
+            present = sum(each.node_name in (RECORDER, _NO_NAME_YET) for each in there)
             if not self.records(self._demonstrations_out, present):
                 return
             self._unsent.extend(self._lesson.demonstrations())
