@@ -5,6 +5,7 @@ import json
 import os
 from pathlib import Path
 import pty
+import re
 import resource
 import subprocess
 import sys
@@ -25,6 +26,8 @@ import pexpect
 import pytest
 
 EARLIER = Path(__file__).parent / 'data' / 'earlier' / 'bag'
+# Of a file that ends anywhere: in the middle of a record, or by chance where one ends.
+CUT = 'cut short|it ends without an index'
 THRESHOLDS = ('--return-delta', '--initiation-error', '--termination-error')
 LAUNCH = (
     *('--out', '--seed', '--strategy', '--budget', '--parameter', '--namespace'),
@@ -339,12 +342,12 @@ def test_bag_that_was_cut_short_says_so_and_gives_what_is_left(
     assert run('bag', 'info', cut) == 0
     out, err = capsys.readouterr()
     assert 'DAMAGED' in out
-    assert 'cut short' in out
+    assert re.search(CUT, out)
     assert err == ''
     assert run('bag', 'eval', cut) == 0
     out, err = capsys.readouterr()
     assert 'go to passenger and pickup' in out
-    assert 'cut short' in err
+    assert re.search(CUT, err)
     cut.write_bytes(content[:2000])
     check_refused(capsys, run('bag', 'eval', cut), 'no domain_info', 'cut short')
 
@@ -371,7 +374,7 @@ def test_bags_are_told_apart_and_a_bag_is_the_same_as_itself(
     assert run('bag', 'diff', EARLIER, cut) == 1
     out, err = capsys.readouterr()
     assert 'demonstration' in out
-    assert 'cut short' in err
+    assert re.search(CUT, err)
 
 
 def test_several_bags_are_evaluated_each_by_itself(
