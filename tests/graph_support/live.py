@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 import fcntl
+import gc
 import itertools
 import os
 from pathlib import Path
@@ -383,4 +384,5 @@ def open_graph(folder: Path) -> Iterator[Graph]:
             yield graph
         finally:
             problems = graph.close()
+            gc.collect()  # what holds a node in a circle keeps it on the graph
     assert not problems, '\n'.join(problems)
