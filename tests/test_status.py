@@ -26,8 +26,10 @@ def test_it_tells_which_nodes_live_which_were_started_again_and_which_is_stopped
     command = Command(['up', 'taxi', '--out', tmp_path / 'out'], tmp_path, domain_id)
     try:
         command.until(lambda: 'ready' in command.output, 'the nodes')
-        status, found = look()
-        assert (status, found['faults']) == (0, [])
+        # A busy machine answers late, which is told as a fault.
+        looks = []
+        command.until(lambda: looks.append(look()) or looks[-1][0] == 0, 'all to be well')
+        found = looks[-1][1]
         nodes = {node['name']: node for node in found['nodes']}
         assert list(nodes) == NODES
         assert [name for name in NODES if nodes[name]['answer'] is None] == ['conductor']
@@ -38,9 +40,7 @@ def test_it_tells_which_nodes_live_which_were_started_again_and_which_is_stopped
 
         command.kill('learner', signal.SIGKILL)
         command.until(lambda: 'is started again' in command.errors, 'its restart')
-        command.until(
-            lambda: 'learner' in [node['name'] for node in look()[1]['nodes']], 'the new learner'
-        )
+        assert 'learner' in [node['name'] for node in look()[1]['nodes']]
         command.kill('game', signal.SIGSTOP)
         status, found = look()
         nodes = {node['name']: node for node in found['nodes']}

@@ -55,13 +55,13 @@ def processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
     try:
         launcher = psutil.Process(int(_lock_file(namespace)[1].read_text('utf-8')))
         found[CONDUCTOR] = launcher
+        began = launcher.create_time()
         for process in launcher.children(recursive=True):
-            files = [Path(word) for word in process.cmdline() if word.endswith('.yaml')]
-            for file in files:  # of its parameters; there are those of the others, too
-                others = [f for f in file.parent.glob('*.yaml') if f != file]
-                began = launcher.create_time()
-                found |= {f.stem: found.get(f.stem) for f in others if f.stat().st_mtime > began}
-                found[file.stem] = process
+            with suppress(psutil.Error):  # it ends just now
+                for file in [Path(word) for word in process.cmdline() if word.endswith('.yaml')]:
+                    # Beside its parameters there are those of the others.
+                    new = [f for f in file.parent.glob('*.yaml') if f.stat().st_mtime > began]
+                    found |= {f.stem: found.get(f.stem) for f in new} | {file.stem: process}
     except (OSError, ValueError, psutil.Error):
         pass  # there is none, or it ends just now
     return found
