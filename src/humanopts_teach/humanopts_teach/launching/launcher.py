@@ -28,6 +28,7 @@ import psutil
 
 CONDUCTOR = 'conductor'  # the node in the launcher's own process
 TAIL_LINES = 12
+_PARAMETERS = '--params-file'  # before the last word of a node's command line
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
 _LAST_SECONDS = 1.0  # for the end of what was killed to be known
 _STOPPED_PERIOD = 1.0  # s between looks whether a process is stopped
@@ -58,7 +59,9 @@ def processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
         began = launcher.create_time()
         for process in launcher.children(recursive=True):
             with suppress(psutil.Error):  # it ends just now
-                for file in [Path(word) for word in process.cmdline() if word.endswith('.yaml')]:
+                words = ' '.join(process.cmdline()).rstrip()  # of a fork: one, and empty ones
+                file = Path(words.partition(f'{_PARAMETERS} ')[2])
+                if file.suffix:
                     # Beside its parameters there are those of the others.
                     new = [f for f in file.parent.glob('*.yaml') if f.stat().st_mtime > began]
                     found |= {f.stem: found.get(f.stem) for f in new} | {file.stem: process}
@@ -251,7 +254,7 @@ class Launcher:
 
     def _process(self, spec: ProcessSpec, log: Path) -> Process:
         arguments = ['--ros-args', '-r', f'__ns:={self._namespace}']
-        arguments += ['--params-file', str(self._parameters(spec))]
+        arguments += [_PARAMETERS, str(self._parameters(spec))]
         if spec.terminal or self._server is None:
             return _of_terminal(spec.module, arguments, log)
         return self._server.start(spec.module, arguments, os.environ, log)
