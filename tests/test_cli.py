@@ -1,7 +1,6 @@
 """The command line: help, one plain line for any bad input, and two launches in one place."""
 
 from importlib.metadata import EntryPoint, version
-from io import BytesIO
 import json
 import os
 from pathlib import Path
@@ -11,7 +10,6 @@ import subprocess
 import sys
 from typing import Any, get_args, get_type_hints
 
-from graph_support.command import DemoRun
 from humanopts_env.domains import registry
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.start_states import STRATEGIES
@@ -21,10 +19,10 @@ from humanopts_teach.cli import main
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.session import check_folder, default_folder, setup_from
 from humanopts_teach.launching.processes import Setup
-from mcap.reader import make_reader
 from mcap.writer import Writer
 import pexpect
 import pytest
+from teach_support.bags import cut_short
 
 EARLIER = Path(__file__).parent / 'data' / 'earlier' / 'bag'
 THRESHOLDS = ('--return-delta', '--initiation-error', '--termination-error')
@@ -81,25 +79,6 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out.strip() == version('humanopts_teach')
 
 
-def test_what_an_export_wrote_is_on_standard_output_beside_a_bar_on_the_terminal(
-    tmp_path: Path,
-) -> None:
-    terminal, stderr = pty.openpty()
-    command = ('bag', 'export', EARLIER, '--to', 'csv', '--out', tmp_path)
-    done = subprocess.run(
-        [sys.executable, '-m', 'humanopts_teach.cli', *map(str, command)],
-        stdout=subprocess.PIPE,
-        stderr=stderr,
-        text=True,
-        check=True,
-    )
-    os.close(stderr)
-    os.close(terminal)
-    assert {Path(line).name for line in done.stdout.splitlines()} == {
-        path.name for path in tmp_path.iterdir()
-    }
-
-
 def test_reference_options_that_cannot_be_made_are_bad_input(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -121,15 +100,13 @@ def test_help_is_quick_and_fits_a_terminal() -> None:
     """What takes long is imported by the commands that need it."""
     slow = ('numpy', 'pandas', 'sklearn', 'matplotlib', 'rclpy', 'rich')
     code = (
-        'import sys; from humanopts_teach.cli import main; main(sys.argv[1:]); '
+        'import sys; from humanopts_teach.cli import main\n'
+        "for words in ([], ['demo'], ['bag', 'eval'], ['teach']): main([*words, '--help'])\n"
         f'print([name for name in {slow} if name in sys.modules], file=sys.stderr)'
     )
-    for words in ([], ['demo'], ['bag', 'eval'], ['teach']):
-        done = subprocess.run(
-            [sys.executable, '-c', code, *words, '--help'], capture_output=True, text=True
-        )
-        assert done.stderr == '[]\n'
-        assert max(map(len, done.stdout.splitlines())) <= 80
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert done.stderr == '[]\n'
+    assert max(map(len, done.stdout.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(
@@ -141,19 +118,19 @@ def test_help_is_quick_and_fits_a_terminal() -> None:
         ('humanopts up taxi --split', ['--split-bytes', '--split-seconds']),
     ],
 )
-def test_a_shell_completes_what_is_typed(typed: str, offered: list[str]) -> None:
-    asked = {
-        '_HUMANOPTS_COMPLETE': 'complete_bash',
-        'COMP_WORDS': typed,
-        'COMP_CWORD': str(typed.count(' ')),
-    }
-    done = subprocess.run(
-        [sys.executable, '-m', 'humanopts_teach.cli'],
-        env={**os.environ, **asked},
-        capture_output=True,
-        text=True,
-    )
-    assert (sorted(done.stdout.split()), done.stderr) == (offered, '')
+def test_a_shell_completes_what_is_typed(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    typed: str,
+    offered: list[str],
+) -> None:
+    monkeypatch.setenv('_HUMANOPTS_COMPLETE', 'complete_bash')
+    monkeypatch.setenv('COMP_WORDS', typed)
+    monkeypatch.setenv('COMP_CWORD', str(typed.count(' ')))
+    with pytest.raises(SystemExit) as end:
+        run()
+    out, err = capsys.readouterr()
+    assert (end.value.code, sorted(out.split()), err) == (0, offered, '')
 
 
 @pytest.mark.parametrize(
@@ -332,90 +309,82 @@ def test_bags_below_a_folder_that_is_none_are_named_the_newest_first(
         check_refused(capsys, run('bag', 'info', folder), f'{folder} is not a bag', words)
 
 
-def cut_in_a_chunk(content: bytes, part: int) -> bytes:
-    """Return a part of a recording, up to the middle of the last chunk that begins in it."""
-    summary = make_reader(BytesIO(content)).get_summary()
-    assert summary is not None
-    *_, last = [c for c in summary.chunk_indexes if c.chunk_start_offset < len(content) // part]
-    return content[: last.chunk_start_offset + last.chunk_length // 2]
+@pytest.fixture
+def half(tmp_path: Path) -> Path:
+    """The first half of a lesson, cut short."""
+    return cut_short(EARLIER, tmp_path / 'half.mcap', 2)
 
 
 def test_bag_that_was_cut_short_says_so_and_gives_what_is_left(
-    capsys: pytest.CaptureFixture[str], demo: DemoRun, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], half: Path, tmp_path: Path
 ) -> None:
-    content = next(demo.bag.glob('*.mcap')).read_bytes()
-    cut = tmp_path / 'cut.mcap'
-    cut.write_bytes(cut_in_a_chunk(content, 2))
-    assert run('bag', 'info', cut) == 0
+    assert run('bag', 'info', half) == 0
     out, err = capsys.readouterr()
     assert 'DAMAGED' in out
     assert 'cut short' in out
     assert err == ''
-    assert run('bag', 'eval', cut) == 0
+    page = tmp_path / 'report.html'
+    assert run('bag', 'eval', half, '--html', page) == 0
     out, err = capsys.readouterr()
     assert 'go to passenger and pickup' in out
     assert 'cut short' in err
-    cut.write_bytes(content[:2000])
-    check_refused(capsys, run('bag', 'eval', cut), 'no domain_info', 'cut short')
+    assert err.endswith(f'report: {page}\n')
+    assert page.read_text('utf-8').startswith('<!doctype html>')
+    half.write_bytes(half.read_bytes()[:2000])
+    check_refused(capsys, run('bag', 'eval', half), 'no domain_info', 'cut short')
 
 
-def test_eval_of_a_bag_writes_a_report_or_says_why_not(
+def test_a_report_that_cannot_be_written_is_refused(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    page = tmp_path / 'report.html'
-    assert run('bag', 'eval', EARLIER, '--html', page) == 0
-    assert page.read_text('utf-8').startswith('<!doctype html>')
-    assert capsys.readouterr().err.strip() == f'report: {page}'
     page = tmp_path / 'nowhere/report.html'
     check_refused(capsys, run('bag', 'eval', EARLIER, '--html', page), str(page))
 
 
 def test_bags_are_told_apart_and_a_bag_is_the_same_as_itself(
-    capsys: pytest.CaptureFixture[str], demo: DemoRun, tmp_path: Path
+    capsys: pytest.CaptureFixture[str], half: Path, tmp_path: Path
 ) -> None:
-    assert run('bag', 'diff', EARLIER, EARLIER, '--json') == 0
+    part = cut_short(EARLIER, tmp_path / 'part.mcap', 4)
+    assert run('bag', 'diff', part, part, '--json') == 0
     assert json.loads(capsys.readouterr().out) == {'same': True, 'differences': []}
-    content = next(demo.bag.glob('*.mcap')).read_bytes()
-    cut = tmp_path / 'cut.mcap'
-    cut.write_bytes(cut_in_a_chunk(content, 8))
-    assert run('bag', 'diff', EARLIER, cut) == 1
+    assert run('bag', 'diff', half, part) == 1
     out, err = capsys.readouterr()
     assert 'demonstration' in out
     assert 'cut short' in err
 
 
 def test_several_bags_are_evaluated_each_by_itself(
-    capsys: pytest.CaptureFixture[str], demo: DemoRun
+    capsys: pytest.CaptureFixture[str], half: Path
 ) -> None:
-    assert run('bag', 'eval', demo.bag, EARLIER, '--json') == 0
-    first, second = json.loads(capsys.readouterr().out)
-    assert [first['bag'], second['bag']] == [str(demo.bag), str(EARLIER)]
-    assert first['warnings'] == []
-    for option, alone in zip(first['options'], demo.summary['options'], strict=True):
-        assert {key: option[key] for key in alone} == alone
-    assert run('bag', 'eval', EARLIER, '--json') == 0
-    alone = {'bag': str(EARLIER), **json.loads(capsys.readouterr().out)}
-    for row in (*alone['planning'], *second['planning']):
+    """The second one as it was by the version that recorded it, without the seconds."""
+    assert run('bag', 'eval', half, EARLIER, '--json') == 0
+    out, err = capsys.readouterr()
+    first, second = json.loads(out)
+    assert first['bag'] == str(half)
+    assert first['warnings'] != []
+    assert 'cut short' in err
+    for row in second['planning']:
         for part in ('table', 'model', 'sweep'):
             assert row.pop(f'{part}_seconds') >= 0.0
-    assert alone == second
+    expected = json.loads((EARLIER.parent / 'expected.json').read_text('utf-8'))
+    assert second == {'bag': str(EARLIER), **expected['eval']}
 
 
 def test_episode_is_played_as_text_where_there_is_no_terminal(
-    capsys: pytest.CaptureFixture[str], demo: DemoRun
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    last = len(list(read_episodes(open_bag(demo.bag))))
-    assert run('bag', 'play', demo.bag, '--episode', last) == 0
+    last = len(list(read_episodes(open_bag(EARLIER))))
+    assert run('bag', 'play', EARLIER, '--episode', last) == 0
     out = capsys.readouterr().out
     assert f'episode {last} of {last} · step 0' in out
     assert 'go to passenger and pickup: ' in out  # who acted
     assert 'the task is over' in out
-    status = run('bag', 'play', demo.bag, '--episode', last + 1)
+    status = run('bag', 'play', EARLIER, '--episode', last + 1)
     check_refused(capsys, status, f'no episode {last + 1}', f'1 to {last}')
 
 
-def test_episode_is_played_in_a_terminal_until_q(demo: DemoRun) -> None:
-    command = ['-m', 'humanopts_teach.cli', 'bag', 'play', str(demo.bag), '--episode', '3']
+def test_episode_is_played_in_a_terminal_until_q() -> None:
+    command = ['-m', 'humanopts_teach.cli', 'bag', 'play', str(EARLIER), '--episode', '3']
     with pexpect.spawn(sys.executable, command, dimensions=(40, 100), timeout=20) as child:
         child.expect('episode 3 of')
         child.send('n')
@@ -426,21 +395,28 @@ def test_episode_is_played_in_a_terminal_until_q(demo: DemoRun) -> None:
         assert child.exitstatus == 0
 
 
-def test_tables_of_a_bag_are_written(
-    capsys: pytest.CaptureFixture[str], demo: DemoRun, tmp_path: Path
+def test_tables_of_a_bag_are_written_and_named_on_standard_output_beside_a_bar_on_the_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    assert run('bag', 'export', demo.bag, '--to', 'csv', '--out', tmp_path / 'new/csv') == 0
+    export = ('bag', 'export', EARLIER, '--to', 'csv', '--out')
+    master, slave = pty.openpty()
+    with open(master, 'rb'), open(slave, 'w') as terminal, monkeypatch.context() as shown:
+        shown.setattr(sys, 'stderr', terminal)
+        assert run(*export, tmp_path / 'new/csv') == 0
+        assert os.read(master, 10) != b''
     out, err = capsys.readouterr()
     assert sorted(map(Path, out.split())) == sorted((tmp_path / 'new/csv').iterdir())
     assert err == ''
+    assert run(*export, tmp_path / 'plain') == 0
+    assert capsys.readouterr().err == ''
     (tmp_path / 'file').touch()
-    status = run('bag', 'export', demo.bag, '--to', 'csv', '--out', tmp_path / 'file')
+    status = run(*export, tmp_path / 'file')
     check_refused(capsys, status, f'cannot write in {tmp_path / "file"}')
 
 
-def test_reader_that_stops_reading_ends_the_command_quietly(demo: DemoRun) -> None:
+def test_reader_that_stops_reading_ends_the_command_quietly() -> None:
     process = subprocess.Popen(
-        [sys.executable, '-m', 'humanopts_teach.cli', 'bag', 'info', demo.bag],
+        [sys.executable, '-m', 'humanopts_teach.cli', 'bag', 'info', EARLIER],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )

@@ -110,3 +110,15 @@ def without(bag: Path, copy: Path, type_name: str, leave_out: Callable[[Any], bo
             writer.add_metadata(record.name, record.metadata)
         writer.finish()
     return copy
+
+
+def cut_short(bag: Path, copy: Path, part: int) -> Path:
+    """Copy a part of a bag's MCAP file, up to the middle of the last chunk that begins in it."""
+    (source,) = open_bag(bag).files
+    content = source.read_bytes()
+    with source.open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    *_, last = [c for c in summary.chunk_indexes if c.chunk_start_offset < len(content) // part]
+    copy.write_bytes(content[: last.chunk_start_offset + last.chunk_length // 2])
+    return copy
