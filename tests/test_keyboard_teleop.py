@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 import fcntl
+from io import StringIO
 import os
 from pathlib import Path
 import pty
@@ -37,8 +38,10 @@ from humanopts_interfaces.msg import (
     GameState,
     OptionResult,
 )
+from humanopts_learner.demonstrations import GOAL, TREES
 from humanopts_ros.qos import LATCHED_ALL, STREAM
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.ros import keyboard_teleop
 import pyte
 import pytest
 
@@ -51,11 +54,6 @@ ENTER, ESCAPE, CTRL_C = '\r', '\x1b', '\x03'
 TAXI = make_domain('taxi')
 
 
-def environment(domain_id: int) -> dict[str, str]:
-    """Return the environment of a process on a graph."""
-    return {**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'TERM': 'xterm-256color'}
-
-
 def run_on(slave: int, graph: Graph, *arguments: str) -> 'subprocess.Popen[bytes]':
     """Start Python on a terminal, as its controlling one."""
     return subprocess.Popen(
@@ -63,7 +61,7 @@ def run_on(slave: int, graph: Graph, *arguments: str) -> 'subprocess.Popen[bytes
         stdin=slave,
         stdout=slave,
         stderr=subprocess.PIPE,
-        env=environment(graph.domain_id),
+        env={**os.environ, 'ROS_DOMAIN_ID': str(graph.domain_id)},
     )
 
 
@@ -155,12 +153,13 @@ class Terminals:
             )
         ]
 
-    def start_all(self, step_period: float = 0.0) -> None:
+    def start_all(self, step_period: float = 0.0, learn: str = TREES) -> None:
         """Start every node but the terminal."""
         graph = self.graph
         graph.start(GAME, step_period=step_period)
         graph.start(LEARNER, directory=graph.folder / 'options')
-        graph.start(LESSON, directory=graph.folder / 'demonstrations', strategy='failures')
+        folder = graph.folder / 'demonstrations'
+        graph.start(LESSON, directory=folder, strategy='failures', learn=learn)
         graph.start(OPTION_SERVER)
         streams = self.subscriptions[:-1]
         graph.until(lambda: all(s.get_publisher_count() for s in streams), 'game, option server')
@@ -171,9 +170,9 @@ class Terminals:
         self.terminals.append(terminal)
         return terminal
 
-    def sit_down(self) -> Terminal:
-        """Start a terminal, and come as p1."""
-        terminal = self.terminal()
+    def sit_down(self, terminal: Terminal | None = None) -> Terminal:
+        """Come as p1 to a terminal, which is started where there is none."""
+        terminal = terminal or self.terminal()
         terminal.see('Who teaches? > p1')
         terminal.press(ENTER)
         terminal.see('What next?')
@@ -261,12 +260,12 @@ class Person:
 
 
 def test_an_option_is_taught_by_key_presses_left_resumed_and_run(terminals: Terminals) -> None:
-    terminals.start_all()
+    terminals.start_all(learn=GOAL)
     terminal = terminals.sit_down()
     person = Person(terminal)
     person.name_and_answer()
-    assert not person.show(3)
-    terminal.see('next: start 4 ')
+    assert not person.show(1)
+    terminal.see('next: start 2 ')
     terminal.press('q')
     assert terminal.ended() == 0
     assert terminal.restored()
@@ -276,9 +275,9 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(terminals: Term
     again.press('2')
     again.see(f'> 1 {PICKUP}')
     again.press('1')
-    again.see('Enter shows start 4.')
+    again.see('Enter shows start 2.')
     again.press(ENTER)
-    assert person.show(60)
+    assert person.show(10)
     again.see('All criteria hold.')  # the lesson's end and the criteria come as two messages
 
     again.press('r')
@@ -295,7 +294,9 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(terminals: Term
     assert again.restored()
 
 
-def test_a_key_takes_the_wheel_from_the_machine(terminals: Terminals) -> None:
+def test_a_key_takes_the_wheel_from_the_machine_and_a_cut_connection_ends_the_terminal(
+    terminals: Terminals,
+) -> None:
     terminals.start_all(step_period=0.3)
     terminal = terminals.sit_down()
     person = Person(terminal)
@@ -339,6 +340,9 @@ def test_a_key_takes_the_wheel_from_the_machine(terminals: Terminals) -> None:
     terminals.witness(GameState, lambda m: persons(m, 'west'), terminal)  # all before it has come
     states = [m for m in terminals.messages if isinstance(m, GameState)]
     assert sum(persons(state, 'dropoff') for state in states) == 1
+    terminal.hang_up()
+    terminals.graph.until(lambda: terminal.process.poll() is not None, 'the end')
+    assert terminal.process.returncode == 0
 
 
 def drive(terminal: Terminal, step: int) -> None:
@@ -352,14 +356,17 @@ def drive(terminal: Terminal, step: int) -> None:
     terminal.see('you drive')
 
 
-def test_a_terminal_that_was_killed_drives_again_with_its_first_key_and_quits_without_a_lesson(
+def test_a_terminal_waits_for_the_game_drives_again_after_it_was_killed_and_quits_without_a_lesson(
     terminals: Terminals,
 ) -> None:
     graph = terminals.graph
+    killed = terminals.terminal()
+    killed.see('Waiting for the game')
+    killed.see('game, lesson: not there.')
     graph.start(GAME)
     graph.start(LESSON, directory=graph.folder / 'demonstrations')
     controls = graph.listen(ControlState, 'control', LATCHED_ALL)
-    killed = terminals.sit_down()
+    terminals.sit_down(killed)
     drive(killed, 0)
     first = controls[-1].holder_id
     killed.process.kill()
@@ -378,7 +385,9 @@ def test_a_terminal_that_was_killed_drives_again_with_its_first_key_and_quits_wi
     assert terminal.restored()
 
 
-def test_a_key_changes_how_the_machine_plays_within_the_episode(terminals: Terminals) -> None:
+def test_a_key_changes_how_the_machine_plays_within_the_episode_and_a_signal_ends_the_terminal(
+    terminals: Terminals,
+) -> None:
     terminals.start_all(step_period=0.3)
     terminals.graph.start(PLANNER)
     terminal = terminals.sit_down()
@@ -401,6 +410,9 @@ def test_a_key_changes_how_the_machine_plays_within_the_episode(terminals: Termi
     run = terminals.witness(OptionResult, lambda m: m.execution == 'modular_mass', terminal)
     assert (said.previous, run.option_name) == ('interrupted', '')
     assert run.first_step > 0
+    terminal.process.send_signal(signal.SIGTERM)
+    assert terminal.ended() == 0
+    assert terminal.restored()
 
 
 def recorder_below(folder: Path) -> int:
@@ -439,24 +451,6 @@ def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
         terminal.close()
 
 
-def test_without_a_game_it_waits_in_words_and_a_signal_ends_it_cleanly(
-    terminals: Terminals,
-) -> None:
-    terminal = terminals.terminal()
-    terminal.see('Waiting for the game')
-    terminal.see('game, lesson: not there.')
-    terminal.process.send_signal(signal.SIGTERM)
-    assert terminal.ended() == 0
-    assert terminal.restored()
-
-
-def test_a_connection_that_is_cut_ends_it(terminals: Terminals) -> None:
-    terminal = terminals.terminal()
-    terminal.see('Waiting for the game')
-    terminal.hang_up()
-    assert terminal.process.wait(15) == 0
-
-
 def test_an_exception_restores_the_terminal(live: Graph) -> None:
     terminal = Terminal(
         live,
@@ -472,17 +466,11 @@ def test_an_exception_restores_the_terminal(live: Graph) -> None:
     terminal.close()
 
 
-def test_without_a_terminal_it_says_so_in_one_line(domain_id: int) -> None:
-    done = subprocess.run(
-        [sys.executable, '-m', module_of(KEYBOARD)],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-        env=environment(domain_id),
-    )
-    assert done.returncode == 2
-    assert done.stdout == ''
-    assert done.stderr.splitlines() == [
-        'humanopts: the teaching terminal needs a terminal as standard input and output'
-    ]
+def test_without_a_terminal_it_says_so_in_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, 'stdin', StringIO())
+    assert keyboard_teleop.main() == 2
+    out, err = capsys.readouterr()
+    said = 'humanopts: the teaching terminal needs a terminal as standard input and output\n'
+    assert (out, err) == ('', said)
