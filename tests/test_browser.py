@@ -45,7 +45,7 @@ class Served:
     def graphs(self) -> list[int]:
         """Return the processes that each keep a participant's graph."""
         running = self.command.running().items()
-        return [number for number, line in running if 'commands.browser' in line]
+        return [number for number, line in running if 'commands.seat_graph' in line]
 
     def close(self) -> None:
         """Close all pages, and end whatever is left."""

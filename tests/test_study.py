@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 from pathlib import Path
 import re
 import signal
@@ -44,17 +43,18 @@ def write_plan(folder: Path, *names: str, **given: Any) -> Path:
 
 @pytest.mark.parametrize('example', [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_simulated_participant_goes_from_a_plan_to_tables_and_table_1(
-    tmp_path: Path, domain_id: int, example: bool
+    tmp_path: Path,
+    domain_id: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    example: bool,
 ) -> None:
     plan = EXAMPLE if example else write_plan(tmp_path, 'only', buttons=3, questions='nasa-tlx')
     names = ['trees', 'goal'] if example else ['only']
     study = tmp_path / 'study'
-    command = Command(['study', plan, '--simulate', 1, '--study', study], tmp_path, domain_id)
-    try:
-        assert command.ended(180.0) == 0, command.errors
-    finally:
-        command.close()
-    assert 'go to passenger and pickup     1 of 1' in command.output
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    assert main(['study', str(plan), '--simulate', '1', '--study', str(study)]) == 0
+    assert 'go to passenger and pickup     1 of 1' in capsys.readouterr().out
     taught = rows(study / 'tables' / 'options.csv')
     assert [row['condition'] for row in taught] == [name for name in names for _ in range(2)]
     assert {row['criteria_met'] for row in taught} == {'True'}
@@ -71,14 +71,17 @@ def test_a_simulated_participant_goes_from_a_plan_to_tables_and_table_1(
 
 
 def test_a_participant_takes_part_by_keys_and_is_then_refused(
-    tmp_path: Path, domain_id: int
+    tmp_path: Path,
+    domain_id: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     write_plan(tmp_path, 'only')
-    arguments = ['-m', 'humanopts_teach.cli', 'study', 'plan.yaml', '--participant', 'anna']
-    place: dict[str, Any] = {'cwd': tmp_path, 'dimensions': (24, 80), 'timeout': 60}
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'TERM': 'xterm'}
-    person = pexpect.spawn(sys.executable, arguments, env=environment, **place)
-    try:
+    words = ['study', 'plan.yaml', '--participant', 'anna']
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    program = ['-m', 'humanopts_teach.cli', *words]
+    with pexpect.spawn(sys.executable, program, dimensions=(24, 80), timeout=60) as person:
         for sees, key in (
             ('Taking part', 'y'),
             ('no more', 'fetch\r'),
@@ -88,12 +91,11 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
             person.send(key)
         person.expect('anna has finished')
         person.expect(pexpect.EOF)
-        again = pexpect.spawn(sys.executable, arguments, env=environment, **place)
-        again.expect("'anna' has ended this study already")
-        again.expect(pexpect.EOF)
-    finally:
-        person.close(force=True)
-    assert (person.exitstatus, again.wait()) == (0, 2)
+    assert person.exitstatus == 0
+    for stream in (sys.stdin, sys.stdout):
+        monkeypatch.setattr(stream, 'isatty', lambda: True)
+    assert main(words) == 2
+    assert "'anna' has ended this study already" in capsys.readouterr().err
     (record,) = (tmp_path / 'runs' / 'small').glob('000-anna.jsonl')
     noted = [json.loads(line) for line in record.read_text().splitlines()]
     assert [event['text'] for event in noted if event['event'] == 'button'] == ['fetch']

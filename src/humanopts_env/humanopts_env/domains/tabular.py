@@ -6,7 +6,6 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain, feature_columns, Transitions
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 Scalar = TypeVar('Scalar', bound=np.generic)
 TIE = 1e-12  # actions whose values differ by less are equally good
@@ -54,6 +53,8 @@ def distance_to(
         the state is not allowed or has no way; optimal (S, A), the actions of shortest ways.
     :raises ValueError: the transitions are not deterministic.
     """
+    from scipy.sparse import csr_array  # slow to import
+
     if not transitions.deterministic:
         raise ValueError('shortest ways need transitions with one outcome for each action')
     successor = transitions.successor[:, :, 0]

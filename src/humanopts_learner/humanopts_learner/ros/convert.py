@@ -4,23 +4,24 @@ from array import array
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 import math
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from humanopts_env.arrays import Floats
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan
 from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
-from humanopts_learner.execution import RunResult
 from humanopts_learner.options.criteria import Judgement
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_learner.planning.coverage import Coverage
-from humanopts_learner.planning.exact import ExactPlan
-from humanopts_learner.planning.interruption import OptionValues
-from humanopts_learner.planning.plan import AnyPlan, Performance
 from humanopts_learner.planning.request import PlanError, PlanRequest
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:  # slow to import, and terminals convert none of them
+    from humanopts_learner.execution import RunResult
+    from humanopts_learner.planning.coverage import Coverage
+    from humanopts_learner.planning.interruption import OptionValues
+    from humanopts_learner.planning.plan import AnyPlan, Performance
 
 
 def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
@@ -140,7 +141,7 @@ def refused_plan(action_set: str) -> msg.PlanResult:
 
 
 def plan_to_message(
-    plan: AnyPlan, plan_id: str, performance: Performance | None, coverage: Coverage | None
+    plan: 'AnyPlan', plan_id: str, performance: 'Performance | None', coverage: 'Coverage | None'
 ) -> msg.PlanResult:
     """
     Encode the result of planning, with the returns of the plan's evaluation episodes.
@@ -168,8 +169,10 @@ def plan_to_message(
     )
 
 
-def _coverage_fields(plan: AnyPlan, found: Coverage | None) -> dict[str, Any]:
+def _coverage_fields(plan: 'AnyPlan', found: 'Coverage | None') -> dict[str, Any]:
     """Return the fields of ``PlanResult`` on what the options do not cover."""
+    from humanopts_learner.planning.exact import ExactPlan
+
     if found is None or not isinstance(plan, ExactPlan):
         return {}
     encode, state_at = plan.domain.encode, plan.domain.state_at
@@ -181,7 +184,7 @@ def _coverage_fields(plan: AnyPlan, found: Coverage | None) -> dict[str, Any]:
     }
 
 
-def _performance_fields(found: Performance | None) -> dict[str, Any]:
+def _performance_fields(found: 'Performance | None') -> dict[str, Any]:
     """Return the fields of ``PlanResult`` with the plan's returns."""
     if found is None:
         names = ('mean_return', 'mean_return_low', 'mean_return_high', 'mean_discounted_return')
@@ -202,7 +205,7 @@ def _performance_fields(found: Performance | None) -> dict[str, Any]:
 
 
 def option_values_to_message(
-    values: OptionValues, plan_id: str, participant: str
+    values: 'OptionValues', plan_id: str, participant: str
 ) -> msg.OptionValues:
     """Encode the values for arbitration; arrays are sent as bytes, since they may be large."""
 
@@ -222,12 +225,14 @@ def option_values_to_message(
     )
 
 
-def option_values_from_message(message: msg.OptionValues) -> OptionValues:
+def option_values_from_message(message: msg.OptionValues) -> 'OptionValues':
     """
     Decode the values for arbitration.
 
     :raises PlanError: the parts contradict each other.
     """
+    from humanopts_learner.planning.interruption import OptionValues
+
     states = np.asarray(message.states, dtype=np.int64)
     shape = len(states), len(message.names)
 
@@ -248,7 +253,7 @@ def option_values_from_message(message: msg.OptionValues) -> OptionValues:
     )
 
 
-def end_to_message(end: RunResult, run_id: str, execution: str = '') -> msg.OptionResult:
+def end_to_message(end: 'RunResult', run_id: str, execution: str = '') -> msg.OptionResult:
     """
     Encode how a run ended.
 

@@ -2,12 +2,11 @@
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import replace
 from functools import partial
 import json
 import secrets
-import select
 import socket
 import sys
 from typing import Any
@@ -16,12 +15,10 @@ from humanopts_teach.browser.pages import serve
 from humanopts_teach.browser.seats import ConditionSeat, GameError, Press, Seat, Seats
 from humanopts_teach.commands import CommandError, noticed_interrupts
 from humanopts_teach.commands.options import PageOptions
-from humanopts_teach.commands.session import check_folder, new_name, print_line, session
+from humanopts_teach.commands.session import check_folder, new_name
 from humanopts_teach.dialogue.panel import View
-from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import processes, Setup
 from humanopts_teach.ros.browser_teleop import BrowserTeleopNode, TeleopThread
-from humanopts_teach.ros.graph_client import GraphClient
 
 _TOKEN_BYTES = 12
 _STOPPING_SECONDS = 40.0  # for the processes of a graph to end; each has less
@@ -151,7 +148,7 @@ async def _graph(setup: Setup, namespace: str, seat: Seat | ConditionSeat) -> As
     except CommandError as error:
         raise GameError(f'The game cannot be started: {error}.') from error
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, '-m', __name__),
+        *(sys.executable, '-m', 'humanopts_teach.commands.seat_graph'),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         process_group=0,  # Ctrl-C is ours
@@ -187,36 +184,3 @@ async def _graph(setup: Setup, namespace: str, seat: Seat | ConditionSeat) -> As
         except TimeoutError:
             process.kill()
             await process.wait()
-
-
-def main() -> int:
-    """Run the graph that standard input describes, until its end or a signal."""
-    namespace, setup = sys.stdin.readline().rstrip('\n'), Setup.from_json(sys.stdin.readline())
-
-    def check(*_: GraphClient) -> None:
-        if select.select([sys.stdin], [], [], 0)[0]:  # the server has closed it, or is gone
-            raise KeyboardInterrupt
-
-    def say(text: str) -> None:
-        with suppress(BrokenPipeError):
-            print(json.dumps(text), flush=True)
-
-    def report(line: str) -> None:
-        print_line(f'{setup.participant}: {line}')
-
-    running = None
-    try:
-        with session(setup, namespace, check, report) as running:
-            say('')
-            running.stay(report, check)
-    except LaunchError as error:
-        say(str(error).splitlines()[0])
-        report(str(error))
-        return 1
-    except KeyboardInterrupt:
-        pass
-    return 0 if running is None else running.end()
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -8,7 +8,6 @@ import sys
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError, is_enumerable
-from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.request import batch_games, HUMAN, PlanError, PRIMITIVE
@@ -26,6 +25,7 @@ from humanopts_teach.commands.session import (
     Session,
     session,
     setup_from,
+    taught_options,
     wait_until_taught,
 )
 from humanopts_teach.evaluation.bag_evaluation import (
@@ -132,21 +132,6 @@ def _demo_domain(name: str, launch: LaunchOptions) -> Domain[Any]:
             f'the demo plans: {error}; teach it yourself: humanopts teach {name}'
         ) from error
     return domain
-
-
-def taught_options(domain: Domain[Any]) -> tuple[str, ...]:
-    """Return what the simulated teacher teaches: all that it knows, or what the domain says."""
-    try:
-        known = tuple(reference_options(domain))
-    except DomainError as error:
-        raise CommandError(str(error)) from error
-    if not known:
-        raise CommandError(
-            f'{domain.name} has no reference options, which the simulated teacher needs; '
-            f'teach it yourself: humanopts teach {domain.name}'
-        )
-    usual = domain.teaching.options if isinstance(domain, HasTeachingDefaults) else ()
-    return usual or known
 
 
 def _teach_plan_play(

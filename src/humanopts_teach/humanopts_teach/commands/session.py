@@ -13,9 +13,9 @@ import tempfile
 import time
 from typing import Any
 
-from humanopts_env.domains.base import Parameter
-from humanopts_env.domains.capabilities import THRESHOLDS
-from humanopts_env.domains.registry import make_domain
+from humanopts_env.domains.base import Domain, DomainError, Parameter
+from humanopts_env.domains.capabilities import HasTeachingDefaults, THRESHOLDS
+from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_ros.recording import Selection
@@ -219,6 +219,21 @@ class Session:
         for line in restarts:
             print_line(line)
         return 1 if restarts or self.unclean else 0
+
+
+def taught_options(domain: Domain[Any]) -> tuple[str, ...]:
+    """Return what the simulated teacher teaches: all that it knows, or what the domain says."""
+    try:
+        known = tuple(reference_options(domain))
+    except DomainError as error:
+        raise CommandError(str(error)) from error
+    if not known:
+        raise CommandError(
+            f'{domain.name} has no reference options, which the simulated teacher needs; '
+            f'teach it yourself: humanopts teach {domain.name}'
+        )
+    usual = domain.teaching.options if isinstance(domain, HasTeachingDefaults) else ()
+    return usual or known
 
 
 def wait_until_taught(running: Session) -> None:

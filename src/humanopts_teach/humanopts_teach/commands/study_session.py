@@ -9,7 +9,6 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_teach.commands import CommandError
-from humanopts_teach.commands.demo import taught_options
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.session import (
     check_folder,
@@ -19,10 +18,10 @@ from humanopts_teach.commands.session import (
     Session,
     session,
     setup_from,
+    taught_options,
     wait_until_taught,
     WATCHED,
 )
-from humanopts_teach.evaluation.table1 import TABLE_1
 from humanopts_teach.launching.processes import Setup, StudyTurn
 from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.ros.convert import option_status_from_message
@@ -193,6 +192,8 @@ def simulated_part(
     :param number: of the participant.
     :param teach: has a simulated teacher teach, and returns what was learned.
     """
+    from humanopts_teach.evaluation.table1 import TABLE_1  # slow to import
+
     rng = generator(seed, 'simulated participant', number, part.key)
     where = {'part': part.key, 'condition': part.condition}
     record.note(PART_BEGAN, kind=part.kind.value, **where)
