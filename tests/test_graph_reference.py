@@ -11,9 +11,10 @@ import select
 import signal
 from typing import Any
 
-from graph_support.live import Graph, TEACHER
+from graph_support.live import Graph, LEARNER, LESSON, module_of, OPTION_SERVER, PLANNER, TEACHER
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus
 from humanopts_ros import qos
+from humanopts_teach.launching.processes import processes, Setup
 import pytest
 from rclpy.action import (
     get_action_client_names_and_types_by_node,
@@ -34,6 +35,7 @@ PROFILES = {
     'stream': (qos.STREAM, DurabilityPolicy.VOLATILE),
 }
 TEST = 'person'  # the test's own node
+HOSTED = {module_of(node): node for node in (LEARNER, LESSON, OPTION_SERVER, PLANNER, TEACHER)}
 
 
 @dataclass(frozen=True)
@@ -71,11 +73,12 @@ def told(entries: dict[str, Entry]) -> list[str]:
 
 @pytest.fixture(scope='module')
 def full(shared: Graph) -> Iterator[Graph]:
-    """Everything at once: ``humanopts teach`` in a terminal, and the simulated teacher beside."""
+    """``humanopts teach`` in a terminal with game and recorder; the other nodes are hosted here."""
     master, slave = pty.openpty()
     recorder = shared.listen(RecorderStatus, 'recorder_status', qos.CURRENT)
     shared.watch('/')
-    words = ['teach', 'taxi', '--out', str(shared.folder / 'out')]
+    out = shared.folder / 'out'
+    words = ['teach', 'taxi', '--only', 'recorder,game', '--out', str(out)]
     teach = shared.run(
         ['-m', 'humanopts_teach.cli', *words],
         'teach',
@@ -94,12 +97,13 @@ def full(shared: Graph) -> Iterator[Graph]:
 
         shared.until(look, f'{nodes} to be ready', 60.0)
 
-    everybody = names('all') - {'simulated_teacher'}
+    for spec in processes(Setup('taxi', out, taught=('go to passenger',), keyboard=True)):
+        if spec.module in HOSTED:
+            shared.start(HOSTED[spec.module], **spec.parameters)
+    everybody = names('all')
     ready(*everybody)
-    shared.start(TEACHER, options=['go to passenger'], expect_recorder=True)
-    ready('simulated_teacher')
     shared.until(lambda: recorder and recorder[-1].complete, 'the recorder')
-    shared.until(lambda: len(nodes_of(shared)) > len(everybody), 'the names of all nodes')
+    shared.until(lambda: len(nodes_of(shared)) == len(everybody), 'the names of all nodes')
     yield shared
     teach.kill(signal.SIGTERM)
     os.close(master)

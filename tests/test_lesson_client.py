@@ -10,7 +10,8 @@ from graph_support.live import GAME, Graph, LEARNER, LESSON
 import pytest
 
 PAGE = Path(__file__).parents[1] / 'docs' / 'how-to' / 'call-the-services.md'
-REFUSED = """
+# What is refused before the program of the documentation runs, and after it.
+BEFORE = """
 from humanopts_teach.lesson.requests import BeginDemonstration, OpenSession, RequestStatus
 from humanopts_teach.ros.lesson_client import RefusedError, run_with_lesson
 
@@ -26,11 +27,11 @@ async def teach(client):
         print(error)
     await client.ask(OpenSession('p1', 's1'))
     print(client.lesson.participant, client.lesson.session)
-    await client.ask(OpenSession('no code'))
 
 
 run_with_lesson(teach)
 """
+AFTER = "run_with_lesson(lambda client: client.ask(OpenSession('no code')))"
 
 
 def run(graph: Graph, program: str) -> tuple[int | None, str, str]:
@@ -63,18 +64,18 @@ def lesson(live: Graph) -> Graph:
     return live
 
 
-def test_the_program_of_the_documentation_teaches_an_option(lesson: Graph) -> None:
+def test_the_program_of_the_documentation_teaches_and_what_is_refused_is_raised_with_its_reason(
+    lesson: Graph,
+) -> None:
     section = PAGE.read_text('utf-8').partition('## Teach from a program')[2]
     program, output = re.findall(r'```(?:python|text)\n(.*?)```', section, re.DOTALL)
     assert 'All criteria hold.' in output
-    assert run(lesson, program) == (0, output, '')
-
-
-def test_what_is_refused_is_raised_with_its_reason(lesson: Graph) -> None:
-    status, said, errors = run(lesson, REFUSED)
-    first, second, third = said.splitlines()
+    status, said, errors = run(lesson, BEFORE + program + AFTER)
+    assert said.endswith(output)
+    first, second, third = said.removesuffix(output).splitlines()
     assert first == 'WRONG_PHASE lesson/begin_demonstration was refused: Open a session to begin.'
     assert second.startswith('action fly was refused: ')
     assert third == 'p1 s1'
     assert status == 1
+    assert errors.startswith('Traceback')
     assert "RefusedError: lesson/open_session was refused: participant 'no code'" in errors

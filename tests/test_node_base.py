@@ -12,7 +12,6 @@ from graph_support.live import (
     Graph,
     LEARNER,
     LESSON,
-    module_of,
     OPTION_SERVER,
     PLANNER,
     RECORDER,
@@ -49,9 +48,19 @@ def test_a_parameter_that_cannot_be_is_named(
     assert shared.refused(node, '/wrong', **parameters).startswith(f'parameter {name}: ')
 
 
+# A node that does nothing, called as its first argument says.
+PLAIN = """
+import sys
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.process import run_node
+
+sys.exit(run_node(lambda: NodeBase(sys.argv[1])))
+"""
+
+
 def test_a_node_that_cannot_start_says_so_in_one_line_and_ends_with_2(shared: Graph) -> None:
     wrong = shared.spawn(GAME, '/wrong', seed=-1)
-    malformed = shared.run(['-m', module_of(GAME), '--ros-args', '-p', 'seed'], 'game')
+    malformed = shared.run(['-c', PLAIN, '--ros-args', '-p', 'seed'], 'plain')
     for process in (wrong, malformed):
         process.expected = {2}
         assert process.ended() == 2
@@ -82,13 +91,14 @@ def test_a_node_that_the_middleware_holds_up_ends_all_the_same(shared: Graph) ->
 
 def test_a_node_tells_its_life_and_ends_cleanly(shared: Graph) -> None:
     signals = (signal.SIGINT, signal.SIGHUP)  # SIGTERM ends the nodes of every launch
-    names = [f'/{how.name.lower()}' for how in signals]
-    processes = [shared.spawn(GAME, name) for name in names]
-    shared.ready(*(f'{name}/game' for name in names))
+    names = [how.name.lower() for how in signals]
+    shared.watch('/')
+    processes = [shared.run(['-c', PLAIN, name], name) for name in names]
+    shared.ready(*(f'/{name}' for name in names))
     for how, process in zip(signals, processes):
         assert (process.kill(how), process.said()) == (0, '')
     for name in names:
-        node = f'{name}/game'
+        node = f'/{name}'
         shared.until(lambda n=node: shared.state(n) == NodeStatus.STATE_STOPPING, 'its last word')
         life = [(s.sequence, s.state) for s in shared.statuses[node]]
         whole = [
