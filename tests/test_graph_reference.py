@@ -73,7 +73,7 @@ def told(entries: dict[str, Entry]) -> list[str]:
 
 @pytest.fixture(scope='module')
 def full(shared: Graph) -> Iterator[Graph]:
-    """``humanopts teach`` in a terminal with game and recorder; the other nodes are hosted here."""
+    """``humanopts teach`` in a terminal, with game and recorder; the other nodes run here."""
     master, slave = pty.openpty()
     recorder = shared.listen(RecorderStatus, 'recorder_status', qos.CURRENT)
     shared.watch('/')
