@@ -182,3 +182,15 @@ def test_an_option_can_be_used_without_loading_scikit_learn() -> None:
         'sys.exit("sklearn" in sys.modules)'
     )
     assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 0
+
+
+def test_a_tree_is_fitted_without_pandas_which_can_be_imported_afterwards() -> None:
+    code = (
+        'import sys, numpy; from humanopts_learner.options.decision_tree import fit_tree;'
+        'fit_tree(numpy.eye(2, dtype=numpy.float32), numpy.array([0, 1]), (0, 1), 0);'
+        'assert not {"pandas", "pyarrow"} & sys.modules.keys();'
+        'import pandas; from sklearn.tree import DecisionTreeClassifier;'
+        'frame = pandas.DataFrame({"a": [0, 1]});'
+        'assert DecisionTreeClassifier().fit(frame, [0, 1]).feature_names_in_ == ["a"]'
+    )
+    assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 0
