@@ -98,6 +98,7 @@ def drawing(name: str, label: str, width: float, height: float) -> Iterator[Draw
         work = Drawing(width, height)
         yield work
         work.svg = _svg(work.figure, name, label)
+        work.figure.clear()  # its parts hold each other, a megabyte in all
 
 
 def _svg(figure: Any, name: str, label: str) -> str:

@@ -24,7 +24,6 @@ from humanopts_teach.dialogue.panel import (
 from humanopts_teach.state_drawing import StateDrawing
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, ConsoleOptions, Group, RenderableType
-from rich.markdown import Markdown
 from rich.padding import Padding
 from rich.segment import Segment
 from rich.table import Table
@@ -171,6 +170,8 @@ def drawn(block: Block) -> RenderableType:
 
 @drawn.register
 def _page(page: Page) -> RenderableType:
+    from rich.markdown import Markdown  # only studies have such pages
+
     return Markdown(page.text)
 
 
