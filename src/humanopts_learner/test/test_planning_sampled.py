@@ -329,7 +329,7 @@ def test_games_that_begin_again_are_seen_as_they_are() -> None:
         *_, over, states = run_in_step(actions, [runs.step(last)])[0]
         (seen,) = actions.observe([runs.batch])
         assert np.array_equal(runs.seen.states, seen.states)
-        assert np.array_equal(runs.seen.rows, seen.rows)
+        assert np.array_equal(runs.seen.wanted, seen.wanted)
         found.append((states, runs.batch[0]))
     (ends, going_on), (ends_too, begun) = found
     assert np.array_equal(ends, ends_too)  # abstract states before they begin again

@@ -8,7 +8,7 @@ same as if they had been swept.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -22,7 +22,7 @@ from humanopts_learner.planning.smdp import (
 )
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import _sparsetools
 
 OnSweep = Callable[[int, float], bool | None]
 COMPILED_FROM = (
@@ -158,13 +158,17 @@ class _SparseBackup:
         self._layers = [slice(*part) for part in pairwise(ends.tolist())]
         rows = model.rows[option * model.n_states + state]
         successor, indptr = place[rows.indices], rows.indptr.astype(np.int32)
-        self._rows = csr_array((rows.data, successor, indptr), shape=(len(state), len(states)))
+        # SciPy's own product, without what it looks at anew each time: that takes as long.
+        shape, parts = (len(state), len(states)), (indptr, successor, rows.data)
+        self._multiply = partial(_sparsetools.csr_matvec, *shape, *parts)
+        self._choices = np.empty(len(state))  # work space
         self._rewards = np.where(self._dead[state], 0.0, model.reward[state, option])
 
     def sweep(self, old: Floats, new: Floats) -> float:
         """Write the next values to ``new``, and return the largest change."""
-        old, new = old[:-1], new[:-1]
-        choices = self._rows @ old
+        old, new, choices = old[:-1], new[:-1], self._choices
+        choices.fill(0.0)
+        self._multiply(old, choices)  # adds to it
         if len(self._layers) == 1:  # as where a policy is evaluated
             np.add(choices, self._rewards, out=new)
         else:

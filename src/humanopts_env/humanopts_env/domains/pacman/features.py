@@ -15,15 +15,14 @@ to one maze. What the last step ate is in both: nothing else tells that food was
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Feature, FeatureKind
 from humanopts_env.domains.capabilities import FeatureGroup
-from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, Masks, MOVES, Paths, STAY
-from humanopts_env.domains.pacman.rules import PacManBatch, Rules, Taken
+from humanopts_env.domains.pacman.paths import FIRST_MOVE, Masks, MOVES, STAY
+from humanopts_env.domains.pacman.rules import Keys, PacManBatch, Rules
 from humanopts_env.domains.pacman.state import eaten_names, SCARED_STEPS
-from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,7 +38,8 @@ THINGS = {  # prefix of feature names: what it is to a person
     'prey': 'the nearest scared ghost',
 }
 SOUGHT = ('food', 'pill', 'prey')  # among them
-DANGEROUS_AND_SCARED = read_only(np.array([[False], [True]]))
+STEPS, NUMBER, FIRST = 16, 3, 7  # bits of a key: from where on steps and a number are; the first
+FEW = 9  # things; their least key is found one thing after the other
 
 
 def in_paper(name: str) -> bool:
@@ -138,39 +138,29 @@ def _sets(names: Callable[[int], list[str]], empty: str) -> tuple[str, ...]:
     return tuple(' and '.join(names(mask)) or empty for mask in range(16))
 
 
-@dataclass(frozen=True)
-class _Nearest:
-    """Distances from each cell to each of K things, and their cells."""
-
-    distance: NDArray[np.unsignedinteger]  # (C, K + 1), 0 in the last entry
-    cells: NDArray[np.intp]  # (K + 1,), the last entry, C, stands for none
-
-
 class FeatureReader:
     """Computes all features of many games at once, with tables that it prepares for a maze."""
 
     def __init__(self, rules: Rules) -> None:
         """Prepare the tables of a maze."""
         self.rules = rules
-        maze, paths = rules.maze, rules.paths
-        self.far = paths.far
-        self.none = paths.longest + 1  # the value of a distance to nothing
-        count = len(maze.cells)
+        maze, paths, groups = rules.maze, rules.paths, len(rules.maze.homes)
+        count, none = len(maze.cells), paths.longest + 1  # the value of a distance to nothing
         # One more cell, C, stands for nothing at all.
-        self._place = np.array([*maze.cells, (maze.rows, maze.cols)], dtype=np.int32)
-        first = np.full((count, count + 1), NOWHERE, dtype=np.int32)
-        first[:, :count] = FIRST_MOVE[paths.shortest]
-        steps = np.full((count, count + 1), self.none, dtype=np.int32)
-        steps[:, :count] = paths.distance
-        way = np.stack((first, steps), axis=2)
-        place = np.broadcast_to(self._place, (count, count + 1, 2))
-        self._place_and_way = np.concatenate((place, way), axis=2).reshape(
-            -1, 4
-        )  # (C * (C + 1), 4)
-        self._direction = first.ravel()
-        self._food, self._pills = self._search(maze.food), self._search(maze.pills)
-        self._distance = paths.distance.ravel()
+        self._place = np.array([*maze.cells, (maze.rows, maze.cols)], dtype=np.int32).T.copy()
+        first = np.pad(FIRST_MOVE[paths.shortest], ((0, 0), (0, 1)), constant_values=NOWHERE)
+        steps = np.pad(paths.distance.astype(np.int32), ((0, 0), (0, 1)), constant_values=none)
+        # (C * (C + 1),) keys: steps, room for the number of a ghost, and the first move
+        self._way = (steps << STEPS | first).ravel().astype(np.int32)
+        self._no_way = np.int32(none << STEPS | NOWHERE)
+        self._ghosts = (np.arange(groups, dtype=np.int32) << NUMBER)[:, None]
+        self._food, self._pills = np.array([*maze.food, count]), np.array([*maze.pills, count])
         self._legal = paths.legal.astype(np.int32)
+        # features that are the row of each thing, and the direction; ghosts and then THINGS
+        rows = [2 + 5 * ghost for ghost in range(groups)]
+        rows += [2 + 5 * groups + 4 * thing for thing in range(3)]
+        self._rows = np.array(rows)
+        self._directions = np.append(self._rows + 2, [rows[-1] + 4, rows[-1] + 6])
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -179,24 +169,29 @@ class FeatureReader:
 
     def __call__(self, batch: PacManBatch) -> NDArray[np.int32]:
         """Return the features of every game, (N, F)."""
-        out = np.empty((len(batch), len(self.names)), dtype=np.int32)
-        groups, here = len(batch.ghosts), batch.pacman
-        seen = self._look(batch)
-        out[:, :2] = self._place.take(here, axis=0)
-        column = 2
-        for thing in range(groups):
-            out[:, column : column + 4] = seen[thing]
-            out[:, column + 4] = batch.scared[thing]
-            column += 5
-        for thing in range(groups, groups + 3):
-            out[:, column : column + 4] = seen[thing]
-            column += 4
-        for thing in range(groups + 3, groups + 5):
-            out[:, column : column + 2] = seen[thing, :, 2:]
-            column += 2
-        out[:, column] = batch.ate
-        out[:, column + 1] = self._legal.take(here)
-        return out
+        here, tables, groups = batch.pacman, batch.tables, len(batch.ghosts)
+        food = nearest_key(tables.food_number, here, batch.food_taken)
+        pill = nearest_key(tables.pill_number, here, batch.pills_taken)
+        cells = np.empty((groups + 3, len(batch)), dtype=np.intp)
+        cells[:groups] = batch.ghosts
+        cells[groups] = self._food.take(food & tables.low)
+        cells[groups + 1] = self._pills.take(pill & tables.low)
+        cells[groups + 2] = np.where(batch.fruit > 0, batch.fruit_at, self._place.shape[1] - 1)
+        ways = np.empty((groups + len(THINGS), len(batch)), dtype=np.int32)
+        ways[:-2] = self._way.take(here * self._place.shape[1] + cells)
+        scared, ghosts = batch.scared > 0, ways[:groups] | self._ghosts
+        for thing, chosen in ((-2, ~scared), (-1, scared)):
+            ways[thing] = np.where(chosen, ghosts, self._no_way).min(axis=0, initial=self._no_way)
+        out = np.empty((len(self.names), len(batch)), dtype=np.int32)
+        out[:2] = self._place.take(here, axis=1)
+        for axis in range(2):
+            out[self._rows + axis] = self._place[axis].take(cells)
+        out[self._directions] = ways & FIRST
+        out[self._directions + 1] = ways >> STEPS
+        out[self._rows[:groups] + 4] = batch.scared
+        out[-2] = batch.ate
+        out[-1] = self._legal.take(here)
+        return out.T
 
     def first_moves(self, batch: PacManBatch, sought: NDArray[np.integer]) -> NDArray[np.int32]:
         """
@@ -204,59 +199,39 @@ class FeatureReader:
 
         :param sought: (N,) indices into ``SOUGHT``; another number: of nothing.
         """
-        here = batch.pacman
+        here, tables, count = batch.pacman, batch.tables, self._place.shape[1]
         food, pill = (sought == 0).nonzero()[0], (sought == 1).nonzero()[0]
-        cells = np.full(len(batch), len(self._place) - 1, dtype=np.intp)
+        cells = np.full(len(batch), count - 1, dtype=np.intp)
         if food.size:
             taken = batch.food_taken.take(food, axis=0)
-            cells[food] = self._find(self._food, here.take(food), taken)
+            number = nearest_key(tables.food_number, here.take(food), taken) & tables.low
+            cells[food] = self._food.take(number)
         if pill.size:
             taken = batch.pills_taken.take(pill, axis=0)
-            cells[pill] = self._find(self._pills, here.take(pill), taken)
+            number = nearest_key(tables.pill_number, here.take(pill), taken) & tables.low
+            cells[pill] = self._pills.take(number)
+        ways = self._way.take(here * count + cells)
         if batch.scared.any():
-            np.copyto(cells, self._nearest_ghosts(batch)[1], where=sought == 2)
-        way: NDArray[np.int32] = self._direction.take(here * len(self._place) + cells)
-        return way
+            ghosts = self._way.take(here * count + batch.ghosts) | self._ghosts
+            prey = np.where(batch.scared > 0, ghosts, self._no_way).min(axis=0)
+            np.copyto(ways, prey, where=sought == 2)
+        first: NDArray[np.int32] = ways & FIRST
+        return first
 
-    def _look(self, batch: PacManBatch) -> NDArray[np.int32]:
-        """Return row, column, direction and distance of ghosts and THINGS, (G + 5, N, 4)."""
-        groups, here, none = len(batch.ghosts), batch.pacman, len(self._place) - 1
-        cells = np.empty((groups + len(THINGS), len(batch)), dtype=np.intp)
-        cells[:groups] = batch.ghosts
-        cells[groups] = self._find(self._food, here, batch.food_taken)
-        cells[groups + 1] = self._find(self._pills, here, batch.pills_taken)
-        cells[groups + 2] = np.where(batch.fruit > 0, batch.fruit_at, none)
-        cells[groups + 3 :] = self._nearest_ghosts(batch)
-        seen: NDArray[np.int32] = self._place_and_way.take(here * len(self._place) + cells, axis=0)
-        return seen
 
-    def _find(
-        self, items: _Nearest, here: NDArray[np.intp], taken: NDArray[np.unsignedinteger]
-    ) -> NDArray[np.intp]:
-        """Return the cell of the nearest thing that is not taken; C where there is none."""
-        nearest = _distances_left(items.distance, here, taken).argmin(axis=1)
-        found: NDArray[np.intp] = items.cells.take(nearest)
-        return found
+def nearest_key(keys: Keys, here: NDArray[np.intp], taken: Keys) -> Keys:
+    """
+    Return the key (N,) of the nearest thing that is left.
 
-    def _nearest_ghosts(self, batch: PacManBatch) -> NDArray[np.intp]:
-        """Return the cells of the nearest dangerous and scared ghost, (2, N); C: there is none."""
-        none = len(self._place) - 1
-        best = np.full((2, len(batch)), none, dtype=np.intp)
-        least = np.full((2, len(batch)), self.far, dtype=self._distance.dtype)
-        distance = self._distance.take(batch.pacman * none + batch.ghosts)
-        scared = batch.scared > 0
-        for ghost, cells in enumerate(batch.ghosts):
-            nearer = (scared[ghost] == DANGEROUS_AND_SCARED) & (distance[ghost] < least)
-            np.copyto(best, cells, where=nearer)
-            np.copyto(least, distance[ghost], where=nearer)
-        return best
-
-    def _search(self, items: Sequence[int]) -> _Nearest:
-        """Prepare the search for the nearest of some things."""
-        count = len(self.rules.maze.cells)
-        distance = np.zeros((count, len(items) + 1), dtype=self.rules.paths.distance.dtype)
-        distance[:, :-1] = self.rules.paths.distance[:, list(items)]
-        return _Nearest(read_only(distance), np.array([*items, count], dtype=np.intp))
+    :param keys: (C, K + 1) of ``Tables``.
+    :param here: (N,) cells.
+    :param taken: (N, K + 1) marks of ``PacManBatch``.
+    """
+    few = keys.shape[1] < FEW
+    left = keys.T.take(here, axis=1).T if few else keys.take(here, axis=0)
+    np.bitwise_or(left, taken, out=left)
+    least: Keys = left.min(axis=1)
+    return least
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,9 +251,9 @@ class Surroundings:
 
 def look_around(batch: PacManBatch) -> Surroundings:
     """Measure the distances in every game."""
-    paths, maze = batch.rules.paths, batch.rules.maze
-    food, to_food = _nearest_things(batch, maze.food, batch.food_taken)
-    pill, to_pill = _nearest_things(batch, maze.pills, batch.pills_taken)
+    paths, tables = batch.rules.paths, batch.tables
+    food, to_food = _nearest_things(batch, tables.food_masks, tables.food_move, batch.food_taken)
+    pill, to_pill = _nearest_things(batch, tables.pill_masks, tables.pill_move, batch.pills_taken)
     way = batch.pacman * len(paths.step) + batch.ghosts  # (G, N); equally far in both directions
     steps = paths.distance.ravel().take(way).astype(np.intp)
     scared = batch.scared > 0
@@ -301,55 +276,35 @@ def look_around(batch: PacManBatch) -> Surroundings:
 
 
 def _nearest_things(
-    batch: PacManBatch, cells: Sequence[int], taken: Taken
+    batch: PacManBatch, masks: Masks, keys: Keys, taken: Keys
 ) -> tuple[NDArray[np.intp], Masks]:
     """Return steps to the nearest thing left, and first moves to all as near."""
-    paths = batch.rules.paths
-    if not cells:
-        none = np.zeros(len(batch), dtype=np.intp)
-        return none + paths.far, none.astype(np.uint8)
-    distance, shortest = _to_things(paths, tuple(cells))
-    steps = _distances_left(distance, batch.pacman, taken[:, :-1])
-    least = steps.min(axis=1)
-    nearest = steps == least[:, None]
-    first = shortest.take(batch.pacman, axis=0)
-    first *= nearest.view(np.uint8)
-    masks: Masks = np.bitwise_or.reduce(first, axis=1)
-    masks[least == paths.far] = 0
-    return least.astype(np.intp), masks
-
-
-def _distances_left(
-    distance: NDArray[np.unsignedinteger], here: NDArray[np.intp], taken: Taken
-) -> NDArray[np.unsignedinteger]:
-    """
-    Return the steps to each thing, (N, K); ``far`` where it is taken.
-
-    :param distance: (C, K) from each cell to each thing.
-    :param here: (N,) cells.
-    :param taken: (N, K) marks: ``far`` where it is taken.
-    """
-    steps = distance.take(here, axis=0)
+    far = batch.rules.paths.far
+    steps = keys.take(batch.pacman, axis=0)
     np.bitwise_or(steps, taken, out=steps)
-    return steps
-
-
-@lru_cache(maxsize=8)
-def _to_things(paths: Paths, cells: tuple[int, ...]) -> tuple[NDArray[np.unsignedinteger], Masks]:
-    """Return the distance (C, K) from each cell to each thing, and the first moves to it."""
-    columns = list(cells)
-    return read_only(paths.distance[:, columns]), read_only(paths.shortest[:, columns])
+    steps >>= batch.tables.low_bits
+    least = np.minimum(steps.min(axis=1), far)
+    first = masks.take(batch.pacman, axis=0)
+    first *= (steps == least[:, None]).view(np.uint8)
+    found: Masks = np.bitwise_or.reduce(first, axis=1)
+    found[least == far] = 0
+    return least.astype(np.intp), found
 
 
 def flight(batch: PacManBatch) -> Flags:
     """Return (N, 4): the legal moves after which the nearest dangerous ghost is farthest."""
-    paths = batch.rules.paths
-    after = paths.step.T[:STAY].take(batch.pacman, axis=1)  # (4, N)
-    ways = batch.ghosts[:, None] * len(paths.step) + after  # (G, 4, N)
-    steps = paths.distance.ravel().take(ways).astype(np.int32)
-    np.copyto(steps, paths.far, where=batch.scared[:, None] > 0)
-    least = steps.min(axis=0, initial=paths.far)
-    legal = HAS_MOVE.T.take(paths.legal.take(batch.pacman), axis=1)
-    np.copyto(least, -1, where=~legal)
-    best: Flags = least == least.max(axis=0)
-    return best.T
+    safety = safety_after(batch)
+    best: Flags = safety == safety.max(axis=1, keepdims=True)
+    return best
+
+
+def safety_after(batch: PacManBatch) -> Keys:
+    """Return (N, 4): 1 + steps of the nearest dangerous ghost after each move; 0: not legal."""
+    tables, here = batch.tables, batch.pacman
+    way = here * len(tables.legal) + batch.ghosts  # (G, N)
+    steps = tables.after.take(way, axis=0)  # (G, N, 4)
+    np.copyto(steps, tables.legal.max(), where=(batch.scared > 0)[:, :, None])
+    least: Keys = tables.legal.take(here, axis=0)
+    for of_ghost in steps:
+        np.minimum(least, of_ghost, out=least)
+    return least

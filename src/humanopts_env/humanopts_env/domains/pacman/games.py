@@ -12,7 +12,6 @@ around Pac-Man, and the direction of each thing that is near enough to matter.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import zip_longest
 from typing import Any, TYPE_CHECKING
 
 from humanopts_env.arrays import Ints
@@ -20,12 +19,11 @@ from humanopts_env.domains.capabilities import Abstraction
 from humanopts_env.domains.pacman.features import (
     DIRECTIONS,
     FeatureReader,
-    flight,
-    look_around,
+    nearest_key,
+    safety_after,
     SOUGHT,
-    Surroundings,
 )
-from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, MOVES, Paths, STAY
+from humanopts_env.domains.pacman.paths import HAS_MOVE, MOVES, Paths, STAY
 from humanopts_env.domains.pacman.rules import DRAWS, PacManBatch, Rules
 from humanopts_env.domains.pacman.state import PacManState
 from humanopts_env.domains.tabular import read_only
@@ -76,11 +74,14 @@ ABSTRACT_FEATURES = (
     Bucketed('pills_left', (1, 2)),
     Bucketed('lives', (2,)),
 )
-_NEVER = np.iinfo(np.int32).max  # above all numbers
-_EDGES = np.array(  # (E, P, 1) first, second, .. edge of every feature
-    list(zip_longest(*(feature.edges for feature in ABSTRACT_FEATURES), fillvalue=_NEVER)),
+_BUCKETS = np.array(  # (P, AFAR + 2) bucket of each number from -1 to AFAR
+    [
+        np.searchsorted(feature.edges, range(-1, AFAR + 1), side='right')
+        for feature in ABSTRACT_FEATURES
+    ],
     dtype=np.int32,
-)[:, :, None]
+)
+_BUCKET_OF_0 = np.arange(len(_BUCKETS))[:, None] * _BUCKETS.shape[1] + 1
 CONTEXT = ('food_left', 'pills_left')  # remaining points, not things nearby
 
 
@@ -227,38 +228,39 @@ def _near(direction: NDArray[Any], away: NDArray[Any], near: Ints) -> Ints:
 
 def abstract_features(batch: PacManBatch) -> NDArray[np.int32]:
     """Return the buckets of every game, (N, P), in the order of ABSTRACT_FEATURES."""
-    seen, paths, here = look_around(batch), batch.rules.paths, batch.pacman
-    fruit_at = np.where(batch.fruit > 0, batch.fruit_at, here)
-    way = here * len(paths.step) + fruit_at
-    fruit = paths.distance.ravel().take(way).astype(np.intp)
-    moves = np.stack(
+    tables, here, none = batch.tables, batch.pacman, batch.tables.nothing
+    from_here, is_fruit = here * len(tables.is_food), batch.fruit > 0
+    ghosts = tables.way.take(from_here + batch.ghosts)  # (G, N)
+    hunted = np.where(batch.scared > 0, ghosts, none)
+    keys = np.stack(
         [
-            *FIRST_MOVE.take(np.stack((seen.to_food, seen.to_pill, seen.to_prey))),
-            flight(batch).argmax(axis=1),
-            FIRST_MOVE.take(paths.shortest.ravel().take(way)),
+            nearest_key(tables.food_move, here, batch.food_taken),
+            nearest_key(tables.pill_move, here, batch.pills_taken),
+            hunted.min(axis=0, initial=none),
+            tables.way.take(from_here + np.where(is_fruit, batch.fruit_at, here)),
         ]
-    )  # (5, N)
-    cells = paths.step.ravel().take(here * (STAY + 1) + moves)
+    )
+    is_there, steps = keys < none, keys >> tables.low_bits
+    moves = np.empty((5, len(batch)), dtype=np.intp)
+    moves[:4] = np.where(is_there, keys & tables.low, STAY)
+    moves[4] = safety_after(batch).argmax(axis=1)
+    cells = tables.step.take(here * (STAY + 1) + moves)
     arrival = _arrival(batch, np.concatenate((here[None], cells)))  # (6, N)
     np.copyto(arrival[1:], 0, where=moves == STAY)
-    *dangers, danger_to_fruit = arrival
-    prey = _or_afar(seen.prey, seen)
-    numbers = (
-        *dangers,
-        seen.food,
-        _or_afar(seen.pill, seen),
-        prey,
-        np.where(prey < AFAR, seen.fear - seen.prey, -1),
-        danger_to_fruit,
-        np.where(batch.fruit > 0, fruit, AFAR),
-        batch.food_left,
-        np.ascontiguousarray(batch.pills_taken.T == 0).sum(axis=0),
-        batch.lives,
-    )
-    values = np.zeros((len(ABSTRACT_FEATURES), len(batch)), dtype=np.int32)
-    known = np.array(numbers, dtype=np.int32)
-    for edges in _EDGES:
-        values += known >= edges
+    to_hunt = (hunted >> tables.low_bits == steps[2]) & is_there[2]
+    fear = np.where(to_hunt, batch.scared, 0).max(axis=0, initial=0)
+    known = np.empty((len(ABSTRACT_FEATURES), len(batch)), dtype=np.intp)
+    known[:4], known[9], known[4] = arrival[:4], arrival[4], arrival[5]
+    known[[5, 6, 7, 10]] = np.where(is_there, steps, AFAR)
+    known[8] = np.where(is_there[2], np.maximum(fear - steps[2], -1), -1)
+    np.copyto(known[10], AFAR, where=~is_fruit)
+    known[11], known[13] = batch.food_left, batch.lives
+    known[12] = 0
+    for taken in batch.pills_taken.T:
+        known[12] += taken == 0
+    np.minimum(known, AFAR, out=known)
+    known += _BUCKET_OF_0
+    values: NDArray[np.int32] = _BUCKETS.take(known)
     return values.T
 
 
@@ -292,10 +294,6 @@ def _arrival(batch: PacManBatch, cells: Ints) -> NDArray[np.int16]:
     np.copyto(soonest, AFAR, where=batch.scared[:, None] > 0)
     found: NDArray[np.int16] = soonest.min(axis=0, initial=AFAR)
     return found
-
-
-def _or_afar(steps: Ints, seen: Surroundings) -> Ints:
-    return np.where(steps < seen.far, steps, AFAR)
 
 
 def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBatch:

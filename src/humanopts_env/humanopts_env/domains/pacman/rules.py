@@ -33,7 +33,7 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.pacman.maze import Maze
-from humanopts_env.domains.pacman.paths import HAS_MOVE, maze_paths, Paths, STAY
+from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, maze_paths, Paths, STAY
 from humanopts_env.domains.pacman.state import (
     FRUIT_STEPS,
     Ghost,
@@ -46,7 +46,7 @@ from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
 
-Taken = NDArray[np.unsignedinteger]
+Keys = NDArray[np.unsignedinteger]
 
 FOOD_POINTS, PILL_POINTS, FRUIT_POINTS, GHOST_POINTS = 10, 50, 100, 200
 ATE_FOOD, ATE_PILL, ATE_FRUIT, ATE_GHOST = 1, 2, 4, 8  # bits of PacManState.ate
@@ -70,6 +70,11 @@ def _picks() -> NDArray[np.uint8]:
 PICKS = _picks()
 
 
+def _with_none(keys: NDArray[Any]) -> NDArray[Any]:
+    """Return an array (C, K + 1) with one more entry, 0, for nothing."""
+    return np.pad(keys, ((0, 0), (0, 1)))
+
+
 class Tables:
     """The maze as flat read-only arrays, so that each quantity is one look-up."""
 
@@ -91,12 +96,39 @@ class Tables:
         # (K,) food by its distance from the middle, and its cells
         self.from_middle = np.array(maze.from_middle, dtype=np.intp)
         self.middle_cells = np.array(maze.food, dtype=np.intp)[self.from_middle]
+        # A key is a distance and, in its lowest bits, something else about a thing, so that the
+        # least key tells both of the nearest thing.
+        self.low_bits = (max(food, pills, STAY) + 1).bit_length()
+        self.low = (1 << self.low_bits) - 1  # all of these bits
+        small = np.iinfo(np.uint16).max >> self.low_bits >= paths.far
+        kind: Any = np.uint16 if small else np.uint32
+        keys = paths.distance.astype(kind) << self.low_bits
+        # (C * C,) keys of each cell from each cell with the first move there
+        first = keys | FIRST_MOVE.astype(kind)[paths.shortest]
+        self.way = first.ravel()
+        # (C, K + 1) keys of food from each cell with its number, and with the first move there;
+        # (C, P + 1) those of pills
+        self.food_number = _with_none(keys[:, list(maze.food)] | np.arange(food, dtype=kind))
+        self.pill_number = _with_none(keys[:, list(maze.pills)] | np.arange(pills, dtype=kind))
+        self.food_move = _with_none(first[:, list(maze.food)])
+        self.pill_move = _with_none(first[:, list(maze.pills)])
+        # (C, K + 1) and (C, P + 1) first moves of all shortest paths
+        self.food_masks = _with_none(paths.shortest[:, list(maze.food)])
+        self.pill_masks = _with_none(paths.shortest[:, list(maze.pills)])
+        # (C * C, 4) 1 + steps to each cell after each move from each cell; 0: it is not legal
+        legal = HAS_MOVE[paths.legal]
+        after = paths.distance.astype(kind)[paths.step[:, :STAY]] + 1  # (C, 4, C)
+        self.after = (after * legal[:, :, None]).swapaxes(1, 2).reshape(-1, STAY).astype(kind)
+        # (C, 4) the same where all are far
+        self.legal = np.where(legal, kind(paths.far + 1), kind(0))
         # (K + P + 2,) marks of one game in which nothing is left
-        self.all_taken = np.full(food + pills + 2, paths.far, dtype=paths.distance.dtype)
-        self.all_taken[[food, -1]] = paths.far - 1
+        self.all_taken = np.full(food + pills + 2, np.iinfo(kind).max, dtype=kind)
+        self.nothing = self.all_taken[0] >> self.low_bits << self.low_bits  # above all keys
+        self.all_taken[[food, -1]] = self.nothing | food, self.nothing | pills
         self.homes = np.array(maze.homes, dtype=np.intp).reshape(-1, 1)  # (G, 1)
         for table in vars(self).values():
-            table.setflags(write=False)
+            if isinstance(table, np.ndarray):
+                table.setflags(write=False)
 
 
 @dataclass(frozen=True)
@@ -194,10 +226,10 @@ class PacManBatch:
     """
     N games of the same rules.
 
-    Food and pills that are taken are marked with ``Paths.far``, others with 0, so that a bitwise
-    or with distances keeps the distances of those that are left. Both have one more entry for
-    cells with nothing to take, marked with ``far - 1``: nearer than all that is taken, and
-    farther than all that is left.
+    Food and pills that are taken are marked with the largest number, others with 0, so that a
+    bitwise or with the keys of ``Tables`` keeps those of what is left. Both have one more entry
+    for cells with nothing to take, whose mark is below that of all that is taken, above the keys
+    of all that is left, and ends with the entry's own number.
 
     All arrays are rows and columns of two, ``numbers`` and ``taken``, and change in place.
 
@@ -216,7 +248,7 @@ class PacManBatch:
     :ivar ate: (N,) masks of the last step's meals.
     """
 
-    def __init__(self, rules: Rules, numbers: Ints, taken: Taken) -> None:
+    def __init__(self, rules: Rules, numbers: Ints, taken: Keys) -> None:
         """
         Take the arrays of games, which are changed from now on.
 
@@ -380,7 +412,7 @@ class PacManBatch:
         taken = self.taken.reshape(-1)
         games = ((taken.take(item) == 0) & live).nonzero()[0]
         if games.size:
-            taken[item[games]] = self.rules.paths.far
+            taken[item[games]] = np.iinfo(taken.dtype).max
             food = self.tables.is_food.take(self.pacman.take(games))
             self._eat_food(games[food])
             self._eat_pill(games[~food])

@@ -27,13 +27,13 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2**64 by the golden ratio, odd: for ha
 
 @dataclass
 class Observation:
-    """The features and abstract states of N games, and what O options, fallback aside, decide."""
+    """The abstract states of N games, and what O options, fallback aside, decide."""
 
-    rows: NDArray[np.int32]  # (N, F) all features
     states: Codes  # (N,) codes of the abstract states
     startable: Flags  # (N, O) which options can start
     wanted: NDArray[np.int16]  # (N, O) the primitive action of each
     ending: Flags  # (N, O) whether each, if it runs, ends
+    fallback: Ints  # (N,) index of the primitive action where no option can start; -1 elsewhere
 
     def take(self, chosen: Ints) -> 'Observation':
         """Return the observation of chosen games (M,)."""
@@ -50,7 +50,7 @@ class Observation:
 
     @property
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        return self.rows, self.states, self.startable, self.wanted, self.ending
+        return self.states, self.startable, self.wanted, self.ending, self.fallback
 
 
 class StateAbstraction:
@@ -147,11 +147,16 @@ class ActionSet:
         startable, ending = np.ones(shape, dtype=np.bool_), np.ones(shape, dtype=np.bool_)
         wanted = np.empty(shape, dtype=np.int16)
         wanted[:, n_options:] = np.arange(shape[1] - n_options)
+        stuck = np.full(len(rows), n_options == shape[1])
         for o, decide in enumerate(self._decide):
-            startable[:, o] = decide.can_start(rows)
+            startable[:, o] = can_start = decide.can_start(rows)
+            stuck &= ~can_start
             wanted[:, o] = decide.greedy_action(rows)
             ending[:, o] = decide.ends(rows)
-        return Observation(rows, states, startable, wanted, ending)
+        fallback = np.full(len(rows), -1, dtype=np.intp)
+        if stuck.any():
+            fallback[stuck] = self._fallback(rows[stuck])
+        return Observation(states, startable, wanted, ending, fallback)
 
     @property
     def modelled(self) -> tuple[str, ...]:
@@ -159,7 +164,7 @@ class ActionSet:
         names = self.names[: self.first_fallback]
         return (*names, *(f'going on: {option.name}' for option in self.options))
 
-    def fallback(self, rows: Rows) -> Ints:
+    def _fallback(self, rows: Rows) -> Ints:
         """
         Return (N,): the index of the primitive action where no option can start.
 

@@ -45,11 +45,8 @@ class UniformPolicy:
 
     def drawn(self, seen: Observation, draws: Floats) -> Ints:
         """Return the option of the greatest draw (N, O) in each game, (N,)."""
-        can = seen.startable
-        option: Ints = np.where(can, draws, -1.0).argmax(axis=1)
-        none = np.flatnonzero(~can.any(axis=1))
-        if none.size:
-            option[none] = self.actions.fallback(seen.rows[none])
+        option: Ints = np.where(seen.startable, draws, -1.0).argmax(axis=1)
+        np.copyto(option, seen.fallback, where=seen.fallback >= 0)
         return option
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
@@ -108,15 +105,14 @@ class GreedyPolicy:
         if self.execution in MODULAR:
             return option >= 0
         stopped = np.zeros(len(option), dtype=np.bool_)
-        modelled = (option >= 0) & (option < self.actions.first_fallback)
-        running = np.flatnonzero(modelled)
-        if self.execution is Execution.RUN_TO_END or not running.size:
+        if self.execution is Execution.RUN_TO_END:
             return stopped
-        row, can = self._row(seen), seen.startable
-        option_values, going_on = self._option_values(seen, row), self._table[2]
-        at = running, option[running]
-        worth = np.where(can[at], option_values[at], going_on[row[running], at[1]])
-        best = option_values.take(running, axis=0)
+        running = np.flatnonzero((option >= 0) & (option < self.actions.first_fallback))
+        seen = seen.take(running)
+        row = self._row(seen)
+        best, its = self._option_values(seen, row), option[running]
+        at = np.arange(len(running)), its
+        worth = np.where(seen.startable[at], best[at], self._table[2][row, its])
         margin = self.values.interruption_margin
         stopped[running] = interruptions(best, worth[:, None], margin)[:, 0]
         return stopped
@@ -130,10 +126,9 @@ class GreedyPolicy:
         if others.size:
             can = seen.startable.take(others, axis=0)
             option[others] = np.where(can, self.preference, -1).argmax(axis=1)
-            unknown[others] = some = can.any(axis=1)
-            none = others[~some]
-            if none.size:
-                option[none] = self.actions.fallback(seen.rows[none])
+            fallback = seen.fallback.take(others)
+            unknown[others] = fallback < 0
+            option[others] = np.where(fallback < 0, option[others], fallback)
         return Choice(option, unknown)
 
     @cached_property
