@@ -20,6 +20,7 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_ros.qos import LATCHED_ALL
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.cli import main
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher, only_launch
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
@@ -107,23 +108,6 @@ def looked(launcher: Launcher) -> int:
     return len(launcher.ends)
 
 
-def test_a_node_that_is_stopped_is_told_by_name_and_when_it_goes_on(
-    launch: Launch, live: Graph
-) -> None:
-    launcher = launch(spec('game', GAME))
-    said: list[str] = []
-    launcher.report = said.append
-    live.ready('/game')
-    pid = launcher.pid('game')
-    os.kill(pid, signal.SIGSTOP)
-    live.until(lambda: not launcher.check() and said, 'a line')
-    os.kill(pid, signal.SIGCONT)
-    live.until(lambda: not launcher.check() and len(said) > 1, 'another line')
-    stopped = f'the node game is stopped; kill -CONT {pid} lets it go on'
-    assert said == [stopped, 'the node game goes on']
-    assert launcher.ends == []
-
-
 def test_the_recorder_is_stopped_when_the_others_are_gone(
     launch: Launch, live: Graph, tmp_path: Path
 ) -> None:
@@ -165,10 +149,8 @@ def test_a_bag_that_could_not_be_ended_is_told(
 def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def record(name: str) -> int:
-        return live.spawn(RECORDER, path=tmp_path / name).process.pid
-
     def check() -> None:
+        live.spin()
         looks.append(bool(conductor.duplicates))
         if looks.count(True) > 1:
             raise LaunchError('the other is there')
@@ -176,19 +158,19 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
     looks: list[bool] = []
     said: list[str] = []
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
-    first = record('first')
+    live.start(RECORDER, path=tmp_path / 'first', max_seconds=0.2)
     parameters = {'expect_recorder': True}
-    conductor = GraphClient('/', parameters, tmp_path / 'first', watch=lambda: None)
+    conductor = GraphClient('/', parameters, tmp_path / 'first', watch=live.spin)
     try:
         conductor.wait_ready(['/recorder'])
         assert conductor.unrecorded() == ''
-        resource.prlimit(first, resource.RLIMIT_FSIZE, (1000, 1000))
-        with pytest.raises(LaunchError, match='recording stopped: cannot write to'):
+        (tmp_path / 'first' / 'metadata.yaml.new').mkdir()
+        with pytest.raises(LaunchError, match='recording stopped: cannot write in'):
             conductor.wait(lambda: False, 20.0, 'the end of the recording')
-        record('second')
+        live.start(RECORDER, path=tmp_path / 'second')
         with pytest.raises(LaunchError, match='the other is there'):
             conductor.stay(check, said.append)
-        assert conductor.unrecorded().startswith('recording stopped: cannot write to')
+        assert conductor.unrecorded().startswith('recording stopped: cannot write in')
         assert conductor.unrecorded().endswith(f'humanopts bag info {tmp_path}/first')
         assert [line.partition(':')[0] for line in said] == ['/recorder is paused']
     finally:
@@ -284,12 +266,22 @@ def test_nodes_end_when_the_server_that_forked_them_is_killed(launch: Launch, li
     live.until(lambda: not node.exists(), 'the end of the node')
 
 
-def test_a_server_that_is_stopped_holds_nobody_up(
+def test_a_node_that_is_stopped_is_told_by_name_and_a_server_that_is_stopped_holds_nobody_up(
     launch: Launch, live: Graph, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     others = set(children())
     launcher = launch(spec('game', GAME))
+    said: list[str] = []
+    launcher.report = said.append
     live.ready('/game')
+    pid = launcher.pid('game')
+    os.kill(pid, signal.SIGSTOP)
+    live.until(lambda: not launcher.check() and said, 'a line')
+    os.kill(pid, signal.SIGCONT)
+    live.until(lambda: not launcher.check() and len(said) > 1, 'another line')
+    stopped = f'the node game is stopped; kill -CONT {pid} lets it go on'
+    assert said == [stopped, 'the node game goes on']
+    assert launcher.ends == []
     (server,) = set(children()) - others
     os.kill(server, signal.SIGSTOP)
     monkeypatch.setattr('humanopts_teach.launching.launcher._STOP_SECONDS', 0.5)
@@ -400,55 +392,39 @@ def test_a_run_waits_longer_for_a_game_that_takes_its_time() -> None:
     assert patience == {0.0: 5.0, 60.0: 65.0}
 
 
-Up = Callable[..., Command]
-
-
-@pytest.fixture
-def up(tmp_path: Path, live: Graph) -> Iterator[Up]:
-    """Run ``humanopts up taxi`` without a recorder in a namespace."""
-    commands = []
-
-    def start(namespace: str) -> Command:
-        folder = tmp_path / str(len(commands))
-        folder.mkdir()
-        words = ['up', 'taxi', '--no-record', '--out', folder / 'out', '--namespace', namespace]
-        commands.append(Command(words, folder, live.domain_id))
-        return commands[-1]
-
-    yield start
-    for command in commands:
-        command.close()
-
-
-def test_two_namespaces_work_side_by_side_and_a_second_launch_in_one_is_refused(
-    up: Up, live: Graph, tmp_path: Path
+def test_a_launch_refuses_another_in_its_place_and_one_beside_it_where_a_game_runs_already(
+    live: Graph,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    both = {name: up(name) for name in ('/east', '/west')}
-    for name, command in both.items():
-        command.until(lambda n=name, c=command: f'ready: {n}/game' in c.output, 'the nodes')
-    for name in both:
-        live.watch(name)
-    live.ready('/east/game', '/west/game', '/east/planner', '/west/planner')
-    second = up('/east')
-    assert second.ended(30.0) == 1
-    assert 'runs humanopts already' in second.errors
-    assert second.errors.count('\n') == 1
-    assert not (tmp_path / '2' / 'out').exists()
-    for command in both.values():
-        assert command.running()
-        command.send(signal.SIGINT)
-    for command in both.values():
-        assert command.ended(30.0) == 0
-        assert command.output.endswith('stopped\n')
-        assert (command.errors, command.running()) == ('', {})
+    """Launches side by side are in test_browser.py: a graph for each participant."""
 
+    def words(namespace: str) -> list[str]:
+        out = tmp_path / namespace.strip('/') / 'out'
+        options = ['--no-record', '--only', 'game', '--out', str(out), '--namespace', namespace]
+        return ['up', 'taxi', *options]
 
-def test_a_game_that_somebody_else_started_there_is_noticed(up: Up, live: Graph) -> None:
-    game = live.start(GAME, '/shared')
-    live.ready('/shared/game')
-    command = up('/shared')
-    assert command.ended(30.0) == 1
-    (line,) = command.errors.splitlines()
-    assert '/shared/game runs already in this ROS_DOMAIN_ID and namespace' in line
-    assert command.running() == {}
-    assert live.node_called('/shared/game') is game
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    (tmp_path / 'east').mkdir()
+    game = live.start(GAME, '/west')
+    east = Command(words('/east'), tmp_path, live.domain_id)
+    try:
+        east.until(lambda: 'ready: /east/game' in east.output, 'the nodes')
+        live.watch('/east')
+        live.ready('/west/game', '/east/game')
+        for namespace, why in (
+            ('/east', 'runs humanopts already'),
+            ('/west', '/west/game runs already in this ROS_DOMAIN_ID and namespace'),
+        ):
+            assert main(words(namespace)) == 1
+            (line,) = capsys.readouterr().err.splitlines()
+            assert why in line
+        assert live.node_called('/west/game') is game
+        assert east.running()
+        east.send(signal.SIGINT)
+        assert east.ended(30.0) == 0
+        assert east.output.endswith('stopped\n')
+        assert (east.errors, east.running()) == ('', {})
+    finally:
+        east.close()
