@@ -46,7 +46,7 @@ import pyte
 import pytest
 
 WIDTH, HEIGHT = 80, 24
-LOOK = 0.02  # s between looks at the screen, each of which takes longer than a callback
+LOOK = 0.02  # s between looks at the screen
 SIDE = 24  # column where the panel beside the board begins
 PICKUP = 'go to passenger and pickup'
 KEYS = {'down': '\x1b[B', 'up': '\x1b[A', 'right': '\x1b[C', 'left': '\x1b[D'}
@@ -76,15 +76,21 @@ class Terminal:
         self.screen = pyte.Screen(WIDTH, HEIGHT)
         self.stream = pyte.ByteStream(self.screen)
         self.raw = b''
+        self._lines: list[str] = []  # on the screen; empty: it has changed
         self.process = run_on(self.slave, graph, *arguments)
+
+    def lines(self) -> list[str]:
+        """Return the lines of the screen; to render them takes longer than a callback."""
+        self._lines = self._lines or self.screen.display
+        return self._lines
 
     def text(self) -> str:
         """Return what is on the screen, line by line."""
-        return '\n'.join(self.screen.display)
+        return '\n'.join(self.lines())
 
     def words(self) -> str:
         """Return what is beside the board, with wrapped lines joined."""
-        return ' '.join(' '.join(line[SIDE:] for line in self.screen.display).split())
+        return ' '.join(' '.join(line[SIDE:] for line in self.lines()).split())
 
     def read(self, seconds: float = 0.05) -> None:
         """Take in what the process has written."""
@@ -92,6 +98,7 @@ class Terminal:
             data = os.read(self.master, 65536)
             self.raw += data
             self.stream.feed(data)
+            self._lines = []
 
     def until(self, condition: Callable[[], Any], what: str, seconds: float = 30.0) -> None:
         """Read, and let the other nodes work, until a condition holds."""
@@ -100,7 +107,7 @@ class Terminal:
             assert time.monotonic() < deadline, f'waited in vain for {what}:\n{self.text()}'
             looked = time.monotonic()
             while time.monotonic() < looked + LOOK:
-                self._graph.spin(0.005)
+                self._graph.spin()
                 self.read(0.0)
 
     def see(self, text: str, seconds: float = 30.0) -> None:

@@ -291,9 +291,14 @@ class Graph:
                 raise AssertionError(f'waited in vain for {what}\n{said}')
             self.spin()
 
-    def spin(self, seconds: float = 0.02) -> None:
-        """Serve all nodes a moment."""
-        self._executor.spin_once(seconds)
+    def spin(self) -> None:
+        """
+        Serve all nodes a moment.
+
+        It is as long every time: another timeout lets the executor begin anew, with what is always
+        the first to be ready.
+        """
+        self._executor.spin_once(0.02)
 
     def ready(self, *names: str) -> None:
         """Wait until nodes, by full name, are ready."""
