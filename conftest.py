@@ -1,6 +1,16 @@
-"""What all tests share: examples of Hypothesis take what time they need, as on a busy machine."""
+"""What all tests share: Hypothesis without deadlines, and no search for garbage while collecting."""
+
+import gc
 
 from hypothesis import settings
 
+# Examples take what time they need, as on a busy machine.
 settings.register_profile('humanopts', deadline=None)
 settings.load_profile('humanopts')
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was imported out of each search for garbage, of which every graph makes one."""
+    gc.freeze()
+    gc.enable()

@@ -1,7 +1,6 @@
 """Fixtures of the live graph."""
 
 from collections.abc import Iterator
-import gc
 import os
 from pathlib import Path
 
@@ -47,11 +46,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return item.path in files, LONGEST.index(name) if name in LONGEST else len(LONGEST)
 
     items.sort(key=place)
-
-
-def pytest_collection_finish() -> None:
-    """Leave what was imported out of each search for garbage, of which every graph makes one."""
-    gc.freeze()
 
 
 @pytest.fixture
