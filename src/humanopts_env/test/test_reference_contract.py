@@ -56,8 +56,8 @@ class TestChasedPacMan(ReferenceContract):
     """With ghosts that come after him."""
 
     def make(self) -> Domain[Any]:
-        """Return the same maze."""
-        return PacMan(ghosts='chase')
+        """Return a small maze."""
+        return PacMan('yard', ghosts='chase')
 
 
 class TestPacManWithThePapersFeatures(ReferenceContract):
