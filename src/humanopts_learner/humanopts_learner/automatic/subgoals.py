@@ -6,6 +6,7 @@ The subgoals are first the goals of random tasks, and then the bottlenecks.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.search_space import SearchSpace
@@ -33,10 +34,15 @@ class Subgoals:
     target: Flags  # (L, S) reward 1; ends the episode
     forbidden: Flags  # (L, S) reward 0; ends the episode too
 
+    @cached_property
+    def first(self) -> Ints:
+        """Return (L,): the place of each learner's first start."""
+        places: Ints = np.cumsum(self.counts) - self.counts
+        return places
+
     def draw(self, learners: Ints, rng: np.random.Generator) -> Ints:
         """Draw a start for each of some learners (N,)."""
-        first = np.cumsum(self.counts) - self.counts
-        drawn: Ints = self.starts[first[learners] + rng.integers(self.counts[learners])]
+        drawn: Ints = self.starts[self.first[learners] + rng.integers(self.counts[learners])]
         return drawn
 
 
@@ -134,10 +140,11 @@ def learn_to_reach(
         ran[live] += 1
         game_steps += live.size
         finished = live[ended | (ran[live] >= config.max_steps)]
-        episode[finished] += 1
-        ran[finished] = 0
-        state[finished] = subgoals.draw(finished, rng)
-        live = live[episode[live] < episodes]
+        if finished.size:
+            episode[finished] += 1
+            ran[finished] = 0
+            state[finished] = subgoals.draw(finished, rng)
+            live = live[episode[live] < episodes]
         rounds += 1
         if rounds % REPORT_EVERY == 0:
             report(float(episode.mean()) / episodes, game_steps)
