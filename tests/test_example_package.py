@@ -1,5 +1,6 @@
 """The example of a domain in a package of its own: its tests, and planning in it by its name."""
 
+import os
 from pathlib import Path
 import subprocess
 import sys
@@ -37,6 +38,7 @@ def test_its_own_tests_pass() -> None:
     run = subprocess.run(
         [sys.executable, '-m', 'pytest', '-q', '-p', 'no:cacheprovider'],
         cwd=PACKAGE,
+        env={**os.environ, 'PYTEST_DISABLE_PLUGIN_AUTOLOAD': '1'},
         capture_output=True,
         text=True,
         timeout=100,

@@ -73,12 +73,18 @@ ResetGame.Response.STATUS_GOOD
 
 
 def test_a_misspelt_field_is_a_type_error(
-    stubs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stubs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: pytest.Cache
 ) -> None:
+    """What mypy knows of Python itself is kept for the next time."""
     (tmp_path / 'wrong.py').write_text(WRONG)
     (tmp_path / 'none.toml').write_text('')
     monkeypatch.setenv('MYPYPATH', str(stubs))
-    options = ['--config-file', str(tmp_path / 'none.toml'), '--cache-dir', str(tmp_path)]
+    options = [
+        '--config-file',
+        str(tmp_path / 'none.toml'),
+        '--cache-dir',
+        str(cache.mkdir('mypy')),
+    ]
     said, _, status = api.run([*options, str(tmp_path / 'wrong.py')])
     assert status == 1, said
     lines = [int(line.split(':')[1]) for line in said.splitlines() if ': error: ' in line]

@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 import json
 from pathlib import Path
 import subprocess
@@ -28,8 +29,13 @@ def name_of(path: Path) -> str:
     return str(path.relative_to(SOURCE))
 
 
-def imports(path: Path) -> Iterator[str]:
-    """Yield the full name of everything that a module imports, inside functions too."""
+@cache
+def imports(path: Path) -> list[str]:
+    """Return the full name of everything that a module imports, inside functions too."""
+    return list(_imports(path))
+
+
+def _imports(path: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(path.read_text('utf-8'))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

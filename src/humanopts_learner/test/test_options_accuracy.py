@@ -43,7 +43,7 @@ def sampled(domain: Domain[Any], count: int) -> tuple[list[Any], Rows]:
     return states, feature_rows(domain, states)
 
 
-def fitted(domain: Domain[Any], reference: ReferenceOption, count: int = 3000) -> LearnedOption:
+def fitted(domain: Domain[Any], reference: ReferenceOption, count: int = 2000) -> LearnedOption:
     """Return an option whose trees are fitted to what the reference says of sampled states."""
     states, rows = sampled(domain, count)
     said = judge_states(reference, states, len(domain.actions))

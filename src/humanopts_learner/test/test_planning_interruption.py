@@ -67,8 +67,7 @@ def test_it_is_never_worse_on_taxi(action_set: str, max_steps: int) -> None:
     assert_never_worse(make_exact_plan(taxi, tabled(taxi, max_steps), PlanRequest(action_set)))
 
 
-@pytest.mark.parametrize('max_steps', [2, 6, 200])
-@pytest.mark.parametrize('goal', ['G1', 'G2'])
+@pytest.mark.parametrize(('goal', 'max_steps'), [('G1', 2), ('G1', 200), ('G2', 6)])
 @pytest.mark.parametrize('action_set', ['human', 'human+primitive'])
 def test_it_is_never_worse_in_the_rooms(action_set: str, goal: str, max_steps: int) -> None:
     assert_never_worse(rooms_plan(action_set, goal, max_steps))
@@ -160,7 +159,7 @@ random_plans = st.builds(
 
 
 @pytest.mark.heavy
-@settings(max_examples=50)
+@settings(max_examples=30)
 @given(random_plans)
 def test_it_is_never_worse_in_random_worlds_whatever_the_step_limits(plan: ExactPlan) -> None:
     assert_never_worse(plan)

@@ -58,7 +58,7 @@ def run_by_steps(
             return total, state, 0.0 if terminated else gamma**steps, bool(ended)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n_states=st.integers(1, 30),
@@ -189,7 +189,7 @@ def dense_model(
 
 
 @pytest.mark.heavy
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n_states=st.integers(1, 12),

@@ -236,6 +236,12 @@ def request(**values: Any) -> PlanRequest:
     return PlanRequest(**{'action_set': 'primitive', 'game_steps': STEPS, 'seed': SEED, **values})
 
 
+@cache
+def planned(domain: Domain[Any]) -> Any:
+    """Return a plan with primitive actions."""
+    return make_plan(domain, [], request())
+
+
 def test_where_states_can_be_listed_the_plan_is_the_exact_one() -> None:
     """Whatever is asked of samples."""
     plan = make_plan(ROOMS, HALLWAYS, request(action_set='human'))
@@ -247,14 +253,10 @@ def test_where_states_can_be_listed_the_plan_is_the_exact_one() -> None:
 @pytest.mark.heavy
 def test_elsewhere_the_plan_is_the_sampled_one_of_the_seed() -> None:
     """With the number of game steps that were asked for."""
-    plan, sampled = (
-        make_plan(YARD, [], request()),
-        make_sampled_plan(YARD, [], PlanRequest('primitive', game_steps=STEPS, seed=3)),
-    )
+    plan = planned(YARD)
+    sampled = make_sampled_plan(YARD, [], PlanRequest('primitive', game_steps=STEPS, seed=SEED))
     assert (plan.names, plan.game_steps) == (sampled.names, STEPS)
     assert np.array_equal(plan.solution.values, sampled.solution.values)
-    other = make_plan(YARD, [], request(seed=4))
-    assert not np.array_equal(other.solution.values, plan.solution.values)
 
 
 def test_an_exact_plan_is_judged_by_the_starts_of_the_seed() -> None:
@@ -274,7 +276,7 @@ def test_an_exact_plan_is_judged_by_the_starts_of_the_seed() -> None:
 @pytest.mark.heavy
 def test_a_sampled_plan_is_judged_as_it_plays() -> None:
     """Telling how far the games are changes nothing in them."""
-    plan = make_plan(YARD, [], request())
+    plan = planned(YARD)
     assert isinstance(plan, SampledPlan)
     returns, found = plan.play(SEED, 30), judge_plan(plan, SEED, 30)
     assert found.total == Interval.of(returns.total)
@@ -288,7 +290,7 @@ def test_a_sampled_plan_is_judged_as_it_plays() -> None:
 @pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
 def test_one_episode_has_a_mean_without_bounds(domain: Domain[Any]) -> None:
     """And none is refused."""
-    plan = make_plan(domain, [], request())
+    plan = planned(domain)
     found = judge_plan(plan, SEED, 1).total
     assert math.isfinite(found.mean)
     assert math.isnan(found.low)
@@ -301,7 +303,7 @@ def test_one_episode_has_a_mean_without_bounds(domain: Domain[Any]) -> None:
 @pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
 def test_judging_says_how_far_it_is_and_can_be_canceled(domain: Domain[Any]) -> None:
     """From its first start state to its last step."""
-    plan, seen = make_plan(domain, [], request()), list[float]()
+    plan, seen = planned(domain), list[float]()
 
     def note(stage: str, fraction: float, sweeps: int, residual: float) -> None:
         assert (stage, sweeps) == ('evaluation', 0)
@@ -323,7 +325,7 @@ def test_judging_says_how_far_it_is_and_can_be_canceled(domain: Domain[Any]) -> 
 @pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
 def test_a_plan_chooses_in_states_of_the_domain(domain: Domain[Any]) -> None:
     """A primitive action, never as a fallback where they are what is planned with."""
-    plan = make_plan(domain, [], request())
+    plan = planned(domain)
     decision = plan.choose(episode_start(domain, SEED, 0))
     assert decision.name in plan.names
     assert not decision.fallback
@@ -331,12 +333,12 @@ def test_a_plan_chooses_in_states_of_the_domain(domain: Domain[Any]) -> None:
 
 @pytest.mark.heavy
 def test_the_slippery_lake_is_crossed_as_often_as_it_can_be() -> None:
-    """Gymnasium gives 0.74 as the optimum within its 100 steps; 20,000 games, error 0.003."""
+    """Gymnasium gives 0.74 as the optimum within its 100 steps; 5,000 games, error 0.006."""
     lake = gymnasium_domain('FrozenLake-v1')()
     plan = make_plan(lake, [], PlanRequest('primitive'))
     assert plan.solution.values[0] == pytest.approx(0.5420, abs=5e-5)  # at gamma 0.99
-    returns = play(plan, episode_starts(lake, seed=0, episodes=20_000))
-    assert returns.total.mean() == pytest.approx(0.74, abs=0.015)
+    returns = play(plan, episode_starts(lake, seed=0, episodes=5_000))
+    assert returns.total.mean() == pytest.approx(0.74, abs=0.025)
 
 
 def test_the_cliff_is_passed_in_thirteen_steps() -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 import pytest
 
-RUNS = 100_000
+RUNS = 40_000
 ROOMS = Rooms()
 
 

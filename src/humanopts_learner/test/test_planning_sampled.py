@@ -203,8 +203,7 @@ def test_sampling_keeps_to_its_budget() -> None:
 
 def test_the_same_seed_gives_the_same_plan_and_another_another() -> None:
     """Values and states alike."""
-    first, again = new_plan('human', 20_000), new_plan('human', 20_000)
-    other = rooms_plan('human', 20_000, seed=2)
+    first, again, other = (new_plan('human', 5_000, seed=seed) for seed in (1, 1, 2))
     assert np.array_equal(first.solution.values, again.solution.values)
     assert not np.array_equal(first.solution.values, other.solution.values)
 
@@ -272,8 +271,8 @@ def test_interruption_gains_where_options_pass_by_the_goal(execution: Execution)
     """With G2 as with exact models, in a plan that was sampled so or by runs to the end."""
     for sampled_by in (Execution.RUN_TO_END, execution):
         plan = rooms_plan('human', 100_000, goal='G2', execution=sampled_by)
-        to_end = plan.play(3, 1000, Execution.RUN_TO_END).discounted
-        gain = Interval.of(plan.play(3, 1000, execution).discounted - to_end)
+        to_end = plan.play(3, 400, Execution.RUN_TO_END).discounted
+        gain = Interval.of(plan.play(3, 400, execution).discounted - to_end)
         assert gain.low > 0.0
         assert gain.mean > 0.1 * to_end.mean()
 

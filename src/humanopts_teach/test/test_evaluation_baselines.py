@@ -1,7 +1,5 @@
 """Ways to play Pac-Man, compared under the same rules."""
 
-from dataclasses import replace
-
 from humanopts_env.domains.pacman.baselines import play_heuristic
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.registry import parameters_json
@@ -104,14 +102,14 @@ def test_a_curve_has_the_same_score_for_the_same_budget(
 def test_a_curve_ends_where_the_target_is_reached_and_shows_where_it_is_not(
     domain: PacMan, options: list[LearnedOption]
 ) -> None:
-    plan, budgets = Baseline('planned', PLAN, HUMAN, options), (STEPS, 2 * STEPS)
-    curve = planning_curve(domain, plan, budgets, SEED, GAMES, target=1e9)  # there are not so many
-    assert [row.budget_steps for row in curve.rows] == [STEPS, 2 * STEPS]
+    plan, budgets = Baseline('planned', PLAN, HUMAN, options), (500, 1_000)
+    curve = planning_curve(domain, plan, budgets, SEED, 4, target=1e9)  # there are not so many
+    assert [row.budget_steps for row in curve.rows] == [500, 1_000]
     assert curve.seconds_to_reach(1e9) is None
-    curve = planning_curve(domain, plan, budgets, SEED, GAMES, target=-1e9)
-    assert [row.budget_steps for row in curve.rows] == [STEPS]
+    curve = planning_curve(domain, plan, budgets, SEED, 4, target=-1e9)
+    assert [row.budget_steps for row in curve.rows] == [500]
     assert curve.seconds_to_reach(-1e9) == curve.rows[0].seconds > 0.0
-    curve = planning_curve(domain, plan, budgets, SEED, GAMES, enough_seconds=1e-9)
+    curve = planning_curve(domain, plan, budgets, SEED, 4, enough_seconds=1e-9)
     assert len(curve.rows) == 1
 
 
@@ -127,15 +125,6 @@ def test_options_play_better_than_random_moves(rows: list[ComparisonRow]) -> Non
     assert all(row.score.low > moves.score.high for row in rows if row is not moves)
     assert moves.decisions is not None
     assert moves.fallbacks == 0.0
-
-
-def test_the_same_seed_gives_the_same_rows(
-    domain: PacMan, baselines: list[Baseline], rows: list[ComparisonRow]
-) -> None:
-    again = [play_baseline(domain, baseline, SEED, GAMES) for baseline in baselines]
-    assert [replace(row, seconds=None) for row in again] == [
-        replace(row, seconds=None) for row in rows
-    ]
 
 
 def test_only_a_domain_with_a_rule_plays_by_it(domain: PacMan) -> None:
