@@ -1,4 +1,4 @@
-"""What all tests share: Hypothesis without deadlines, and no search for garbage while collecting."""
+"""What all tests share: Hypothesis has no deadlines; collecting looks for no garbage."""
 
 import gc
 
