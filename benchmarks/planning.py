@@ -27,6 +27,7 @@ from humanopts_env.domains.base import Transitions
 from humanopts_env.domains.tabular import distance_to, read_only
 from humanopts_env.domains.taxi import LARGEST, Taxi
 from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_learner.options.decision_tree import import_scikit_learn
 from humanopts_learner.options.option import (
     option_from_table,
     TabularOption,
@@ -78,7 +79,7 @@ class TaxiCase:
 
         :raises DomainError: the side is not from 4 to 1000.
         """
-        importlib.import_module('sklearn.tree')  # which the first fit would, on the clock
+        import_scikit_learn()  # which the first fit would, on the clock
         self.domain = domain = PricedTaxi(side, side)
         _, self.table_bytes, _ = traced(lambda: (domain.transitions(), domain.over()))
         rows, going = domain.feature_table(), ~domain.over()

@@ -5,11 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from humanopts_teach.report.figures import file_settings
-import matplotlib
-from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-import pandas as pd
 from rich.box import SIMPLE
 from rich.table import Table
 
@@ -134,8 +129,9 @@ _PARTS = {'planning': 'n_states', 'recording': 'load'}  # a line is drawn where 
 
 def section_table(name: str, rows: Sequence[Row]) -> Table:
     """Return the table of a section; columns without any value are left out."""
-    frame = pd.DataFrame(rows)
-    columns = [column for column in _COLUMNS[name] if frame[column.key].notna().any()]
+    columns = [
+        column for column in _COLUMNS[name] if any(row.get(column.key) is not None for row in rows)
+    ]
     table = Table(title=_TITLES[name], title_justify='left', box=SIMPLE, pad_edge=False)
     for column in columns:
         if column.text is None:
@@ -164,21 +160,22 @@ def write_figure(path: Path, rows: Sequence[Row]) -> None:
     :param path: ends in one of ``SUFFIXES``.
     :raises OSError: it cannot be written.
     """
-    frame = pd.DataFrame(rows).dropna(subset='sweeps')  # single sweeps are no solvers
+    from humanopts_teach.report.figures import file_settings
+    import matplotlib
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    solved = [row for row in rows if row.get('sweeps') is not None]  # not single sweeps
     with matplotlib.rc_context({**file_settings('bench'), 'svg.fonttype': 'none'}):
         figure = Figure(figsize=(6.5, 5.0), layout='constrained')
         axes = figure.add_subplot()
-        for number, (solver, own) in enumerate(frame.groupby('solver', sort=False)):
-            axes.loglog(
-                own['n_states'],
-                own['seconds'],
-                marker=MARKERS[number],
-                label=solver,
-            )
+        for number, solver in enumerate(dict.fromkeys(row['solver'] for row in solved)):
+            own = [(row['n_states'], row['seconds']) for row in solved if row['solver'] == solver]
+            axes.loglog(*zip(*own), marker=MARKERS[number], label=solver)
         axes.set(
             title='Planning time on Taxi grids', xlabel='states', ylabel='seconds, median of runs'
         )
-        sizes = sorted(set(frame['n_states']))
+        sizes = sorted({row['n_states'] for row in solved})
         axes.xaxis.set_major_locator(FixedLocator(sizes))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda size, _: f'{size:,.0f}'))

@@ -264,7 +264,7 @@ def fit_tree(
     """
     if len(X) == 0 or not np.isin(y, classes).all():
         raise ValueError('a tree is fitted to one row or more, labelled with its classes')
-    _import_scikit_learn()
+    import_scikit_learn()
     from sklearn import config_context
     from sklearn.tree import DecisionTreeClassifier
 
@@ -287,7 +287,7 @@ def fit_tree(
 
 
 @cache
-def _import_scikit_learn() -> None:
+def import_scikit_learn() -> None:
     """
     Import scikit-learn, but not pandas.
 
