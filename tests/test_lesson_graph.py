@@ -1,6 +1,7 @@
 """The lesson over the real graph, with game, learner and teacher; the test is the person."""
 
-import signal
+from pathlib import Path
+import shutil
 from typing import Any
 
 from graph_support.live import GAME, Graph, LEARNER, LESSON, OPTION_SERVER, TEACHER
@@ -23,6 +24,7 @@ from humanopts_interfaces.srv import (
     ResetGame,
     WithdrawDemonstration,
 )
+from humanopts_learner.demonstrations import GOAL
 from humanopts_ros.qos import LATCHED, STREAM
 from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
@@ -52,7 +54,7 @@ def test_the_simulated_teacher_teaches_until_the_criteria_hold(
     graph: Graph, person: Person
 ) -> None:
     start_learner(graph)
-    lesson = person.start_lesson(strategy='failures', until_no_failures=True)
+    lesson = person.start_lesson(strategy='failures', until_no_failures=True, learn=GOAL)
     graph.ready('/game', '/learner')
     graph.start(TEACHER, error_rate=0.05, options=[PICKUP])
     graph.until(
@@ -79,15 +81,18 @@ def test_the_simulated_teacher_teaches_until_the_criteria_hold(
 
 def test_a_lesson_that_was_killed_goes_on_where_it_was(graph: Graph, person: Person) -> None:
     start_learner(graph)
-    lesson = graph.spawn(LESSON, directory=person.folder)
-    graph.ready('/lesson')
+    lesson = person.start_lesson()
     person.get_ready()
     uuid = person.show()
     graph.until(lambda: bool(person.shown), 'the demonstration')
     first = person.shown[0]
     assert first.uuid == uuid
     person.begin()
-    lesson.kill(signal.SIGKILL)
+    # All that a process leaves that is killed now; test_node_deaths.py kills one.
+    left = Path(shutil.copytree(person.folder, graph.folder / 'left'))
+    graph.stop(lesson)
+    shutil.rmtree(person.folder)
+    left.rename(person.folder)
 
     person.latest.pop(LessonState)
     person.start_lesson(participant='p1', session='s1')
