@@ -1,6 +1,7 @@
 """Trials of a reproduction: what is computed, what is not computed again, what fails."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 import io
 import os
@@ -175,50 +176,40 @@ def test_without_dask_it_is_said_what_is_missing(tmp_path: Path) -> None:
             run_trials(tiny('random'), tmp_path, quiet, 1, 'tcp://127.0.0.1:1')
 
 
-SCHEDULER = """
-import asyncio
-from distributed import Scheduler
+CLUSTER = """
+import asyncio, sys
+from distributed import Scheduler, Worker
 async def main():
     async with Scheduler(host='127.0.0.1', port=0, dashboard=False) as scheduler:
-        print(scheduler.address, flush=True)
-        await scheduler.finished()
+        async with Worker(scheduler.address, host='127.0.0.1', nthreads=1):
+            print(scheduler.address, flush=True)
+            await asyncio.to_thread(sys.stdin.read)
 asyncio.run(main())
 """
 
 
-def start_scheduler(folder: Path, path: str) -> tuple[subprocess.Popen[str], str]:
-    """Start a Dask scheduler in a folder, with a PYTHONPATH; return it and its address."""
-    process = subprocess.Popen(
-        [sys.executable, '-c', SCHEDULER],
+@contextmanager
+def started(folder: Path, path: str) -> Iterator[str]:
+    """Start a Dask scheduler and a worker in a folder, with a PYTHONPATH; yield the address."""
+    with subprocess.Popen(
+        [sys.executable, '-c', CLUSTER],
         cwd=folder,
         env={**os.environ, 'PYTHONPATH': path},
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
-    )
-    assert process.stdout is not None
-    return process, process.stdout.readline().strip()
+    ) as process:
+        assert process.stdout is not None
+        yield process.stdout.readline().strip()
 
 
 @pytest.fixture(scope='module')
 def cluster() -> Iterator[str]:
-    """A Dask scheduler and a worker on loopback."""
+    """A cluster that has the experiments."""
     pytest.importorskip('distributed')
-    devnull = subprocess.DEVNULL
-    scheduler, address = start_scheduler(Path.cwd(), os.environ.get('PYTHONPATH', ''))
-    started = [scheduler]
-    try:
-        worker = [sys.executable, '-m', 'distributed.cli.dask_worker', address]
-        options = ['--no-nanny', '--nthreads', '1', '--no-dashboard', '--host', '127.0.0.1']
-        started.append(subprocess.Popen([*worker, *options], stdout=devnull, stderr=devnull))
+    with started(Path.cwd(), os.environ.get('PYTHONPATH', '')) as address:
         yield address
-    finally:
-        for process in reversed(started):
-            process.terminate()
-        for process in started:
-            process.wait(20)
-            if process.stdout is not None:
-                process.stdout.close()
 
 
 def test_dask_cluster_computes_what_this_machine_does(tmp_path: Path, cluster: str) -> None:
@@ -241,13 +232,11 @@ def test_cluster_with_other_code_is_named(
 
 def test_scheduler_without_the_experiments_is_named(tmp_path: Path) -> None:
     pytest.importorskip('distributed')
-    scheduler, address = start_scheduler(tmp_path, '')
-    try:
-        with pytest.raises(ClusterError, match=r'scheduler cannot import .* PYTHONPATH'):
-            run_trials(tiny('random'), tmp_path, quiet, 1, address)
-    finally:
-        scheduler.kill()
-        scheduler.communicate()
+    with (
+        started(tmp_path, '') as address,
+        pytest.raises(ClusterError, match=r'scheduler cannot import .* PYTHONPATH'),
+    ):
+        run_trials(tiny('random'), tmp_path, quiet, 1, address)
 
 
 def test_scheduler_that_does_not_answer_is_named(

@@ -141,7 +141,7 @@ READERS: dict[str, Callable[[Bag], object]] = {
 def test_reading_holds_a_few_chunks_however_long_the_bag_is(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration], period: int
 ) -> None:
-    Lesson(tmp_path / 'bag', taxi, period).write(taxi_lesson, 15_000_000, 30)
+    Lesson(tmp_path / 'bag', taxi, period).write(taxi_lesson, 10_000_000, 20)
     bag = open_bag(tmp_path / 'bag')
     check = check_bag(bag)
     assert check.whole, check.findings
