@@ -18,6 +18,7 @@ from graph_support.live import (
     TEACHER,
 )
 from humanopts_interfaces.msg import GameState, NodeStatus
+from humanopts_interfaces.srv import SetPace
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import LATCHED_ALL
 from humanopts_teach.bags.reader import open_bag
@@ -47,6 +48,8 @@ def test_a_parameter_that_cannot_be_is_named(
 ) -> None:
     assert shared.refused(node, '/wrong', **parameters).startswith(f'parameter {name}: ')
 
+
+BURST = 50  # calls at once
 
 # A node that does nothing, called as its first argument says.
 PLAIN = """
@@ -204,3 +207,18 @@ def test_a_server_that_is_found_after_the_call_still_answers(shared: Graph) -> N
         asker.destroy_node()
         server.destroy_node()
         rclpy.shutdown()
+
+
+def test_a_burst_of_calls_loses_no_request_and_no_answer(live: Graph) -> None:
+    live.start(GAME, domain='taxi')
+    lesson = live.start(LESSON, directory=live.folder / 'demonstrations')
+    live.ready('/game', '/lesson')
+    client = lesson.recorded_client(SetPace, 'set_pace')
+    live.until(client.service_is_ready, 'its server')
+    with live.silent('/lesson'):
+        awaited = client.call_async(SetPace.Request())
+        with live.silent('/game'):
+            calls = [live.request(SetPace, 'set_pace') for _ in range(BURST)]
+        live.until(lambda: all(call.done() for call in calls), 'an answer to each of the others')
+    live.until(awaited.done, 'an answer that came before them')
+    assert awaited.result().status == calls[0].result().status

@@ -12,7 +12,7 @@ import uuid
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.guard import Guard
 from humanopts_ros.publisher import M, PublishError, StampedPublisher
-from humanopts_ros.qos import LATCHED, STREAM
+from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
 from humanopts_ros.recording import Selection
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
@@ -321,13 +321,15 @@ class NodeBase(Node):
         group: CallbackGroup | None = None,
     ) -> Service:
         """Create a service whose requests and responses are on the graph."""
-        return self._introspected(
-            self.create_service(kind, name, callback, callback_group=group), name
+        service = self.create_service(
+            kind, name, callback, qos_profile=SERVICE, callback_group=group
         )
+        return self._introspected(service, name)
 
     def recorded_client(self, kind: Any, name: str, group: CallbackGroup | None = None) -> Client:
         """Create a client whose requests and responses are on the graph."""
-        return self._introspected(self.create_client(kind, name, callback_group=group), name)
+        client = self.create_client(kind, name, qos_profile=SERVICE, callback_group=group)
+        return self._introspected(client, name)
 
     def recorded_action(
         self,
@@ -361,6 +363,7 @@ class NodeBase(Node):
             callback_group=group,
             cancel_callback=cancel,
             result_timeout=_RESULT_TIMEOUT,
+            **ACTION,
         )
 
     def is_recorded(self, topic: str, recorders: int = 1) -> bool:

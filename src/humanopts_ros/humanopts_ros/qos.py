@@ -24,3 +24,7 @@ LATCHED_ALL = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)
 # blocks the writer, so displays read LATCHED topics or DISPLAY instead.
 STREAM = _profile(DurabilityPolicy.VOLATILE, 0)
 DISPLAY = _profile(DurabilityPolicy.VOLATILE, 1)
+# Requests and answers, of which those to other callers come, too: a burst of them loses none. A
+# caller that has stopped does not block the server.
+SERVICE = _profile(DurabilityPolicy.VOLATILE, 1000)
+ACTION = {f'{name}_service_qos_profile': SERVICE for name in ('goal', 'result', 'cancel')}

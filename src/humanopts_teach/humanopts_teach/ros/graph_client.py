@@ -15,7 +15,7 @@ from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import CURRENT, LATCHED_ALL
+from humanopts_ros.qos import ACTION, CURRENT, LATCHED_ALL
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import CONDUCTOR
 from humanopts_teach.launching.processes import RECORDER, Value
@@ -93,8 +93,8 @@ class GraphClient(NodeBase):
             self.create_subscription(kind, topic, partial(setattr, self, name), CURRENT)
         game = GameSubscriber(self, partial(setattr, self, 'domain'))
         self._current_state = game.newest()
-        self._plan_client = ActionClient(self, Plan, 'plan')
-        self._policy_client = ActionClient(self, RunPolicy, 'run_policy')
+        self._plan_client = ActionClient(self, Plan, 'plan', **ACTION)
+        self._policy_client = ActionClient(self, RunPolicy, 'run_policy', **ACTION)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
 

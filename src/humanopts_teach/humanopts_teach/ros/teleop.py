@@ -26,7 +26,7 @@ from humanopts_interfaces.msg import (
 from humanopts_ros.node_base import NodeBase, SEEDS
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.publisher import PublishError
-from humanopts_ros.qos import CURRENT, DISPLAY, STREAM
+from humanopts_ros.qos import ACTION, CURRENT, DISPLAY, STREAM
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.study import StudyApp
@@ -250,7 +250,9 @@ class Runs:
     def __init__(self, node: NodeBase, app: App) -> None:
         self._app = app
         NodeRestarts(node, self._on_restart)
-        self._clients = {kind: ActionClient(node, *spec) for kind, spec in _ACTIONS.items()}
+        self._clients = {
+            kind: ActionClient(node, *spec, **ACTION) for kind, spec in _ACTIONS.items()
+        }
         self._handle: Any = None  # of the run under way
 
     def is_ready(self, run: Run) -> bool:
