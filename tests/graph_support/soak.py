@@ -25,7 +25,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_interfaces.msg import GameState, NodeStatus
 from humanopts_learner.demonstrations import check_demonstration, Demonstration
 from humanopts_ros.environment import prepare_discovery
-from humanopts_ros.qos import DISPLAY, LATCHED, STREAM
+from humanopts_ros.qos import ACTION, DISPLAY, LATCHED, SERVICE, STREAM
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.commands.session import Session, session
@@ -82,10 +82,6 @@ class Stranger:
         self.node = Node(OURS, context=self._context, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        # Answers to others come to a client, too, ten are kept, and states must not hold them up.
-        self._caller = Node(f'{OURS}_caller', context=self._context, enable_rosout=False)
-        self._answers = SingleThreadedExecutor(context=self._context)
-        self._answers.add_node(self._caller)
         self._garbage, self._rng = Garbage(rng), rng
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
@@ -96,15 +92,12 @@ class Stranger:
     def close(self) -> None:
         """Leave."""
         self._executor.shutdown()
-        self._answers.shutdown()
         self.node.destroy_node()
-        self._caller.destroy_node()
         self._context.try_shutdown()
 
     def serve(self, seconds: float = 0.0) -> None:
         """Take what has come."""
         self._executor.spin_once(seconds)
-        self._answers.spin_once(0.0)
 
     def topics(self) -> list[tuple[str, str]]:
         """Return the topics of the graph and their types."""
@@ -143,9 +136,11 @@ class Stranger:
         loaded = load_type(kind)
         action = '/action/' in kind
         if name not in self._clients:
-            make = ActionClient if action else self._caller.create_client
-            args = (self._caller, loaded, name) if action else (loaded, name)
-            self._clients[name] = make(*args)
+            self._clients[name] = (
+                ActionClient(self.node, loaded, name, **ACTION)
+                if action
+                else self.node.create_client(loaded, name, qos_profile=SERVICE)
+            )
             for _ in range(50):  # both ends have to find each other, or the answer is lost
                 self.serve(0.02)
         client = self._clients[name]
