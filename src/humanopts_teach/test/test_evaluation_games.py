@@ -16,6 +16,7 @@ from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning import request
 from humanopts_learner.planning.request import HUMAN, PlanCanceled, PRIMITIVE
+from humanopts_learner.planning.sampled.plan import SampledPlan
 from humanopts_teach.evaluation import games as evaluation_games
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,
@@ -31,6 +32,7 @@ from humanopts_teach.evaluation.games import (
     every_baseline,
     GamesEvaluation,
     HEURISTIC,
+    judged_plan,
     option_sets,
     PLAN,
     play_baseline,
@@ -120,6 +122,17 @@ def test_plans_of_a_bag_are_sampled_and_judged(evaluation: BagEvaluation) -> Non
         assert row.mean_return_low is not None
         assert row.mean_return_low < row.mean_return
         assert set(row.outcomes) == {'cleared', 'lives left'}
+
+
+def test_a_plan_of_a_bag_has_the_row_that_it_would_have_if_it_were_made_again(
+    yard: Domain[Any], evaluation: BagEvaluation, options: list[LearnedOption]
+) -> None:
+    human = evaluation.plans[0]
+    assert isinstance(human.plan, SampledPlan)
+    _, row = judged_plan(human.plan, human.judged, SEED)
+    again = play_baseline(yard, Baseline('', PLAN, HUMAN, options, STEPS), SEED, GAMES)
+    assert replace(row, seconds=None) == replace(again, seconds=None)
+    assert np.array_equal(row.scores, again.scores)
 
 
 def test_three_options_are_those_of_the_paper(options: list[LearnedOption]) -> None:

@@ -91,7 +91,8 @@ class Performance:
     episodes: int
     total: Interval  # undiscounted return
     discounted: Interval
-    fallbacks: int  # primitive actions because no option could start
+    decisions: int  # options begun
+    fallbacks: int  # of these, primitive actions because no option could start
     outcomes: Mapping[str, Interval]  # other results that the domain reports; exact: none
     totals: Floats = field(compare=False, repr=False)  # (E,) undiscounted return by episode
 
@@ -120,6 +121,7 @@ def judge_plan(
         episodes=episodes,
         total=Interval.of(returns.total),
         discounted=Interval.of(returns.discounted),
+        decisions=int(returns.decisions.sum()),
         fallbacks=int(returns.fallbacks.sum()),
         outcomes={name: Interval.of(values) for name, values in returns.outcomes.items()},
         totals=returns.total,

@@ -31,6 +31,7 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
+from humanopts_learner.planning.sampled.plan import SampledPlan
 from humanopts_ros.limits import parse_json
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
@@ -41,6 +42,7 @@ from humanopts_teach.evaluation.games import (
     evaluate_games,
     GAMES,
     GamesEvaluation,
+    judged_plan,
     PlayKey,
     ProgressCallback,
 )
@@ -129,6 +131,7 @@ class PlanEvaluation:
     participant: str
     plan: AnyPlan
     row: PlanningRow
+    judged: Performance = field(compare=False, repr=False)
     totals: Floats = field(compare=False, repr=False)  # (E,) returns by episode
 
 
@@ -276,7 +279,8 @@ def evaluate(
             notes.append(f'no plan with {action_set} actions: {found}')
         else:
             plan, judged = found
-            plans.append(PlanEvaluation(person, plan, row_of_plan(plan, judged), judged.totals))
+            row = row_of_plan(plan, judged)
+            plans.append(PlanEvaluation(person, plan, row, judged, judged.totals))
     return BagEvaluation(
         domain,
         settings,
@@ -433,13 +437,20 @@ def with_games(
     found = {}
     for number, person in enumerate(people):
         options = [each.last.option for each in evaluation.of(person)]
+        judged = dict(
+            judged_plan(each.plan, each.judged, evaluation.settings.seed)
+            for each in evaluation.plans
+            if each.participant == person and isinstance(each.plan, SampledPlan)
+        )
 
         def report(done: float, total: float, text: str, before: int = number) -> None:
             progress(before + done / total, len(people), text)
 
         try:
             found[person] = evaluate_games(
-                domain, options, evaluation.settings.seed, games, progress=report, known=known
+                *(domain, options, evaluation.settings.seed, games),
+                progress=report,
+                known={**known, **judged},
             )
         except PlanError as error:
             raise EvaluationError(f'the games cannot be played: {error}') from error

@@ -27,6 +27,7 @@ from humanopts_env.domains.registry import make_domain, parameters_json
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.evaluate import Returns
+from humanopts_learner.planning.plan import Performance
 from humanopts_learner.planning.request import (
     Execution,
     GAME_STEPS,
@@ -155,6 +156,29 @@ def play_baseline(
         outcomes={name: Interval.of(values) for name, values in results.outcomes.items()},
         **found,
     )
+
+
+def judged_plan(
+    plan: SampledPlan, judged: Performance, seed: int
+) -> tuple[PlayKey, ComparisonRow]:
+    """Return what ``play_baseline`` would of a plan with the usual settings that was judged."""
+    options, games = plan.actions.options, judged.episodes
+    way = Baseline('', PLAN, plan.action_set, options, plan.game_steps)
+    row = ComparisonRow(
+        name=way.name,
+        kind=way.kind,
+        options=tuple(option.name for option in options),
+        games=games,
+        score=judged.total,
+        scores=judged.totals,
+        outcomes=judged.outcomes,
+        decisions=judged.decisions / games,
+        fallbacks=judged.fallbacks / games,
+        game_steps=plan.game_steps,
+        seconds=plan.seconds,
+        n_states=len(plan.solution.values),
+    )
+    return _key(plan.domain, way, seed, games), row
 
 
 def _make_plan(domain: Domain[Any], baseline: Baseline, seed: int) -> SampledPlan:
