@@ -19,13 +19,13 @@ LEASE = 5  # s after which the middleware knows that a process was killed; usual
 LIVE = {'demo', 'domain_id', 'live', 'shared'}  # fixtures of tests that need the graph
 LONGEST = (  # files, the longest first
     'test_demo_pacman.py',
-    'test_demo.py',
     'test_node_deaths.py',
     'test_study.py',
+    'test_demo.py',
+    'test_browser.py',
     'test_keyboard_teleop.py',
-    'test_recorder.py',
     'test_launcher.py',
-    'test_cli.py',
+    'test_recorder.py',
 )
 
 
