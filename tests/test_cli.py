@@ -24,6 +24,7 @@ import pexpect
 import pytest
 from teach_support.bags import cut_short
 
+pytestmark = pytest.mark.timeout(300)  # on a busy machine
 EARLIER = Path(__file__).parent / 'data' / 'earlier' / 'bag'
 THRESHOLDS = ('--return-delta', '--initiation-error', '--termination-error')
 LAUNCH = (

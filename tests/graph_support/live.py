@@ -94,7 +94,7 @@ class NodeProcess:
         self.process.send_signal(how)
         return self.ended()
 
-    def ended(self, seconds: float = 20.0) -> int:
+    def ended(self, seconds: float = 60.0) -> int:
         """Wait for its end and return its exit status."""
         return self.process.wait(seconds)
 
