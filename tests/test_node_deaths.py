@@ -174,7 +174,7 @@ def test_a_policy_that_is_played_survives_the_death_of_a_node(
 def test_a_recorder_that_was_ended_begins_a_bag_with_all_that_was_shown(
     start: Start, tmp_path: Path
 ) -> None:
-    command = start('--episodes', 5, '--budget', 8)
+    command = start('--episodes', 5, '--budget', 8, '--step-period', 0.02)
     teach(command, tmp_path)
     before = in_first_bag(tmp_path)
     command.kill('recorder', SIGTERM)

@@ -139,7 +139,7 @@ class GraphClient(NodeBase):
 
     def wait_ready(self, names: list[str], seconds: float = 60.0) -> None:
         """
-        Wait until nodes are ready and, if one runs, the recorder has every topic.
+        Wait until nodes and this one are ready and, if one runs, the recorder has every topic.
 
         :raises LaunchError: as ``wait``; the text says which nodes are missing.
         """
@@ -347,6 +347,8 @@ class GraphClient(NodeBase):
             if status.state == msg.NodeStatus.STATE_READY
         }
         missing = [self._told(name) for name in names if name not in ready]
+        if not self.ready:
+            missing.append(self._told(self.get_fully_qualified_name()))
         complete = self.recorder is not None and self.recorder.complete
         if self._record and not missing and not complete:
             missing.append('the recorder has not got every topic')
