@@ -222,3 +222,14 @@ def test_a_burst_of_calls_loses_no_request_and_no_answer(live: Graph) -> None:
         live.until(lambda: all(call.done() for call in calls), 'an answer to each of the others')
     live.until(awaited.done, 'an answer that came before them')
     assert awaited.result().status == calls[0].result().status
+
+
+def test_a_condition_that_held_for_a_moment_is_waited_for_again(live: Graph) -> None:
+    node = live.start(GAME, domain='taxi')
+    looks = iter([False, True, False, False])  # and from then on it holds
+    task = node.executor.create_task(node.waiting.until, lambda: next(looks, True), 20.0)
+    live.until(task.done, 'its end')
+    assert task.result() is True
+    task = node.executor.create_task(node.waiting.until, lambda: False, 0.1)
+    live.until(task.done, 'its end')
+    assert task.result() is False

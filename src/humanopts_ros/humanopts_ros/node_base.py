@@ -93,13 +93,16 @@ class Waiting:
 
     async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Wait until a condition holds; False: it did not in time."""
-        if not condition():
+        deadline = self._monotonic() + seconds
+        while not condition():  # it may hold for a moment only, before the coroutine goes on
+            if self._monotonic() > deadline:
+                return False
             future = Future(executor=self._node.executor)
-            self._open.append((future, condition, self._monotonic() + seconds))
+            self._open.append((future, condition, deadline))
             if self._timer.is_canceled():
                 self._timer.reset()
             await future
-        return condition()
+        return True
 
 
 class NodeBase(Node):
