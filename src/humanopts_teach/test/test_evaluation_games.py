@@ -1,9 +1,10 @@
 """Taught options in many games of Pac-Man, and the report of what came out."""
 
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 import json
-import pickle
+from multiprocessing import get_context
 import re
 from typing import Any
 
@@ -183,7 +184,8 @@ def test_each_way_to_play_has_the_row_that_another_process_gives(
     ways = every_baseline(chase, options, SMALL[0])[::3]
     assert [way.kind for way in ways] == [PLAN, PLAN, PLAN, RANDOM, HEURISTIC]
     calls = [partial(play_baseline, chase, way, SEED, GAMES) for way in ways]
-    again = [pickle.loads(pickle.dumps(call))() for call in calls]  # as it gets there
+    with ProcessPoolExecutor(1, get_context('fork')) as other:
+        again = [answer.result() for answer in [other.submit(call) for call in calls]]
     assert [(row.name, row.score, row.outcomes) for row in again] == [
         (row.name, row.score, row.outcomes) for row in games.settings[1].rows[::3]
     ]
