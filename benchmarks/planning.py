@@ -14,7 +14,7 @@ the bytes that it has to move.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 import importlib.util
 from operator import attrgetter
 import resource
@@ -24,6 +24,7 @@ import tracemalloc
 from typing import Any, TypeVar
 
 from humanopts_env.domains.base import Transitions
+from humanopts_env.domains.table_domain import built_once
 from humanopts_env.domains.tabular import distance_to, read_only
 from humanopts_env.domains.taxi import LARGEST, Taxi
 from humanopts_env.domains.taxi_reference import reference_options
@@ -63,9 +64,9 @@ OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 class PricedTaxi(Taxi):
     """Taxi in which a legal pickup costs 1, as every step but the delivery does."""
 
-    @cached_property
-    def _transitions(self) -> Transitions:
-        paper = super()._transitions
+    @built_once
+    def transitions(self) -> Transitions:
+        paper = super().transitions()
         reward = np.where(paper.reward == 0.0, -1.0, paper.reward)
         return replace(paper, reward=read_only(reward))
 

@@ -9,25 +9,31 @@ Importing this module registers them, so any of these works::
     env = gymnasium.make('humanopts_env.gym_env:humanopts/PacMan-v0', ghosts='chase')
 """
 
-from abc import abstractmethod
 from functools import cached_property
 from typing import Any
 
 import gymnasium
 from gymnasium.envs.registration import EnvSpec
-from humanopts_env.domains.base import Domain, DomainError, is_enumerable, Parameter
-from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_env.domains.pacman.paths import HAS_MOVE
+from humanopts_env.domains.base import (
+    Domain,
+    DomainError,
+    EnumerableDomain,
+    is_enumerable,
+    Parameter,
+    Transitions,
+)
+from humanopts_env.domains.capabilities import HasActionMask
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
 
-ENVIRONMENTS = {  # Gymnasium id: class and domain
-    'humanopts/PacMan-v0': ('PacManEnv', {}),
-    'humanopts/Rooms-v0': ('TableEnv', {'domain': 'rooms'}),
-    'humanopts/Taxi-v0': ('TableEnv', {'domain': 'taxi'}),
+ENVIRONMENTS = {  # by Gymnasium id: the domain
+    'humanopts/PacMan-v0': 'pacman',
+    'humanopts/Rooms-v0': 'rooms',
+    'humanopts/Taxi-v0': 'taxi',
 }
+_ENTRY_POINT = 'humanopts_env.gym_env:DomainEnv'
 
 # P[state][action] lists (probability, successor, reward, terminated)
 Tabular = dict[int, dict[int, list[tuple[float, int, float, bool]]]]
@@ -38,6 +44,9 @@ class DomainEnv(gymnasium.Env[Any, Any]):
     """
     A domain; actions are action indices.
 
+    An observation is the state's index where the states can be listed. Elsewhere it is the value
+    of every feature, an index into the feature's ``values``, in the order of ``domain.features``.
+
     ``info['action_mask']`` (A,) is 1 for the actions that can change something, as in Gymnasium's
     Taxi; ``action_space.sample(mask)`` draws among them. The others are allowed too.
 
@@ -45,27 +54,42 @@ class DomainEnv(gymnasium.Env[Any, Any]):
     """
 
     metadata: dict[str, Any] = {'render_modes': ['ansi'], 'render_fps': 4}
-    domain: Domain[Any]
 
-    def __init__(self, domain: Domain[Any], render_mode: str | None) -> None:
+    def __init__(
+        self, domain: str, render_mode: str | None = None, **parameters: Parameter
+    ) -> None:
         """
-        Make the environment of a domain.
+        Make the environment of a registered domain.
 
+        :param domain: the domain's name; ``parameters`` are those of the domain, such as rows.
         :param render_mode: 'ansi' for text, or None.
+        :raises DomainError: there is no such domain, it refuses the parameters, or it has no
+            Gymnasium environment.
         """
-        self.domain = domain
+        self.domain: Domain[Any] = make_domain(domain, parameters)
+        _check(self.domain)
         self.render_mode = render_mode
-        self.action_space = gymnasium.spaces.Discrete(len(domain.actions))
+        self.action_space = gymnasium.spaces.Discrete(len(self.domain.actions))
+        if is_enumerable(self.domain):
+            self.observation_space = gymnasium.spaces.Discrete(self.domain.n_states)
+        else:
+            sizes = [len(feature.values) for feature in self.domain.features]
+            self.observation_space = gymnasium.spaces.MultiDiscrete(sizes, dtype=np.int32)
         self._now: Any = None
         self._steps = 0
 
-    @abstractmethod
     def observe(self, state: Any) -> Any:
         """Return the observation of a state."""
+        if is_enumerable(self.domain):
+            return self.domain.index(state)
+        return self.domain.feature_values(state)
 
-    @abstractmethod
     def action_mask(self, state: Any) -> Mask:
         """Return (A,): 1 for the actions that can change something."""
+        if isinstance(self.domain, HasActionMask):
+            return self.domain.action_mask(state)
+        mask: Mask = self._masks[self._listed.index(state)]
+        return mask.copy()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -113,48 +137,24 @@ class DomainEnv(gymnasium.Env[Any, Any]):
             raise gymnasium.error.ResetNeeded(f'call env.reset() before env.{call}()')
         return self._now
 
-
-class TableEnv(DomainEnv):
-    """An enumerable domain; observations are state indices."""
-
-    def __init__(
-        self, domain: str, render_mode: str | None = None, **parameters: Parameter
-    ) -> None:
-        """
-        Make the environment of a registered domain.
-
-        :param domain: the domain's name; ``parameters`` are those of the domain, such as rows.
-        :raises DomainError: there is no such domain, it refuses the parameters, or it is not
-            enumerable.
-        """
-        rules = make_domain(domain, parameters)
-        if not is_enumerable(rules):
-            raise DomainError(f'the states of {domain} cannot be listed, as Gymnasium needs here')
-        super().__init__(rules, render_mode)
-        self._table = rules
-        self.observation_space = gymnasium.spaces.Discrete(rules.n_states)
-
-    def observe(self, state: Any) -> int:
-        """Return the index of a state."""
-        return self._table.index(state)
-
-    def action_mask(self, state: Any) -> Mask:
-        """Return (A,): 1 for the actions that can lead to another state."""
-        mask: Mask = self._masks[self._table.index(state)]
-        return mask.copy()
+    @property
+    def _listed(self) -> EnumerableDomain[Any]:
+        if not is_enumerable(self.domain):
+            raise AttributeError(f'the states of {self.domain.name} cannot be listed')
+        return self.domain
 
     @cached_property
     def _masks(self) -> Mask:
-        """(S, A)."""
-        table = self._table.transitions()
-        other = table.successor != np.arange(self._table.n_states)[:, None, None]
+        """(S, A): 1 for the actions that can lead to another state."""
+        table: Transitions = self._listed.transitions()
+        other = table.successor != np.arange(len(table.successor))[:, None, None]
         masks: Mask = (other & (table.probability > 0)).any(axis=2).astype(np.int8)
         return masks
 
     @cached_property
     def P(self) -> Tabular:  # noqa: N802, Gymnasium's own name
         """The transitions in Gymnasium's tabular form, built when they are first used."""
-        table = self._table.transitions()
+        table = self._listed.transitions()
         axes = table.probability, table.successor, table.reward, table.terminated
         rows = zip(*(axis.tolist() for axis in axes))
         return {
@@ -168,68 +168,34 @@ class TableEnv(DomainEnv):
     @cached_property
     def initial_state_distrib(self) -> NDArray[np.float64]:
         """Probability of each state (S,) to be the first, in Gymnasium's tabular form."""
-        starts = self._table.start_states()
-        share = np.zeros(self._table.n_states)
+        starts = self._listed.start_states()
+        share = np.zeros(self._listed.n_states)
         share[starts] = 1 / len(starts)
         return share
-
-
-class PacManEnv(DomainEnv):
-    """
-    Pac-Man; observations are the values of its features, in the order of ``domain.features``.
-
-    Each value is an index into the feature's ``values``: a row, a direction, a number of steps.
-    """
-
-    domain: PacMan
-
-    def __init__(self, render_mode: str | None = None, **parameters: Parameter) -> None:
-        """
-        Make the environment of a maze.
-
-        :param parameters: those of ``PacMan``: maze, ghosts, lives, max_steps and features.
-        :raises DomainError: Pac-Man refuses the parameters.
-        """
-        super().__init__(make_domain('pacman', parameters), render_mode)
-        sizes = [len(feature.values) for feature in self.domain.features]
-        self.observation_space = gymnasium.spaces.MultiDiscrete(sizes, dtype=np.int32)
-
-    def observe(self, state: Any) -> NDArray[np.int32]:
-        """Return the value of every feature, (F,)."""
-        return self.domain.feature_values(state)
-
-    def action_mask(self, state: Any) -> Mask:
-        """Return (A,): 1 for the moves that no wall blocks."""
-        legal = self.domain.rules.paths.legal[state.pacman]
-        mask: Mask = HAS_MOVE[legal].astype(np.int8)
-        return mask
 
 
 def spec_of(domain: Domain[Any]) -> EnvSpec:
     """
     Return the specification from which ``gymnasium.make`` makes a domain's environment.
 
-    :raises DomainError: the domain is not enumerable, and has no environment of its own.
+    :raises DomainError: it has none.
     """
-    ours = f'humanopts/{domain.name}-v0'.lower()
-    name = next((name for name in ENVIRONMENTS if name.lower() == ours), None)
-    if name is not None:
-        kind, kwargs = ENVIRONMENTS[name]
-    elif is_enumerable(domain):
-        name, kind, kwargs = 'humanopts/Table-v0', 'TableEnv', {'domain': domain.name}
-    else:
+    _check(domain)
+    names = {known: name for name, known in ENVIRONMENTS.items()}
+    name = names.get(domain.name, 'humanopts/Table-v0')
+    return EnvSpec(name, _ENTRY_POINT, kwargs={'domain': domain.name, **domain.parameters})
+
+
+def _check(domain: Domain[Any]) -> None:
+    if not (is_enumerable(domain) or isinstance(domain, HasActionMask)):
         raise DomainError(f'there is no Gymnasium environment of {domain.name}')
-    point = f'humanopts_env.gym_env:{kind}'
-    return EnvSpec(name, point, kwargs={**kwargs, **domain.parameters})
 
 
 def register_all() -> None:
     """Register the environments of this package with Gymnasium, once."""
-    for name, (kind, kwargs) in ENVIRONMENTS.items():
+    for name, domain in ENVIRONMENTS.items():
         if name not in gymnasium.registry:
-            gymnasium.register(
-                id=name, entry_point=f'humanopts_env.gym_env:{kind}', kwargs=dict(kwargs)
-            )
+            gymnasium.register(id=name, entry_point=_ENTRY_POINT, kwargs={'domain': domain})
 
 
 register_all()

@@ -10,7 +10,7 @@ from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Command, Game, Source
-from humanopts_env.gym_env import DomainEnv, ENVIRONMENTS, register_all, spec_of, TableEnv
+from humanopts_env.gym_env import DomainEnv, ENVIRONMENTS, register_all, spec_of
 from humanopts_env.seeding import generator
 import numpy as np
 import pytest
@@ -127,12 +127,11 @@ def test_the_same_seed_begins_in_the_same_state() -> None:
     assert len(set(firsts)) > 1
 
 
-def test_only_domains_whose_states_can_be_listed_are_made() -> None:
-    """An unknown one is refused by name."""
+def test_only_registered_domains_are_made() -> None:
+    """An unknown one is refused by name; where states cannot be listed, there is no table."""
     with pytest.raises(DomainError, match='no domain'):
-        TableEnv('chess')
-    with pytest.raises(DomainError, match='cannot be listed'):
-        TableEnv('pacman')
+        DomainEnv('chess')
+    assert not hasattr(DomainEnv('pacman'), 'P')
 
 
 def test_the_action_mask_of_taxi_is_gymnasiums_own() -> None:
@@ -196,7 +195,7 @@ def test_game_seed_gives_the_episode_of_the_node_game(name: str, start: bool) ->
         assert outcome == [transition.reward, transition.terminated, transition.truncated]
 
 
-def test_any_domain_whose_states_can_be_listed_has_an_environment() -> None:
+def test_domains_with_listed_states_or_a_mask_of_actions_have_an_environment() -> None:
     """With its own name and parameters; others are refused."""
     chess: Any = SimpleNamespace(name='chess', parameters={})
     with pytest.raises(DomainError, match='no Gymnasium environment of chess'):

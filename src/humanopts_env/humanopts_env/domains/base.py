@@ -160,7 +160,11 @@ class EnumerableDomain(Domain[S], Protocol[S]):
         ...
 
     def index(self, state: S) -> int:
-        """Return the state's index, 0..n_states-1."""
+        """
+        Return the state's index, 0..n_states-1.
+
+        :raises StateError: it is not a state of this domain.
+        """
         ...
 
     def state_at(self, index: int) -> S:
@@ -188,8 +192,8 @@ class EnumerableDomain(Domain[S], Protocol[S]):
         ...
 
     def board_slices(self) -> list[BoardSlice]:
-        """Return a few layouts for figures of values and policies; may be empty."""
-        ...
+        """Return a few layouts for figures of values and policies; by default none."""
+        return []
 
 
 def is_enumerable(domain: Domain[S]) -> TypeGuard[EnumerableDomain[S]]:

@@ -8,6 +8,7 @@ A domain has a capability by having the method or attribute; nothing is register
 - ``HasSearchSpace``: it defines where subgoals of automatic options are searched for.
 - ``HasTeachingDefaults``: it names the options to teach and the thresholds of the criteria.
 - ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
+- ``HasActionMask``: it tells which actions can change something, where states cannot be listed.
 - ``HasStepEffects``: it tells in words what a step did.
 - ``HasExplanation``: it explains the game and the signs on the board.
 - ``HasFeatureGroups``: it groups its features, so that a person is asked about a group first.
@@ -46,10 +47,7 @@ class BatchGames(Protocol):
     finer abstraction than options, which have policies of their own.
     """
 
-    @property
-    def domain(self) -> Domain[Any]:
-        """The domain that the games are of."""
-        ...
+    domain: Domain[Any]  # that the games are of
 
     def batch_reset(self, count: int, rng: np.random.Generator) -> Any:
         """Begin games."""
@@ -238,6 +236,15 @@ class HasBaselines(Protocol):
 
     def baselines(self) -> Baselines:
         """Return the baselines in this variant of the game."""
+        ...
+
+
+@runtime_checkable
+class HasActionMask(Protocol):
+    """A domain that tells which actions can change something, so that Gymnasium can play it."""
+
+    def action_mask(self, state: Any) -> NDArray[np.int8]:
+        """Return (A,): 1 for those that can."""
         ...
 
 

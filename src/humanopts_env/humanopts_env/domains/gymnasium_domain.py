@@ -312,7 +312,6 @@ class GymnasiumDomain(TableDomain[int]):
         return int(rng.choice(states, p=shares / shares.sum()))
 
     def values_of(self, state: int) -> Sequence[int]:
-        """Return the value of every feature."""
         return self._view.values[state]
 
     def encode(self, state: int) -> str:
@@ -321,17 +320,11 @@ class GymnasiumDomain(TableDomain[int]):
         return ', '.join(f'{name} {text}' for name, text in self.shown_values(state, None).items())
 
     def render(self, state: int, shown: Collection[str] | None = None) -> str:
-        """
-        Draw the state as text lines.
-
-        :param shown: names of the features that may be revealed; None: all.
-        """
         if not 0 <= state < self.n_states:
             raise StateError(f'{state} is not a state of {self.name}')
         return self._view.draw(state, self.shown_values(state, shown))
 
     def step_effect(self, state: int, action: int, successor: int) -> StepEffect:
-        """Return what a step did."""
         if self._view.effect is None:
             return plain_effect(self, state, action, successor)
         return self._view.effect(state, action, successor)

@@ -166,11 +166,6 @@ class Rooms(TableDomain[RoomsState]):
         return f'cell {state.row},{state.col}'
 
     def render(self, state: RoomsState, shown: Collection[str] | None = None) -> str:
-        """
-        Draw the state as text lines.
-
-        :param shown: names of the features that may be revealed; None: all.
-        """
         values = self.shown_values(state, shown)
         seen = {'row', 'col'} <= values.keys()  # then all else can be seen, too
         goal = self.goal.row, self.goal.col

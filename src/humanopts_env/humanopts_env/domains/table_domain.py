@@ -1,112 +1,62 @@
 """Base classes of enumerable domains: by tables, or by the rules of single states."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Hashable, Mapping, Sequence
-from functools import cached_property
-from typing import Generic, TypeVar
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cached_property, wraps
+from typing import Any, TypeVar
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import (
-    Action,
-    BoardSlice,
     DomainError,
-    Feature,
+    EnumerableDomain,
     Outcome,
-    Parameter,
+    S,
     StateError,
     Transitions,
 )
-from humanopts_env.domains.tabular import (
-    draw_outcomes,
-    outcome_limits,
-    reachable,
-    read_only,
-)
+from humanopts_env.domains.tabular import draw_outcomes, outcome_limits, reachable, read_only
 import numpy as np
 from numpy.typing import NDArray
 
-S = TypeVar('S', bound=Hashable)
+T = TypeVar('T')
 
 
-class SharedTables(ABC, Generic[S]):
+def built_once(build: Callable[[Any], T]) -> Callable[[Any], T]:
+    """Have a method without parameters build its result once for each object, and share it."""
+    name = f'_{build.__name__}'
+
+    @wraps(build)
+    def read(domain: Any) -> T:
+        known: dict[str, T] = domain.__dict__
+        if name not in known:
+            known[name] = build(domain)
+        return known[name]
+
+    return read
+
+
+class SharedTables(EnumerableDomain[S], ABC):
     """
     The methods of an ``EnumerableDomain`` that read its tables.
 
-    A subclass has each table as a ``cached_property`` whose arrays are read-only.
+    A subclass has each table as a method that is ``built_once``, whose arrays are read-only.
     """
 
-    name: str
-    parameters: Mapping[str, Parameter]
-    features: Sequence[Feature]
-    actions: Sequence[Action]
-    gamma: float
-    max_steps: int
     glyph_styles: Mapping[str, str] = {}
-
-    @abstractmethod
-    def index(self, state: S) -> int:
-        """Return the state's index, 0..n_states-1."""
-
-    @abstractmethod
-    def state_at(self, index: int) -> S:
-        """Return the state of an index."""
-
-    @abstractmethod
-    def encode(self, state: S) -> str:
-        """Return the state in the domain's notation, one line; different for every state."""
-
-    @property
-    @abstractmethod
-    def _transitions(self) -> Transitions: ...
-
-    @property
-    @abstractmethod
-    def _feature_table(self) -> NDArray[np.int32]: ...
-
-    @property
-    @abstractmethod
-    def _start_states(self) -> NDArray[np.int32]: ...
-
-    @property
-    @abstractmethod
-    def _over(self) -> Flags: ...
 
     @property
     @abstractmethod
     def _open(self) -> Ints:
         """Indices of the states that an episode can pass through, never over."""
 
-    def transitions(self) -> Transitions:
-        """Return the exact transitions; built once, then shared and read-only."""
-        return self._transitions
-
-    def feature_table(self) -> NDArray[np.int32]:
-        """Return (S, F): ``feature_values`` of every state; shared and read-only."""
-        return self._feature_table
-
-    def start_states(self) -> NDArray[np.int32]:
-        """Return the indices that ``reset`` draws from, uniformly."""
-        return self._start_states
-
-    def over(self) -> Flags:
-        """Return (S,): ``is_over`` of every state; shared and read-only."""
-        return self._over
-
     def feature_values(self, state: S) -> NDArray[np.int32]:
-        """Return the value of every feature, (F,), indices into ``Feature.values``."""
         values: NDArray[np.int32] = self.feature_table()[self.index(state)]
         return values
 
     def reset(self, rng: np.random.Generator) -> S:
-        """Draw a start state of the task."""
         return self.state_at(int(rng.choice(self.start_states())))
 
     def step(self, state: S, action: int, rng: np.random.Generator) -> Outcome[S]:
-        """
-        Take one primitive action.
-
-        :raises DomainError: the action is not in the domain, or the episode is over in ``state``.
-        """
         if not 0 <= action < len(self.actions):
             raise DomainError(
                 f'{self.name} has no action {action}; it has 0 to {len(self.actions) - 1}'
@@ -122,7 +72,6 @@ class SharedTables(ABC, Generic[S]):
         return Outcome(successor, float(table.reward[at]), bool(table.terminated[at]))
 
     def can_follow(self, state: S, action: int, successor: S) -> bool:
-        """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
         number, table = self.index(state), self.transitions()
         if self.over()[number] or not 0 <= action < len(self.actions):
             return False
@@ -165,6 +114,10 @@ class TableDomain(SharedTables[S]):
         """
 
     @abstractmethod
+    def encode(self, state: S) -> str:
+        """Return the state as one line; different for every state."""
+
+    @abstractmethod
     def is_over(self, state: S) -> bool:
         """Return whether the task is over in ``state``, so that no step can be taken."""
 
@@ -178,52 +131,28 @@ class TableDomain(SharedTables[S]):
 
     @abstractmethod
     def render(self, state: S, shown: Collection[str] | None = None) -> str:
-        """
-        Draw the state as text lines.
-
-        :param shown: names of the features that may be revealed; None: all.
-        """
+        """Draw the state as text lines, which reveal the features ``shown`` and nothing else."""
 
     @property
     def n_states(self) -> int:
-        """Number of states, reachable or not."""
         return len(self._states)
 
     def index(self, state: S) -> int:
-        """
-        Return the state's index, 0..n_states-1.
-
-        :raises StateError: it is not a state of this domain.
-        """
         try:
             return self._numbers[state]
         except (KeyError, TypeError):
             raise StateError(f'{state} is not a state of {self.name}') from None
 
     def state_at(self, index: int) -> S:
-        """
-        Return the state of an index.
-
-        :raises StateError: there is no such state.
-        """
         if not 0 <= index < self.n_states:
             raise StateError(f'{self.name} has no state {index}; it has 0 to {self.n_states - 1}')
         return self._states[index]
 
     def decode(self, text: str) -> S:
-        """
-        Return the state that ``encode`` wrote.
-
-        :raises StateError: ``text`` is not a state of this domain.
-        """
         if text not in self._texts:
             example = next(iter(self._texts))
             raise StateError(f'{text!r} is not a state of {self.name}; one reads {example!r}')
         return self._states[self._texts[text]]
-
-    def board_slices(self) -> list[BoardSlice]:
-        """Return a few layouts for figures of values and policies: none."""
-        return []
 
     def shown_values(self, state: S, shown: Collection[str] | None) -> dict[str, str]:
         """Return the features that may be revealed, with the texts of their values."""
@@ -237,8 +166,8 @@ class TableDomain(SharedTables[S]):
     def _texts(self) -> dict[str, int]:
         return {self.encode(state): number for number, state in enumerate(self._states)}
 
-    @cached_property
-    def _transitions(self) -> Transitions:
+    @built_once
+    def transitions(self) -> Transitions:
         pairs = [
             list(self.outcomes(state, action))
             for state in self._states
@@ -259,17 +188,17 @@ class TableDomain(SharedTables[S]):
             terminated=read_only((self.over()[successor] & (probability > 0)).reshape(axes)),
         )
 
-    @cached_property
-    def _feature_table(self) -> NDArray[np.int32]:
+    @built_once
+    def feature_table(self) -> NDArray[np.int32]:
         return read_only(np.array([self.values_of(s) for s in self._states], dtype=np.int32))
 
-    @cached_property
-    def _start_states(self) -> NDArray[np.int32]:
+    @built_once
+    def start_states(self) -> NDArray[np.int32]:
         begins = [self.can_begin(state) for state in self._states]
         return read_only(np.flatnonzero(begins).astype(np.int32))
 
-    @cached_property
-    def _over(self) -> Flags:
+    @built_once
+    def over(self) -> Flags:
         return read_only(np.array([self.is_over(s) for s in self._states], dtype=np.bool_))
 
     @cached_property

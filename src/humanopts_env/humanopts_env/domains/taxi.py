@@ -25,7 +25,7 @@ from humanopts_env.domains.base import (
 )
 from humanopts_env.domains.capabilities import move_effect, StepEffect, TeachingDefaults
 from humanopts_env.domains.search_space import plain_cell_name, SearchSpace, space_by_features
-from humanopts_env.domains.table_domain import SharedTables
+from humanopts_env.domains.table_domain import built_once, SharedTables
 from humanopts_env.domains.tabular import read_only
 import numpy as np
 from numpy.typing import NDArray
@@ -352,11 +352,9 @@ class Taxi(SharedTables[TaxiState]):
 
     @property
     def n_states(self) -> int:
-        """Number of states, reachable or not."""
         return self.rows * self.cols * 20
 
     def is_over(self, state: TaxiState) -> bool:
-        """Return whether the passenger is at the destination."""
         return state.passenger == state.destination
 
     def encode(self, state: TaxiState) -> str:
@@ -366,11 +364,6 @@ class Taxi(SharedTables[TaxiState]):
         return f'taxi {state.row},{state.col} passenger {passenger} destination {destination}'
 
     def decode(self, text: str) -> TaxiState:
-        """
-        Return the state that ``encode`` wrote.
-
-        :raises StateError: ``text`` is not a state of this domain.
-        """
         match = STATE_TEXT.fullmatch(text)
         if match is None:
             raise StateError(
@@ -386,22 +379,12 @@ class Taxi(SharedTables[TaxiState]):
         return state
 
     def render(self, state: TaxiState, shown: Collection[str] | None = None) -> str:
-        """
-        Draw the state as text lines.
-
-        :param shown: names of the features that may be revealed; None: all.
-        """
         values = zip(self.features, self.feature_values(state).tolist())
         visible = [(f, value) for f, value in values if shown is None or f.name in shown]
         places = landmark_cells(self.rows, self.cols)
         return draw_board(walls_east(self.rows, self.cols), places, visible)
 
     def index(self, state: TaxiState) -> int:
-        """
-        Return the state's index, 0..n_states-1.
-
-        :raises StateError: it is not a state of this grid.
-        """
         on_grid = 0 <= state.row < self.rows and 0 <= state.col < self.cols
         if not (on_grid and 0 <= state.passenger <= ABOARD and 0 <= state.destination < 4):
             raise StateError(f'{state} is not on a grid of {self.rows} x {self.cols} cells')
@@ -409,18 +392,12 @@ class Taxi(SharedTables[TaxiState]):
         return (cell * 5 + state.passenger) * 4 + state.destination
 
     def state_at(self, index: int) -> TaxiState:
-        """
-        Return the state of an index.
-
-        :raises StateError: there is no such state.
-        """
         if not 0 <= index < self.n_states:
             raise StateError(f'taxi has no state {index}; it has 0 to {self.n_states - 1}')
         cell, rest = divmod(index, 20)
         return TaxiState(*divmod(cell, self.cols), *divmod(rest, 4))
 
     def step_effect(self, state: TaxiState, action: int, successor: TaxiState) -> StepEffect:
-        """Return what a step did."""
         return taxi_effect(state, action, successor)
 
     def board_slices(self) -> list[BoardSlice]:
@@ -452,8 +429,8 @@ class Taxi(SharedTables[TaxiState]):
             cell_name=name,
         )
 
-    @cached_property
-    def _over(self) -> Flags:
+    @built_once
+    def over(self) -> Flags:
         _, passenger, destination = state_parts(self.rows, self.cols)
         over: Flags = passenger == destination
         return read_only(over)
@@ -462,15 +439,15 @@ class Taxi(SharedTables[TaxiState]):
     def _open(self) -> Ints:
         return np.flatnonzero(~self.over())
 
-    @cached_property
-    def _start_states(self) -> NDArray[np.int32]:
+    @built_once
+    def start_states(self) -> NDArray[np.int32]:
         _, passenger, _ = state_parts(self.rows, self.cols)
         return read_only(np.flatnonzero(~self.over() & (passenger != ABOARD)).astype(np.int32))
 
-    @cached_property
-    def _transitions(self) -> Transitions:
+    @built_once
+    def transitions(self) -> Transitions:
         return transition_table(self.rows, self.cols)
 
-    @cached_property
-    def _feature_table(self) -> NDArray[np.int32]:
+    @built_once
+    def feature_table(self) -> NDArray[np.int32]:
         return feature_table(self.rows, self.cols)

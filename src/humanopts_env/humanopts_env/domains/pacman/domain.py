@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from humanopts_env.domains.base import (
     Action,
     BoardSlice,
+    Domain,
     DomainError,
     Feature,
     feature_columns,
@@ -36,7 +37,7 @@ from humanopts_env.domains.pacman.features import (
 )
 from humanopts_env.domains.pacman.games import PacManGames, sample_games
 from humanopts_env.domains.pacman.maze import load_maze, maze_names
-from humanopts_env.domains.pacman.paths import MOVES, STAY
+from humanopts_env.domains.pacman.paths import HAS_MOVE, MOVES, STAY
 from humanopts_env.domains.pacman.reference import (
     AVOID_GHOST,
     CLOSEST_FOOD,
@@ -59,7 +60,7 @@ ONE_DOT = 10.0  # points
 MEALS = {'food': 'food', 'power pill': 'a power pill', 'fruit': 'the fruit', 'ghost': 'a ghost'}
 
 
-class PacMan:
+class PacMan(Domain[PacManState]):
     """
     Pac-Man in any maze, a ``Domain``.
 
@@ -141,11 +142,7 @@ class PacMan:
     def step(
         self, state: PacManState, action: int, rng: np.random.Generator
     ) -> Outcome[PacManState]:
-        """
-        Take one primitive action; one number for each ghost is drawn.
-
-        :raises DomainError: the action is not in the domain, or the game is over in ``state``.
-        """
+        """Take one primitive action; one number for each ghost is drawn."""
         if not 0 <= action < len(MOVES):
             raise DomainError(f'pacman has no action {action}; it has 0 to {len(MOVES) - 1}')
         if self.is_over(state):
@@ -155,17 +152,14 @@ class PacMan:
         return Outcome(after, float(after.score - state.score), self.is_over(after))
 
     def is_over(self, state: PacManState) -> bool:
-        """Return whether the food is all eaten, or the last life lost."""
         return self.rules.is_over(state)
 
     def can_follow(self, state: PacManState, action: int, successor: PacManState) -> bool:
-        """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
         if self.is_over(state) or not 0 <= action < len(MOVES):
             return False
         return self.rules.can_follow(state, action, successor)
 
     def feature_values(self, state: PacManState) -> NDArray[np.int32]:
-        """Return the value of every feature, (F,), indices into ``Feature.values``."""
         values: NDArray[np.int32] = self.read_features(self.rules.game_at(state))[0]
         return values
 
@@ -175,15 +169,9 @@ class PacMan:
         return rows if self.has_all_features else rows[:, self._listed]
 
     def encode(self, state: PacManState) -> str:
-        """Return the state as one line."""
         return notation.encode(self.rules.maze, state)
 
     def decode(self, text: str) -> PacManState:
-        """
-        Return the state that ``encode`` wrote.
-
-        :raises StateError: ``text`` is not a state of this domain.
-        """
         return notation.decode(self.rules.maze, self.rules.lives, text)
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[PacManState]:
@@ -191,11 +179,6 @@ class PacMan:
         return sample_games(self.rules, rng, count).states()
 
     def render(self, state: PacManState, shown: Collection[str] | None = None) -> str:
-        """
-        Draw the state as text lines.
-
-        :param shown: names of the features that may be revealed; None: everything.
-        """
         if shown is None:
             return draw_state(self.rules.maze, state, self.rules.lives)
         values = zip(self.features, self.feature_values(state).tolist())
@@ -217,8 +200,12 @@ class PacMan:
             return StepEffect('wall: Pac-Man stayed', changed=False)
         return move_effect(MOVES[action], MOVES[action])
 
+    def action_mask(self, state: PacManState) -> NDArray[np.int8]:
+        """Return (A,): 1 for the moves that no wall blocks."""
+        mask: NDArray[np.int8] = HAS_MOVE[self.rules.paths.legal[state.pacman]].astype(np.int8)
+        return mask
+
     def batch_games(self) -> PacManGames:
-        """Return the object that plays many games at once."""
         return PacManGames(self)
 
     def search_space(self) -> SearchSpace:
@@ -238,5 +225,4 @@ class PacMan:
         return plain_space(transitions, over, ~over, rows, columns, names, board)
 
     def baselines(self) -> Baselines:
-        """Return the baselines in this variant of the game."""
         return pacman_baselines(self, usual=self.parameters == PacMan().parameters)

@@ -15,7 +15,7 @@ from functools import lru_cache
 from typing import Any, TYPE_CHECKING
 
 from humanopts_env.arrays import Ints
-from humanopts_env.domains.capabilities import Abstraction
+from humanopts_env.domains.capabilities import Abstraction, BatchGames
 from humanopts_env.domains.pacman.features import (
     DIRECTIONS,
     FeatureReader,
@@ -85,8 +85,8 @@ _BUCKET_OF_0 = np.arange(len(_BUCKETS))[:, None] * _BUCKETS.shape[1] + 1
 CONTEXT = ('food_left', 'pills_left')  # remaining points, not things nearby
 
 
-class PacManGames:
-    """The ``BatchGames`` of Pac-Man."""
+class PacManGames(BatchGames):
+    """Games of Pac-Man; rewards are points."""
 
     def __init__(self, domain: 'PacMan') -> None:
         """Prepare the tables of a maze."""
@@ -96,50 +96,39 @@ class PacManGames:
         self._column = {name: column for column, name in enumerate(self._read_all.names)}
 
     def batch_reset(self, count: int, rng: np.random.Generator) -> PacManBatch:
-        """Begin games."""
         return PacManBatch.begin(self._rules, count)
 
     def batch_of(self, states: Sequence[PacManState]) -> PacManBatch:
-        """Return games that stand at given states."""
         return PacManBatch.from_states(self._rules, states)
 
     def batch_states(self, batch: PacManBatch) -> list[PacManState]:
-        """Return the state of each game."""
         return batch.states()
 
     def batch_take(self, batch: PacManBatch, games: Ints) -> PacManBatch:
-        """Return copies of chosen games, by their indices (M,)."""
         return batch.take(games)
 
     def batch_put(self, batch: PacManBatch, games: Ints, source: PacManBatch) -> None:
-        """Set chosen games, by their indices (M,), each once, to the M games of another batch."""
         batch.put(games, source)
 
     def batch_step(self, batch: PacManBatch, actions: Ints, rng: np.random.Generator) -> Ints:
-        """Take one step in every game that is not over, in place; return the points (N,)."""
         return batch.step(actions, batch.draws(rng))
 
     def batch_step_each(
         self, batch: PacManBatch, actions: Ints, rngs: Sequence[np.random.Generator]
     ) -> Ints:
-        """Take one step in every game, each with chance of its own; return the points (N,)."""
         draws = [self._rules.draws(rng) for rng in rngs]
         return batch.step(actions, np.array(draws, dtype=np.intp).reshape(len(draws), -1).T)
 
     def draws_ahead(self, rng: np.random.Generator, steps: int) -> Ints:
-        """Return (steps, G): what one game draws in so many steps."""
         return rng.integers(DRAWS, size=(steps, len(self._rules.maze.homes)))
 
     def batch_step_drawn(self, batch: PacManBatch, actions: Ints, draws: Ints) -> Ints:
-        """Take one step in every game, with draws (N, G); return the points (N,)."""
         return batch.step(actions, draws.T)
 
     def batch_over(self, batch: PacManBatch) -> NDArray[np.bool_]:
-        """Return (N,): whether each game is over."""
         return batch.over
 
     def batch_features(self, batch: PacManBatch) -> NDArray[np.int32]:
-        """Return (N, F): all features."""
         return self.domain.read_features(batch)
 
     def batch_outcome(self, batch: PacManBatch) -> Mapping[str, NDArray[Any]]:
@@ -166,7 +155,6 @@ class PacManGames:
     def abstract_features(
         self, batch: PacManBatch, rows: NDArray[np.int32], *, fine: bool
     ) -> NDArray[np.int32]:
-        """Return (N, P): the values, from 0."""
         if not fine:
             return abstract_features(batch)
         if not self.domain.has_all_features:
