@@ -8,6 +8,7 @@ from pathlib import Path
 import platform
 import sys
 import time
+from types import ModuleType
 from typing import Annotated, Literal
 
 from humanopts_env.domains.pacman.maze import load_maze, MazeError
@@ -28,30 +29,18 @@ from experiments import (
     settings,
     table1,
     table2,
-    table2_report,
     transfer,
 )
 from experiments.people import Participant, read_bag_lessons, Study
-from experiments.report import Done, PAGE, Reproduction, Section, write_reproduction
+from experiments.report import PAGE, Reproduction, Section, write_reproduction
 from experiments.trials import ClusterError, LIBRARIES, OnTrial, Outcome, run_trials, Trial
 
 _LINE_EVERY = 15.0  # s between lines, where there is no terminal
 app = typer.Typer(**PLAIN)
-
-
-# By name on the command line: what is computed for a study, and what the report shows of it.
-EXPERIMENTS: dict[str, tuple[Callable[[Study], list[Trial]], Callable[[Done], Section]]] = {
-    table1.NAME: (table1.trials, table1.present),  # only as a part of all
-    figure2.NAME: (figure2.trials, figure2.present),
-    figure3.NAME: (figure3.trials, figure3.present),
-    figure4.NAME: (figure4.trials, figure4.present),
-    table2.NAME: (table2.trials, table2_report.present),
-    transfer.NAME: (transfer.trials, transfer.present),
-    demonstrations.NAME: (demonstrations.trials, demonstrations.present),
-    settings.NAME: (settings.trials, settings.present),
-}
-PAST = (transfer.NAME, demonstrations.NAME, settings.NAME)  # past the paper
-ALL = [name for name in EXPERIMENTS if name not in PAST]
+# Each has a ``NAME`` on the command line, a ``TITLE``, ``trials`` of a study, and ``present``,
+# which makes a section of what they came to.
+PAPER: list[ModuleType] = [figure2, figure3, figure4, table2]
+EXPERIMENTS = {each.NAME: each for each in (*PAPER, transfer, demonstrations, settings)}
 
 
 @app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
@@ -114,9 +103,9 @@ def reproduce(
     except (BagError, MazeError) as error:
         raise CommandError(str(error)) from error
     study = Study(participants, seeds, seed, lessons, own_mazes)
-    wanted = ALL if what == 'all' else [what]
-    trials = {name: EXPERIMENTS[name][0](study) for name in wanted}
-    every = [trial for name in wanted for trial in trials[name]]
+    wanted = PAPER if what == 'all' else [EXPERIMENTS[what]]
+    trials = {each: each.trials(study) for each in wanted}
+    every = [trial for each in wanted for trial in trials[each]]
     jobs = jobs or len(os.sched_getaffinity(0))
     began = time.monotonic()
     try:
@@ -136,7 +125,8 @@ def reproduce(
                 [f'Python {platform.python_version()}', *(f'{n} {version(n)}' for n in LIBRARIES)]
             ),
         }
-        sections = [EXPERIMENTS[name][1](outcome.done(trials[name])) for name in wanted]
+        sections = [section_of(each, outcome, trials[each]) for each in wanted]
+        sections[:0] = [table1.present()] if what == 'all' else []
         missing = list(outcome.failures.values())
         write_reproduction(out, Reproduction(sections, _people(every), study, missing, facts))
     except (ClusterError, SummaryError) as error:
@@ -151,6 +141,14 @@ def reproduce(
         print(f'humanopts reproduce: not computed: {failure}', file=sys.stderr)
     print(out / PAGE)
     return 1 if missing else 0
+
+
+def section_of(experiment: ModuleType, outcome: Outcome, trials: Sequence[Trial]) -> Section:
+    """Return the section of an experiment; it says nothing where no trial has a result."""
+    done = [(t.parameters, outcome.results[t.key]) for t in trials if t.key in outcome.results]
+    section = experiment.present(done) if done else Section(experiment.NAME, experiment.TITLE)
+    assert isinstance(section, Section)
+    return section
 
 
 def _who(study: Study) -> str:
@@ -173,37 +171,28 @@ def trial_progress(
     """Show on standard error how far the work is: a bar on a terminal, lines anywhere else."""
     console = console or Console(stderr=True)
     columns = (TextColumn('{task.description}'), BarColumn(), TimeElapsedColumn())
-    left_column = TextColumn('{task.fields[left]}')
-    bar = Progress(*columns, left_column, console=console, disable=not console.is_terminal)
-    task = bar.add_task('', total=None, left='')
+    bar = Progress(*columns, console=console, disable=not console.is_terminal)
+    task, cost = bar.add_task('', total=None), 0.0  # of the trials that have ended
     began = last_line = clock()
-    cost = 0.0  # of the trials that have ended
-
-    def line(text: str) -> None:
-        if not console.is_terminal:
-            console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def show(outcome: Outcome, ended: Trial | None) -> None:
         nonlocal began, last_line, cost
-        finished, count = outcome.finished, len(outcome.missing)
-        cost_of_all = sum(trial.cost for trial in outcome.missing)
-        now, left = clock(), ''
+        now, count = clock(), len(outcome.missing)
+        total = sum(trial.cost for trial in outcome.missing)
+        text, due = f'{outcome.finished} of {count} trials', now - last_line >= _LINE_EVERY
         if ended is None:
-            began = last_line = now
-            before = len(outcome.results)
-            line(f'{before + count} trials, {before} of them done before')
+            began, due, before = now, True, len(outcome.results)
+            text = f'{before + count} trials, {before} of them done before'
         else:
             cost += ended.cost
-            left = f'about {duration((now - began) * (cost_of_all / cost - 1))} left'
-            if finished == count:
-                left = 'done'
+            left = f'about {duration((now - began) * (total / cost - 1))} left'
+            text += ', done' if outcome.finished == count else f', {left}'
             if ended.key in outcome.failures:
                 console.print(f'failed: {ended}', markup=False, highlight=False)
-            if now - last_line >= _LINE_EVERY or finished == count:
-                last_line = now
-                line(f'{finished} of {count} trials, {left}')
-        text = f'{finished} of {count} trials'
-        bar.update(task, total=cost_of_all, completed=cost, description=text, left=left)
+        bar.update(task, total=total, completed=cost, description=text)
+        if not console.is_terminal and (due or outcome.finished == count):
+            last_line = now
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     with bar:
         yield show

@@ -10,7 +10,7 @@ then as good as what was shown from every start.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
@@ -25,8 +25,19 @@ from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.report.figures import Drawing
 import pandas as pd
 
+from experiments.paper import Statement
 from experiments.people import CAREFUL, Participant, participants, Study
-from experiments.report import Comparison, Done, goal, grouped, Picture, Section, Table, written
+from experiments.report import (
+    compared,
+    Comparison,
+    Done,
+    grouped,
+    listed,
+    OURS,
+    Picture,
+    Section,
+    Table,
+)
 from experiments.trials import Trial
 
 NAME = 'demonstrations'
@@ -45,92 +56,72 @@ COSTS = {'taxi': 10.0, 'rooms': 30.0}  # of a trial, about processor seconds, by
 
 def trials(study: Study) -> list[Trial]:
     """Return one trial for each simulated person, domain, method and strategy; with bags, none."""
-    if study.bags:
-        return []
-    careful = participants(CAREFUL, study.participants, study.seed)
-    people = [*careful, *map(_with_slips, careful)]
+    careful = [] if study.bags else participants(CAREFUL, study.participants, study.seed)
+    slipping = [
+        replace(one, group=SLIPS, code=one.code.replace(CAREFUL, SLIPS), error_rate=ERROR_RATE)
+        for one in careful
+    ]
     return [
         Trial(
             NAME,
             {'domain': domain, 'method': method, 'strategy': strategy, 'person': asdict(person)},
             count_demonstrations,
-            COSTS[domain],
+            cost,
         )
-        for domain in COSTS
+        for domain, cost in COSTS.items()
         for method in METHODS
         for strategy in STRATEGIES
-        for person in people
+        for person in (*careful, *slipping)
     ]
-
-
-def _with_slips(person: Participant) -> Participant:
-    code = person.code.replace(person.group, SLIPS)
-    return replace(person, group=SLIPS, code=code, error_rate=ERROR_RATE)
-
-
-@dataclass(frozen=True)
-class _Standing:
-    """An option after one of its demonstrations."""
-
-    demonstrations: int
-    accuracy: float
-    criteria_met: bool
-
-    @property
-    def right(self) -> bool:
-        """Whether every action is one of the best."""
-        return self.accuracy == 1.0
 
 
 def count_demonstrations(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each reference option: the demonstrations that it took; None: too few."""
-    domain = make_domain(parameters['domain'])
     rows = []
-    for name in reference_options(domain):
+    for name in reference_options(make_domain(parameters['domain'])):
         past = _lesson(parameters, name)
-        met = next((at for at in past if at.criteria_met), None)
-        wrong = [number for number, at in enumerate(past) if not at.right]
-        right = past[wrong[-1] + 1 :] if wrong else past
+        count, accuracy = next((at[:2] for at in past if at[2]), (None, None))
+        right = past
+        while wrong := [number for number, at in enumerate(right) if at[1] < 1.0]:
+            right = right[wrong[-1] + 1 :]
         rows.append(
             {
                 'option': name,
-                UNTIL[0]: met and met.demonstrations,
-                UNTIL[1]: right[0].demonstrations if right else None,
-                'accuracy when the criteria hold': met and met.accuracy,
+                UNTIL[0]: count,
+                UNTIL[1]: right[0][0] if right else None,
+                'accuracy when the criteria hold': accuracy,
             }
         )
     return rows
 
 
-def _lesson(parameters: Mapping[str, Any], name: str) -> list[_Standing]:
-    """Teach one option; return how it stood after each demonstration and "not here" answer."""
+def _lesson(parameters: Mapping[str, Any], name: str) -> list[tuple[int, float, bool]]:
+    """
+    Teach one option.
+
+    :return: demonstrations, accuracy of the policy, and whether the criteria hold, after each
+        demonstration and "not here" answer.
+    """
     domain, person = make_domain(parameters['domain']), Participant(**parameters['person'])
     reference, thresholds = reference_options(domain)[name], usual_thresholds(domain)
-    past: list[_Standing] = []
+    past: list[tuple[int, float, bool]] = []
 
     def enough(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
         judgement = judge(shown, domain, thresholds, person.seed, option)
-        accuracy = policy_accuracy(option, domain, reference)
-        past.append(_Standing(option.n_demonstrations, accuracy, judgement.criteria_met))
-        met = [at.demonstrations for at in past if at.criteria_met]
-        latest = [at for at in past if at.demonstrations > option.n_demonstrations - LONGER]
-        stays = all(at.right for at in latest)
-        return bool(met) and stays and option.n_demonstrations >= met[0] + LONGER
+        accuracy, count = policy_accuracy(option, domain, reference), option.n_demonstrations
+        past.append((count, accuracy, judgement.criteria_met))
+        stays = all(right == 1.0 for at, right, _ in past if at > count - LONGER)
+        return stays and any(met and count >= at + LONGER for at, _, met in past)
 
-    rules = LessonRules(
-        parameters['strategy'],
-        BUDGET,
-        person.seed,
-        until_no_failures=False,
-        method=parameters['method'],
-    )
+    strategy, method = parameters['strategy'], parameters['method']
+    rules = LessonRules(strategy, BUDGET, person.seed, until_no_failures=False, method=method)
     teach(domain, person.teaching(name), rules, enough)
     return past
 
 
 def count_table(done: Done) -> pd.DataFrame:
     """Return a row for each option that a person taught: ``KEYS``, code, counts, accuracy."""
-    rows = [
+    return pd.DataFrame(
         {
             **{key: p[key] for key in ('domain', 'method', 'strategy')},
             'people': p['person']['group'],
@@ -139,8 +130,7 @@ def count_table(done: Done) -> pd.DataFrame:
         }
         for p, result in done
         for row in result
-    ]
-    return pd.DataFrame(rows, columns=None if rows else [*KEYS, 'code', *UNTIL])
+    )
 
 
 def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
@@ -195,10 +185,9 @@ def _comparisons(counts: pd.DataFrame) -> list[Comparison]:
             f'With {method} (people: {people}), the criteria of each Taxi option hold after '
             f'{most} demonstrations or fewer, the mean over people.'
         )
-        text = '; '.join(f'{option} {written(mean, ".1f")}' for option, mean in means.items())
-        teachers = f'people: {rows["code"].nunique()}'
+        text = listed(f'{rows["code"].nunique()} people', means, '.1f')
         met = all_hold(mean.at_most(most) for mean in means.values())
-        found.append(goal(said, f'{teachers}; {text}', met))
+        found.append(compared(Statement(said, OURS), text, met))
     return found
 
 

@@ -11,11 +11,10 @@ are what the paper names. From random start states other classifiers learn from 
 demonstrations.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 import json
-import math
 from pathlib import Path
 import re
 from typing import Any
@@ -41,6 +40,7 @@ import pandas as pd
 
 from experiments import paper
 from experiments.learners import cloned_accuracies, FOREST, NEIGHBOUR
+from experiments.paper import Statement
 from experiments.people import (
     BagLesson,
     CAREFUL,
@@ -55,15 +55,14 @@ from experiments.report import (
     Comparison,
     Done,
     draw_curves,
-    goal,
     grouped,
     listed,
     Mark,
     mean_intervals,
+    OURS,
     Picture,
     Section,
     Table,
-    written,
 )
 from experiments.trials import Trial
 
@@ -83,40 +82,24 @@ class TaughtGame:
     parameters: str  # of the domain, JSON object
     shown: int  # demonstrations of an option by one person
     groups: tuple[str, ...]  # of people
-    strategies: tuple[str, ...]  # of start states
+    cost: float  # of a trial, about processor seconds
+    strategies: tuple[str, ...] = STRATEGIES  # of start states
     note: str = ''  # on the features, for captions
 
 
 DIRECTIONS, POSITIONS = 'directions', 'positions (features=paper)'  # names of lists of features
+HANDED_OVER = 'These features are first moves of shortest paths: they hand the policy over.'
+AS_LISTED = 'These features are positions only, as in the list of the paper.'
 GAMES = (
-    TaughtGame('taxi', 'all', '{}', 60, (CAREFUL, VARIED), STRATEGIES),
+    TaughtGame('taxi', 'all', '{}', 60, (CAREFUL, VARIED), cost=2.0),
+    TaughtGame('pacman', DIRECTIONS, '{}', 40, (VARIED,), cost=10.0, note=HANDED_OVER),
     TaughtGame(
-        'pacman',
-        DIRECTIONS,
-        '{}',
-        40,
-        (VARIED,),
-        STRATEGIES,
-        'These features are first moves of shortest paths: they hand the policy over.',
-    ),
-    TaughtGame(
-        'pacman',
-        POSITIONS,
-        '{"features": "paper"}',
-        60,
-        (VARIED,),
-        ('random',),
-        'These features are positions only, as in the list of the paper.',
+        *('pacman', POSITIONS, '{"features": "paper"}', 60, (VARIED,)),
+        cost=6.0,
+        strategies=('random',),
+        note=AS_LISTED,
     ),
 )
-COSTS = {  # of a trial, about processor seconds, by domain and strategy
-    ('taxi', 'random'): 2.0,
-    ('taxi', 'coverage'): 3.0,
-    ('taxi', 'failures'): 1.5,
-    ('pacman', 'random'): 6.0,
-    ('pacman', 'coverage'): 18.0,
-    ('pacman', 'failures'): 7.0,
-}
 CASE = ['domain', 'features', 'option', 'people', 'start states by']  # what tells curves apart
 RETURN = 'return'
 MEASURES = {  # with the titles of their plots; all but the return are shares of states
@@ -131,7 +114,7 @@ CROSSINGS = tuple(f'{level:.0%}, {crossing}' for level in LEVELS for crossing in
 GOALS = {('failures', 0.95): 15, ('failures', 1.0): 30}  # demonstrations at most, careful, Taxi
 ROUNDING = 1e-9  # of an accuracy
 NEAR = 10  # demonstrations by which "about 40" may be missed
-STYLES = {'random': ('C1', '--'), 'coverage': ('C3', '-.'), 'failures': ('C0', '-')}
+STYLES = {'random': 'C1--', 'coverage': 'C3-.', 'failures': 'C0-'}
 ACTS = ('name of an option', 'answer', 'start state', 'step', 'end of a demonstration')
 PACE = dict(zip(ACTS, SECONDS.values(), strict=True))  # s, assumed
 GROUP_NAMES = {
@@ -157,7 +140,7 @@ def trials(study: Study) -> list[Trial]:
                 'person': asdict(person),
             },
             learn_from_simulated,
-            COSTS[game.domain, strategy],
+            game.cost,
         )
         for game in GAMES
         for group in game.groups
@@ -165,6 +148,9 @@ def trials(study: Study) -> list[Trial]:
         for option in paper.TAUGHT[game.domain]
         for strategy in game.strategies
     ]
+
+
+Lesson = list[tuple[Sequence[Demonstration], LearnedOption]]  # what was shown, and learned from it
 
 
 def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -179,75 +165,62 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """
     person = Participant(**parameters['person'])
     domain = domain_from_json(parameters['domain'], parameters['domain_parameters'])
-    name, wanted = parameters['option'], parameters['demonstrations']
-    reference, others = reference_options(domain)[name], []
-    learned: dict[int, LearnedOption] = {}  # by demonstrations: later "not here" answers count in
+    name, wanted, strategy = (parameters[key] for key in ('option', 'demonstrations', 'strategy'))
+    lesson: Lesson = []
 
-    def measure(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
-        learned[option.n_demonstrations] = option
-        if parameters['strategy'] == 'random' and shown[-1].kind is Kind.TRAJECTORY:
-            others.extend(_others(option, shown, domain, reference, person.seed))
+    def enough(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
+        lesson.append((tuple(shown), option))
         return bool(option.n_demonstrations >= wanted)
 
-    rules = LessonRules(
-        parameters['strategy'], ASKED * wanted, person.seed, until_no_failures=False
-    )
-    taught = teach(domain, person.teaching(name), rules, measure)
-    measured = _measured(list(learned.values()), domain, reference)
+    rules = LessonRules(strategy, ASKED * wanted, person.seed, until_no_failures=False)
+    taught = teach(domain, person.teaching(name), rules, enough)
+    reference = reference_options(domain)[name]
     told = {'seconds': taught.seconds, 'cut_short': taught.cut_short}
-    return {**measured, 'others': others, **told}
+    return _measured(lesson, domain, reference, person.seed, strategy == 'random') | told
 
 
 def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Learn an option again from the demonstrations in a bag; see ``learn_from_simulated``."""
-    lesson = BagLesson(**parameters)
-    bag = open_bag(Path(lesson.bag))
+    known = BagLesson(**parameters)
+    bag = open_bag(Path(known.bag))
     domain = read_domain(bag)
-    demos = taught_in(bag, domain)[lesson.participant, lesson.option]
-    reference, others = reference_options(domain).get(lesson.option), []
-    learned: dict[int, LearnedOption] = {}
-    for count in range(1, len(demos) + 1):
-        if any(demo.kind is Kind.TRAJECTORY for demo in demos[:count]):
-            option = learn_option(demos[:count], domain, lesson.seed)
-            learned[option.n_demonstrations] = option
-            if reference and demos[count - 1].kind is Kind.TRAJECTORY:
-                others += _others(option, demos[:count], domain, reference, lesson.seed)
-    measured = _measured(list(learned.values()), domain, reference)
+    demos = taught_in(bag, domain)[known.participant, known.option]
+    first = next(n for n, demo in enumerate(demos, 1) if demo.kind is Kind.TRAJECTORY)
+    parts = [demos[:count] for count in range(first, len(demos) + 1)]
+    lesson: Lesson = [(shown, learn_option(shown, domain, known.seed)) for shown in parts]
     told = {'seconds': sum(demo.seconds for demo in demos), 'cut_short': ''}
-    return {**measured, 'others': others, **told}
+    reference = reference_options(domain).get(known.option)
+    return _measured(lesson, domain, reference, known.seed, reference is not None) | told
 
 
 def _measured(
-    options: Sequence[LearnedOption], domain: Domain[Any], reference: ReferenceOption | None
+    lesson: Lesson,
+    domain: Domain[Any],
+    reference: ReferenceOption | None,
+    seed: int,
+    compare: bool,
 ) -> dict[str, Any]:
-    """Return the point of each option, and the best return; without a reference, None for it."""
-    returns: list[float | None] = [None] * (len(options) + 1)
+    """Return points, best return and, to compare, others; without a reference, None for each."""
+    learned = {option.n_demonstrations: option for _, option in lesson}  # the last of each number
+    options, returns = [*learned.values()], list[float | None]([None] * (len(learned) + 1))
     if reference:
         returns = [finite(each) for each in average_returns([*options, None], domain, reference)]
     points = [
         [option.n_demonstrations, option.n_not_here, its, *accuracies(option, domain, reference)]
         for option, its in zip(options, returns)
     ]
-    return {'points': points, 'best_return': returns[-1]}
-
-
-def _others(
-    option: LearnedOption,
-    shown: Sequence[Demonstration],
-    domain: Domain[Any],
-    reference: ReferenceOption,
-    seed: int,
-) -> list[dict[str, float]]:
-    """Return a row of other classifiers' policy accuracies after every tenth demonstration."""
-    if option.n_demonstrations % EVERY:
-        return []
-    found = cloned_accuracies(shown, domain, reference, seed)
-    return [{'demonstrations': option.n_demonstrations, **found}]
+    others = [
+        {'demonstrations': count, **cloned_accuracies(shown, domain, reference, seed)}
+        for shown, option in lesson
+        for count in [option.n_demonstrations]
+        if compare and reference and shown[-1].kind is Kind.TRAJECTORY and count % EVERY == 0
+    ]
+    return {'points': points, 'best_return': returns[-1], 'others': others}
 
 
 def accuracy_table(done: Done) -> pd.DataFrame:
     """
-    Return a row for each person and number of demonstrations.
+    Return a row for each person and number of demonstrations, case by case.
 
     Options that have no reference to compare with are left out.
 
@@ -255,45 +228,46 @@ def accuracy_table(done: Done) -> pd.DataFrame:
         whole lesson: best return (of the reference option), minutes, cut short (why; empty: it was
         not).
     """
-    counts = ['demonstrations', 'not here']
-    columns = [*CASE, 'person', *counts, *MEASURES, 'best return', 'minutes', 'cut short']
+    names = ['demonstrations', 'not here', *MEASURES]
     rows = [
-        [
-            *_case(parameters),
-            _code(parameters),
-            *point,
-            result['best_return'],
-            result['seconds'] / 60,
-            result['cut_short'],
-        ]
+        _who(parameters)
+        | dict(zip(names, point))
+        | {
+            'best return': result['best_return'],
+            'minutes': result['seconds'] / 60,
+            'cut short': result['cut_short'],
+        }
         for parameters, result in done
         for point in result['points']
         if any(known[3] is not None for known in result['points'])
     ]
+    columns = [*CASE, 'person', *names, 'best return', 'minutes', 'cut short']
     numbers = dict.fromkeys([*MEASURES, 'best return'], float)
     points = pd.DataFrame(rows, columns=columns).astype(numbers)
     # a "not here" answer changes the point of the demonstrations so far
-    return points.drop_duplicates([*CASE, 'person', 'demonstrations'], keep='last')
+    last = points.drop_duplicates([*CASE, 'person', 'demonstrations'], keep='last')
+    return _case_by_case(last)
 
 
-def _case(parameters: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the values of ``CASE`` of a trial."""
-    group = parameters['person']['group'] if 'person' in parameters else PEOPLE
-    domain, features = parameters['domain'], _features(parameters)
-    return domain, features, parameters['option'], group, parameters['strategy']
+def _who(parameters: Mapping[str, Any]) -> dict[str, str]:
+    """Return the case and the person of a trial."""
+    person = {'group': PEOPLE, 'code': parameters.get('participant')}
+    person = parameters.get('person', person)
+    domain, listed = parameters['domain'], json.loads(parameters['domain_parameters'])
+    lists = {
+        game.features
+        for game in GAMES
+        if (game.domain, json.loads(game.parameters).get('features'))
+        == (domain, listed.get('features'))
+    }
+    case = [domain, *(lists or {'all'}), parameters['option'], person['group']]
+    return dict(zip([*CASE, 'person'], [*case, parameters['strategy'], person['code']]))
 
 
-def _code(parameters: Mapping[str, Any]) -> str:
-    """Return the code of the person of a trial."""
-    person = parameters.get('person', {'code': parameters.get('participant')})
-    return str(person['code'])
-
-
-def _features(parameters: Mapping[str, Any]) -> str:
-    """Return the name of the list of features that a trial has."""
-    named = json.loads(parameters['domain_parameters']).get('features')
-    known = {(g.domain, json.loads(g.parameters).get('features')): g.features for g in GAMES}
-    return known.get((parameters['domain'], named), 'all')
+def _case_by_case(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return all rows of the first case, then those of the next."""
+    order = frame.groupby(CASE, sort=False).ngroup()
+    return frame.iloc[order.argsort(kind='stable')].reset_index(drop=True)
 
 
 def curve_table(points: pd.DataFrame) -> pd.DataFrame:
@@ -302,16 +276,16 @@ def curve_table(points: pd.DataFrame) -> pd.DataFrame:
 
     :return: ``CASE``, measure, demonstrations, count, mean, low, high, best (of the measure).
     """
-    best = points.groupby(CASE, sort=False)['best return'].mean().rename('best').reset_index()
-    parts = []
-    for measure in MEASURES:
-        is_return = measure == RETURN
-        limits = () if is_return else (0.0, 1.0)
-        by = [*CASE, 'measure', 'demonstrations']
-        found = mean_intervals(points.assign(measure=measure), by, measure, *limits)
-        found = found.merge(best, on=CASE, how='left')
-        parts.append(found if is_return else found.assign(best=1.0))
-    return _case_by_case(pd.concat(parts, ignore_index=True))
+    kept = [*CASE, 'demonstrations', 'best return']
+    each = points.melt(kept, [*MEASURES], 'measure', 'value')
+    found = mean_intervals(each, [*CASE, 'measure', 'demonstrations'], 'value')
+    best = points.groupby(CASE, sort=False)['best return'].first().rename('best').reset_index()
+    found = found.merge(best, on=CASE, how='left')
+    shares = found['measure'] != RETURN
+    found.loc[shares, 'low'] = found['low'].clip(lower=0.0)
+    found.loc[shares, 'high'] = found['high'].clip(upper=1.0)
+    found.loc[shares, 'best'] = 1.0
+    return _case_by_case(found)
 
 
 def person_table(points: pd.DataFrame) -> pd.DataFrame:
@@ -320,36 +294,28 @@ def person_table(points: pd.DataFrame) -> pd.DataFrame:
 
     :return: ``CASE``, person, for each of ``LEVELS`` the demonstrations and start states ("not
         here" answers included) until it was first reached, and until it was reached for good: it
-        held after every later demonstration; the last measures, best return, shown (all
-        demonstrations), minutes, cut short.
+        held after every later demonstration; the last measures, best return, minutes, cut short,
+        shown (all demonstrations).
     """
-    keys = [*CASE, 'person']
-    people = points.groupby(keys, sort=False).tail(1).set_index(keys)
-    accuracies = {name: f'last accuracy of {name}' for name in MEASURES}
-    people = people.rename(columns={**accuracies, RETURN: 'last return'})
-    people['shown'] = people.pop('demonstrations')
-    people = people.drop(columns='not here')
-    reached = {}
-    for level in LEVELS:
-        reaches = points['policy'] >= level - 1e-12
-        later = reaches[::-1].astype(int).groupby([points[key] for key in keys]).cummin()
-        holds = later[::-1] == 1
-        for crossing, there in ((REACHED, reaches), (HELD, holds)):
-            first = points[there].groupby(keys, sort=False).first()
-            asked = first['demonstrations'] + first['not here']
-            for name, values in (
-                ('demonstrations', first['demonstrations']),
-                ('start states', asked),
-            ):
-                column = f'{name} for {level:.0%}, {crossing}'
-                reached[column] = values.reindex(people.index).astype('Int64')
-    return _case_by_case(pd.concat([pd.DataFrame(reached), people], axis=1).reset_index())
-
-
-def _case_by_case(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return all rows of the first case, then those of the next."""
-    order = frame.groupby(CASE, sort=False).ngroup()
-    return frame.iloc[order.argsort(kind='stable')].reset_index(drop=True)
+    last = {name: f'last accuracy of {name}' for name in MEASURES} | {RETURN: 'last return'}
+    rows = []
+    for key, mine in grouped(points, [*CASE, 'person']):
+        row: dict[str, Any] = dict(zip([*CASE, 'person'], key))
+        for level in LEVELS:
+            first = mine['policy'] >= level - 1e-12
+            held = first[::-1].cummin()[::-1]
+            for crossing, there in ((REACHED, first), (HELD, held)):
+                at = mine[there].head(1)
+                for name, values in (
+                    ('demonstrations', at['demonstrations']),
+                    ('start states', at['demonstrations'] + at['not here']),
+                ):
+                    row[f'{name} for {level:.0%}, {crossing}'] = next(iter(values), pd.NA)
+        end = mine.iloc[-1].drop(list(row), errors='ignore')
+        shown = end.pop('demonstrations')
+        rows.append({**row, **end.drop('not here').rename(last), 'shown': shown})
+    counts = [f'{n} for {case}' for case in CROSSINGS for n in ('demonstrations', 'start states')]
+    return pd.DataFrame(rows).astype(dict.fromkeys(counts, 'Int64'))
 
 
 def needed_table(people: pd.DataFrame) -> pd.DataFrame:
@@ -396,21 +362,16 @@ def learner_table(done: Done, points: pd.DataFrame) -> pd.DataFrame:
         forest's less the tree's, with its interval, paired by person.
     """
     keys = [*CASE, 'person', 'demonstrations']
-    rows = [
-        dict(zip(keys, [*_case(parameters), _code(parameters)])) | row
-        for parameters, result in done
-        for row in result['others']
-    ]
+    rows = [_who(parameters) | row for parameters, result in done for row in result['others']]
     if not rows:
         return pd.DataFrame(columns=[*CASE, 'demonstrations'])
     each = pd.DataFrame(rows).merge(points[[*keys, 'policy']], on=keys)
-    each['more'] = each[FOREST] - each['policy']
-    by = [*CASE, 'demonstrations']
-    found = each.groupby(by, sort=False)[['policy', NEIGHBOUR, FOREST]].mean()
-    found.insert(0, 'count', each.groupby(by, sort=False)['person'].nunique())
-    gain = mean_intervals(each, by, 'more').set_index(by)[['mean', 'low', 'high']]
-    gain.columns = ['forest less tree', 'low', 'high']
-    return found.rename(columns={'policy': 'tree'}).join(gain).round(3).reset_index()
+    each['more'], by = each[FOREST] - each['policy'], [*CASE, 'demonstrations']
+    means = each.groupby(by, sort=False)[['policy', NEIGHBOUR, FOREST]].mean()
+    gain = mean_intervals(each, by, 'more').set_index(by)
+    found = gain[['count']].join(means).join(gain[['mean', 'low', 'high']])
+    named = {'policy': 'tree', 'mean': 'forest less tree'}
+    return found.rename(columns=named).round(3).reset_index()
 
 
 def present(done: Done) -> Section:
@@ -445,96 +406,64 @@ def present(done: Done) -> Section:
 
 def _compare_cases(
     points: pd.DataFrame, people: pd.DataFrame, needed: pd.DataFrame
-) -> list[Comparison]:
-    found = []
-    for key, members in grouped(people, CASE):
+) -> Iterator[Comparison]:
+    for (key, members), (_, mine), (_, row) in zip(
+        grouped(people, CASE), grouped(points, CASE), needed.iterrows()
+    ):
         domain, features, option, group, strategy = key
-        row = needed[(needed[CASE] == list(key)).all(axis=1)].iloc[0]
         case = f'{_game(domain, features)}, “{option}”, start states by {strategy}'
         if _as_in_paper(group, strategy) and paper.FIGURE_2_OPTIONS.get(domain) == option:
-            mine = points[(points[CASE] == list(key)).all(axis=1)]
-            found += _compare_accuracies(case, mine, row)
+            yield from _compare_accuracies(case, mine)
         if group == CAREFUL and domain == 'taxi':
-            found += _compare_needed(case, strategy, members, row)
-    return found
+            yield from _compare_needed(case, strategy, members, row)
 
 
-def _compare_accuracies(case: str, points: pd.DataFrame, row: pd.Series) -> list[Comparison]:
-    """Compare how return and best actions rise, within each person, and what I and beta are."""
-    last = min(paper.DEMONSTRATIONS, int(points['demonstrations'].max()))
-    gains, found = {}, {}
-    for measure, style in ((RETURN, '.2f'), ('policy', '.1%')):
+def _compare_accuracies(case: str, points: pd.DataFrame) -> Iterator[Comparison]:
+    """Yield how return and best actions rise, within each person, and what I and beta are."""
+    most = int(points['demonstrations'].max())
+    last, gains = min(paper.DEMONSTRATIONS, most), {}
+    for measure in (RETURN, 'policy'):
         values = points.pivot(index='person', columns='demonstrations', values=measure)
         # a person who began with "not here" answers alone, or showed fewer, has no pair
         pairs = values.reindex(columns=[1, last]).dropna().to_numpy()
-        first, then = pairs[:, 0], pairs[:, -1]
-        gains[measure] = Interval.of_difference(then, first)
-        found[measure] = (
-            f'{first.mean():{style}} after 1, {then.mean():{style}} after {last}, '
-            f'gain within a person {written(gains[measure], style)}'
-        )
+        gains[MEASURES[measure]] = Interval.of_difference(pairs[:, -1], pairs[:, 0])
     ends = points.groupby('person', sort=False).last()
-    errors = {part: Interval.of(1 - ends[part].dropna()) for part in ('initiation', 'termination')}
-    shown = points['demonstrations'].max()
-    accuracies = {
-        name: f'{1 - errors[part].mean:.1%} (error {written(errors[part], ".1%")})'
-        for name, part in (('I', 'initiation'), ('β', 'termination'))
-    }
-    return [
-        compared(
-            paper.FIGURE_2['rises'],
-            f'{case}: average return {found[RETURN]} (reference option '
-            f'{points["best return"].mean():.2f}); best actions: {found["policy"]}; '
-            f'95% after: {_needed(row, LEVELS[0])}',
-            all_hold(gain.above() for gain in gains.values()),
-        ),
-        compared(
-            paper.FIGURE_2['imperfect'],
-            f'{case}: after {shown}: {listed(accuracies)}',
-            any_holds(error.above(ROUNDING) for error in errors.values()),
-        ),
-    ]
+    parts = ('initiation', 'termination')
+    errors = {MEASURES[part]: Interval.of(1 - ends[part].dropna()) for part in parts}
+    rises = listed(f'{case}, gain within a person from 1 to {last}', gains)
+    wrong = listed(f'{case}, errors after {most}', errors)
+    yield compared(paper.FIGURE_2['rises'], rises, all_hold(g.above() for g in gains.values()))
+    verdict = any_holds(error.above(ROUNDING) for error in errors.values())
+    yield compared(paper.FIGURE_2['imperfect'], wrong, verdict)
 
 
 def _compare_needed(
     case: str, strategy: str, members: pd.DataFrame, row: pd.Series
-) -> list[Comparison]:
+) -> Iterator[Comparison]:
     """
-    Compare the demonstrations that careful people needed with the paper's and our goals.
+    Yield the demonstrations that careful people needed beside the paper's and our goals.
 
     Those count after which the level held for good. Who did not reach it counts with all that
     were shown, so that their number can only be too low then: it may refute that few are needed,
     and never shows it.
     """
-    found = []
+    about = paper.DEMONSTRATIONS - NEAR, paper.DEMONSTRATIONS + NEAR
     for level in LEVELS:
+        claim, (least, most) = paper.FIGURE_2['forty'], about
+        if (strategy, level) in GOALS:
+            least, most = 0, GOALS[strategy, level]
+            text = f'{level:.0%} policy accuracy takes at most {most} demonstrations.'
+            claim = Statement(text, OURS)
+        elif (strategy, level) != ('random', LEVELS[0]):
+            continue
+        said = {name: row[f'demonstrations for {level:.0%}, {name}'] for name in (REACHED, HELD)}
         demonstrations = members[f'demonstrations for {level:.0%}, {HELD}']
-        complete = bool(demonstrations.notna().all())
         needed = Interval.of(demonstrations.fillna(members['shown']).astype(float))
-        text = f'{case}, people without errors: {_needed(row, level)}'
-        if complete and not math.isnan(needed.low):
-            text += f' ({needed.low:.1f} to {needed.high:.1f})'
-        most = GOALS.get((strategy, level))
-        if most is not None:
-            said = f'{level:.0%} policy accuracy takes at most {most} demonstrations.'
-            found.append(goal(said, text, _within(needed, complete, 0.0, most)))
-        elif strategy == 'random' and level == LEVELS[0]:
-            limits = paper.DEMONSTRATIONS - NEAR, paper.DEMONSTRATIONS + NEAR
-            near = _within(needed, complete, *limits)
-            found.append(compared(paper.FIGURE_2['forty'], text, near))
-    return found
-
-
-def _within(needed: Interval, complete: bool, least: float, most: float) -> bool | None:
-    """Return whether a number lies within limits; not complete: it is one that it exceeds."""
-    if not complete:
-        return False if needed.at_most(most) is False else None
-    return all_hold([needed.at_least(least), needed.at_most(most)])
-
-
-def _needed(row: pd.Series, level: float) -> str:
-    reached, held = (row[f'demonstrations for {level:.0%}, {name}'] for name in (REACHED, HELD))
-    return str(reached) if reached == held else f'{reached} first, {held} for good'
+        verdict = False if needed.at_most(most) is False else None
+        if demonstrations.notna().all():
+            said[HELD] = needed
+            verdict = all_hold([needed.at_least(least), needed.at_most(most)])
+        yield compared(claim, listed(f'{case}, without errors', said, '.1f'), verdict)
 
 
 def _game(domain: str, features: str) -> str:
@@ -542,26 +471,19 @@ def _game(domain: str, features: str) -> str:
     return domain if features == 'all' else f'{domain} with {features}'
 
 
-def _compare_minutes(people: pd.DataFrame) -> list[Comparison]:
-    """Compare the time that people took for all that they showed."""
-    found = []
-    like = [_as_in_paper(*key) for key in people[CASE[3:]].itertuples(index=False)]
-    mine = people[pd.Series(like, index=people.index, dtype=bool)]
-    for (domain, features), members in grouped(mine, CASE[:2]):
-        if domain in paper.MINUTES:
-            lessons = members.groupby(['person', 'start states by'])['minutes'].sum()
+def _compare_minutes(people: pd.DataFrame) -> Iterator[Comparison]:
+    """Yield the time that people took for all that they showed."""
+    for (domain, features), members in grouped(people, CASE[:2]):
+        like = [_as_in_paper(*key) for key in members[CASE[3:]].itertuples(index=False)]
+        mine = members[like]
+        if domain in paper.MINUTES and len(mine):
+            lessons = mine.groupby(['person', 'start states by'])['minutes'].sum()
             taken = Interval.of(lessons.groupby('person').mean())
-            real = bool((members['people'] == PEOPLE).all())
-            text = f'{_game(domain, features)}: {written(taken, ".1f")} min, ' + (
-                'by the clock' if real else 'at an assumed pace'
-            )
-            said = paper.FIGURE_2[f'minutes in {domain}']
-            found.append(
-                compared(said, text, taken.at_most(paper.MINUTES[domain]))
-                if real
-                else Comparison(said.text, said.where, text, Mark.NOT_COMPARABLE)
-            )
-    return found
+            real = bool((mine['people'] == PEOPLE).all())
+            pace = 'minutes by the clock' if real else 'minutes at an assumed pace'
+            verdict = taken.at_most(paper.MINUTES[domain]) if real else Mark.NOT_COMPARABLE
+            text = listed(_game(domain, features), {pace: taken}, '.1f')
+            yield compared(paper.FIGURE_2[f'minutes in {domain}'], text, verdict)
 
 
 def _as_in_paper(group: str, strategy: str) -> bool:

@@ -24,7 +24,7 @@ import pandas as pd
 
 from experiments import paper
 from experiments.people import extraction, Study
-from experiments.report import compared, Comparison, Done, Picture, Section, Table, written
+from experiments.report import compared, Comparison, Done, listed, Picture, Section, Table, written
 from experiments.trials import Trial
 
 NAME = 'fig3'
@@ -81,25 +81,22 @@ def present(done: Done) -> Section:
     found: dict[str, list[Any]] = {}  # extractions by domain
     for parameters, one in done:
         found.setdefault(parameters['domain'], []).append(one)
-    return Section(
-        NAME,
-        TITLE,
-        _comparisons(found['taxi']) if 'taxi' in found else [],
-        [_picture(domain, first) for domain, (first, *_) in found.items()],
-        [
-            *(
-                Table(
-                    f'fig3-found-{domain}',
-                    f'{DOMAINS[domain]}: which options were found, and how often',
-                    found_table(domain, extractions),
-                    shown=domain == 'taxi',
-                )
-                for domain, extractions in found.items()
-            ),
-            Table('fig3-options', 'The options', option_table(done), shown=False),
-            Table('fig3-extractions', 'Each extraction, and what it cost', extraction_table(done)),
-        ],
-    )
+    tables = [
+        Table(
+            f'fig3-found-{domain}',
+            f'{DOMAINS[domain]}: which options were found, and how often',
+            found_table(domain, extractions),
+            shown=domain == 'taxi',
+        )
+        for domain, extractions in found.items()
+    ]
+    tables += [
+        Table('fig3-options', 'The options', option_table(done), shown=False),
+        Table('fig3-extractions', 'Each extraction, and what it cost', extraction_table(done)),
+    ]
+    pictures = [_picture(domain, first) for domain, (first, *_) in found.items()]
+    compared_ones = _comparisons(found['taxi']) if 'taxi' in found else []
+    return Section(NAME, TITLE, compared_ones, pictures, tables)
 
 
 def found_table(domain: str, found: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
@@ -115,17 +112,16 @@ def found_table(domain: str, found: Sequence[Mapping[str, Any]]) -> pd.DataFrame
 
 def option_table(done: Done) -> pd.DataFrame:
     """Return a row for each option of each extraction."""
+    named = {
+        'name': 'option',
+        'visits': 'visits',
+        'can_start': 'share of states where it can start',
+        'reaches': 'share of these from which it came to its target',
+    }
     rows = [
-        {
-            'domain': DOMAINS[parameters['domain']],
-            'seed': parameters['seed'],
-            'number': number,
-            'option': option['name'],
-            'visits': option['visits'],
-            'share of states where it can start': option['can_start'],
-            'share of these from which it came to its target': option['reaches'],
-        }
-        for parameters, one in done
+        {'domain': DOMAINS[p['domain']], 'seed': p['seed'], 'number': number}
+        | {title: option[name] for name, title in named.items()}
+        for p, one in done
         for number, option in enumerate(one['options'], start=1)
     ]
     return pd.DataFrame(rows)
@@ -138,11 +134,11 @@ def extraction_table(done: Done) -> pd.DataFrame:
             'domain': DOMAINS[parameters['domain']],
             'seed': parameters['seed'],
             'options': len(one['options']),
-            'pickups': _events(one)['pickup'],
-            'dropoffs': _events(one)['dropoff'],
-            'cells': _events(one)[''],
+            'pickups': events['pickup'],
+            'dropoffs': events['dropoff'],
+            'cells': events[''],
             'share that comes to the target': float(
-                np.mean([option['reaches'] for option in one['options']])
+                np.mean([o['reaches'] for o in one['options']])
             ),
             'seconds': one['seconds'],
             'game steps': one['game_steps'],
@@ -150,6 +146,7 @@ def extraction_table(done: Done) -> pd.DataFrame:
             'share of runs that came to their goals': one['solved'],
         }
         for parameters, one in done
+        for events in [_events(one)]
     ]
     return pd.DataFrame(rows)
 
@@ -166,62 +163,46 @@ def _seen(found: Sequence[Mapping[str, Any]]) -> Counter[str]:
 
 def _comparisons(found: Sequence[Mapping[str, Any]]) -> list[Comparison]:
     """Compare extractions in Taxi with the paper's."""
-    seen = _seen(found)
-    alike = [_events(one) == paper.AUTOMATIC for one in found]
-    central = [any(o['name'] == CENTRE for o in one['options']) for one in found]
-    fewest = min(seen[name] for name in PAPERS if name != CENTRE)
-    cells = Counter(o['name'] for one in found for o in one['options'] if not o['event'])
-    listed = ', '.join(f'{name} ({count})' for name, count in cells.most_common())
-    share = np.mean([one['visits'][MIDDLE] / max(one['visits']) for one in found])
-    counts, actions = [len(one['options']) for one in found], len(Taxi().actions)
-    more = [count - actions == 3 for count in counts]
+    seen, taxi = _seen(found), Taxi()
+    counts = [len(one['options']) for one in found]
+    middle = np.mean([one['visits'][MIDDLE] / max(one['visits']) for one in found])
     automatic = Interval.of([np.mean([o['can_start'] for o in one['options']]) for one in found])
-    human = _human_initiation()
+    reached = search_space(taxi).reached & ~taxi.over()
+    meant = (reference_options(taxi)[name].initiation[reached] for name in paper.TAUGHT['taxi'])
+    human = float(np.mean([float(starts.mean()) for starts in meant]))
+    can_start: dict[str, Any] = {'automatic': automatic, 'human, as an expert means it': human}
     return [
-        compared(
-            paper.FIGURE_3['kinds'],
-            f'{_share(alike)}; the rarest pickup or dropoff in {fewest}',
-            _mostly(alike),
+        _mostly(
+            'kinds',
+            [_events(one) == paper.AUTOMATIC for one in found],
+            {'the rarest pickup or dropoff in': min(seen[name] for name in PAPERS[:-1])},
         ),
-        compared(
-            paper.FIGURE_3['centre'],
-            f'{_share(central)}; cells: {listed or "none"}; visits of the centre: {share:.1%} '
-            'of those of the most visited cell',
-            _mostly(central),
+        _mostly(
+            'centre',
+            [any(o['name'] == CENTRE for o in one['options']) for one in found],
+            {'visits of the centre, of those of the most visited cell,': f'{middle:.1%}'},
         ),
-        compared(
-            paper.FIGURE_3['more'],
-            f'{np.mean(counts):.1f} options, {actions} primitive actions; three more in '
-            f'{_share(more)}',
-            _mostly(more),
+        _mostly(
+            'more',
+            [count - len(taxi.actions) == 3 for count in counts],
+            {'options': float(np.mean(counts)), 'primitive actions': len(taxi.actions)},
         ),
         compared(
             paper.FIGURE_3['general'],
-            f'share of states where an option can start: automatic {written(automatic, ".0%")}, '
-            f'human, as an expert means it, {human:.0%}',
+            listed('share of states where an option can start', can_start, '.0%'),
             automatic.below(human),
         ),
     ]
 
 
-def _share(found: Sequence[bool]) -> str:
-    """Return in how many extractions something was found, and the interval of the share."""
-    share = Interval.of_share(np.array(found))
-    return f'{sum(found)} of {len(found)} extractions ({share.low:.0%} to {share.high:.0%})'
-
-
-def _mostly(found: Sequence[bool]) -> bool | None:
-    """Return whether more than half of all extractions would find it; None: not decided."""
-    return Interval.of_share(np.array(found)).above(0.5)
-
-
-def _human_initiation() -> float:
-    """Return the mean share of Taxi's states in which the paper's human options can start."""
-    domain = Taxi()
-    meant = reference_options(domain)
-    reached = search_space(domain).reached & ~domain.over()
-    shares = [float(meant[name].initiation[reached].mean()) for name in paper.TAUGHT['taxi']]
-    return float(np.mean(shares))
+def _mostly(said: str, flags: Sequence[bool], more: Mapping[str, Any]) -> Comparison:
+    """Compare in how many extractions something was found with more than half of all."""
+    share = Interval.of_share(np.array(flags))
+    found: dict[str, Any] = {
+        f'{sum(flags)} of {len(flags)} extractions,': written(share, '.0%'),
+        **more,
+    }
+    return compared(paper.FIGURE_3[said], listed('found in', found), share.above(0.5))
 
 
 def _picture(name: str, first: Mapping[str, Any]) -> Picture:

@@ -54,32 +54,23 @@ from experiments.report import (
     Picture,
     Section,
     Table,
-    written,
 )
 from experiments.trials import Trial
 
 NAME, DOMAIN = 'fig4', 'taxi'
 TITLE = 'Figure 4: steps per episode of Q-learning'
-SETS = {  # by name: kind of owner of the options, and action set of the learner
-    'primitive': (NOBODY, PRIMITIVE),
-    'human': (PERSON, HUMAN),
-    'automatic': (MACHINE, AUTOMATIC),
-    'human + primitive': (PERSON, HUMAN_AND_PRIMITIVE),
-    'automatic + primitive': (MACHINE, AUTOMATIC_AND_PRIMITIVE),
-}
-STYLES = {  # colour and line of each action set
-    'primitive': ('C0', '-'),
-    'human': ('C1', '--'),
-    'automatic': ('C2', '-.'),
-    'human + primitive': ('C3', ':'),
-    'automatic + primitive': ('C4', (0, (5, 1, 1, 1, 1, 1))),
+SETS = {  # by name: kind of owner of the options, action set of the learner, colour and line
+    'primitive': (NOBODY, PRIMITIVE, 'C0-'),
+    'human': (PERSON, HUMAN, 'C1--'),
+    'automatic': (MACHINE, AUTOMATIC, 'C2-.'),
+    'human + primitive': (PERSON, HUMAN_AND_PRIMITIVE, 'C3:'),
+    'automatic + primitive': (MACHINE, AUTOMATIC_AND_PRIMITIVE, 'C4-'),
 }
 METHODS = {'smdp': 'SMDP Q-learning', 'intra-option': 'intra-option Q-learning'}
 LIMIT = 1000  # steps of an episode at most; the domain's own 200 would hide how long they get
 TRIED, TRIALS = 10, 3  # rates that are tried, and learners for each
 TOGETHER = 6  # members in one trial, at most
 COST = 8.0  # of a member, about processor seconds
-SIZE = (6.4, 3.8)  # inches
 KEYS = ['method', 'action set']
 
 
@@ -105,7 +96,7 @@ def trials(study: Study) -> list[Trial]:
             COST * len(members),
         )
         for method in METHODS
-        for name, (whose, _) in SETS.items()
+        for name, (whose, *_) in SETS.items()
         for first in range(0, len(sources[whose]), TOGETHER)
         for members in [sources[whose][first : first + TOGETHER]]
     ]
@@ -158,24 +149,22 @@ def episode_table(done: Done) -> pd.DataFrame:
     :return: method, action set, member (its number among all), episode, steps, and of the member:
         options (how many), learning rate, exploring (share of decisions).
     """
-    columns = [*KEYS, 'member', 'episode', 'steps', 'options', 'learning rate', 'exploring']
+    members = [(parameters, one) for parameters, found in done for one in found]
     rows = [
-        [
-            METHODS[parameters['method']],
-            parameters['set'],
-            member,
-            episode,
-            steps,
-            len(result['options']),
-            result['learning_rate'],
-            result['explore'],
-        ]
-        for member, (parameters, result) in enumerate(
-            (parameters, one) for parameters, found in done for one in found
-        )
-        for episode, steps in enumerate(result['steps'], start=1)
+        {
+            'method': METHODS[parameters['method']],
+            'action set': parameters['set'],
+            'member': member,
+            'episode': range(1, len(one['steps']) + 1),
+            'steps': one['steps'],
+            'options': len(one['options']),
+            'learning rate': one['learning_rate'],
+            'exploring': one['explore'],
+        }
+        for member, (parameters, one) in enumerate(members)
     ]
-    return pd.DataFrame(rows, columns=columns)
+    frame = pd.DataFrame(rows).explode(['episode', 'steps'], ignore_index=True)
+    return frame.astype({'episode': int, 'steps': float})
 
 
 def summary_table(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -222,38 +211,33 @@ def _comparisons(episodes: pd.DataFrame) -> list[Comparison]:
         steps = {name: mine['steps'] for (name,), mine in grouped(rows, ['action set'])}
         if {'human', 'automatic'} <= set(steps):
             fewer = Interval.of_difference(steps['automatic'], steps['human'], paired=False)
-            text = listed({name: written(Interval.of(x), ',.0f') for name, x in steps.items()})
-            text = (
-                f'{method}, steps in all {paper.EPISODES} episodes: {text}; automatic less human: '
-                f'{written(fewer, ",.0f")}'
-            )
+            values = {name: Interval.of(each) for name, each in steps.items()}
+            case = f'{method}, steps in all {paper.EPISODES} episodes'
+            text = listed(case, {**values, 'automatic less human': fewer}, ',.0f')
             found.append(compared(paper.FIGURE_4_FASTER, text, fewer.above()))
     return found
 
 
 def _pictures(curves: pd.DataFrame) -> list[Picture]:
     """Return two figures for each method: the paper's action sets on its axis, and all sets."""
-    names = {called: method for method, called in METHODS.items()}
     return [
         Picture(
-            f'fig4-{names[called]}{suffix}',
+            f'fig4-{method}{suffix}',
             f'Steps per episode of {called} in Taxi by action set, {axis}',
-            SIZE,
-            partial(_draw, mine, called, as_in_paper),
+            (6.4, 3.8),
+            partial(_draw, curves[curves['method'] == called], called, bool(suffix)),
             f'Taxi, {called}, {axis}',
         )
-        for (called,), mine in grouped(curves, ['method'])
-        for suffix, axis, as_in_paper in (
-            ('-paper', "on the paper's axis", True),
-            ('', 'all action sets', False),
-        )
+        for method, called in METHODS.items()
+        if called in set(curves['method'])
+        for suffix, axis in (('-paper', "on the paper's axis"), ('', 'all action sets'))
     ]
 
 
 def _draw(curves: pd.DataFrame, title: str, as_in_paper: bool, work: Drawing) -> None:
-    axes = work.axes
+    axes, lines = work.axes, {name: line for name, (*_, line) in SETS.items()}
     shown = curves[curves['action set'].isin(paper.CURVES)] if as_in_paper else curves
-    draw_curves(axes, shown, 'action set', 'episode', STYLES, lw=1.4)
+    draw_curves(axes, shown, 'action set', 'episode', lines, lw=1.4)
     axes.set(title=title, xlabel='episode', ylabel='steps per episode')
     if as_in_paper:
         axes.set_ylim(0, paper.MOST_STEPS)

@@ -154,20 +154,20 @@ class OwnedOptions:
     """Options, and what it cost to get them; None: it is not of that kind."""
 
     options: tuple[Any, ...] = ()  # learned, or as an extraction has them for the domain's planner
-    demonstrations: int | None = None  # trajectories
     minutes: float | None = None  # of teaching: by the clock, or of simulated people as assumed
     seconds: float | None = None  # of a processor, for an extraction, or another learner
     game_steps: int | None = None
     shown: tuple[Demonstration, ...] = ()
 
+    @property
+    def demonstrations(self) -> int | None:
+        """How many trajectories were shown; None: nobody showed any."""
+        return _trajectories(self.shown) if self.shown else None
+
     def __add__(self, other: 'OwnedOptions') -> 'OwnedOptions':
         """Return what one person taught in two lessons."""
-        return OwnedOptions(
-            self.options + other.options,
-            (self.demonstrations or 0) + (other.demonstrations or 0),
-            (self.minutes or 0.0) + (other.minutes or 0.0),
-            shown=self.shown + other.shown,
-        )
+        minutes = (self.minutes or 0.0) + (other.minutes or 0.0)
+        return OwnedOptions(self.options + other.options, minutes, shown=self.shown + other.shown)
 
 
 def owners(study: Study, domain: str) -> dict[str, list[dict[str, Any]]]:
@@ -243,8 +243,7 @@ def _from_lesson(
     """Return what a simulated person taught; each process has each lesson once."""
     rules = LessonRules(seed=person.seed)
     taught = teach(domain_from_json(domain, parameters), person.teaching(*names), rules)
-    shown = tuple(taught.demonstrations)
-    return OwnedOptions(taught.options, _trajectories(shown), taught.seconds / 60, shown=shown)
+    return OwnedOptions(taught.options, taught.seconds / 60, shown=tuple(taught.demonstrations))
 
 
 def _from_bag(teacher: Mapping[str, Any]) -> OwnedOptions:
@@ -257,8 +256,7 @@ def _from_bag(teacher: Mapping[str, Any]) -> OwnedOptions:
     ]
     options = tuple(learn_option(demos, domain, teacher['seed']) for demos in groups)
     shown = tuple(demo for demos in groups for demo in demos)
-    minutes = sum(demo.seconds for demo in shown) / 60
-    return OwnedOptions(options, _trajectories(shown), minutes, shown=shown)
+    return OwnedOptions(options, sum(demo.seconds for demo in shown) / 60, shown=shown)
 
 
 def _trajectories(demonstrations: Sequence[Demonstration]) -> int:

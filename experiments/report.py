@@ -54,17 +54,6 @@ class Mark(Enum):
         return self in (Mark.AGREES, Mark.MET)
 
 
-SUMMARY = {  # text after the number of comparisons with each mark, at the top of the page
-    Mark.AGREES: 'comparisons with the paper agree with what it says',
-    Mark.DIFFERS: 'do not agree',
-    Mark.UNDECIDED: 'comparisons and goals are not decided by the intervals',
-    Mark.NOT_COMPARABLE: 'cannot be compared',
-    Mark.NO_COUNTERPART: 'statements of the paper have no counterpart here',
-    Mark.MET: 'of our own goals are met',
-    Mark.MISSED: 'of our own goals are missed',
-}
-
-
 @dataclass(frozen=True)
 class Comparison:
     """One claim, beside the numbers that were found."""
@@ -75,16 +64,17 @@ class Comparison:
     mark: Mark
 
 
-def compared(statement: Statement, found: str, agrees: bool | None) -> Comparison:
-    """Return a statement of the paper beside what was found; None: the data do not decide it."""
-    mark = {True: Mark.AGREES, False: Mark.DIFFERS, None: Mark.UNDECIDED}[agrees]
-    return Comparison(statement.text, statement.where, found, mark)
+def compared(claim: Statement, found: str, verdict: bool | Mark | None) -> Comparison:
+    """
+    Return a claim beside what was found.
 
-
-def goal(said: str, found: str, met: bool | None) -> Comparison:
-    """Return a goal of this project beside what was found; None: the data do not decide it."""
-    mark = {True: Mark.MET, False: Mark.MISSED, None: Mark.UNDECIDED}[met]
-    return Comparison(said, OURS, found, mark)
+    :param claim: of the paper, or of this project: then its place is ``OURS``.
+    :param verdict: whether it holds; None: the data do not decide it.
+    """
+    if not isinstance(verdict, Mark):
+        yes, no = (Mark.MET, Mark.MISSED) if claim.where == OURS else (Mark.AGREES, Mark.DIFFERS)
+        verdict = {True: yes, False: no, None: Mark.UNDECIDED}[verdict]
+    return Comparison(claim.text, claim.where, found, verdict)
 
 
 @dataclass(frozen=True)
@@ -121,7 +111,7 @@ class Section:
 
     name: str
     title: str
-    comparisons: Sequence[Comparison]
+    comparisons: Sequence[Comparison] = ()
     pictures: Sequence[Picture] = ()
     tables: Sequence[Table] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)  # parameters of the method, for JSON
@@ -171,15 +161,24 @@ def grouped(
     yield from groups
 
 
-def listed(values: Mapping[Any, str]) -> str:
-    """Return names and values as one line."""
-    return '; '.join(f'{name} {value}' for name, value in values.items())
+def listed(case: str, values: Mapping[Any, Interval | float | str], style: str = '') -> str:
+    """Return a case with its values as one line; ``style`` as of ``written``."""
+    return f'{case}: ' + '; '.join(f'{n} {written(value, style)}' for n, value in values.items())
 
 
-def written(found: Interval, style: str = ',.2f') -> str:
-    """Return an estimate with its limits; of one person or run, the estimate alone."""
-    mean, low, high = (f'{value:{style}}' for value in (found.mean, found.low, found.high))
-    return mean if math.isnan(found.low) else f'{mean} ({low} to {high})'
+def written(value: Interval | float | str, style: str = '') -> str:
+    """
+    Return a value for people, with its limits where it has any.
+
+    :param style: format of a number; empty: four digits, and above 100 all before the point.
+    """
+    if isinstance(value, str):
+        return value
+    mean = value.mean if isinstance(value, Interval) else value
+    style = style or (',.0f' if abs(mean) >= 100 else '.4g')
+    if not isinstance(value, Interval) or math.isnan(value.low):
+        return f'{mean:{style}}'
+    return f'{mean:{style}} ({value.low:{style}} to {value.high:{style}})'
 
 
 def draw_curves(
@@ -187,22 +186,21 @@ def draw_curves(
     curves: pd.DataFrame,
     by: str,
     x: str,
-    styles: Mapping[str, Sequence[Any]],
+    lines: Mapping[str, str],
     **style: Any,
 ) -> None:
     """
     Draw means and, where there are any, their limits.
 
     :param curves: columns ``by``, ``x``, mean, low, high; a curve for each value of ``by``.
-    :param styles: colour, line and, where there are any, marker of each curve.
+    :param lines: colour, line and marker of each curve, as matplotlib writes them: ``C1--o``.
     :param style: of all of them.
     """
     for (name,), curve in grouped(curves, [by]):
-        color, *_ = styles[name]
-        own = dict(zip(('color', 'ls', 'marker'), styles[name]))
-        axes.plot(curve[x], curve['mean'], label=name, **own, **style)
+        axes.plot(curve[x], curve['mean'], lines[name], label=name, **style)
         if curve['low'].notna().any():
-            axes.fill_between(curve[x], curve['low'], curve['high'], color=color, alpha=0.15, lw=0)
+            band: Any = {'color': lines[name][:2], 'alpha': 0.15, 'lw': 0}
+            axes.fill_between(curve[x], curve['low'], curve['high'], **band)
     axes.grid(axis='y')
 
 
@@ -215,7 +213,10 @@ def write_reproduction(folder: Path, data: Reproduction) -> None:
     """
     for section in data.sections:
         for picture in section.pictures:
-            _write_picture(folder, picture)
+            with matplotlib.rc_context(file_settings(picture.name)):
+                picture.draw(work := Drawing(*picture.size))
+                work.figure.savefig(folder / f'{picture.name}.png', dpi=DPI)
+                work.figure.savefig(folder / f'{picture.name}.svg', metadata={'Date': None})
         for table in section.tables:
             write_text(folder / f'{table.name}.csv', table.frame.to_csv(index=False))
         write_text(folder / f'{section.name}.json', section_json(section))
@@ -237,35 +238,22 @@ def section_json(section: Section) -> str:
     return json.dumps(values, indent=1, allow_nan=False) + '\n'
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """One statement of the paper, and how often each mark was given to it."""
-
-    said: str
-    where: str
-    section: str  # name of the section that has the numbers
-    marks: Counter[Mark]
-
-
-def verdicts(sections: Sequence[Section]) -> list[Verdict]:
-    """Return every statement of the paper once, in the order of the sections."""
-    found: dict[tuple[str, str], Verdict] = {}
+def verdicts(sections: Sequence[Section]) -> dict[tuple[str, str, str], Counter[Mark]]:
+    """Return how often each mark was given to a statement of the paper, by section and place."""
+    found: dict[tuple[str, str, str], Counter[Mark]] = {}
     for section in sections:
         for c in section.comparisons:
             if c.where != OURS:
-                one = Verdict(c.said, c.where, section.name, Counter())
-                marks = found.setdefault((section.name, c.said), one).marks
-                marks.update([c.mark])
-    return list(found.values())
+                found.setdefault((section.name, c.said, c.where), Counter()).update([c.mark])
+    return found
 
 
 def render(data: Reproduction) -> str:
     """Return the page."""
-    marks = [c.mark for section in data.sections for c in section.comparisons]
+    marks = Counter(c.mark for section in data.sections for c in section.comparisons)
     findings = [
-        Finding(mark.good, f'{marks.count(mark)} {text}.')
-        for mark, text in SUMMARY.items()
-        if mark in marks
+        *(Finding(mark.good, f'{mark.value}: {marks[mark]}') for mark in Mark if mark in marks),
+        *(Finding(False, f'Not computed: {text}') for text in data.missing),
     ]
     values: dict[str, Any] = {
         'paper': paper.TITLE,
@@ -274,7 +262,7 @@ def render(data: Reproduction) -> str:
         'people': data.people,
         'study': data.study,
         'bags': list(dict.fromkeys(lesson.bag for lesson in data.study.bags)),
-        'findings': findings + [Finding(False, f'Not computed: {x}') for x in data.missing],
+        'findings': findings,
         'title': TITLE,
         'svg_of': _svg_for_page,
         'written': _of_table,
@@ -289,9 +277,7 @@ def _of_table(value: Any) -> str:
         return f'{value:,.0f}'
     if isinstance(value, int) and value >= 10_000:
         return f'{value:,}'
-    if isinstance(value, float) or value is None:
-        return number(value)
-    return str(value)
+    return number(value) if isinstance(value, float) or value is None else str(value)
 
 
 def _svg_for_page(picture: Picture) -> Markup:
@@ -299,16 +285,3 @@ def _svg_for_page(picture: Picture) -> Markup:
     with drawing(picture.name, picture.label, *picture.size) as work:
         picture.draw(work)
     return Markup(work.svg)
-
-
-def _write_picture(folder: Path, picture: Picture) -> None:
-    """
-    Write a figure as PNG and SVG.
-
-    :raises OSError: they cannot be written.
-    """
-    with matplotlib.rc_context(file_settings(picture.name)):
-        work = Drawing(*picture.size)
-        picture.draw(work)
-        work.figure.savefig(folder / f'{picture.name}.png', dpi=DPI)
-        work.figure.savefig(folder / f'{picture.name}.svg', metadata={'Date': None})

@@ -10,7 +10,6 @@ Mazes are the independent units, so differences are paired by maze.
 
 from collections.abc import Mapping
 from itertools import product
-import json
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -106,7 +105,7 @@ def search_in_maze(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each action set and setting: the mean score of its games."""
     domain = make_domain(DOMAIN, {'maze': parameters['maze'], 'ghosts': parameters['ghosts']})
     seed = int(generator(parameters['seed'], NAME, parameters['number']).integers(2**31))
-    taught = taught_in_usual_maze(json.dumps(parameters['teacher'])).options
+    taught = taught_in_usual_maze(parameters['teacher']).options
     carried = [carried_over(option, domain) for option in taught]
     found = options_of({'extraction': seed}, domain).options
     rows = []
@@ -130,10 +129,9 @@ def search_in_maze(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def score_table(done: Done) -> pd.DataFrame:
     """Return a row for each maze, action set and setting: the mean score of its games."""
-    rows = [
+    return pd.DataFrame(
         {'maze': p['number'], 'ghosts': p['ghosts'], **row} for p, result in done for row in result
-    ]
-    return pd.DataFrame(rows, columns=['maze', 'ghosts', *KEYS, 'score'])
+    )
 
 
 def choice_table(scores: pd.DataFrame) -> pd.DataFrame:
@@ -166,24 +164,16 @@ def choice_table(scores: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def summary_table(scores: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each action set and setting: mean score over the mazes, with limits."""
-    found = mean_intervals(scores, KEYS, 'score')
-    return found.rename(columns={'count': 'mazes', 'mean': 'score'})
-
-
-def mean_table(scores: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each setting: the mean score over the mazes of each action set."""
-    means = scores.pivot_table('score', 'setting', 'action set', sort=False)
-    return means.rename_axis(columns=None).reset_index()
-
-
 def present(done: Done) -> Section:
     """Return the section of the report."""
     scores = score_table(done)
+    means = scores.pivot_table('score', 'setting', 'action set', sort=False)
+    means = means.rename_axis(columns=None).reset_index()
+    limits = mean_intervals(scores, KEYS, 'score')
+    limits = limits.rename(columns={'count': 'mazes', 'mean': 'score'})
     tables = [
-        Table('settings-means', 'Mean scores over the mazes', mean_table(scores)),
-        Table('settings-summary', 'Mean scores, with limits', summary_table(scores), shown=False),
+        Table('settings-means', 'Mean scores over the mazes', means),
+        Table('settings-summary', 'Mean scores, with limits', limits, shown=False),
         Table('settings-scores', 'Scores by maze', scores, shown=False),
     ]
     if scores['maze'].nunique() > 1:

@@ -10,9 +10,7 @@ from humanopts_teach.evaluation.table1 import TABLE_1
 import pandas as pd
 
 from experiments import paper
-from experiments.people import Study
-from experiments.report import Comparison, Done, Mark, Section, Table
-from experiments.trials import Trial
+from experiments.report import compared, Mark, Section, Table
 
 NAME = 'table1'
 TITLE = 'Table 1: the options that people name'
@@ -24,19 +22,18 @@ WHY = {  # by statement, why nothing here can be compared with it
 }
 
 
-def trials(study: Study) -> list[Trial]:
-    """Return none."""
-    return []
-
-
-def button_table() -> pd.DataFrame:
-    """Return a row for each button of the paper: domain, button, share of people, taught here."""
+def present() -> Section:
+    """Return the section of the report: each button of the paper, and where it is taught here."""
     rows = [
         (domain, button, share, _taught(domain, button))
         for domain, buttons in TABLE_1.items()
         for button, share in buttons.items()
     ]
-    return pd.DataFrame(rows, columns=['domain', 'button', "paper's share of people", 'here'])
+    frame = pd.DataFrame(rows, columns=['domain', 'button', "paper's share of people", 'here'])
+    said = [compared(paper.STUDY[key], why, Mark.NO_COUNTERPART) for key, why in WHY.items()]
+    return Section(
+        NAME, TITLE, said, tables=[Table('table1', "The paper's buttons, and ours", frame)]
+    )
 
 
 def _taught(domain: str, button: str) -> str:
@@ -47,16 +44,3 @@ def _taught(domain: str, button: str) -> str:
         return 'taught in table 2'
     known = button in reference_options(make_domain(domain))
     return 'can be taught; not in figures or table 2' if known else 'none'
-
-
-def present(done: Done) -> Section:
-    """Return the section of the report."""
-    return Section(
-        NAME,
-        TITLE,
-        [
-            Comparison(said.text, said.where, WHY[key], Mark.NO_COUNTERPART)
-            for key, said in paper.STUDY.items()
-        ],
-        tables=[Table('table1', "The paper's buttons, and ours", button_table())],
-    )

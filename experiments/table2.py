@@ -9,7 +9,9 @@ a search for settings, equally long for all variants, and are judged with other 
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 import math
+import re
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
@@ -17,6 +19,7 @@ from humanopts_env.domains.pacman.baselines import INTERRUPTED
 from humanopts_env.domains.pacman.baselines import PRIMITIVE as PRIMITIVE_SETTINGS
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
+from humanopts_learner.intervals import all_hold, any_holds, Interval, LEVEL, level_of_each
 from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
 from humanopts_learner.options.rollout import tabular_rollouts
 from humanopts_learner.planning.evaluate import play, Returns
@@ -44,11 +47,15 @@ from humanopts_learner.planning.sampled.plan import (
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_teach.evaluation.games import carried_over
 from humanopts_teach.evaluation.measures import finite
+from humanopts_teach.report.figures import Drawing
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 import numpy as np
 from numpy.typing import NDArray
+import pandas as pd
 
 from experiments import paper
-from experiments.learners import LEARNERS, with_cloned_policies
+from experiments.learners import FOREST, LEARNERS, NEIGHBOUR, with_cloned_policies
+from experiments.paper import Statement
 from experiments.people import (
     CLOCK,
     MACHINE,
@@ -60,9 +67,26 @@ from experiments.people import (
     PERSON,
     Study,
 )
+from experiments.report import (
+    compared,
+    Comparison,
+    Done,
+    draw_curves,
+    grouped,
+    listed,
+    Mark,
+    mean_intervals,
+    OURS,
+    Picture,
+    Section,
+    Table,
+)
 from experiments.trials import Trial
 
 NAME = 'table2'
+TITLE = 'Table 2: planning time and return'
+KEYS = ['game', 'action set']
+EXECUTIONS = ['game', 'carried out as']
 AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
 # Options of a person: those that the paper's participants taught, those that it names too, and one
 # more that it does not name. In Taxi also the first with policies by each of ``LEARNERS``.
@@ -76,6 +100,8 @@ COSTS = {  # of a trial, about processor seconds, by domain and kind of owner
     ('taxi', PERSON): 6.0,
     ('taxi', MACHINE): 9.0,
 }
+ROUNDING = 1e-9  # reward units
+WANTED_UNIFORM, WANTED_MORE, TENTH = 1900.0, 300.0, 10.0  # points; times as long
 
 
 @dataclass(frozen=True)
@@ -95,6 +121,7 @@ class Variant:
     name: str
     whose: str  # kind of owner of the options
     action_set: str
+    line: str  # colour, line and marker, as matplotlib has them
     execution: Execution = Execution.RUN_TO_END
     options: str = NAMED  # of a person, in Pac-Man
     by_chance: bool = False  # nothing is planned: any option that can start, each alike
@@ -107,29 +134,41 @@ CHASE = ComparedGame(
 )
 GAMES = (TAXI, UNIFORM, CHASE)
 
-TO_END = Variant('human', PERSON, HUMAN)
-INTERRUPTED_5 = Variant(
-    'human, 5 options, interrupted', PERSON, HUMAN, Execution.INTERRUPTED, options=ALSO_FRUIT
-)
-BY_CHANCE = Variant('random choice among human options', PERSON, HUMAN, by_chance=True)
+STOPPED, FIVE = Execution.INTERRUPTED, 'human, 5 options'
+MASS_NAME = 'human, modular (greatest mass)'  # it may make a state worth less
+MASS, STRONGEST = Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST
+TO_END = Variant('human', PERSON, HUMAN, 'C1-s')
+BY_CHANCE = Variant('random choice among human options', PERSON, HUMAN, 'C6:*', by_chance=True)
 VARIANTS = (
-    Variant('primitive', NOBODY, PRIMITIVE),
+    Variant('primitive', NOBODY, PRIMITIVE, 'C0-o'),
     TO_END,
-    Variant(AS_IN_PAPER, PERSON, HUMAN, options=SECTION_7),
-    Variant('human, 5 options', PERSON, HUMAN, options=ALSO_FRUIT),
-    Variant('automatic', MACHINE, AUTOMATIC),
-    Variant('human + primitive', PERSON, HUMAN_AND_PRIMITIVE),
-    Variant('automatic + primitive', MACHINE, AUTOMATIC_AND_PRIMITIVE),
-    Variant('human, interrupted', PERSON, HUMAN, Execution.INTERRUPTED),
-    INTERRUPTED_5,
-    Variant('human, modular (greatest mass)', PERSON, HUMAN, Execution.MODULAR_MASS),
-    Variant('human, modular (strongest)', PERSON, HUMAN, Execution.MODULAR_STRONGEST),
-    *(Variant(f'human, {name}', PERSON, HUMAN, options=name) for name in LEARNERS),  # in Taxi
+    Variant(AS_IN_PAPER, PERSON, HUMAN, 'C1:x', options=SECTION_7),
+    Variant(FIVE, PERSON, HUMAN, 'C7-p', options=ALSO_FRUIT),
+    Variant('automatic', MACHINE, AUTOMATIC, 'C2-^'),
+    Variant('human + primitive', PERSON, HUMAN_AND_PRIMITIVE, 'C1--D'),
+    Variant('automatic + primitive', MACHINE, AUTOMATIC_AND_PRIMITIVE, 'C2--v'),
+    Variant('human, interrupted', PERSON, HUMAN, 'C3-P', STOPPED),
+    Variant(f'{FIVE}, interrupted', PERSON, HUMAN, 'C8-h', STOPPED, ALSO_FRUIT),
+    Variant(MASS_NAME, PERSON, HUMAN, 'C4-.<', MASS),
+    Variant('human, modular (strongest)', PERSON, HUMAN, 'C5-.>', STRONGEST),
+    Variant(f'human, {NEIGHBOUR}', PERSON, HUMAN, 'C7:1', options=NEIGHBOUR),  # in Taxi
+    Variant(f'human, {FOREST}', PERSON, HUMAN, 'C8:2', options=FOREST),
     BY_CHANCE,
 )
 INTERRUPTING = tuple(  # other executions of the plan ``TO_END``
     v for v in VARIANTS if v.execution is not Execution.RUN_TO_END and v.options == NAMED
 )
+GOALS = {
+    TAXI.name: 'Exact models: interrupted, or with the strongest module, no state is worth less '
+    'than run to the end.',
+    UNIFORM.name: 'Random ghosts: interrupted or as modules, human options come to '
+    f'{WANTED_UNIFORM:,.0f} points and to no less than primitive actions, in a tenth of the '
+    'planning time.',
+    CHASE.name: 'Chasing ghosts: interrupted or as modules, human options come to '
+    f'{WANTED_MORE:.0f} points more than run to their end, and to no less than primitive '
+    'actions.',
+}
+ORDER = ['taxi', 'pacman', *(one.name for one in (*GAMES, *VARIANTS))]  # of rows
 
 
 @dataclass(frozen=True)
@@ -151,12 +190,10 @@ class Effort:
             return self.primitive_search_steps, self.primitive_largest
         return self.search_steps, self.largest
 
-    def budgets(self, variant: Variant) -> Iterator[int]:
-        """Yield the game steps of the points of the curve."""
-        budget = self.first
-        while budget <= self.steps(variant)[1]:
-            yield budget
-            budget *= 2
+    def budgets(self, variant: Variant) -> list[int]:
+        """Return the game steps of the points of the curve."""
+        doublings = int(math.log2(self.steps(variant)[1] / self.first))
+        return [self.first * 2**n for n in range(doublings + 1)]
 
 
 EFFORT = Effort()
@@ -193,12 +230,13 @@ def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, An
         the options.
     """
     effort, plans = Effort(**parameters['effort']), parameters['plans']
-    owned = _options_by_variant(parameters)
-    names = ('plans', 'curve', 'gains', 'settings')
-    found: dict[str, list[dict[str, Any]]] = {
-        'costs': [_cost(variant, options) for variant, options in owned],
-        **{name: [] for name in names},
-    }
+    owned, costs = _options_by_variant(parameters), ('minutes', 'seconds', 'game_steps')
+    names = ('plans', 'curve', 'gains', 'settings', 'costs')
+    found: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+    for variant, owner in owned:
+        cost = {name: getattr(owner, name) for name in ('demonstrations', *costs)}
+        row = {'action set': variant.name, 'options': len(owner.options), **cost}
+        found['costs'].append(row)
     for game in GAMES:
         if game.domain != parameters['domain']:
             continue
@@ -210,23 +248,15 @@ def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, An
                 for option in owner.options
             ]
             if variant.by_chance:
-                tables = {'plans': choose_by_chance(domain, variant, options, plans, effort, seed)}
+                tables = {'plans': choose_by_chance(domain, options, plans, effort, seed)}
             elif is_enumerable(domain):
                 tables = plan_exactly(domain, variant, options, plans)
             else:
                 tables = plan_from_samples(domain, variant, options, plans, effort, seed)
             for name, rows in tables.items():
-                found[name] += [{'game': game.name, **row} for row in rows]
+                named = {} if name == 'gains' else {'action set': variant.name}
+                found[name] += [{'game': game.name, **named, **row} for row in rows]
     return found
-
-
-def _cost(variant: Variant, owned: OwnedOptions) -> dict[str, Any]:
-    names = ('demonstrations', 'minutes', 'seconds', 'game_steps')
-    return {
-        'action set': variant.name,
-        'options': len(owned.options),
-        **{name: getattr(owned, name) for name in names},
-    }
 
 
 def _options_by_variant(parameters: Mapping[str, Any]) -> list[tuple[Variant, OwnedOptions]]:
@@ -239,10 +269,8 @@ def _options_by_variant(parameters: Mapping[str, Any]) -> list[tuple[Variant, Ow
         fruit = options_of(parameters, domain, paper.NOT_NAMED[domain.name])
         owned[ALSO_FRUIT] = owned[NAMED] + fruit
     if whose == PERSON and is_enumerable(domain):
-        for learner in LEARNERS:
-            owned[learner] = with_cloned_policies(
-                learner, owned[NAMED], domain, parameters['seed']
-            )
+        seed, by_trees = parameters['seed'], owned[NAMED]
+        owned |= {each: with_cloned_policies(each, by_trees, domain, seed) for each in LEARNERS}
     return [
         (variant, owned[variant.options])
         for variant in VARIANTS
@@ -276,7 +304,6 @@ def _record(
 
 def choose_by_chance(
     domain: Domain[Any],
-    variant: Variant,
     options: Sequence[LearnedOption],
     plans: int,
     effort: Effort,
@@ -298,12 +325,11 @@ def choose_by_chance(
             returns = play_states_by_chance(domain, options, rng)
             done = returns.successes
         else:
-            games = _draw(seed, 'games', number)
-            actions = ActionSet(domain, HUMAN, options)
+            actions, games = ActionSet(domain, HUMAN, options), _seed_for(seed, 'games', number)
             policy = UniformPolicy(actions)
             returns = play_games(actions, policy, domain.gamma, games, effort.games)
             done = returns.outcomes['cleared']
-        rows.append({'action set': variant.name, **_record(0, None, returns, done)})
+        rows.append(_record(0, None, returns, done))
     return rows
 
 
@@ -340,7 +366,7 @@ def play_states_by_chance(
     return returns
 
 
-def _draw(seed: int, purpose: str, number: int = 0) -> int:
+def _seed_for(seed: int, purpose: str, number: int = 0) -> int:
     return int(generator(seed, 'table 2', purpose, number).integers(2**31))
 
 
@@ -357,7 +383,6 @@ def plan_exactly(
     :return: rows of plans, of the curve (one for each number of sweeps, doubled until converged),
         and of the gains by state.
     """
-    named = {'action set': variant.name}
 
     def make(max_sweeps: int = MAX_SWEEPS) -> tuple[ExactPlan, ExactPlan]:
         """Return a plan, with all its seconds, and the one that executes it."""
@@ -373,7 +398,7 @@ def plan_exactly(
         made.sort(key=lambda pair: sum(getattr(pair[0], name) for name in SECONDS))
         plan, executed = made[REPEATS // 2]
         returns = play(executed, domain.start_states())
-        return plan, {**named, **_record(max_sweeps, plan, returns, returns.successes)}
+        return plan, _record(max_sweeps, plan, returns, returns.successes)
 
     curve, converged, sweeps = [], False, 1
     while not converged and sweeps <= MAX_SWEEPS:
@@ -390,9 +415,6 @@ def plan_exactly(
     return tables
 
 
-# Sampled models.
-
-
 def settings_to_try(variant: Variant, gamma: float, count: int) -> list[PlanRequest]:
     """
     Return requests without budgets, with the same settings for every variant.
@@ -404,29 +426,13 @@ def settings_to_try(variant: Variant, gamma: float, count: int) -> list[PlanRequ
     :param count: 1 to 5.
     """
     by_hand = (PRIMITIVE_SETTINGS, *INTERRUPTED.values())
-    settings = [
-        (gamma, Sampling()),
-        *((one.gamma, Sampling(**one.sampling)) for one in by_hand),
-        (0.985, Sampling()),
-    ]
+    settings = [(gamma, {}), *((one.gamma, one.sampling) for one in by_hand), (0.985, {})]
     return [
-        PlanRequest(variant.action_set, gamma, sampling=sampling, execution=variant.execution)
-        for gamma, sampling in settings[:count]
+        PlanRequest(
+            variant.action_set, gamma, sampling=Sampling(**how), execution=variant.execution
+        )
+        for gamma, how in settings[:count]
     ]
-
-
-def _setting_row(request: PlanRequest) -> dict[str, float]:
-    """Return what differs between settings."""
-    how = request.sampling
-    return {
-        'gamma': request.gamma,
-        'rounds': how.rounds,
-        'explore': how.explore,
-        'min_samples': how.min_samples,
-        'penalty': how.penalty,
-        'pooling': how.shrinkage,
-        'margin': how.interruption_margin,
-    }
 
 
 def plan_from_samples(
@@ -445,10 +451,12 @@ def plan_from_samples(
     :return: rows of plans, of the curve (one for each budget), of the gains (one for each plan
         that runs options to their end), and of the settings that were chosen.
     """
-    named = {'action set': variant.name}
     few, most = effort.steps(variant)
 
-    settings, search = settings_to_try(variant, domain.gamma, effort.tried), _draw(seed, 'search')
+    settings, search = (
+        settings_to_try(variant, domain.gamma, effort.tried),
+        _seed_for(seed, 'search'),
+    )
     asked = [replace(one, game_steps=few, seed=search) for one in settings]
     candidates = make_sampled_plans(domain, options, asked)
     searched = play_in_step([(plan, search, None) for plan in candidates], effort.search_games)
@@ -461,37 +469,388 @@ def plan_from_samples(
         make_sampled_plan(
             domain,
             options,
-            replace(best, game_steps=budget, seed=_draw(seed, 'plan', number)),
+            replace(best, game_steps=budget, seed=_seed_for(seed, 'plan', number)),
             clock=CLOCK,
         )
         for budget, number in zip(budgets, numbers)
     ]
-    games = [_draw(seed, 'games', number) for number in numbers]
+    games = [_seed_for(seed, 'games', number) for number in numbers]
     played = play_in_step([(plan, one, None) for plan, one in zip(made, games)], effort.games)
     records = [
-        {**named, **_record(budget, plan, returns, returns.outcomes['cleared'])}
+        _record(budget, plan, returns, returns.outcomes['cleared'])
         for budget, plan, returns in zip(budgets, made, played)
     ]
-    others = [other for other in INTERRUPTING if variant == TO_END]
-    played_otherwise = play_in_step(
-        [
-            (plan, one, other.execution)
-            for other in others
-            for plan, one in zip(made[-plans:], games[-plans:])
-        ],
-        effort.games,
-    )
-    gained = [
-        float(otherwise.total.mean() - returns.total.mean())
-        for otherwise, returns in zip(played_otherwise, played[-plans:] * len(others))
+    again = [
+        (other, plan, game, before)
+        for other in INTERRUPTING
+        if variant == TO_END
+        for plan, game, before in zip(made[-plans:], games[-plans:], played[-plans:])
     ]
-    chosen = {'return in the search': max(tried), 'mean of all tried': float(np.mean(tried))}
+    stopped = [(plan, game, other.execution) for other, plan, game, _ in again]
+    how = best.sampling
+    setting = {
+        'gamma': best.gamma,
+        'rounds': how.rounds,
+        'explore': how.explore,
+        'min_samples': how.min_samples,
+        'penalty': how.penalty,
+        'pooling': how.shrinkage,
+        'margin': how.interruption_margin,
+        'return in the search': max(tried),
+        'mean of all tried': float(np.mean(tried)),
+    }
     return {
         'curve': records[: len(records) - plans + 1],
         'plans': records[-plans:],
-        'settings': [{**named, **_setting_row(best), **chosen}],
+        'settings': [setting],
         'gains': [
-            {'carried out as': other.name, 'mean': gain}
-            for other, gain in zip([one for one in others for _ in range(plans)], gained)
+            {'carried out as': other.name, 'mean': float(now.total.mean() - then.total.mean())}
+            for (other, _, _, then), now in zip(again, play_in_step(stopped, effort.games))
         ],
     }
+
+
+# The section of the report.
+
+
+def present(done: Done) -> Section:
+    """Return the section of the report."""
+    members, points, gains = member_table(done), point_table(done), gain_of_members(done)
+    summary, curves = summary_table(members), curve_table(points)
+    found, pictures, tables = [], [], []
+    for game in GAMES:
+        if game.name not in summary.index:
+            continue
+        results = Results(game, members, points, curves)
+        found += [*_claims(results), *_numbers(results), *_goals(results), *_gains(game, gains)]
+        name = f'table2-{re.sub(r"[^a-z]+", "-", game.name.lower())}'
+        tables.append(Table(name, game.name, summary.loc[game.name].reset_index()))
+        pictures.append(_picture(game, name, curves[curves['game'] == game.name]))
+    others = {  # by name: title and rows
+        'acquisition': ('What it cost to get the options, mean of each', cost_table(done)),
+        'executions': (
+            'What the same plan gains over running each option to its end',
+            gain_table(gains),
+        ),
+        'paper': ("The paper's table, and ours", paper_table(summary)),
+        'curves': ('The curves; budgets are sweeps in Taxi, game steps in Pac-Man', curves),
+        'settings': ('Settings that were chosen', setting_table(done)),
+    }
+    for name, (title, frame) in others.items():
+        shown = name not in ('curves', 'settings')
+        tables.append(Table(f'table2-{name}', title, frame, shown))
+    return Section(NAME, TITLE, found, pictures, tables, {'effort': asdict(EFFORT)})
+
+
+def rows_of(done: Done, name: str, by: Sequence[str]) -> pd.DataFrame:
+    """
+    Return the rows of one table of all trials, with the number of the trial as ``member``.
+
+    :param by: columns to order the rows by, as in ``ORDER``.
+    """
+    rows = [
+        {'domain': parameters['domain'], 'member': member, **row}
+        for member, (parameters, result) in enumerate(done)
+        for row in result[name]
+    ]
+    frame = pd.DataFrame(rows, columns=None if rows else ['domain', 'member', *by])
+    return frame.sort_values(
+        list(by), key=lambda names: names.map(ORDER.index), kind='stable', ignore_index=True
+    )
+
+
+def member_table(done: Done) -> pd.DataFrame:
+    """Return the means of each member's plans, indexed by game, variant and member."""
+    plans = rows_of(done, 'plans', KEYS)
+    plans['seconds'] = plans[list(SECONDS)].sum(axis=1)
+    return plans.groupby([*KEYS, 'member'], sort=False).mean(numeric_only=True)
+
+
+def summary_table(members: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each game and variant, indexed by both; each member counts once."""
+    means = members.groupby(KEYS, sort=False).mean()
+    returns = mean_intervals(members.reset_index(), KEYS, 'mean').set_index(KEYS)
+    exact = means.index.get_level_values('game') == TAXI.name
+    parts = {
+        'count': returns['count'],
+        'tables, s': means['table_seconds'].round(6),
+        'models, s': means['model_seconds'].round(6),
+        'sweeps, s': means['sweep_seconds'].round(6),
+        'total, s': means['seconds'].round(6),
+        'sweeps': means['sweeps'].round(1),
+        'states': means['states'].round().astype(int),
+        'game steps': means['game_steps'].round().astype(int),
+        'mean return': returns['mean'],
+        'low': returns['low'],
+        'high': returns['high'],
+        'discounted': means['discounted'].where(exact),  # elsewhere gamma is searched for
+        'done': means['done'],
+        'fallbacks in a game': means['fallbacks'],
+    }
+    return pd.DataFrame(parts)
+
+
+def point_table(done: Done) -> pd.DataFrame:
+    """Return each member's curve by budget; one that has ended keeps its last point."""
+    points = rows_of(done, 'curve', KEYS)
+    found: list[pd.DataFrame] = []
+    points['seconds'] = points[list(SECONDS)].sum(axis=1)
+    for key, mine in grouped(points, KEYS):
+        wide = mine.set_index(['budget', 'member'])[['seconds', 'mean']].unstack('member').ffill()
+        every = wide.stack('member', future_stack=True).reset_index()
+        found.append(every.assign(**dict(zip(KEYS, key))))
+    return pd.concat(found, ignore_index=True)
+
+
+def curve_table(points: pd.DataFrame) -> pd.DataFrame:
+    """Return mean return by budget, over members."""
+    by = [*KEYS, 'budget']
+    curves = mean_intervals(points, by, 'mean')
+    curves['seconds'] = points.groupby(by, sort=False)['seconds'].mean().to_numpy()
+    columns = [*by, 'seconds', 'mean', 'low', 'high']
+    return curves[columns].rename(columns={'mean': 'mean return'})
+
+
+def cost_table(done: Done) -> pd.DataFrame:
+    """Return what it cost to get the options, mean of their owners."""
+    names = {
+        'options': 'options',
+        'demonstrations': 'demonstrations',
+        'minutes': 'teaching minutes',
+        'seconds': 'extraction seconds',
+        'game_steps': 'extraction game steps',
+    }
+    keys = ['domain', 'action set']
+    owned = rows_of(done, 'costs', keys)
+    owned = owned[owned['options'] > 0].astype(dict.fromkeys(names, float))
+    groups = owned.groupby(keys, sort=False)
+    found: pd.DataFrame = groups[list(names)].mean().rename(columns=names)
+    found.insert(0, 'count', groups.size())
+    return found.reset_index()
+
+
+def gain_of_members(done: Done) -> pd.DataFrame:
+    """Return each member's gain by each execution of a plan over running options to their end."""
+    means = {'least': 'min', 'mean': 'mean', 'most': 'max'}
+    gains = rows_of(done, 'gains', EXECUTIONS).reindex(columns=[*EXECUTIONS, 'member', *means])
+    groups = gains.groupby([*EXECUTIONS, 'member'], sort=False)
+    return groups.agg(means).astype(float).reset_index()
+
+
+def gain_table(members: pd.DataFrame) -> pd.DataFrame:
+    """Return the gain of each execution, over members."""
+    found = mean_intervals(members, EXECUTIONS, 'mean')
+    extremes = members.groupby(EXECUTIONS, sort=False)
+    found['least of all states'] = extremes['least'].min().to_numpy()
+    found['most of all states'] = extremes['most'].max().to_numpy()
+    exact = found['game'] == TAXI.name
+    found[['low', 'high']] = found[['low', 'high']].mask(exact)
+    found.insert(3, 'of', np.where(exact, 'value of a state', 'return of games'))
+    return found
+
+
+def paper_table(summary: pd.DataFrame) -> pd.DataFrame:
+    """Set the paper's numbers beside ours; in Pac-Man, beside the game with random ghosts."""
+    rows, ours = [], ['total, s', 'mean return', 'low', 'high']
+    for game in (TAXI, UNIFORM):
+        known = paper.TABLE_2[game.domain]
+        for name, row in {**known, AS_IN_PAPER: known['human']}.items():
+            if (game.name, name) in summary.index:
+                rows.append([game.name, name, *row, *summary.loc[(game.name, name), ours]])
+    columns = [*KEYS, "paper's seconds", "paper's average reward", 'seconds', 'mean return']
+    return pd.DataFrame(rows, columns=[*columns, 'low', 'high'])
+
+
+def setting_table(done: Done) -> pd.DataFrame:
+    """Return the settings that were chosen, for each game, variant and member."""
+    settings = rows_of(done, 'settings', KEYS)
+    number = settings.groupby(KEYS, sort=False).cumcount() + 1
+    settings.insert(4, 'number', number)
+    return settings.drop(columns=['domain', 'member'])
+
+
+Value = tuple[str, Interval]  # what it is of, and its interval
+
+
+class Results:
+    """What there is of one game, by variant: means of each member, and the curves."""
+
+    def __init__(self, game: ComparedGame, *tables: pd.DataFrame) -> None:
+        """Take the members, points and curves of all games."""
+        self.game = game
+        self.members, self._points, self._curves = (
+            {name: rows for (name,), rows in grouped(of[of['game'] == game.name], KEYS[1:])}
+            for of in (table.reset_index() for table in tables)
+        )
+
+    def has(self, *names: str) -> bool:
+        """Return whether there are results of all these variants."""
+        return set(names) <= set(self.members)
+
+    def value(self, name: str, level: float = LEVEL) -> Value:
+        """Return what a variant returns."""
+        return f'return, {name}', Interval.of(self.members[name]['mean'], level)
+
+    def more(self, first: str, second: str, level: float = LEVEL) -> Value:
+        """Return how much more the first variant returns; with the same owners, within each."""
+        one, other = (self.members[name].set_index('member')['mean'] for name in (first, second))
+        paired = one.index.equals(other.index)
+        more = Interval.of_difference(one, other, level, paired=paired)
+        return f'return, {first} less {second}', more
+
+    def time(self, first: str, second: str, level: float = LEVEL) -> Value:
+        """Return the time of the plans of one variant as a part of another's."""
+        one, other = (self.members[name]['seconds'] for name in (first, second))
+        return f'time, {first} / {second}', Interval.of_ratio(one, other, level, paired=False)
+
+    def race(self, first: str, second: str) -> Value:
+        """
+        Return the time of one variant as a part of another's until both come to the same.
+
+        Plans with exact models end by themselves. Sampled ones take as long as they are let, so
+        they are compared by the time of the first plans whose whole interval lies at or above a
+        return: the highest that both come to so. Of one member there is none, and all is NaN.
+        """
+        if self.game.exact:
+            return self.time(first, second)
+        curves = [self._curves[name] for name in (first, second)]
+        level = min(float(curve['low'].max()) for curve in curves)
+        if math.isnan(level):
+            return f'time, {first} / {second}', Interval(math.nan, math.nan, math.nan)
+        budgets = [curve.loc[curve['low'] >= level, 'budget'].iloc[0] for curve in curves]
+        points = [self._points[name] for name in (first, second)]
+        times = [of.loc[of['budget'] == budget, 'seconds'] for of, budget in zip(points, budgets)]
+        named = f'time until {level:,.0f} points, {first} / {second}'
+        return named, Interval.of_ratio(*times, paired=False)
+
+    def says(
+        self, claim: Statement, verdict: bool | Mark | None, *values: Value, why: str = ''
+    ) -> Comparison:
+        """Return a claim beside the values that decide it, or why nothing does."""
+        found = listed(self.game.name, dict(values)) if values else ''
+        return compared(claim, '; '.join(filter(None, (found, why))), verdict)
+
+
+def _claims(results: Results) -> Iterator[Comparison]:
+    """Yield what the paper says of times and returns, and what planning shall gain over chance."""
+    said, options = paper.TABLE_2_SAID, [*filter(results.has, ('human', 'automatic'))]
+    if results.has('primitive') and options:
+        for each in options:
+            time = results.race(each, 'primitive')
+            yield results.says(said[f'{each} faster'], time[1].below(1.0), time)
+        losses = [results.more('primitive', each) for each in options]
+        worse = all_hold(loss.above(ROUNDING) for _, loss in losses)
+        yield results.says(said['never as good'], worse, *losses)
+    if len(options) > 1:
+        first, second = options
+        time, more = results.race(first, second), results.more(first, second)
+        verdict = all_hold([time[1].below(1.0), more[1].above(ROUNDING)])
+        yield results.says(said['efficient'], verdict, time, more)
+    if results.has(TO_END.name, BY_CHANCE.name):
+        gain = results.more(TO_END.name, BY_CHANCE.name)
+        planned, by_chance = (results.value(one.name)[1].mean for one in (TO_END, BY_CHANCE))
+        share = f'random choice has {by_chance / planned:.0%}' if planned > 0 else ''
+        claim = 'Planning with human options returns more than random choice among them.'
+        yield results.says(Statement(claim, OURS), gain[1].above(ROUNDING), gain, why=share)
+
+
+def _numbers(results: Results) -> Iterator[Comparison]:
+    """
+    Yield the numbers of table 2 beside ours.
+
+    Seconds are compared as parts of those of primitive actions: they agree where the interval
+    holds the paper's part.
+    """
+    known, title = paper.TABLE_2[results.game.domain], results.game.name.partition(',')[0]
+    human = AS_IN_PAPER if results.has(AS_IN_PAPER) else 'human'
+    ours = {'primitive': 'primitive', 'human': human, 'automatic': 'automatic'}
+    ours = {name: own for name, own in ours.items() if results.has(own)}
+    if 'primitive' not in ours or results.game == CHASE:
+        return
+    for name, own in ours.items():
+        said, part = f'{title}, {name}: {known[name][0]:g} s', known[name][0]
+        if name == 'primitive':
+            taken = 'seconds', Interval.of(results.members[own]['seconds'])
+            claim, why = Statement(f'{said}.', 'table 2'), paper.WHY_NO_SECONDS
+            yield results.says(claim, Mark.NOT_COMPARABLE, taken, why=why)
+        else:
+            part, time = part / known['primitive'][0], results.race(own, 'primitive')
+            said += f', {part:.3g} of the time of primitive actions.'
+            yield results.says(Statement(said, 'table 2'), time[1].holds(part), time)
+    why = paper.WHY_NO_RETURN[results.game.domain]
+    for name, own in ours.items():
+        claim = Statement(f'{title}, {name}: average reward {known[name][1]:,g}.', 'table 2')
+        yield results.says(claim, Mark.NOT_COMPARABLE, results.value(own), why=why)
+    if not results.game.exact:
+        best = paper.TABLE_2_SAID['incomplete']
+        yield results.says(best, Mark.NO_COUNTERPART, why=paper.NO_BEST_KNOWN)
+
+
+def _goals(results: Results) -> Iterator[Comparison]:
+    """
+    Yield the best way to interrupt human options beside the goals of this project.
+
+    Since it is the best of several, its intervals are those that hold for all of them at once.
+    """
+    mine = [variant.name for variant in INTERRUPTING if results.has(variant.name)]
+    if results.game == TAXI or not mine or not results.has('primitive', 'human'):
+        return
+    best = max(mine, key=lambda name: results.value(name)[1].mean)
+    level = level_of_each(len(mine))
+    reached, less = results.value(best, level), results.more(best, 'primitive', level)
+    if results.game == UNIFORM:
+        slower = results.time('primitive', best, level)
+        values = [reached, less, slower]
+        parts = [reached[1].at_least(WANTED_UNIFORM), slower[1].at_least(TENTH)]
+    else:
+        more = results.more(best, 'human', level)
+        values, parts = [reached, less, more], [more[1].at_least(WANTED_MORE)]
+    verdict = all_hold([*parts, less[1].at_least(-ROUNDING)])
+    yield results.says(Statement(GOALS[results.game.name], OURS), verdict, *values)
+
+
+def _gains(game: ComparedGame, gains: pd.DataFrame) -> Iterator[Comparison]:
+    """Yield what the same plan gains where its options are stopped: by state, or in games."""
+    mine = grouped(gains[gains['game'] == game.name], EXECUTIONS[1:])
+    by_way = {name: rows for (name,), rows in mine}
+    if game.exact:
+        least = {name: rows['least'].min() for name, rows in by_way.items()}
+        least = {name: value for name, value in least.items() if name != MASS_NAME}
+        text = listed('least of all states and people', least)
+        claim, verdict = (
+            Statement(GOALS[game.name], OURS),
+            min(least.values(), default=0) >= -ROUNDING,
+        )
+    else:
+        level = level_of_each(max(len(by_way), 1))
+        more = {name: Interval.of(rows['mean'], level) for name, rows in by_way.items()}
+        text = listed(f'{game.name}, points more than run to the end', more)
+        verdict = any_holds(gain.above() for gain in more.values())
+        claim = paper.TABLE_2_SAID['interrupted']
+    if by_way:
+        yield compared(claim, text, verdict)
+
+
+def _picture(game: ComparedGame, name: str, curves: pd.DataFrame) -> Picture:
+    return Picture(
+        name,
+        f'Mean return in {game.name} by planning seconds and action set',
+        (8.2, 4.2),
+        partial(_draw, game, curves),
+        f'{game.name}: mean return against planning time, '
+        + ('sweeps' if game.exact else 'game steps')
+        + ' doubled from point to point. Shaded: 95 % interval.',
+    )
+
+
+def _draw(game: ComparedGame, curves: pd.DataFrame, work: Drawing) -> None:
+    axes, (unit, scale) = work.axes, ('ms', 1e3) if game.exact else ('s', 1.0)
+    drawn = curves.assign(mean=curves['mean return'], seconds=scale * curves['seconds'])
+    lines = {variant.name: variant.line for variant in VARIANTS}
+    draw_curves(axes, drawn, 'action set', 'seconds', lines, ms=4, lw=1.3)
+    axes.set(title=game.name, xlabel=f'planning time of a processor, {unit}', ylabel='mean return')
+    axes.set_xscale('log')
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.legend(loc='center left', bbox_to_anchor=(1.01, 0.5))

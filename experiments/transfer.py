@@ -8,8 +8,7 @@ are the independent units, so differences are paired by maze.
 """
 
 from collections.abc import Mapping
-from functools import cache, partial
-import json
+from functools import partial
 import re
 from typing import Any
 
@@ -30,17 +29,19 @@ from humanopts_teach.report.pages import counted
 import pandas as pd
 
 from experiments import paper
+from experiments.paper import Statement
 from experiments.people import options_of, OwnedOptions, owners, PERSON, Study
 from experiments.report import (
+    compared,
     Comparison,
     Done,
-    goal,
     grouped,
+    listed,
     mean_intervals,
+    OURS,
     Picture,
     Section,
     Table,
-    written,
 )
 from experiments.trials import Trial
 
@@ -83,7 +84,7 @@ def trials(study: Study) -> list[Trial]:
 
 def play_in_maze(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each variant of the game and way to play: means over the games."""
-    options = taught_in_usual_maze(json.dumps(parameters['teacher'])).options
+    options = taught_in_usual_maze(parameters['teacher']).options
     maze = make_domain(DOMAIN, {'maze': parameters['maze']})
     seed = int(generator(parameters['seed'], NAME, parameters['number']).integers(2**31))
     rows = []
@@ -105,11 +106,10 @@ def play_in_maze(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-@cache
-def taught_in_usual_maze(teacher: str) -> OwnedOptions:
-    """Return all that a person, JSON data, taught in the usual maze; once in each process."""
+def taught_in_usual_maze(teacher: Mapping[str, Any]) -> OwnedOptions:
+    """Return all that a person taught in the usual maze."""
     names = (*paper.TAUGHT[DOMAIN], *paper.ALSO_NAMED[DOMAIN], *paper.NOT_NAMED[DOMAIN])
-    return options_of({'teacher': json.loads(teacher)}, make_domain(DOMAIN), names)
+    return options_of({'teacher': teacher}, make_domain(DOMAIN), names)
 
 
 def score_table(done: Done) -> pd.DataFrame:
@@ -119,18 +119,15 @@ def score_table(done: Done) -> pd.DataFrame:
     :return: maze (its number), game, way to play, kind, score (mean of the games), cleared (share)
         and the other outcomes, fallbacks (of a game), seconds (of planning).
     """
-    rows = [{'maze': p['number'], **row} for p, result in done for row in result]
-    return pd.DataFrame(rows, columns=None if rows else ['maze', *KEYS, 'kind', 'score'])
+    return pd.DataFrame({'maze': p['number'], **row} for p, result in done for row in result)
 
 
 def summary_table(scores: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each variant and way to play: means over the mazes, score with limits."""
-    found = mean_intervals(scores, KEYS, 'score').rename(
-        columns={'count': 'mazes', 'mean': 'score'}
-    )
-    others = [name for name in ('cleared', 'fallbacks', 'seconds') if name in scores]
-    means = scores.groupby(KEYS, sort=False)[others].mean()
-    return found.join(means, on=KEYS)
+    found = mean_intervals(scores, KEYS, 'score')
+    others = scores.columns.intersection(['cleared', 'fallbacks', 'seconds'], sort=False)
+    found = found.join(scores.groupby(KEYS, sort=False)[list(others)].mean(), on=KEYS)
+    return found.rename(columns={'count': 'mazes', 'mean': 'score'})
 
 
 def present(done: Done) -> Section:
@@ -163,18 +160,15 @@ def _comparisons(scores: pd.DataFrame) -> list[Comparison]:
         by_way = _by_maze(rows)
         kinds = dict(zip(rows['way to play'], rows['kind']))
         plans = [n for n in by_way if kinds[n] == PLAN and INTERRUPTED.fullmatch(n)]
-        if not plans:
-            continue
-        plan = plans[-1]  # with all options
-        mazes = counted(len(by_way[plan]), 'maze')
-        for other in by_way:
+        for other in by_way if plans else ():
             if kinds[other] in (RANDOM, HEURISTIC) or other.startswith('primitive'):
+                plan = plans[-1]  # with all options
                 more = Interval.of_difference(by_way[plan], by_way[other])
-                ways = {name: written(Interval.of(by_way[name]), ',.0f') for name in (plan, other)}
-                text = '; '.join(f'{name} {value}' for name, value in ways.items())
-                text = f'{game}, {mazes}: {text}; more {written(more, ",.0f")}'
+                values = {name: Interval.of(by_way[name]) for name in (plan, other)}
+                case = f'{game}, {counted(len(by_way[plan]), "maze")}'
+                text = listed(case, {**values, 'more': more}, ',.0f')
                 said = f'Options that are planned with and interrupted score more than: {other}.'
-                found.append(goal(said, text, more.above()))
+                found.append(compared(Statement(said, OURS), text, more.above()))
     return found
 
 

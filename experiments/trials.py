@@ -65,15 +65,10 @@ class Trial:
     cost: float = 1.0  # about processor seconds; for the order, and the estimate of the time left
 
     @property
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> Any:
         """The values that the result depends on, as JSON data."""
-        known = {
-            'experiment': self.experiment,
-            'parameters': dict(self.parameters),
-            **versions(),
-        }
-        plain: dict[str, Any] = json.loads(json.dumps(known))
-        return plain
+        known = {'experiment': self.experiment, 'parameters': dict(self.parameters), **versions()}
+        return json.loads(json.dumps(known))
 
     @property
     def key(self) -> str:
@@ -93,21 +88,8 @@ def load_result(folder: Path, trial: Trial) -> Any:
         kept = json.loads((folder / f'{trial.key}.json').read_text('utf-8'))
     except (OSError, ValueError):
         return None
-    if not isinstance(kept, dict) or kept.get('trial') != trial.identity:
-        return None
-    return kept.get('result')
-
-
-def save_result(folder: Path, trial: Trial, result: Any, seconds: float) -> None:
-    """
-    Keep a result; a reader sees none or all of it.
-
-    :param seconds: what the trial took.
-    :raises SummaryError: the file cannot be written.
-    """
-    kept = {'trial': trial.identity, 'seconds': round(seconds, 3), 'result': result}
-    text = json.dumps(kept, indent=1, allow_nan=False)
-    write_text(folder / f'{trial.key}.json', text + '\n')
+    same = isinstance(kept, dict) and kept.get('trial') == trial.identity
+    return kept.get('result') if same else None
 
 
 @dataclass
@@ -124,17 +106,9 @@ class Outcome:
         """How many of the missing trials have ended."""
         return self.computed + len(self.failures)
 
-    def done(self, trials: Iterable[Trial]) -> list[tuple[Mapping[str, Any], Any]]:
-        """Return parameters and result of those trials that have one."""
-        return [(t.parameters, self.results[t.key]) for t in trials if t.key in self.results]
-
 
 # Shows how far the work is; called with None first, and then with each trial that has ended.
 OnTrial = Callable[[Outcome, Trial | None], object]
-
-
-# What comes back for one trial: its number, result, seconds, and the error (empty: none).
-_Reply = tuple[int, Any, float, str]
 
 
 def run_trials(
@@ -160,30 +134,28 @@ def run_trials(
         else:
             outcome.results[trial.key] = result
     progress(outcome, None)
-    for number, result, seconds, error in _replies(outcome.missing, jobs, dask):
-        trial = outcome.missing[number]
-        if error:
-            outcome.failures[trial.key] = f'{trial}: {error}'
-        else:
-            save_result(folder, trial, result, seconds)
-            outcome.results[trial.key] = result
-            outcome.computed += 1
-        progress(outcome, trial)
+    if not outcome.missing:
+        return outcome
+    calls = [partial(_compute, trial.compute, dict(trial.parameters)) for trial in outcome.missing]
+    with _backend(jobs, dask):
+        for number, (result, seconds, error) in as_they_end(
+            calls, [t.cost for t in outcome.missing]
+        ):
+            trial = outcome.missing[number]
+            if error:
+                outcome.failures[trial.key] = f'{trial}: {error}'
+            else:  # a reader of the file sees none or all of it
+                kept = {'trial': trial.identity, 'seconds': round(seconds, 3), 'result': result}
+                text = json.dumps(kept, indent=1, allow_nan=False)
+                write_text(folder / f'{trial.key}.json', text + '\n')
+                outcome.results[trial.key] = result
+                outcome.computed += 1
+            progress(outcome, trial)
     return outcome
 
 
-def _replies(trials: Sequence[Trial], jobs: int, dask: str) -> Iterator[_Reply]:
-    """Yield what comes back, as it comes; the costliest trials are begun first."""
-    if not trials:
-        return
-    calls = [partial(_compute, trial.compute, dict(trial.parameters)) for trial in trials]
-    with _backend(jobs, dask):
-        for number, reply in as_they_end(calls, [trial.cost for trial in trials]):
-            yield number, *reply
-
-
 def _compute(compute: Compute, parameters: dict[str, Any]) -> tuple[Any, float, str]:
-    """Compute one trial in the process that has it; an error is caught there."""
+    """Compute one trial in the process that has it; return result, seconds, and the error."""
     began = time.perf_counter()
     try:
         result, error = compute(parameters), ''
@@ -225,32 +197,24 @@ def _check_cluster(client: Any, dask: str) -> None:
     """
     from distributed import TimeoutError as NoWorker
 
+    def check(where: str, found: Any) -> None:
+        if isinstance(found, Exception):
+            raise ClusterError(
+                f'the {where} cannot import the experiments: {found}; start it in the folder of '
+                'the repository, with PYTHONPATH=.'
+            )
+        if found != (here := versions()):
+            text = f'the {where} has other code or libraries than this machine: {found}'
+            raise ClusterError(f'{text}, here {here}')
+
     try:
-        _check_code('scheduler', client.run_on_scheduler(versions))
+        found = client.run_on_scheduler(versions)
     except ImportError as error:
-        _check_code('scheduler', error)
+        found = error
+    check('scheduler', found)
     try:
         client.wait_for_workers(1, timeout=WORKERS_WITHIN)
     except (NoWorker, TimeoutError) as error:
         raise ClusterError(f'no worker has joined the Dask scheduler at {dask}') from error
     for worker, found in client.run(versions, on_error='return').items():
-        _check_code(f'worker {worker}', found)
-
-
-def _check_code(where: str, found: Any) -> None:
-    """
-    Check what a process of a cluster says of its code.
-
-    :param found: its ``versions``, or the error of asking for them.
-    :raises ClusterError: it cannot import them, or they are others than here.
-    """
-    if isinstance(found, Exception):
-        raise ClusterError(
-            f'the {where} cannot import the experiments: {found}; start it in the folder of the '
-            'repository, with PYTHONPATH=.'
-        )
-    if found != versions():
-        raise ClusterError(
-            f'the {where} has other code or libraries than this machine: {found}, '
-            f'here {versions()}'
-        )
+        check(f'worker {worker}', found)

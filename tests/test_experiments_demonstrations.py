@@ -70,7 +70,7 @@ def test_the_goal_is_met_where_the_whole_interval_is_below(
     section = demonstrations.present(done(met, [1, 1, 1]))
     (found,) = section.comparisons
     assert found.mark is mark
-    assert found.found.startswith('people: 3; go to destination and dropoff ')
+    assert found.found.startswith('3 people: go to destination and dropoff ')
 
 
 def test_a_lesson_that_did_not_get_there_is_counted_as_never() -> None:

@@ -109,11 +109,6 @@ def test_a_setting_is_judged_in_mazes_that_it_was_not_chosen_in() -> None:
     assert len(each.rows) == 3 * len(summary.rows)
 
 
-def test_one_maze_alone_and_none_have_no_choice() -> None:
-    assert [table.name for table in settings.present([]).tables] == [
-        'settings-means',
-        'settings-summary',
-        'settings-scores',
-    ]
+def test_one_maze_alone_has_no_choice() -> None:
     one = settings.present(done({USUAL: [1.0], BEST: [2.0]}))
     assert 'settings-choices' not in [table.name for table in one.tables]

@@ -32,7 +32,6 @@ def test_a_users_mazes_stand_in_and_without_options_of_the_game_there_is_nothing
     assert trial.parameters['maze'] == own
     lesson = BagLesson('/bag', 'p1', 'go', 'taxi', '{}', 'failures', 1, 'x')
     assert transfer.trials(Study(bags=(lesson,))) == []
-    assert transfer.present([]).comparisons == []
 
 
 def test_options_play_in_a_maze_that_was_not_taught_in(monkeypatch: pytest.MonkeyPatch) -> None:
