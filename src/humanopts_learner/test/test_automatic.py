@@ -35,7 +35,6 @@ from humanopts_learner.planning.request import (
 )
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import run_in_step, Runs
-from humanopts_learner.planning.sampled.plan import make_sampled_plan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 import numpy as np
 import pytest
@@ -328,16 +327,6 @@ def test_plans_of_learned_form_and_of_tables_are_the_same(action_set: str) -> No
     assert (plan.solution.values == tabled.solution.values)[going].all()
     assert (plan.solution.best == tabled.solution.best)[going].all()
     assert plan.first_fallback == (len(plan.options) if action_set == 'automatic' else 9 + 6)
-
-
-@pytest.mark.heavy
-def test_fallbacks_of_automatic_options_are_where_none_can_start() -> None:
-    sampled = make_sampled_plan(
-        domain_of('pacman'),
-        options('pacman'),
-        PlanRequest('automatic', game_steps=10_000, seed=0, max_sweeps=100),
-    )
-    assert sampled.first_fallback == len(options('pacman'))
 
 
 @pytest.mark.heavy

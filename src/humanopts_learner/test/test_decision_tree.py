@@ -51,21 +51,6 @@ def test_own_evaluator_agrees_with_scikit_learn(
     assert tree.counts[0].tolist() == np.bincount(y, minlength=6).tolist()
 
 
-def test_a_class_that_was_never_seen_has_probability_zero() -> None:
-    assert small_tree().probabilities(np.ones((1, 2), dtype=np.float32)).tolist() == [[0, 1, 0, 0]]
-
-
-def test_one_class_makes_a_tree_of_one_leaf() -> None:
-    tree = fit_tree(np.zeros((3, 2), dtype=np.float32), np.array([1, 1, 1]), (0, 1), 0)
-    assert tree.counts.tolist() == [[0, 3]]
-    assert tree.depth == 0
-
-
-def test_examples_that_cannot_be_told_apart_give_their_shares() -> None:
-    tree = fit_tree(np.zeros((4, 1), dtype=np.float32), np.array([0, 1, 1, 1]), (0, 1), 0)
-    assert tree.probabilities(np.zeros((1, 1), dtype=np.float32)).tolist() == [[0.25, 0.75]]
-
-
 def test_equal_seeds_give_equal_trees() -> None:
     assert small_tree() == small_tree()
     assert hash(small_tree()) == hash(small_tree())

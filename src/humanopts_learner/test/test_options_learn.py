@@ -42,15 +42,6 @@ def row(state: TaxiState) -> Any:
     return TAXI.feature_values(state)[None]
 
 
-def test_a_demonstration_is_reproduced_from_its_start(fetching: Shown) -> None:
-    one = fetching[0]
-    option = learn_option([one], TAXI, 0)
-    result = rollouts(option, TAXI, [TAXI.decode(one.states[0])])
-    assert result.total_reward.tolist() == [one.total_reward]
-    assert result.steps.tolist() == [len(one.actions)]
-    assert result.reached.tolist() == [True]
-
-
 def test_visited_states_are_in_i_and_end_states_are_in_beta(person: Callable[..., Any]) -> None:
     one = person().show(NEAR)
     option = learn_option([one], TAXI, 0)
@@ -210,16 +201,6 @@ def test_runs_with_chance_depend_on_their_keys_and_not_on_each_other() -> None:
     assert together.steps.tolist() == turned.steps[::-1].tolist()
     other = rollouts(option, rooms, [states[1]] * 8, 3, list('stuvwxyz'))
     assert len(set(other.steps.tolist())) > 1
-
-
-def test_tables_hold_what_the_option_says_of_each_state(fetching: Shown) -> None:
-    option = learn_option(fetching, TAXI, 0)
-    tables = tabulate(option, TAXI)
-    for index in range(0, TAXI.n_states, 37):
-        one = row(TAXI.state_at(index))
-        assert tables.action[index] == option.greedy_action(one)[0]
-        assert tables.initiation[index] == option.can_start(one)[0]
-        assert tables.termination[index] == option.ends(one)[0]
 
 
 def test_an_option_is_refused_by_another_game(fetching: Shown) -> None:

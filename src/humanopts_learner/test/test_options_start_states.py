@@ -53,34 +53,20 @@ def test_an_unknown_strategy_is_answered_with_what_there_is() -> None:
 
 
 @pytest.mark.parametrize('strategy', STRATEGIES)
-def test_the_first_state_is_open_and_depends_on_the_generator_alone(strategy: str) -> None:
-    first = [
-        choose_start_state(strategy, TAXI, None, [], np.random.default_rng(seed))
-        for seed in (1, 1, 2)
-    ]
-    assert first[0] == first[1] != first[2]
-    assert not TAXI.is_over(first[0])
-
-
-@pytest.mark.parametrize('strategy', STRATEGIES)
-def test_not_here_alone_does_not_stop_the_choice(
+def test_a_state_is_chosen_whatever_was_shown_and_an_open_one(
     person: Callable[..., Any], strategy: str
 ) -> None:
-    ann = person()
-    ann.show(replace(NEAR, passenger=4))
-    state = choose_start_state(strategy, TAXI, None, ann.shown, np.random.default_rng(0))
-    assert not TAXI.is_over(state)
+    """The first by the generator alone; after "not here" alone, and when all was taken back."""
 
+    def choose(option: LearnedOption | None, shown: Shown, seed: int = 0) -> TaxiState:
+        state = choose_start_state(strategy, TAXI, option, shown, np.random.default_rng(seed))
+        assert not TAXI.is_over(state)
+        return state
 
-@pytest.mark.parametrize('strategy', STRATEGIES)
-def test_an_option_whose_demonstrations_are_gone_does_not_stop_the_choice(
-    person: Callable[..., Any], strategy: str
-) -> None:
+    assert choose(None, [], 1) == choose(None, [], 1) != choose(None, [], 2)
     ann = person()
-    ann.show(NEAR)
-    option = learn_option(ann.shown, TAXI, 0)
-    state = choose_start_state(strategy, TAXI, option, [], np.random.default_rng(0))
-    assert not TAXI.is_over(state)
+    choose(None, [ann.show(replace(NEAR, passenger=4))])
+    choose(learn_option([ann.show(NEAR)], TAXI, 0), [])
 
 
 def test_coverage_asks_for_what_is_unlike_anything_shown(person: Callable[..., Any]) -> None:

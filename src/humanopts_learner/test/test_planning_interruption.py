@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from humanopts_env.domains.base import Action, Feature, FeatureKind
@@ -28,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 import pytest
 
-EXAMPLE = Path(__file__).parents[3] / 'examples' / 'humanopts_greenhouse'
 ROUNDING = 1e-8
 PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
 NEVER_WORSE = (Execution.INTERRUPTED, Execution.MODULAR_STRONGEST)
@@ -60,27 +58,10 @@ def assert_never_worse(plan: ExactPlan) -> None:
         assert gain.min() >= -ROUNDING * scale, execution
 
 
-@pytest.mark.parametrize('max_steps', [1, 3, 200])
-@pytest.mark.parametrize('action_set', ['human', 'human+primitive'])
-def test_it_is_never_worse_on_taxi(action_set: str, max_steps: int) -> None:
-    taxi = Taxi()
-    assert_never_worse(make_exact_plan(taxi, tabled(taxi, max_steps), PlanRequest(action_set)))
-
-
 @pytest.mark.parametrize(('goal', 'max_steps'), [('G1', 2), ('G1', 200), ('G2', 6)])
 @pytest.mark.parametrize('action_set', ['human', 'human+primitive'])
 def test_it_is_never_worse_in_the_rooms(action_set: str, goal: str, max_steps: int) -> None:
     assert_never_worse(rooms_plan(action_set, goal, max_steps))
-
-
-def test_it_is_never_worse_in_the_greenhouse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(EXAMPLE))
-    from humanopts_greenhouse.greenhouse import Greenhouse
-    from humanopts_greenhouse.reference import reference_options as greenhouse_options
-
-    house = Greenhouse()
-    options = [TabularOption.of_reference(o) for o in greenhouse_options(house).values()]
-    assert_never_worse(make_exact_plan(house, options, PlanRequest('human')))
 
 
 class RandomWorld(TableDomain[int]):

@@ -100,18 +100,6 @@ def test_models_equal_runs_taken_step_by_step(
         assert found.discount[row] == pytest.approx(discount, abs=1e-12)
 
 
-@pytest.mark.parametrize('length', [1, 2, 3, 4, 7, 8, 9, 100])
-def test_discount_is_gamma_to_the_number_of_steps(length: int) -> None:
-    termination = np.arange(length + 1) == length
-    rules, never = chain(length + 1), np.zeros(length + 1, dtype=np.bool_)
-    action = np.zeros(length + 1, dtype=np.intp)
-    found = DeterministicModeller(rules, never, 0.9).model(action, termination, 1000)
-    assert found.successor[0] == length
-    assert found.discount[0] == pytest.approx(0.9**length)
-    assert found.reward[0] == pytest.approx(-(1 - 0.9**length) / (1 - 0.9))
-    assert not found.cut_off.any()
-
-
 @pytest.mark.parametrize('max_steps', [1, 2, 3, 4, 5, 31, 32, 33, 63, 64, 65])
 def test_a_run_is_cut_off_at_max_steps_where_it_is(max_steps: int) -> None:
     rules, never = chain(100), np.zeros(100, dtype=np.bool_)
@@ -131,39 +119,6 @@ def test_a_circle_is_not_valued_as_if_it_reached_its_end() -> None:
     assert found.cut_off.all()
     assert found.successor.tolist() == [1, 2, 0]  # 7 steps of 3
     assert found.discount == pytest.approx(0.9**7)
-
-
-def test_termination_is_looked_at_only_after_a_step() -> None:
-    rules, never = chain(3), np.zeros(3, dtype=np.bool_)
-    termination = np.array([True, False, True])
-    found = DeterministicModeller(rules, never, 0.9).model(
-        np.zeros(3, dtype=np.intp), termination, 9
-    )
-    assert found.successor[0] == 2
-    assert found.discount[0] == pytest.approx(0.81)
-
-
-def test_the_end_of_the_task_ends_the_option_and_nothing_follows() -> None:
-    rules = chain(5)
-    rules.terminated[2] = True
-    never = np.zeros(5, dtype=np.bool_)
-    found = DeterministicModeller(rules, never, 0.9).model(np.zeros(5, dtype=np.intp), never, 9)
-    assert found.successor[0] == 3
-    assert found.reward[0] == pytest.approx(-1 - 0.9 - 0.81)
-    assert found.discount[0] == 0.0
-    assert not found.cut_off[0]
-
-
-def test_a_start_is_answered_although_the_run_leaves_the_starts() -> None:
-    rules, never = chain(6), np.zeros(6, dtype=np.bool_)
-    starts = np.arange(6) == 0
-    termination = np.arange(6) == 4
-    found = DeterministicModeller(rules, never, 0.9).model(
-        np.zeros(6, dtype=np.intp), termination, 9, starts
-    )
-    row = found.states.tolist().index(0)
-    assert found.successor[row] == 4
-    assert found.discount[row] == pytest.approx(0.9**4)
 
 
 def dense_model(
@@ -224,21 +179,6 @@ def test_models_equal_those_of_dense_algebra(
     assert (found.successor.data > 0).all()
 
 
-@settings(max_examples=60)
-@given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 20), max_steps=st.integers(1, 30))
-def test_without_chance_both_modellers_agree(seed: int, n_states: int, max_steps: int) -> None:
-    rng = np.random.default_rng(seed)
-    rules, over = random_rules(rng, n_states, 3, 1, 0.1)
-    action, termination = rng.integers(0, 3, n_states), rng.random(n_states) < 0.2
-    by_index = DeterministicModeller(rules, over, 0.9).model(action, termination, max_steps)
-    by_rows = StochasticModeller(rules, over, 0.9).model(action, termination, max_steps)
-    assert by_rows.reward == pytest.approx(by_index.reward, abs=1e-10)
-    expected = np.zeros((n_states, n_states))
-    expected[np.arange(n_states), by_index.successor] = by_index.discount
-    assert by_rows.successor.toarray() == pytest.approx(expected, abs=1e-10)
-    assert (by_rows.cut_off == by_index.cut_off).all()
-
-
 def coin() -> Transitions:
     """Return states 0 and 1: a coin is thrown in 0 for a reward of -1; heads leads to 1."""
     return Transitions(
@@ -256,14 +196,6 @@ def test_throwing_until_heads_is_cut_off_at_max_steps(max_steps: int, cut_off: f
     assert found.reward[0] == pytest.approx(-2 * (1 - 0.5**max_steps))
     assert found.successor.toarray()[0] == pytest.approx([cut_off, 1 - cut_off])
     assert found.cut_off_probability[0] == pytest.approx(cut_off)
-
-
-def test_what_never_ends_is_cut_off_and_not_valued_as_if_it_ended() -> None:
-    never = np.zeros(2, dtype=np.bool_)
-    found = StochasticModeller(coin(), never, 1.0).model(np.zeros(2, np.intp), never, 3)
-    assert found.reward.tolist() == [-3.0, -3.0]
-    assert found.successor.toarray() == pytest.approx(np.array([[1 / 8, 7 / 8], [0, 1]]))
-    assert found.cut_off_probability == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize('modeller', [DeterministicModeller, StochasticModeller])

@@ -5,12 +5,9 @@ from functools import cache
 
 from humanopts_env.domains.rooms import LAYOUT, places, Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options
-from humanopts_env.domains.tabular import draw_outcomes, outcome_limits
-from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, options_from_references, tabulate
 from humanopts_learner.planning.evaluate import episode_starts, play
 from humanopts_learner.planning.exact import build_model, ExactPlan
-from humanopts_learner.planning.option_models import StochasticModeller
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
 from humanopts_learner.planning.smdp import SparseMultiTimeModel
@@ -45,49 +42,6 @@ def model(action_set: str, goal: str = 'G1') -> SparseMultiTimeModel:
     return found
 
 
-def room_of(name: str) -> NDArray[np.bool_]:
-    """Return the states of a room, or of the doorways."""
-    column = ROOMS.feature_table()[:, 2]
-    found: NDArray[np.bool_] = column == ROOMS.features[2].values.index(name)
-    return found
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize('max_steps', [6, 200])
-def test_option_models_agree_with_simulated_runs(max_steps: int) -> None:
-    """Each discounted share within five standard errors, from the far corner of the room."""
-    rules, over = ROOMS.transitions(), ROOMS.over()
-    limits = outcome_limits(rules)
-    for name, option in reference_options(ROOMS).items():
-        action = option.optimal.argmax(axis=1)
-        start = int(option.distance.argmax())
-        found = StochasticModeller(rules, over, ROOMS.gamma).model(
-            action, option.termination, max_steps, option.initiation
-        )
-        row = int(np.flatnonzero(found.states == start)[0])
-        rng = generator(0, 'simulated', name)
-        state, going = np.full(RUNS, start), np.arange(RUNS)
-        discount, total = np.ones(RUNS), np.zeros(RUNS)
-        for _ in range(max_steps):
-            here = state[going]
-            at = (
-                here,
-                action[here],
-                draw_outcomes(limits, here, action[here], rng.random(len(going))),
-            )
-            total[going] += discount[going] * rules.reward[at]
-            discount[going] *= ROOMS.gamma
-            state[going] = rules.successor[at]
-            discount[going[rules.terminated[at]]] = 0.0
-            going = going[~option.termination[state[going]]]
-            if not going.size:
-                break
-        check(float(found.reward[row]), total)
-        expected = found.successor.toarray()[row]
-        for end in np.union1d(np.flatnonzero(expected), state[discount > 0]):
-            check(float(expected[end]), np.where(state == end, discount, 0.0))
-
-
 def check(expected: float, samples: NDArray[np.float64]) -> None:
     """Compare a mean with its expectation."""
     error = max(float(samples.std()), 1e-3) / np.sqrt(len(samples))
@@ -105,16 +59,6 @@ def test_the_ready_options_are_the_reference_options(goal: str) -> None:
         assert reference.optimal[starts, tables.action[starts]].all()
         assert (tables.initiation == starts)[judged & ~domain.over()].all()
         assert (tables.termination == reference.termination)[judged].all()
-
-
-def test_an_option_leads_to_the_two_doorways_of_its_room() -> None:
-    """From anywhere in the room, most often to the one that it walks to."""
-    first = model('human').rows[: ROOMS.n_states].toarray()
-    north, west = (ROOMS.index(RoomsState(*cell)) for cell in ((2, 5), (5, 1)))
-    inside = room_of('north-west')
-    assert set(np.flatnonzero(first[inside].any(axis=0))) == {north, west}
-    assert (first[inside, north] > first[inside, west]).all()
-    assert (first.sum(axis=1) <= 0.9 + 1e-12).all()
 
 
 @pytest.mark.parametrize('goal', [(6, 8), (8, 8)])

@@ -207,17 +207,6 @@ def test_episodes_are_cut_off() -> None:
     assert learn(TAXI, choices, [Rates()], Settings(3), 0).steps.max() <= 200
 
 
-@pytest.mark.heavy
-def test_the_same_seed_learns_the_same() -> None:
-    world = RandomWorld(0)
-    first, again, other = (
-        learned(world, MIXED, [Rates()] * 2, 20, Method.SMDP, seed) for seed in (5, 5, 6)
-    )
-    assert (first.values == again.values).all()
-    assert (first.steps != other.steps).any()
-    assert (first.steps[0] != first.steps[1]).any()
-
-
 def test_the_set_human_has_primitive_actions_where_no_option_can_start() -> None:
     choices = option_table(TAXI, 'human', taxi_options()[:1])
     option, primitive = choices.available[:, 0], choices.available[:, 1:]
