@@ -9,8 +9,7 @@ from typing import Any
 from uuid import uuid4
 
 from graph_support.live import GAME, Graph, LEARNER
-from graph_support.scripted import DELIVER, expert, FETCH, TAXI, walk
-from humanopts_env.domains.registry import make_domain
+from graph_support.scripted import expert, FETCH, TAXI, walk
 from humanopts_interfaces.msg import Demonstration as DemonstrationMessage
 from humanopts_interfaces.msg import DemonstrationReceipt, LearnedOptions, LearningStatus
 from humanopts_learner.demonstrations import Demonstration
@@ -130,38 +129,13 @@ def spoilt(change: Callable[[DemonstrationMessage], object]) -> DemonstrationMes
     return message
 
 
-def other_domain(message: DemonstrationMessage) -> None:
-    large = make_domain('taxi', {'rows': 7})
-    start = 'taxi 6,1 passenger R destination G'
-    fields = demonstration_to_message(walk(start, ['west'], FETCH, ['taxi_row'], large))
-    for name in ('domain_parameters', 'feature_names', 'features', 'states', 'actions', 'rewards'):
-        setattr(message, name, getattr(fields, name))
-
-
+# All that is refused is in test_demonstrations.py of humanopts_learner.
 REFUSED: list[tuple[str, Callable[[DemonstrationMessage], object], str]] = [
-    ('no steps', lambda m: _cut(m, 0), 'it has no steps'),
     ('NaN', lambda m: setattr(m, 'rewards', [-1.0, math.nan]), 'not finite'),
-    ('infinite time', lambda m: setattr(m, 'seconds', math.inf), 'not finite'),
-    ('other features', lambda m: m.feature_names.__setitem__(0, 'colour'), 'colour'),
-    ('unknown choice', lambda m: setattr(m, 'chosen_features', ['colour']), "feature 'colour'"),
-    ('no choice', lambda m: setattr(m, 'chosen_features', []), 'names no feature'),
-    ('other domain', other_domain, 'it is of domain taxi {"cols": 5, "rows": 7}'),
     ('no table', lambda m: setattr(m, 'features', [1, 2, 3]), '3 states but 1 rows of features'),
-    ('wrong values', lambda m: m.features.__setitem__(0, 3), 'the features of state 0'),
     ('a jump', lambda m: setattr(m, 'actions', ['east', 'pickup']), 'east does not lead'),
-    ('no such action', lambda m: setattr(m, 'actions', ['west', 'jump']), "no action 'jump'"),
-    ('no such state', lambda m: m.states.__setitem__(1, 'nowhere'), "'nowhere'"),
     ('no kind', lambda m: setattr(m, 'kind', 0), 'kind'),
-    ('no uuid', lambda m: setattr(m, 'uuid', '42'), "uuid '42' is not a UUID"),
-    ('no name', lambda m: setattr(m, 'option_name', ' '), 'names no option'),
-    ('too few rewards', lambda m: setattr(m, 'rewards', [-1.0]), '2 actions need'),
 ]
-
-
-def _cut(message: DemonstrationMessage, steps: int) -> None:
-    """Keep the first steps of a demonstration."""
-    message.states, message.features = message.states[: steps + 1], message.features[:10]
-    message.actions, message.rewards = [], []
 
 
 @pytest.mark.parametrize(('change', 'says'), [r[1:] for r in REFUSED], ids=[r[0] for r in REFUSED])
@@ -175,27 +149,6 @@ def test_what_cannot_be_used_is_refused_in_words_and_nothing_is_lost(
     assert len(learning.statuses) == statuses
     assert (learning.folder / DATA_SET).read_bytes() == content
     assert learning.known()['p1', FETCH].n_demonstrations
-
-
-def test_options_and_people_are_never_mixed(learning: Learning) -> None:
-    before = learning.known()['p1', FETCH]
-    second = expert(FETCH, 3, participant='p2')
-    learning.give_all([*second, *expert(DELIVER, 10)])
-    known = learning.known()
-    assert set(known) == {('p1', FETCH), ('p2', FETCH), ('p1', DELIVER)}
-    assert str(known['p1', FETCH]) == str(before)  # as text, since NaN does not equal itself
-    models = {(o.participant, o.name): o.model for o in learning.options[-1].options}
-    assert set(models) == set(known)
-    for key, demos in {('p1', FETCH): expert(FETCH, 5), ('p2', FETCH): second}.items():
-        assert option_from_json(models[key])[0] == learn_option(demos, TAXI, SEED)
-
-
-def test_not_here_alone_is_no_option_yet_but_is_counted(learning: Learning) -> None:
-    learning.give_all([replace(NOT_HERE, option_name='rest')])
-    status = learning.known()['p1', 'rest']
-    assert (status.n_demonstrations, status.n_not_here, status.more_needed) == (0, 1, -1)
-    assert math.isnan(status.mean_return_policy)
-    assert 'rest' not in {option.name for option in learning.options[-1].options}
 
 
 def test_a_learner_that_was_killed_knows_everything_again(

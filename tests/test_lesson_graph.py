@@ -45,6 +45,13 @@ def person(graph: Graph) -> Person:
     return Person(graph)
 
 
+@pytest.fixture(scope='module')
+def played(shared: Graph) -> Graph:
+    """A game that many nodes refuse to join."""
+    shared.start(GAME)
+    return shared
+
+
 def start_learner(graph: Graph, folder: str = 'options') -> Any:
     """Start a learner with a folder of its own, and return it."""
     return graph.start(LEARNER, directory=graph.folder / folder)
@@ -267,15 +274,16 @@ def test_without_a_game_the_lesson_says_so_and_stays_ready(graph: Graph, person:
     ],
 )
 def test_a_node_that_cannot_start_says_why(
-    graph: Graph, node: str, parameters: dict[str, Any], says: str
+    played: Graph, node: str, parameters: dict[str, Any], says: str
 ) -> None:
     given = {
-        name: graph.folder if value == 'DIRECTORY' else value for name, value in parameters.items()
+        name: played.folder if value == 'DIRECTORY' else value
+        for name, value in parameters.items()
     }
-    assert says in graph.refused(node, **given)
+    assert says in played.refused(node, **given)
 
 
-def test_two_lessons_cannot_share_a_folder(graph: Graph, person: Person) -> None:
-    with DemonstrationStore(graph.folder / 'demonstrations'):
-        text = graph.refused(LESSON, directory=person.folder)
-    assert 'another lesson has it open' in text
+def test_two_lessons_cannot_share_a_folder(played: Graph) -> None:
+    folder = played.folder / 'demonstrations'
+    with DemonstrationStore(folder):
+        assert 'another lesson has it open' in played.refused(LESSON, directory=folder)

@@ -243,18 +243,6 @@ def test_without_an_episode_under_way_nothing_runs(runs: Runs) -> None:
     assert 'episode 9999 step 0 did not come; the game is at' in never.detail
 
 
-def test_max_steps_cuts_a_run_off(runs: Runs) -> None:
-    result = runs.run(FETCH, max_steps=2)
-    assert (result.status, result.step_count) == (OptionResult.STATUS_MAX_STEPS, 2)
-    assert 'circle' not in result.detail
-
-
-def test_a_policy_that_walks_in_a_circle_ends_and_is_told_so(runs: Runs) -> None:
-    result = runs.run(CIRCLE, 'taxi 0,2 passenger R destination G', max_steps=7)
-    assert (result.status, result.step_count) == (OptionResult.STATUS_MAX_STEPS, 7)
-    assert 'walked in a circle of 2 through taxi 0,2' in result.detail
-
-
 def test_a_person_takes_over_a_running_option(live: Graph, folder: Path) -> None:
     live.start(GAME, step_period=0.5)  # the next command of the machine waits for it
     live.start(OPTION_SERVER, options_directory=folder)
@@ -357,12 +345,6 @@ def test_a_query_answers_with_the_numbers_of_the_option(runs: Runs, name: str, t
     assert answer.actions == [action.name for action in TAXI.actions]
     assert answer.action_probabilities.tolist() == option.action_probabilities(row)[0].tolist()
     assert answer.greedy_action == TAXI.actions[option.greedy_action(row)[0]].name
-
-
-def test_a_query_without_a_state_is_about_the_current_one(runs: Runs) -> None:
-    runs.player.fresh(ABOARD)
-    answer = runs.graph.ask(QueryOption, 'query_option', option_name=FETCH)
-    assert not answer.can_start
 
 
 def test_a_query_that_makes_no_sense_is_refused_in_words(runs: Runs) -> None:

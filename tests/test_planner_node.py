@@ -62,13 +62,6 @@ def test_a_plan_that_is_not_judged_has_no_mean(planning: Planning) -> None:
     assert math.isnan(result.mean_return_low)
 
 
-def test_a_mean_of_one_episode_has_no_interval(planning: Planning) -> None:
-    result = planning.plan('primitive', evaluation_episodes=1)
-    assert math.isfinite(result.mean_return)
-    assert math.isnan(result.mean_return_low)
-    assert math.isnan(result.mean_return_high)
-
-
 def test_sweeps_can_be_limited(planning: Planning) -> None:
     result = planning.plan('primitive', max_sweeps=2)
     assert result.status == PlanResult.STATUS_NOT_CONVERGED
