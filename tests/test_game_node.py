@@ -117,7 +117,9 @@ def test_every_refusal_names_its_reason_repeats_the_command_and_changes_nothing(
         assert (reply.status, reply.episode) == (ResetGame.Response.STATUS_BAD_STATE, 0)
         assert text in reply.detail
     assert player.reset(source=0).status == ResetGame.Response.STATUS_BAD_SOURCE
-    assert player.reset(seed=2**64 - 1).state == player.reset(seed=2**64 - 1).state
+    begun = player.reset(seed=2**64 - 1)
+    assert (begun.episode, begun.state) == (player.state.episode, player.state.state)
+    assert player.reset(seed=2**64 - 1).state == begun.state != player.reset(seed=5).state
 
 
 def test_a_key_claims_control_and_applies_to_the_current_step(player: Player) -> None:
