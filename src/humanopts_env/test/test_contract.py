@@ -1,99 +1,29 @@
 """Our domains keep the contract, and domains that break a promise of it are refused."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+import itertools
 from pathlib import Path
 import time
 from typing import Any, cast
 
 from humanopts_env.contract import check_domain, ContractError, DomainContract
-from humanopts_env.domains.base import Domain, Feature, FeatureKind, is_enumerable, Outcome
+from humanopts_env.domains.base import (
+    Action,
+    Domain,
+    Feature,
+    FeatureKind,
+    is_enumerable,
+    Outcome,
+)
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi, TaxiState
-import numpy as np
-from numpy.typing import NDArray
 import pytest
 
 FOUR_GHOSTS = str(Path(__file__).with_name('four_ghosts.lay'))
 NO_GHOST = '%%%%%\n%P..%\n%%%%%'
-
-
-class TestTaxi(DomainContract):
-    """The 5 x 5 grid."""
-
-    def make(self) -> Domain[Any]:
-        """Return the original grid."""
-        return Taxi()
-
-
-class TestWiderTaxi(DomainContract):
-    """A grid of another shape."""
-
-    def make(self) -> Domain[Any]:
-        """Return a grid of 6 rows and 7 columns."""
-        return Taxi(6, 7)
-
-
-class TestRooms(DomainContract):
-    """The goal in a doorway."""
-
-    def make(self) -> Domain[Any]:
-        """Return the rooms of the first experiments."""
-        return Rooms()
-
-
-class TestRoomsWithTheGoalInARoom(DomainContract):
-    """The goal in a cell of a room."""
-
-    def make(self) -> Domain[Any]:
-        """Return the rooms of the other experiments."""
-        return Rooms('G2')
-
-
-@pytest.mark.heavy
-class TestPacMan(DomainContract):
-    """Our own maze."""
-
-    def make(self) -> Domain[Any]:
-        """Return the default."""
-        domain: Domain[Any] = PacMan()
-        assert not is_enumerable(domain)
-        return domain
-
-
-@pytest.mark.heavy
-class TestChasedPacMan(DomainContract):
-    """A small maze with one ghost that chases."""
-
-    def make(self) -> Domain[Any]:
-        """Return a game with one life."""
-        return PacMan('yard', ghosts='chase', lives=1, max_steps=100)
-
-
-@pytest.mark.heavy
-class TestPacManWithThePapersFeatures(DomainContract):
-    """Positions and no directions, in a small maze."""
-
-    def make(self) -> Domain[Any]:
-        """Return a game whose features are a part of all."""
-        return PacMan('yard', features='paper')
-
-
-@pytest.mark.heavy
-class TestCrowdedPacMan(DomainContract):
-    """Numbered ghosts and three pills, from a file."""
-
-    def make(self) -> Domain[Any]:
-        """Return four ghosts."""
-        return PacMan(FOUR_GHOSTS)
-
-
-class TestLonelyPacMan(DomainContract):
-    """No ghost and no pill."""
-
-    def make(self) -> Domain[Any]:
-        """Return a corridor."""
-        return PacMan(NO_GHOST)
 
 
 class WithoutTables:
@@ -110,201 +40,127 @@ class WithoutTables:
         return getattr(self._taxi, name)
 
 
-class TestWithoutTables(DomainContract):
-    """The contract needs no tables."""
-
-    def make(self) -> Domain[Any]:
-        """Return a domain that is not enumerable."""
-        domain: Domain[Any] = cast(Domain[Any], WithoutTables())
-        assert not is_enumerable(domain)
-        return domain
-
-
-class Dice(Taxi):
-    """Chance that does not come from the generator."""
-
-    counter = 0
-
-    def step(self, state: TaxiState, action: int, rng: np.random.Generator) -> Outcome[TaxiState]:
-        """Take another action at every call."""
-        Dice.counter += 1
-        return super().step(state, (action + Dice.counter % 7) % 6, rng)
+OURS: dict[str, Any] = {
+    'Taxi': Taxi,
+    'WiderTaxi': partial(Taxi, 6, 7),
+    'TaxiWithoutTables': WithoutTables,
+    'Rooms': Rooms,
+    'RoomsWithTheGoalInARoom': partial(Rooms, 'G2'),
+    'LonelyPacMan': partial(PacMan, NO_GHOST),
+}
+PACMANS: dict[str, Any] = {
+    'PacMan': PacMan,
+    'ChasedPacMan': partial(PacMan, 'yard', ghosts='chase', lives=1, max_steps=100),
+    'PacManWithThePapersFeatures': partial(PacMan, 'yard', features='paper'),
+    'CrowdedPacMan': partial(PacMan, FOUR_GHOSTS),
+}
+for _name, _make in {**OURS, **PACMANS}.items():
+    _suite = type(f'Test{_name}', (DomainContract,), {'make': staticmethod(_make)})
+    globals()[f'Test{_name}'] = pytest.mark.heavy(_suite) if _name in PACMANS else _suite
 
 
-class Endless(Taxi):
-    """A game that goes on after its end."""
-
-    def step(self, state: TaxiState, action: int, rng: np.random.Generator) -> Outcome[TaxiState]:
-        """Stay where the task is over."""
-        return Outcome(state, 0, True) if self.is_over(state) else super().step(state, action, rng)
+def test_tables_are_there_where_states_can_be_listed() -> None:
+    """So that the contract looks at them."""
+    for make in (WithoutTables, PacMan):
+        assert not is_enumerable(cast(Domain[Any], make()))
 
 
-class Unnamed(Taxi):
-    """Two features of one name."""
-
-    def __init__(self, rows: int = 5, cols: int = 5) -> None:
-        """Repeat a name."""
-        super().__init__(rows, cols)
-        self.features = [*self.features[:9], Feature('taxi_row', 'a', FeatureKind.NOMINAL, ('b',))]
+def broken(**methods: Any) -> type[Taxi]:
+    """Return Taxi with other methods."""
+    return type('Broken', (Taxi,), methods)
 
 
-class Narrow(Taxi):
-    """A feature value without a name."""
-
-    def __init__(self, rows: int = 5, cols: int = 5) -> None:
-        """Leave out the last row's name."""
-        super().__init__(rows, cols)
-        row = Feature('taxi_row', 'the row', FeatureKind.ORDINAL, ('0', '1', '2', '3'))
-        self.features = [row, *self.features[1:]]
+def step_with(change: Callable[[Outcome[TaxiState]], Outcome[TaxiState]]) -> Any:
+    """Return a ``step`` whose outcome is changed."""
+    return lambda self, state, action, rng: change(Taxi.step(self, state, action, rng))
 
 
-class Lenient(Taxi):
-    """Text that is read although it was never written."""
+def with_features(*features: Feature, instead_of: int) -> type[Taxi]:
+    """Return Taxi with another feature."""
 
-    def decode(self, text: str) -> TaxiState:
-        """Ignore blanks around a state."""
-        return super().decode(text.strip())
+    def __init__(self: Any, rows: int = 5, cols: int = 5) -> None:  # noqa: N807
+        Taxi.__init__(self, rows, cols)
+        kept = list(self.features)
+        kept[instead_of : instead_of + 1] = features
+        self.features = kept
 
-
-class Credulous(Taxi):
-    """Trajectories that may jump."""
-
-    def can_follow(self, state: TaxiState, action: int, successor: TaxiState) -> bool:
-        """Believe everything."""
-        return True
+    return broken(__init__=__init__)
 
 
-class Telltale(Taxi):
-    """A drawing that shows too much."""
-
-    def render(self, state: TaxiState, shown: Collection[str] | None = None) -> str:
-        """Draw everything."""
-        return super().render(state)
+def with_two_keys(self: Taxi) -> None:
+    """Repeat an action under another name."""
+    Taxi.__init__(self)
+    self.actions = [*self.actions[:5], Action('souther', 'down', 'again')]
 
 
-class Blind(Taxi):
-    """A drawing that shows too little."""
-
-    def render(self, state: TaxiState, shown: Collection[str] | None = None) -> str:
-        """Draw the same board always."""
-        return super().render(state, ())
-
-
-class Mutable(Taxi):
-    """Shared arrays that anyone can change."""
-
-    def over(self) -> NDArray[np.bool_]:
-        """Return a copy."""
-        return super().over().copy()
-
-
-class Torn(Taxi):
-    """Tables of another game than the one played."""
-
-    def feature_values(self, state: TaxiState) -> NDArray[np.int32]:
-        """Return the values of another state."""
-        values: NDArray[np.int32] = self.feature_table()[self.index(state) - 1]
-        return values
-
-
-class Obliging(Taxi):
-    """Actions that are not there."""
-
-    def step(self, state: TaxiState, action: int, rng: np.random.Generator) -> Outcome[TaxiState]:
-        """Take the last for any."""
-        return super().step(state, min(max(action, 0), 5), rng)
-
-
-class Silent(Taxi):
-    """No drawing."""
-
-    def render(self, state: TaxiState, shown: Any = None) -> str:
-        """Draw nothing."""
-        return ''
-
-
-class Reader(Taxi):
-    """Any text is a state."""
-
-    def decode(self, text: str) -> TaxiState:
-        """Read what cannot be read as some state."""
-        return super().decode(text) if text.startswith('taxi') else self.state_at(0)
-
-
-class Jumpy(Taxi):
-    """A rule that forgets its own steps."""
-
-    def can_follow(self, state: TaxiState, action: int, successor: TaxiState) -> bool:
-        """Deny everything."""
-        return False
-
-
-class Sudden(Taxi):
-    """An end that is not announced."""
-
-    def step(self, state: TaxiState, action: int, rng: np.random.Generator) -> Outcome[TaxiState]:
-        """Say that the task is over."""
-        outcome = super().step(state, action, rng)
-        return Outcome(outcome.state, outcome.reward, True)
-
-
-class Raising(Taxi):
-    """A domain that fails."""
-
-    def feature_values(self, state: TaxiState) -> Any:
-        """Fail."""
-        raise ZeroDivisionError('division by zero')
-
-
-class Worthless(Taxi):
-    """A reward that is no number."""
-
-    def step(self, state: TaxiState, action: int, rng: np.random.Generator) -> Outcome[TaxiState]:
-        """Give nan."""
-        outcome = super().step(state, action, rng)
-        return Outcome(outcome.state, float('nan'), outcome.terminated)
-
-
-class TwoKeys(Taxi):
-    """Two actions of one key."""
-
-    def __init__(self) -> None:
-        """Repeat an action under another name."""
-        super().__init__()
-        again = type(self.actions[0])('souther', 'down', 'again')
-        self.actions = [*self.actions[:5], again]
+CALLS = itertools.count()
+ROW = Feature('taxi_row', 'the row', FeatureKind.ORDINAL, ('0', '1', '2', '3'))
+DICE = broken(  # chance that does not come from the generator
+    step=lambda self, state, action, rng: Taxi.step(
+        self, state, (action + next(CALLS) % 7) % 6 if 0 <= action < 6 else action, rng
+    )
+)
+ENDLESS = broken(
+    step=lambda self, state, action, rng: (
+        Outcome(state, 0, True) if self.is_over(state) else Taxi.step(self, state, action, rng)
+    )
+)
+OBLIGING = broken(  # takes actions that are not there
+    step=lambda self, state, action, rng: Taxi.step(self, state, min(max(action, 0), 5), rng)
+)
+TORN = broken(  # tables of another game than the one played
+    feature_values=lambda self, state: self.feature_table()[self.index(state) - 1]
+)
+READER = broken(
+    decode=lambda self, text: (
+        Taxi.decode(self, text) if text.startswith('taxi') else self.state_at(0)
+    )
+)
+UNNAMED = with_features(Feature('taxi_row', 'a', FeatureKind.NOMINAL, ('b',)), instead_of=9)
+NARROW = with_features(ROW, instead_of=0)
+TWO_KEYS = broken(__init__=with_two_keys)
+LENIENT = broken(decode=lambda self, text: Taxi.decode(self, text.strip()))
+CREDULOUS = broken(can_follow=lambda self, state, action, successor: True)
+JUMPY = broken(can_follow=lambda self, state, action, successor: False)
+TELLTALE = broken(render=lambda self, state, shown=None: Taxi.render(self, state))
+BLIND = broken(render=lambda self, state, shown=None: Taxi.render(self, state, ()))
+SILENT = broken(render=lambda self, state, shown=None: '')
+MUTABLE = broken(over=lambda self: Taxi.over(self).copy())
+SUDDEN = broken(step=step_with(lambda outcome: replace(outcome, terminated=True)))
+RAISING = broken(feature_values=lambda self, state: 1 / 0)
+WORTHLESS = broken(step=step_with(lambda outcome: replace(outcome, reward=float('nan'))))
 
 
 @pytest.mark.parametrize(
-    ('broken', 'test', 'text'),
+    ('breach', 'test', 'text'),
     [
-        (Dice, 'the_same_seed_plays_the_same_game', 'not the same again with the same generator'),
-        (Dice, 'steps_agree_with_the_transitions', ''),
-        (Endless, 'no_step_is_taken_after_the_end', 'it takes a step after the end'),
-        (Unnamed, 'names_keys_and_questions_are_distinct_and_well_formed', 'have one name'),
-        (TwoKeys, 'names_keys_and_questions_are_distinct_and_well_formed', 'have one key'),
+        (DICE, 'the_same_seed_plays_the_same_game', 'not the same again with the same generator'),
+        (DICE, 'steps_agree_with_the_transitions', ''),
+        (ENDLESS, 'no_step_is_taken_after_the_end', 'it takes a step after the end'),
+        (UNNAMED, 'names_keys_and_questions_are_distinct_and_well_formed', 'have one name'),
+        (TWO_KEYS, 'names_keys_and_questions_are_distinct_and_well_formed', 'have one key'),
         (
-            Narrow,
+            NARROW,
             'a_state_has_feature_values_and_a_text',
             r'taxi_row is 4 in .* out of its range 0\.\.3',
         ),
-        (Raising, '', 'it raised ZeroDivisionError: division by zero'),
-        (Reader, 'text_that_is_no_state_is_refused', 'it reads "no state at all" as a state'),
-        (Lenient, 'text_that_is_no_state_is_refused', ''),
-        (Obliging, 'an_action_that_is_not_in_the_domain_is_refused', 'takes the action -1, of 6'),
-        (Jumpy, 'what_a_step_did_can_follow', 'can_follow denies'),
-        (Credulous, 'what_a_step_did_can_follow', ''),
-        (Sudden, 'what_a_step_did_can_follow', 'is_over disagree'),
-        (Worthless, 'what_a_step_did_can_follow', 'has the reward nan'),
-        (Telltale, 'the_drawing_shows_nothing_else', ''),
-        (Silent, 'a_state_has_feature_values_and_a_text', 'is drawn as nothing'),
-        (Blind, 'the_drawing_shows_all_that_may_be_seen', ''),
-        (Mutable, 'tables_have_their_shapes_and_cannot_be_changed', ''),
-        (Torn, 'tables_agree_with_the_states', ''),
+        (RAISING, '', 'it raised ZeroDivisionError: division by zero'),
+        (READER, 'text_that_is_no_state_is_refused', 'it reads "no state at all" as a state'),
+        (LENIENT, 'text_that_is_no_state_is_refused', ''),
+        (OBLIGING, 'an_action_that_is_not_in_the_domain_is_refused', 'takes the action -1, of 6'),
+        (JUMPY, 'what_a_step_did_can_follow', 'can_follow denies'),
+        (CREDULOUS, 'what_a_step_did_can_follow', ''),
+        (SUDDEN, 'what_a_step_did_can_follow', 'is_over disagree'),
+        (WORTHLESS, 'what_a_step_did_can_follow', 'has the reward nan'),
+        (TELLTALE, 'the_drawing_shows_nothing_else', ''),
+        (SILENT, 'a_state_has_feature_values_and_a_text', 'is drawn as nothing'),
+        (BLIND, 'the_drawing_shows_all_that_may_be_seen', ''),
+        (MUTABLE, 'tables_have_their_shapes_and_cannot_be_changed', ''),
+        (TORN, 'tables_agree_with_the_states', ''),
     ],
 )
 def test_a_broken_promise_is_found(
-    broken: Callable[[], Domain[Any]], test: str, text: str
+    breach: Callable[[], Domain[Any]], test: str, text: str
 ) -> None:
     """
     Each breach fails the test that is named for it, and gross ones are refused by name.
@@ -314,12 +170,12 @@ def test_a_broken_promise_is_found(
     """
     if test:
         suite = DomainContract()
-        suite.make = broken  # type: ignore[method-assign]
+        suite.make = breach  # type: ignore[method-assign]
         with pytest.raises(AssertionError):
             getattr(suite, f'test_{test}')()
     if text:
         with pytest.raises(ContractError, match=f'^taxi breaks the contract of domains: .*{text}'):
-            check_domain(broken(), 'taxi')
+            check_domain(breach(), 'taxi')
 
 
 def test_a_domain_that_calls_itself_otherwise_is_refused() -> None:

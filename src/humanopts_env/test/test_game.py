@@ -247,13 +247,6 @@ def test_a_machine_cannot_reset_what_a_person_drives() -> None:
     assert game.control == control
 
 
-def test_a_persons_reset_does_not_claim_control() -> None:
-    """Machines may go on."""
-    game = begun()
-    assert game.reset(START, 0, Source.PERSON).status is ResetStatus.OK
-    assert game.control.holder is Holder.NOBODY
-
-
 def test_a_negative_seed_is_an_error() -> None:
     """Messages cannot carry one."""
     with pytest.raises(ValueError, match='seed'):

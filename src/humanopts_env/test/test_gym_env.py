@@ -119,14 +119,6 @@ def test_an_episode_is_played_to_its_end() -> None:
     assert [env.step(1)[3] for _ in range(200)] == [False] * 199 + [True]
 
 
-def test_the_same_seed_begins_in_the_same_state() -> None:
-    """And others in others."""
-    env = make()
-    firsts = [env.reset(seed=seed)[0] for seed in (1, 1, 2, 3)]
-    assert firsts[0] == firsts[1]
-    assert len(set(firsts)) > 1
-
-
 def test_only_registered_domains_are_made() -> None:
     """An unknown one is refused by name; where states cannot be listed, there is no table."""
     with pytest.raises(DomainError, match='no domain'):

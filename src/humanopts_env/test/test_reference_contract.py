@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -20,52 +21,18 @@ PICKUP = reference_options(Taxi())['go to passenger and pickup']
 ONLY_SOUTH = np.arange(6) == 0
 
 
-class TestTaxi(ReferenceContract):
-    """On Dietterich's grid."""
-
-    def make(self) -> Domain[Any]:
-        """Return the default."""
-        return Taxi()
-
-
-class TestLargerTaxi(ReferenceContract):
-    """On a grid that is not square."""
-
-    def make(self) -> Domain[Any]:
-        """Return one with 2,520 states."""
-        return Taxi(14, 9)
-
-
-class TestRooms(ReferenceContract):
-    """With chance."""
-
-    def make(self) -> Domain[Any]:
-        """Return the one whose goal is in a room."""
-        return Rooms('G2')
-
-
-class TestPacMan(ReferenceContract):
-    """In our own maze."""
-
-    def make(self) -> Domain[Any]:
-        """Return the default."""
-        return PacMan()
-
-
-class TestChasedPacMan(ReferenceContract):
-    """With ghosts that come after him."""
-
-    def make(self) -> Domain[Any]:
-        """Return a small maze."""
-        return PacMan('yard', ghosts='chase')
-
-
-class TestPacManWithThePapersFeatures(ReferenceContract):
-    """Positions tell where options start and end as well."""
-
-    def make(self) -> Domain[Any]:
-        """Return a small maze."""
-        return PacMan('yard', features='paper')
+OURS: dict[str, Any] = {
+    'Taxi': Taxi,
+    'LargerTaxi': partial(Taxi, 14, 9),
+    'RoomsWithTheGoalInARoom': partial(Rooms, 'G2'),
+    'PacMan': PacMan,
+    'ChasedPacMan': partial(PacMan, 'yard', ghosts='chase'),
+    'PacManWithThePapersFeatures': partial(PacMan, 'yard', features='paper'),
+}
+for _name, _make in OURS.items():
+    globals()[f'Test{_name}'] = type(
+        f'Test{_name}', (ReferenceContract,), {'make': staticmethod(_make)}
+    )
 
 
 @pytest.mark.parametrize(

@@ -76,18 +76,6 @@ def test_distances_and_actions(cell: tuple[int, int], distance: int, action: str
 
 
 @pytest.mark.parametrize('option', OPTIONS.values(), ids=OPTIONS)
-def test_what_it_depends_on_tells_where_it_starts_and_what_it_does(
-    option: TabularReferenceOption,
-) -> None:
-    """States alike in its features are one state."""
-    assert option.definition.endswith('.')
-    columns = [i for i, f in enumerate(ROOMS.features) if f.name in option.features]
-    assert tuple(ROOMS.features[i].name for i in columns) == option.features
-    rows = {tuple(row) for row in ROOMS.feature_table()[:, columns].tolist()}
-    assert len(rows) == ROOMS.n_states
-
-
-@pytest.mark.parametrize('option', OPTIONS.values(), ids=OPTIONS)
 def test_no_other_policy_reaches_the_doorway_sooner(option: TabularReferenceOption) -> None:
     """
     Changing the action of any one state lowers the value there (policy improvement).

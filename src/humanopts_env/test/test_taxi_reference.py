@@ -129,24 +129,3 @@ def test_optimal_actions_end_the_option_in_as_many_steps_as_its_distance(
             state = DOMAIN.step(state, action, generator(0, 'test')).state
             steps += 1
         assert steps == option.distance[index]
-
-
-@pytest.mark.parametrize('option', OPTIONS.values(), ids=OPTIONS)
-def test_what_the_option_depends_on_tells_where_it_starts_and_what_it_does(
-    option: TabularReferenceOption,
-) -> None:
-    """States alike in its features are alike in I, beta and the optimal actions."""
-    columns = [i for i, f in enumerate(DOMAIN.features) if f.name in option.features]
-    seen: dict[tuple[int, ...], tuple[bool, bool, tuple[int, ...]]] = {}
-    for index in np.flatnonzero(option.judged):
-        state = DOMAIN.state_at(int(index))
-        key = tuple(DOMAIN.feature_table()[index, columns].tolist())
-        answer = option.can_start(state), option.ends(state), option.optimal_actions(state)
-        assert seen.setdefault(key, answer) == answer
-
-
-def test_other_grids_have_them_too() -> None:
-    """Every initiation set has its way out."""
-    for option in reference_options(Taxi(7, 9)).values():
-        assert option.initiation.any()
-        assert (option.distance[option.initiation] > 0).all()
