@@ -167,20 +167,12 @@ class Refused:
 
 
 @dataclass(frozen=True, slots=True)
-class ResetReply:
-    """The answer to ``reset_game``."""
+class Reply:
+    """The answer to ``reset_game`` or ``set_control``."""
 
-    status: ResetStatus
+    status: ResetStatus | ControlStatus
     detail: str = ''
-    transition: Transition | None = None  # the first of the new episode; None: refused
-
-
-@dataclass(frozen=True, slots=True)
-class ControlReply:
-    """The answer to ``set_control``."""
-
-    status: ControlStatus
-    detail: str = ''
+    transition: Transition | None = None  # the first of the new episode; None: none was begun
     control: Control | None = None  # the new state of control; None: unchanged
 
 
@@ -203,7 +195,7 @@ class Game:
         self._state: Any = None
         self._rng = generator(0, 'episode', domain.name)
 
-    def reset(self, start_state: str, seed: int, source: int) -> ResetReply:
+    def reset(self, start_state: str, seed: int, source: int) -> Reply:
         """
         Begin a new episode.
 
@@ -213,17 +205,17 @@ class Game:
         :raises ValueError: the seed is negative.
         """
         if source not in (Source.PERSON, Source.MACHINE):
-            return ResetReply(ResetStatus.BAD_SOURCE, _no_such_source(source))
+            return Reply(ResetStatus.BAD_SOURCE, _no_such_source(source))
         if source == Source.MACHINE and self.control.holder is Holder.PERSON:
-            return ResetReply(ResetStatus.HELD_BY_PERSON, self._held())
+            return Reply(ResetStatus.HELD_BY_PERSON, self._held())
         rng = generator(seed, 'episode', self.domain.name)
         try:
             state = self._start(start_state) if start_state else self.domain.reset(rng)
         except StateError as error:
-            return ResetReply(ResetStatus.BAD_STATE, str(error))
+            return Reply(ResetStatus.BAD_STATE, str(error))
         self._rng, self._state = rng, state
         self.transition = Transition(self.transition.episode + 1, 0, *self._observed())
-        return ResetReply(ResetStatus.OK, '', self.transition)
+        return Reply(ResetStatus.OK, '', self.transition)
 
     def command(self, command: Command) -> Accepted | Refused:
         """Take one step, or return why it is refused."""
@@ -244,7 +236,7 @@ class Game:
         """Return the refusal of a command."""
         return Refused(reason, detail, command, self.transition.episode, self.transition.step)
 
-    def set_control(self, hold: bool, holder_id: str) -> ControlReply:
+    def set_control(self, hold: bool, holder_id: str) -> Reply:
         """
         Take control for a person, or give it back.
 
@@ -252,16 +244,16 @@ class Game:
         :param holder_id: publisher id of the person's terminal.
         """
         if not holder_id:
-            return ControlReply(ControlStatus.NOT_HOLDER, 'holder_id is empty: name the terminal')
+            return Reply(ControlStatus.NOT_HOLDER, 'holder_id is empty: name the terminal')
         if self._held_by_another(holder_id):
-            return ControlReply(ControlStatus.NOT_HOLDER, self._held())
+            return Reply(ControlStatus.NOT_HOLDER, self._held())
         if hold == (self.control.holder is Holder.PERSON):
-            return ControlReply(ControlStatus.OK, 'nothing changed')
+            return Reply(ControlStatus.OK, 'nothing changed')
         if hold:
             control = self._give(holder_id, 'a person took control')
         else:
             control = self.release('the person gave control back')
-        return ControlReply(ControlStatus.OK, control.reason, control)
+        return Reply(ControlStatus.OK, control.reason, control=control)
 
     def release(self, reason: str) -> Control:
         """Free control without its holder, such as a terminal that has left the graph."""

@@ -1,8 +1,9 @@
 """What a domain is: discrete named features, named actions, and rules without hidden state."""
 
-from collections.abc import Collection, Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import compress, product
 from typing import Generic, Protocol, runtime_checkable, TypeGuard, TypeVar
 
 import numpy as np
@@ -35,6 +36,22 @@ class Feature:
     question: str  # completes "Does OPTION depend on ...?"
     kind: FeatureKind
     values: tuple[str, ...]  # the text of each value, for people
+
+    @classmethod
+    def number(cls, name: str, question: str, count: int, *more: str) -> 'Feature':
+        """Return an ordinal feature of the numbers below ``count``, and then of other values."""
+        return cls(name, question, FeatureKind.ORDINAL, (*map(str, range(count)), *more))
+
+    @classmethod
+    def nominal(cls, name: str, question: str, values: Iterable[str]) -> 'Feature':
+        """Return a feature whose values have no order."""
+        return cls(name, question, FeatureKind.NOMINAL, tuple(values))
+
+
+def subset_names(names: Sequence[str], joint: str = ', ', none: str = 'none') -> list[str]:
+    """Return the text of every subset of names, by its bit mask."""
+    subsets = product((False, True), repeat=len(names))  # the last name is the highest bit
+    return [joint.join(compress(names, subset[::-1])) or none for subset in subsets]
 
 
 @dataclass(frozen=True, slots=True)

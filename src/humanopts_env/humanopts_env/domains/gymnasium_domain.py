@@ -26,7 +26,6 @@ from humanopts_env.domains.base import (
     BoardSlice,
     DomainError,
     Feature,
-    FeatureKind,
     StateError,
 )
 from humanopts_env.domains.capabilities import move_effect, plain_effect, StepEffect
@@ -98,7 +97,7 @@ def view_of(env: Any, name: str, table: Sequence[Any], starts: set[int], ends: s
         size, fell = (int(shape[0]), int(shape[1])), isinstance(env, CliffWalkingEnv)
         view = _grid_view(actions, size, tiles.tolist())
         return replace(view, effect=_grid_effect(actions, size, tiles.tolist(), table, fell))
-    state = Feature('state', 'which state it is', FeatureKind.NOMINAL, _numbers(count))
+    state = Feature.nominal('state', 'which state it is', map(str, range(count)))
     return View((state,), [(number,) for number in range(count)], actions, _drawing(env))
 
 
@@ -129,8 +128,8 @@ def _grid_view(actions: tuple[Action, ...], shape: tuple[int, int], tiles: list[
         return '\n'.join([*lines, legend, *([] if len(seen) == 2 else [_words(seen)])])
 
     features = (
-        Feature('row', 'which row the agent is in', FeatureKind.ORDINAL, _numbers(rows)),
-        Feature('col', 'which column the agent is in', FeatureKind.ORDINAL, _numbers(cols)),
+        Feature.number('row', 'which row the agent is in', rows),
+        Feature.number('col', 'which column the agent is in', cols),
     )
     values = [divmod(state, cols) for state in range(rows * cols)]
     cells = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
@@ -188,10 +187,10 @@ def _tiles(table: Sequence[Any], starts: set[int], ends: set[int]) -> NDArray[np
 
 def _taxi_view(env: Any, actions: tuple[Action, ...]) -> View:
     features = (
-        Feature('taxi_row', 'which row the taxi is in', FeatureKind.ORDINAL, _numbers(5)),
-        Feature('taxi_col', 'which column the taxi is in', FeatureKind.ORDINAL, _numbers(5)),
-        Feature('passenger', 'where the passenger is', FeatureKind.NOMINAL, PASSENGER),
-        Feature('destination', 'where the destination is', FeatureKind.NOMINAL, taxi.LANDMARKS),
+        Feature.number('taxi_row', 'which row the taxi is in', 5),
+        Feature.number('taxi_col', 'which column the taxi is in', 5),
+        Feature.nominal('passenger', 'where the passenger is', PASSENGER),
+        Feature.nominal('destination', 'where the destination is', taxi.LANDMARKS),
     )
     values = [tuple(map(int, env.decode(state))) for state in range(500)]
     states = np.arange(500, dtype=np.int32).reshape(5, 5, 5, 4)
@@ -241,10 +240,6 @@ def _drawing(env: Any) -> Callable[[int, Mapping[str, str]], str]:
 
 def _words(seen: Mapping[str, str]) -> str:
     return '   '.join(f'{name.replace("_", " ")}: {value}' for name, value in seen.items())
-
-
-def _numbers(count: int) -> tuple[str, ...]:
-    return tuple(map(str, range(count)))
 
 
 PREFIX = 'gymnasium:'

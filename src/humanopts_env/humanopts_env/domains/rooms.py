@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from humanopts_env.colours import GREY, ORANGE, TEAL
-from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, FeatureKind
+from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, subset_names
 from humanopts_env.domains.capabilities import move_effect, StepEffect
 from humanopts_env.domains.table_domain import TableDomain
 import numpy as np
@@ -196,15 +196,11 @@ def neighbour(place: Place, action: int) -> Place:
 
 
 def _features() -> tuple[Feature, ...]:
-    masks = [
-        ', '.join(a.name for bit, a in enumerate(ACTIONS) if mask >> bit & 1) or 'none'
-        for mask in range(16)
-    ]
-    rows, cols = (tuple(map(str, range(count))) for count in (len(LAYOUT), len(LAYOUT[0])))
+    blocked = subset_names([action.name for action in ACTIONS])
     return (
-        Feature('row', 'which row the agent is in', FeatureKind.ORDINAL, rows),
-        Feature('col', 'which column the agent is in', FeatureKind.ORDINAL, cols),
-        Feature('room', 'which room the agent is in', FeatureKind.NOMINAL, ROOM_VALUES),
-        Feature('doorway', 'which doorway the agent is in', FeatureKind.NOMINAL, NOWHERE),
-        Feature('blocked_moves', 'which moves a wall blocks', FeatureKind.NOMINAL, tuple(masks)),
+        Feature.number('row', 'which row the agent is in', len(LAYOUT)),
+        Feature.number('col', 'which column the agent is in', len(LAYOUT[0])),
+        Feature.nominal('room', 'which room the agent is in', ROOM_VALUES),
+        Feature.nominal('doorway', 'which doorway the agent is in', NOWHERE),
+        Feature.nominal('blocked_moves', 'which moves a wall blocks', blocked),
     )

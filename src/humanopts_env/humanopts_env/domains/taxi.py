@@ -18,9 +18,9 @@ from humanopts_env.domains.base import (
     BoardSlice,
     DomainError,
     Feature,
-    FeatureKind,
     Parameter,
     StateError,
+    subset_names,
     Transitions,
 )
 from humanopts_env.domains.capabilities import move_effect, StepEffect, TeachingDefaults
@@ -130,36 +130,20 @@ def feature_table(rows: int, cols: int) -> NDArray[np.int32]:
 
 def taxi_features(rows: int, cols: int) -> tuple[Feature, ...]:
     """Return the ten features; their value 0 is the north row, the west column, no or none."""
+    blocked = subset_names([action.name for action in ACTIONS[:4]])
+    yes_no = ('no', 'yes')
     return (
-        _line('taxi_row', 'which row the taxi is in', rows),
-        _line('taxi_col', 'which column the taxi is in', cols),
-        _line('passenger_row', 'which row the passenger is in', rows),
-        _line('passenger_col', 'which column the passenger is in', cols),
-        _line('destination_row', 'which row the destination is in', rows),
-        _line('destination_col', 'which column the destination is in', cols),
-        _yes_no('passenger_in_taxi', 'whether the passenger is in the taxi'),
-        _yes_no('taxi_at_passenger', 'whether the taxi is where the passenger is'),
-        _yes_no('taxi_at_destination', 'whether the taxi is at the destination'),
-        Feature(
-            'blocked_moves',
-            'which moves a wall or the edge blocks',
-            FeatureKind.NOMINAL,
-            tuple(_mask_name(mask) for mask in range(16)),
-        ),
+        Feature.number('taxi_row', 'which row the taxi is in', rows),
+        Feature.number('taxi_col', 'which column the taxi is in', cols),
+        Feature.number('passenger_row', 'which row the passenger is in', rows),
+        Feature.number('passenger_col', 'which column the passenger is in', cols),
+        Feature.number('destination_row', 'which row the destination is in', rows),
+        Feature.number('destination_col', 'which column the destination is in', cols),
+        Feature.nominal('passenger_in_taxi', 'whether the passenger is in the taxi', yes_no),
+        Feature.nominal('taxi_at_passenger', 'whether the taxi is where the passenger is', yes_no),
+        Feature.nominal('taxi_at_destination', 'whether the taxi is at the destination', yes_no),
+        Feature.nominal('blocked_moves', 'which moves a wall or the edge blocks', blocked),
     )
-
-
-def _line(name: str, question: str, count: int) -> Feature:
-    return Feature(name, question, FeatureKind.ORDINAL, tuple(map(str, range(count))))
-
-
-def _yes_no(name: str, question: str) -> Feature:
-    return Feature(name, question, FeatureKind.NOMINAL, ('no', 'yes'))
-
-
-def _mask_name(mask: int) -> str:
-    moves = [action.name for bit, action in enumerate(ACTIONS[:4]) if mask >> bit & 1]
-    return ', '.join(moves) or 'none'
 
 
 def _landmark_numbers(rows: int, cols: int) -> Column:

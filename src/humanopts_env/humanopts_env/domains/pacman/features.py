@@ -13,16 +13,16 @@ and how long ghosts are scared. A policy over positions has to be shown cell by 
 to one maze. What the last step ate is in both: nothing else tells that food was eaten.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 from humanopts_env.arrays import Flags
-from humanopts_env.domains.base import Feature, FeatureKind
+from humanopts_env.domains.base import Feature, FeatureKind, subset_names
 from humanopts_env.domains.capabilities import FeatureGroup
 from humanopts_env.domains.pacman.paths import FIRST_MOVE, Masks, MOVES, STAY
 from humanopts_env.domains.pacman.rules import Keys, PacManBatch, Rules
-from humanopts_env.domains.pacman.state import eaten_names, SCARED_STEPS
+from humanopts_env.domains.pacman.state import EATEN, SCARED_STEPS
 import numpy as np
 from numpy.typing import NDArray
 
@@ -69,15 +69,8 @@ def pacman_features(rules: Rules) -> tuple[Feature, ...]:
         features += _way(rules, name, THINGS[name])
     return (
         *features,
-        Feature(
-            'ate', 'what the last step ate', FeatureKind.NOMINAL, _sets(eaten_names, 'nothing')
-        ),
-        Feature(
-            'legal_moves',
-            'which moves no wall blocks',
-            FeatureKind.NOMINAL,
-            _sets(lambda mask: [m for bit, m in enumerate(MOVES) if mask >> bit & 1], 'none'),
-        ),
+        Feature.nominal('ate', 'what the last step ate', subset_names(EATEN, ' and ', 'nothing')),
+        Feature.nominal('legal_moves', 'which moves no wall blocks', subset_names(MOVES, ' and ')),
     )
 
 
@@ -101,41 +94,20 @@ def pacman_groups(features: Sequence[Feature]) -> tuple[FeatureGroup, ...]:
 
 
 def _place(rules: Rules, name: str, words: str, *, can_miss: bool) -> list[Feature]:
-    none = ('none',) if can_miss else ()
+    none = ['none'] * can_miss
     return [
-        Feature(
-            f'{name}_{axis}',
-            f'which {long} {words} is in',
-            FeatureKind.ORDINAL,
-            (*map(str, range(count)), *none),
-        )
-        for axis, long, count in (
-            ('row', 'row', rules.maze.rows),
-            ('col', 'column', rules.maze.cols),
-        )
+        Feature.number(f'{name}_row', f'which row {words} is in', rules.maze.rows, *none),
+        Feature.number(f'{name}_col', f'which column {words} is in', rules.maze.cols, *none),
     ]
 
 
 def _way(rules: Rules, name: str, words: str) -> list[Feature]:
-    farthest = rules.paths.longest
+    away, count = f'how many steps away {words} is', rules.paths.longest + 1
+    begins = f'which way a shortest path to {words} begins'
     return [
-        Feature(
-            f'{name}_direction',
-            f'which way a shortest path to {words} begins',
-            FeatureKind.NOMINAL,
-            DIRECTIONS,
-        ),
-        Feature(
-            f'{name}_distance',
-            f'how many steps away {words} is',
-            FeatureKind.ORDINAL,
-            (*map(str, range(farthest + 1)), 'none'),
-        ),
+        Feature.nominal(f'{name}_direction', begins, DIRECTIONS),
+        Feature.number(f'{name}_distance', away, count, 'none'),
     ]
-
-
-def _sets(names: Callable[[int], list[str]], empty: str) -> tuple[str, ...]:
-    return tuple(' and '.join(names(mask)) or empty for mask in range(16))
 
 
 class FeatureReader:
