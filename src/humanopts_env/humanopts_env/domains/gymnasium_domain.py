@@ -65,6 +65,7 @@ DIRECTIONS = {(0, -1): 'left', (1, 0): 'down', (0, 1): 'right', (-1, 0): 'up'}
 ENTERED = {'H': 'fell into a hole', GOAL: 'reached the goal'}
 IN_TAXI = 'in the taxi'
 PASSENGER = (*taxi.LANDMARKS, IN_TAXI)
+TAXI = taxi.Taxi()  # the same grid, whose states have the same numbers
 
 
 @dataclass(frozen=True)
@@ -200,25 +201,18 @@ def _taxi_view(env: Any, actions: tuple[Action, ...]) -> View:
     ]
 
     def effect(state: int, action: int, successor: int) -> StepEffect:
-        return taxi.taxi_effect(
-            taxi.TaxiState(*values[state]), action, taxi.TaxiState(*values[successor])
-        )
+        return TAXI.step_effect(TAXI.state_at(state), action, TAXI.state_at(successor))
 
     return View(features, values, actions, _draw_taxi, slices, taxi.GLYPH_STYLES, effect)
 
 
 def _draw_taxi(state: int, seen: Mapping[str, str]) -> str:
     """Draw the board as the domain ``taxi``, the same grid, with the revealed features."""
-    known = {feature.name: feature for feature in taxi.taxi_features(5, 5)}
-    cells = taxi.landmark_cells(5, 5)
-    shown = {name: int(seen[name]) for name in ('taxi_row', 'taxi_col') if name in seen}
-    if 'passenger' in seen:
-        shown['passenger_in_taxi'] = int(seen['passenger'] == IN_TAXI)
-    for thing in ('passenger', 'destination'):
-        if seen.get(thing) in cells:
-            shown[f'{thing}_row'], shown[f'{thing}_col'] = cells[seen[thing]]
-    values = [(known[name], value) for name, value in shown.items()]
-    return taxi.draw_board(taxi.walls_east(5, 5), cells, values)
+    shown = {*seen, *(['passenger_in_taxi'] if 'passenger' in seen else [])}
+    for thing in seen.keys() & {'passenger', 'destination'}:
+        if seen[thing] != IN_TAXI:
+            shown |= {f'{thing}_row', f'{thing}_col'}
+    return TAXI.render(TAXI.state_at(state), shown)
 
 
 # Numbered states.

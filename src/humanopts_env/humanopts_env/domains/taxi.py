@@ -71,63 +71,6 @@ def blocked_moves(rows: int, cols: int) -> NDArray[np.bool_]:
     return np.stack((row == rows - 1, row == 0, east, west), axis=2).reshape(-1, 4)
 
 
-def state_parts(rows: int, cols: int) -> tuple[Column, Column, Column]:
-    """Return (S,) each: the taxi's cell (row * cols + col), the passenger, the destination."""
-    index = np.arange(rows * cols * 20, dtype=np.int32)
-    return index // 20, index // 4 % 5, index % 4
-
-
-def transition_table(rows: int, cols: int) -> Transitions:
-    """
-    Return the exact transitions, B = 1.
-
-    Rewards: 0 for a legal pickup, +1 for a dropoff at the destination, -1 otherwise. A dropoff at
-    another landmark lets the passenger out there; a dropoff in any other cell does nothing.
-    """
-    cell, passenger, destination = state_parts(rows, cols)
-    landmarks = _landmark_numbers(rows, cols)
-    index = np.arange(rows * cols * 20, dtype=np.int32)
-    successor = np.repeat(index[:, None], len(ACTIONS), axis=1)
-    moves = np.array([cols, -cols, 1, -1], dtype=np.int32) * 20
-    successor[:, :4] += np.where(blocked_moves(rows, cols), 0, moves)[cell]
-
-    picked = (passenger != ABOARD) & (cell == _passenger_cells(rows, cols))
-    successor[:, PICKUP] += np.where(picked, 4 * (ABOARD - passenger), 0)
-
-    place = np.full(rows * cols, -1, dtype=np.int32)  # landmark of each cell
-    place[landmarks] = range(4)
-    here = place[cell]
-    dropped = (passenger == ABOARD) & (here >= 0)
-    successor[:, DROPOFF] += np.where(dropped, 4 * (here - ABOARD), 0)
-
-    terminated = np.zeros(successor.shape, dtype=np.bool_)
-    terminated[:, DROPOFF] = dropped & (here == destination)
-    reward = np.where(terminated, 1.0, -1.0)
-    reward[picked, PICKUP] = 0.0
-    return Transitions(
-        successor=read_only(successor[:, :, None]),
-        probability=np.broadcast_to(1.0, (*successor.shape, 1)),
-        reward=read_only(reward[:, :, None]),
-        terminated=read_only(terminated[:, :, None]),
-    )
-
-
-def feature_table(rows: int, cols: int) -> NDArray[np.int32]:
-    """Return (S, 10): the values of ``taxi_features`` in every state."""
-    cell, passenger, destination = state_parts(rows, cols)
-    waiting_at = _passenger_cells(rows, cols)
-    target = _landmark_numbers(rows, cols)[destination]
-    mask = blocked_moves(rows, cols) @ (1 << np.arange(4))  # bit 0 south, 1 north, 2 east, 3 west
-    table = np.empty((len(cell), 10), dtype=np.int32)
-    for column, place in ((0, cell), (2, waiting_at), (4, target)):
-        table[:, column], table[:, column + 1] = divmod(place, cols)
-    table[:, 6] = passenger == ABOARD
-    table[:, 7] = cell == waiting_at
-    table[:, 8] = cell == target
-    table[:, 9] = mask[cell]
-    return read_only(table)
-
-
 def taxi_features(rows: int, cols: int) -> tuple[Feature, ...]:
     """Return the ten features; their value 0 is the north row, the west column, no or none."""
     blocked = subset_names([action.name for action in ACTIONS[:4]])
@@ -144,19 +87,6 @@ def taxi_features(rows: int, cols: int) -> tuple[Feature, ...]:
         Feature.nominal('taxi_at_destination', 'whether the taxi is at the destination', yes_no),
         Feature.nominal('blocked_moves', 'which moves a wall or the edge blocks', blocked),
     )
-
-
-def _landmark_numbers(rows: int, cols: int) -> Column:
-    """Return (4,): the cell of each landmark, row * cols + col."""
-    cells = landmark_cells(rows, cols).values()
-    return np.array([row * cols + col for row, col in cells], dtype=np.int32)
-
-
-def _passenger_cells(rows: int, cols: int) -> Column:
-    """Return (S,): the passenger's cell, row * cols + col; the taxi's when aboard."""
-    cell, passenger, _ = state_parts(rows, cols)
-    waiting_at = _landmark_numbers(rows, cols)[passenger % 4]
-    return np.where(passenger == ABOARD, cell, waiting_at).astype(np.int32)
 
 
 EMPTY_TAXI, FULL_TAXI, SOME_TAXI = '□', '■', '▒'  # SOME: whether it is empty is not shown
@@ -278,27 +208,6 @@ class TaxiState:
     destination: int  # index into LANDMARKS
 
 
-def taxi_effect(before: TaxiState, action: int, after: TaxiState) -> StepEffect:
-    """Return what a step did."""
-    if action == PICKUP:
-        if before.passenger == ABOARD:
-            return StepEffect('the passenger is aboard already', changed=False)
-        if after.passenger != ABOARD:
-            return StepEffect('nobody here to pick up', changed=False)
-        return StepEffect('picked the passenger up')
-    if action == DROPOFF:
-        if before.passenger != ABOARD:
-            return StepEffect('nobody aboard to let out', changed=False)
-        if after.passenger == ABOARD:
-            where = f'{", ".join(LANDMARKS[:-1])} and {LANDMARKS[-1]}'
-            return StepEffect(f'passengers get out only at {where}', changed=False)
-        if after.passenger == after.destination:
-            return StepEffect('delivered the passenger')
-        return StepEffect(f'let the passenger out at {LANDMARKS[after.passenger]}')
-    went = DIRECTIONS.get((after.row - before.row, after.col - before.col), '')
-    return move_effect(ACTIONS[action].name, went)
-
-
 class Taxi(SharedTables[TaxiState]):
     """
     Taxi on a grid of any size, an ``EnumerableDomain``.
@@ -382,7 +291,23 @@ class Taxi(SharedTables[TaxiState]):
         return TaxiState(*divmod(cell, self.cols), *divmod(rest, 4))
 
     def step_effect(self, state: TaxiState, action: int, successor: TaxiState) -> StepEffect:
-        return taxi_effect(state, action, successor)
+        if action == PICKUP:
+            if state.passenger == ABOARD:
+                return StepEffect('the passenger is aboard already', changed=False)
+            if successor.passenger != ABOARD:
+                return StepEffect('nobody here to pick up', changed=False)
+            return StepEffect('picked the passenger up')
+        if action == DROPOFF:
+            if state.passenger != ABOARD:
+                return StepEffect('nobody aboard to let out', changed=False)
+            if successor.passenger == ABOARD:
+                where = f'{", ".join(LANDMARKS[:-1])} and {LANDMARKS[-1]}'
+                return StepEffect(f'passengers get out only at {where}', changed=False)
+            if successor.passenger == successor.destination:
+                return StepEffect('delivered the passenger')
+            return StepEffect(f'let the passenger out at {LANDMARKS[successor.passenger]}')
+        went = DIRECTIONS.get((successor.row - state.row, successor.col - state.col), '')
+        return move_effect(ACTIONS[action].name, went)
 
     def board_slices(self) -> list[BoardSlice]:
         """Return the layouts with the passenger waiting at R and aboard, both bound for B."""
@@ -415,7 +340,7 @@ class Taxi(SharedTables[TaxiState]):
 
     @built_once
     def over(self) -> Flags:
-        _, passenger, destination = state_parts(self.rows, self.cols)
+        _, passenger, destination = self._parts()
         over: Flags = passenger == destination
         return read_only(over)
 
@@ -425,13 +350,71 @@ class Taxi(SharedTables[TaxiState]):
 
     @built_once
     def start_states(self) -> NDArray[np.int32]:
-        _, passenger, _ = state_parts(self.rows, self.cols)
+        _, passenger, _ = self._parts()
         return read_only(np.flatnonzero(~self.over() & (passenger != ABOARD)).astype(np.int32))
 
     @built_once
     def transitions(self) -> Transitions:
-        return transition_table(self.rows, self.cols)
+        """
+        Return the exact transitions, B = 1.
+
+        Rewards: 0 for a legal pickup, +1 for a dropoff at the destination, -1 otherwise. A dropoff
+        at another landmark lets the passenger out there; one in any other cell does nothing.
+        """
+        cell, passenger, destination = self._parts()
+        index = np.arange(self.n_states, dtype=np.int32)
+        successor = np.repeat(index[:, None], len(ACTIONS), axis=1)
+        moves = np.array([self.cols, -self.cols, 1, -1], dtype=np.int32) * 20
+        successor[:, :4] += np.where(blocked_moves(self.rows, self.cols), 0, moves)[cell]
+
+        picked = (passenger != ABOARD) & (cell == self._passenger_cells())
+        successor[:, PICKUP] += np.where(picked, 4 * (ABOARD - passenger), 0)
+
+        place = np.full(self.rows * self.cols, -1, dtype=np.int32)  # landmark of each cell
+        place[self._landmarks] = range(4)
+        here = place[cell]
+        dropped = (passenger == ABOARD) & (here >= 0)
+        successor[:, DROPOFF] += np.where(dropped, 4 * (here - ABOARD), 0)
+
+        terminated = np.zeros(successor.shape, dtype=np.bool_)
+        terminated[:, DROPOFF] = dropped & (here == destination)
+        reward = np.where(terminated, 1.0, -1.0)
+        reward[picked, PICKUP] = 0.0
+        return Transitions(
+            successor=read_only(successor[:, :, None]),
+            probability=np.broadcast_to(1.0, (*successor.shape, 1)),
+            reward=read_only(reward[:, :, None]),
+            terminated=read_only(terminated[:, :, None]),
+        )
 
     @built_once
     def feature_table(self) -> NDArray[np.int32]:
-        return feature_table(self.rows, self.cols)
+        cell, passenger, destination = self._parts()
+        waiting_at, target = self._passenger_cells(), self._landmarks[destination]
+        # bit 0 south, 1 north, 2 east, 3 west
+        mask = blocked_moves(self.rows, self.cols) @ (1 << np.arange(4))
+        table = np.empty((len(cell), 10), dtype=np.int32)
+        for column, place in ((0, cell), (2, waiting_at), (4, target)):
+            table[:, column], table[:, column + 1] = divmod(place, self.cols)
+        table[:, 6] = passenger == ABOARD
+        table[:, 7] = cell == waiting_at
+        table[:, 8] = cell == target
+        table[:, 9] = mask[cell]
+        return read_only(table)
+
+    def _parts(self) -> tuple[Column, Column, Column]:
+        """Return (S,) each: the taxi's cell (row * cols + col), passenger and destination."""
+        index = np.arange(self.n_states, dtype=np.int32)
+        return index // 20, index // 4 % 5, index % 4
+
+    @property
+    def _landmarks(self) -> Column:
+        """(4,): the cell of each landmark, row * cols + col."""
+        cells = landmark_cells(self.rows, self.cols).values()
+        return np.array([row * self.cols + col for row, col in cells], dtype=np.int32)
+
+    def _passenger_cells(self) -> Column:
+        """Return (S,): the passenger's cell, row * cols + col; the taxi's when aboard."""
+        cell, passenger, _ = self._parts()
+        waiting_at = self._landmarks[passenger % 4]
+        return np.where(passenger == ABOARD, cell, waiting_at).astype(np.int32)
