@@ -71,7 +71,6 @@ class Person:
 
     def lesson(self, phase: Phase, **fields: Any) -> Request | None:
         """Have the lesson announce where it stands; return the next request."""
-        assert self.world.lesson is not None
         if phase is not Phase.DEMONSTRATING:
             fields = {'episode': 0, **fields}
         self.world.lesson = replace(self.world.lesson, phase=phase, **fields)
@@ -106,7 +105,6 @@ class Person:
 
     def game(self, **fields: Any) -> Request | None:
         """Have the game go on; return the next request."""
-        assert self.world.game is not None
         self.world.update_game(replace(self.world.game, **fields))
         asked = self.app.waits_for
         if isinstance(asked, Drive):

@@ -73,7 +73,6 @@ def test_what_a_person_named_is_text_and_no_html(app: App) -> None:
 
 def test_a_name_in_a_question_is_text(app: App) -> None:
     to_lesson(app)
-    assert app.world.lesson is not None
     app.world.lesson = replace(app.world.lesson, phase=Phase.ASKING, question=f'{NASTY}?')
     assert f'{NASTY}?' in words(app)
 
@@ -136,7 +135,6 @@ def test_pages_ask_no_other_server() -> None:
 
 def test_the_board_keeps_its_place_while_the_learner_works(app: App) -> None:
     to_lesson(app)
-    assert app.world.lesson is not None
     for phase, driving in ((Phase.LEARNING, True), (Phase.READY, False), (Phase.ASKING, False)):
         app.world.lesson = replace(app.world.lesson, phase=phase)
         assert ('class="driving"' in parts(view(app))['keys']) is driving

@@ -13,6 +13,7 @@ from humanopts_teach.lesson.requests import (
     OpenSession,
     Phase,
     SetControl,
+    UNKNOWN,
     Verdict,
 )
 import pytest
@@ -32,7 +33,7 @@ def test_enter_accepts_the_proposed_code_and_leads_to_the_menu(person: Person) -
 def test_a_code_that_was_given_is_not_asked_for(taxi: Domain[Any]) -> None:
     person = Person(taxi)
     person.app.screen = opening('anna', ask=False)
-    lesson, person.world.lesson = person.world.lesson, None
+    lesson, person.world.lesson = person.world.lesson, UNKNOWN
     person.look()
     assert person.asked == []  # the lesson is not there yet
     person.world.lesson = lesson

@@ -31,7 +31,6 @@ def drive(person: Person, *keys: str) -> None:
     for key in keys:
         request = person.press(key)
         assert isinstance(request, Drive)
-        assert person.world.game is not None
         person.game(
             step=person.world.game.step + 1,
             previous_action=request.action,

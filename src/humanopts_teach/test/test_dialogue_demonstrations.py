@@ -14,7 +14,6 @@ from teach_support.person import Person, START
 
 def drives(shower: Person, key: str, action: str, state: str, reward: float = -1.0) -> None:
     """Press a key, and have the game take the step."""
-    assert shower.world.game is not None
     shower.press(key)
     step = shower.world.game.step + 1
     shower.game(step=step, state=state, previous_action=action, reward=reward)

@@ -1,6 +1,7 @@
 """Questions about features: keys that answer one, a group of them, or all others; going back."""
 
 from humanopts_env.domains.registry import make_domain
+from humanopts_env.game import Transition
 from humanopts_teach.lesson.requests import (
     AnswerQuestion,
     DefineOption,
@@ -188,7 +189,7 @@ def test_going_back_into_a_group_goes_to_its_question() -> None:
     names = [feature.name for feature in pacman.features]
     group = pacman.feature_groups[2]  # type: ignore[attr-defined]
     last, first = names.index(group.features[-1]), names.index(group.features[0])
-    person.world.game = None
+    person.world.game = Transition()
     person.names_option(Phase.ASKING, question_id=9, question_feature=names[last + 1])
     back = person.press('backspace')
     for number in range(last, first - 1, -1):

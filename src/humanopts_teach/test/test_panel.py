@@ -118,6 +118,5 @@ def test_nodes_that_are_missing_are_said_before_anything_else(app: App) -> None:
 
 
 def test_a_lesson_that_is_paused_says_why(app: App) -> None:
-    assert app.world.lesson is not None
     app.world.lesson = replace(app.world.lesson, paused='the disk is full')
     assert view(app).paused == 'the disk is full'

@@ -157,7 +157,7 @@ class App:
     def drive(self, action: str) -> None:
         """Have a primitive action taken as a person; between two episodes, only take control."""
         game = self.world.game
-        if game is None or not game.open:
+        if not game.open:
             if self.run is not None:
                 self.ask(SetControl(hold=True))
                 return
@@ -257,12 +257,11 @@ class App:
     def last_requests(self) -> list[Request]:
         """Return what is left to ask when the terminal ends, so that nothing is left hanging."""
         lesson, game = self.world.lesson, self.world.game
-        mine = lesson is not None and lesson.participant == self.participant
-        demonstrating = lesson is not None and lesson.phase is Phase.DEMONSTRATING
+        mine = lesson.participant == self.participant
         requests: list[Request] = []
         if self.run is not None:
             requests.append(CancelRun())
-        if mine and demonstrating and game is not None:
+        if mine and lesson.phase is Phase.DEMONSTRATING:
             requests.append(EndDemonstration(Verdict.DISCARD, game.episode, game.step))
         if self.world.i_drive:
             requests.append(SetControl(hold=False))
@@ -272,7 +271,7 @@ class App:
     def _asked_for(self) -> object:
         """What the lesson asks for: it differs between questions and between demonstrations."""
         lesson, domain = self.world.lesson, self.world.domain
-        if lesson is None or domain is None:
+        if domain is None:
             return None
         group = self.groups.open_group(domain, lesson)
         return lesson.phase, lesson.option_name, lesson.question_id, group, lesson.episode

@@ -98,8 +98,7 @@ class PlayScreen(Screen):
 
     def new_start(self, app: App) -> Request:
         """Return the request for an episode from a start state of the task."""
-        episode = app.world.game.episode if app.world.game is not None else 0
-        rng = generator(app.seed, 'terminal episode', app.participant, episode)
+        rng = generator(app.seed, 'terminal episode', app.participant, app.world.game.episode)
         return NewEpisode(int(rng.integers(2**63)))
 
     def table(self, app: App) -> KeyTable:
@@ -145,9 +144,7 @@ class RunScreen(PlayScreen):
 
     def start(self, app: App) -> None:
         """Give control back, and run the option from the current state."""
-        game = app.world.game
-        under_way = game is not None and game.open
-        first = [] if under_way else [self.new_start(app)]
+        first = [] if app.world.game.open else [self.new_start(app)]
         app.ask(*first, SetControl(hold=False), RunOption(self.option_name, app.participant))
 
 

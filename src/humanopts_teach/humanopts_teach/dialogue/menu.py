@@ -18,6 +18,7 @@ from humanopts_teach.lesson.requests import (
     OpenSession,
     Phase,
     Request,
+    UNKNOWN,
 )
 
 
@@ -34,7 +35,7 @@ class OpeningScreen(TextScreen):
 
     def tick(self, app: App) -> None:
         """Take the code that is known, once."""
-        if self.known and app.world.lesson is not None:
+        if self.known and app.world.lesson is not UNKNOWN:
             self.known = False
             self.submit(self.typed, app)
 
@@ -59,7 +60,7 @@ def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
 def _enter(code: str, app: App) -> None:
     lesson = app.world.lesson
     app.participant = code
-    if lesson is not None and lesson.phase is Phase.DEMONSTRATING and lesson.participant == code:
+    if lesson.phase is Phase.DEMONSTRATING and lesson.participant == code:
         app.known_options = (lesson.option_name,)
         to_lesson(app)  # a terminal that was cut off left a demonstration under way
     else:
@@ -219,5 +220,5 @@ def _watching(action_set: str) -> Callable[[App], None]:
 def _play(app: App) -> None:
     screen = PlayScreen(menu=to_menu)
     app.show(screen)
-    if app.world.game is None or not app.world.game.open:
+    if not app.world.game.open:
         app.ask(screen.new_start(app))

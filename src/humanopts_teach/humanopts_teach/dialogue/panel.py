@@ -12,7 +12,6 @@ from functools import singledispatch
 import math
 
 from humanopts_env.domains.capabilities import feature_groups
-from humanopts_env.game import Transition
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.criteria import Criterion, fewest, likely_range, RETURN
@@ -155,13 +154,12 @@ def view(app: App) -> View:
         shown = panel(app.screen, app)
         board = _board(app) if app.screen.shows_board else None
     said, keys = _said(app), app.screen.keys(app)
-    return View(_head(app), app.world.paused, board, shown, said, keys, _plays(app))
+    return View(_head(app), app.world.lesson.paused, board, shown, said, keys, _plays(app))
 
 
 def _plays(app: App) -> bool:
-    lesson, screen = app.world.lesson, app.screen
-    showing = lesson is not None and lesson.phase in {Phase.DEMONSTRATING, Phase.LEARNING}
-    return isinstance(screen, PlayScreen) or (isinstance(screen, LessonScreen) and showing)
+    showing = app.world.lesson.phase in {Phase.DEMONSTRATING, Phase.LEARNING}
+    return isinstance(app.screen, PlayScreen) or (isinstance(app.screen, LessonScreen) and showing)
 
 
 def _head(app: App) -> list[str]:
@@ -170,7 +168,7 @@ def _head(app: App) -> list[str]:
         parts.append(world.domain.name)
     if app.participant:
         parts.append(app.participant)
-        if world.lesson is not None and world.lesson.session:
+        if world.lesson.session:
             parts.append(f'session {world.lesson.session}')
     if world.holder:
         parts.append('you drive' if world.i_drive else 'another person drives')
@@ -178,21 +176,16 @@ def _head(app: App) -> list[str]:
 
 
 def _board(app: App) -> StateDrawing:
-    game, domain = app.world.game, app.domain
-    state = app.screen.state or (game.state if game is not None else '')
+    state = app.screen.state or app.world.game.state
     if not state:
         return StateDrawing()
-    return draw_state(domain, domain.decode(state), _revealed(app))
+    return draw_state(app.domain, app.domain.decode(state), _revealed(app))
 
 
 def _revealed(app: App) -> Collection[str] | None:
     """Return the features that the board may reveal; None: all."""
     lesson = app.world.lesson
-    if (
-        isinstance(app.screen, LessonScreen | ConfirmScreen)
-        and lesson is not None
-        and lesson.phase in _BARE
-    ):
+    if isinstance(app.screen, LessonScreen | ConfirmScreen) and lesson.phase in _BARE:
         return lesson.chosen_features
     return None
 
@@ -204,8 +197,7 @@ def _said(app: App) -> Line:
         return Line(f'{names}: not there. Everything taught is saved; {app.way_out}.', Tone.BAD)
     if app.message.text:
         return Line(app.message.text, Tone.BAD if app.message.bad else Tone.GOOD)
-    lesson = app.world.lesson
-    return Line(lesson.text if isinstance(app.screen, LessonScreen) and lesson else '', Tone.GOOD)
+    return Line(app.world.lesson.text if isinstance(app.screen, LessonScreen) else '', Tone.GOOD)
 
 
 @singledispatch
@@ -267,7 +259,7 @@ def _play(screen: PlayScreen, app: App) -> Panel:
             lines += _winner(world)
         elif isinstance(screen, WatchScreen) and world.running:
             lines.append(Line(f'It runs: {world.running.replace("action:", "one step ")}'))
-    if game is not None and game.episode:
+    if game.episode:
         lines += [Line(f'episode {game.episode}, step {game.step}'), *_last_step(world)]
         if game.terminated:
             lines.append(Line('The task is over.', Tone.NEWS))
@@ -285,7 +277,7 @@ def _pace(world: World) -> Line:
 
 def _winner(world: World) -> Iterator[Line]:
     """Yield which option took the last step, where one did and it is known."""
-    game = world.game or Transition()
+    game = world.game
     if option := world.acted.get((game.action_publisher_id, game.action_sequence)):
         yield Line(f'{option} won this step.')
 
@@ -293,7 +285,7 @@ def _winner(world: World) -> Iterator[Line]:
 def _last_step(world: World) -> Iterator[Line]:
     """Yield what the last step did and its reward, where one was taken."""
     game, effect = world.game, world.last_effect
-    if game is not None and game.step:
+    if game.step:
         text = effect.text if effect is not None else f'last: {game.previous_action}'
         without = effect is not None and not effect.changed
         yield Line(f'{text} (reward {game.reward:g})', Tone.WARNING if without else Tone.PLAIN)
@@ -302,8 +294,6 @@ def _last_step(world: World) -> Iterator[Line]:
 @panel.register
 def _lesson(screen: LessonScreen, app: App) -> Panel:
     world, lesson = app.world, app.world.lesson
-    if lesson is None:
-        return Panel((GAP,))
     title = Line('Teaching: ', more=(Line(lesson.option_name, strong=True),))
     if lesson.phase is Phase.ASKING:
         return Panel((title, GAP, *_question_lines(app, lesson)))
@@ -346,7 +336,7 @@ def _standing(world: World, lesson: LessonView) -> Line:
     """Return where the lesson stands, and how much was shown."""
     game, shown = world.game, lesson.n_demonstrations + lesson.n_not_here
     where = f'Enter shows start {shown + 1}.'
-    if lesson.phase is Phase.DEMONSTRATING and game is not None:
+    if lesson.phase is Phase.DEMONSTRATING:
         where = f'start {shown + 1}, step {game.step}' if game.step else f'next: start {shown + 1}'
     elif lesson.phase is Phase.LEARNING:
         where = 'learning ...'
@@ -363,7 +353,7 @@ def _features(app: App, lesson: LessonView) -> Features:
     """Return what the option depends on, with its values in the state that is shown."""
     domain, game = app.domain, app.world.game
     values: Sequence[int] = []
-    if game is not None and game.state and lesson.phase is Phase.DEMONSTRATING:
+    if game.state and lesson.phase is Phase.DEMONSTRATING:
         values = domain.feature_values(domain.decode(game.state)).tolist()
     shown = [
         FeatureShown(_plain(feature.name), feature.values[values[index]] if len(values) else '')

@@ -52,7 +52,7 @@ class StudyApp(App):
             self._begin(now)
         part = self._part
         if part is not None and part.minutes and now - self._began >= 60 * part.minutes:
-            if self.world.lesson is not None and self.world.lesson.phase is Phase.DEMONSTRATING:
+            if self.world.lesson.phase is Phase.DEMONSTRATING:
                 self._announce_last()
             elif self.waits_for is None:
                 self._end_part(TIME)

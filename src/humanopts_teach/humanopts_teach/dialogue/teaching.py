@@ -89,7 +89,7 @@ class LessonScreen(Screen):
     def press(self, key: str, app: App) -> None:
         """Carry out one key as the phase has it."""
         lesson = app.world.lesson
-        if lesson is None or self.redo:
+        if self.redo:
             return
         table = self.table(app)
         action, command = table.action(key), table.command(key)
@@ -113,8 +113,6 @@ class LessonScreen(Screen):
     def tick(self, app: App) -> None:
         """Begin the next demonstration, or answer a question that needs no person."""
         lesson = app.world.lesson
-        if lesson is None:
-            return
         if self.redo:
             if lesson.phase is Phase.DEMONSTRATING:
                 app.drive(self.redo.pop(0))
@@ -139,17 +137,17 @@ class LessonScreen(Screen):
             self.redo = []
         if isinstance(request, BeginDemonstration):
             self.automatic, app.next_start = False, ''
-            if request.watch and answer.ok and lesson is not None:
+            if request.watch and answer.ok:
                 app.ask(SetControl(hold=False), RunOption(lesson.option_name, app.participant))
         elif isinstance(request, AnswerQuestion) and not answer.carried_out:
             self.rest = False
             app.groups.forget()
-        elif isinstance(request, AnswerQuestion) and request.back and lesson is not None:
+        elif isinstance(request, AnswerQuestion) and request.back:
             group = _open_group(app)
             if group is not None and lesson.question_feature != group.features[0]:
                 app.ask(AnswerQuestion(lesson.question_id, back=True))
         elif isinstance(request, EndDemonstration) and answer.ok:
-            self.automatic = not app.world.paused
+            self.automatic = not lesson.paused
             if answer.contradiction:
                 self._show_contradiction(answer, app)
         elif isinstance(request, ListDemonstrations) and answer.ok:
@@ -158,10 +156,9 @@ class LessonScreen(Screen):
             app.ask(SetControl(hold=True))
 
     def table(self, app: App) -> KeyTable:
-        phase = _phase(app)
+        lesson, phase = app.world.lesson, app.world.lesson.phase
         actions = app.domain.actions if phase is Phase.DEMONSTRATING else ()
         commands = list(_IN_PHASE.get(phase, _ELSE))
-        lesson = app.world.lesson or LessonView(Phase.NO_SESSION)
         if not lesson.n_demonstrations and Command.WATCH in commands:
             commands.remove(Command.WATCH)
         if phase is Phase.ASKING and lesson.question_feature == app.domain.features[0].name:
@@ -180,7 +177,7 @@ class LessonScreen(Screen):
         return table.key(Command.START_AGAIN), table.key(Command.DEMONSTRATIONS)
 
     def keys(self, app: App) -> Keys:
-        phase, table = _phase(app), self.table(app)
+        phase, table = app.world.lesson.phase, self.table(app)
         first = _question_keys(app) if phase is Phase.ASKING else []
         if phase is Phase.DEMONSTRATING:
             first = [(label(action.key), action.name) for action in app.domain.actions]
@@ -244,9 +241,8 @@ class LessonScreen(Screen):
 
     def _count(self, app: App) -> None:
         """Keep the demonstration; ask whether the steps count that the machine took before."""
-        lesson, game = app.world.lesson, app.world.game
-        steps = lesson.machine_steps if lesson is not None else 0
-        if not steps or game is None:
+        steps = app.world.lesson.machine_steps
+        if not steps:
             self._verdict(Verdict.DONE, app)
             return
 
@@ -255,21 +251,20 @@ class LessonScreen(Screen):
             self._verdict(Verdict.DONE, app, counts=counts)
 
         items = [Item('Yes', 'all of it is right', partial(keep, counts=True))]
-        if game.step > steps:
+        if app.world.game.step > steps:
             items.append(Item('No', 'it begins where I took over', partial(keep, counts=False)))
         title = f'The machine took the first {steps}. Do its steps count as shown by you?'
         app.show(ListScreen(title, items, back=self._back))
 
     def _verdict(self, verdict: Verdict, app: App, *, counts: bool = False) -> None:
-        if (game := app.world.game) is not None:
-            again = _can_start_again(app) and verdict is Verdict.DONE
-            app.ask(EndDemonstration(verdict, game.episode, game.step, again, counts))
+        game, again = app.world.game, _can_start_again(app) and verdict is Verdict.DONE
+        app.ask(EndDemonstration(verdict, game.episode, game.step, again, counts))
 
     def _discard(self, app: App) -> None:
         """Discard the demonstration under way, if there is one."""
         if app.run is not None:
             app.ask(SetControl(hold=True))
-        if _phase(app) is Phase.DEMONSTRATING:
+        if app.world.lesson.phase is Phase.DEMONSTRATING:
             self._verdict(Verdict.DISCARD, app)
 
     def _undo(self, lesson: LessonView, app: App) -> None:
@@ -334,8 +329,7 @@ class LessonScreen(Screen):
 
     def _leave(self, words: str, go: Callable[[App], None], app: App) -> None:
         """Discard the demonstration under way and go; ask first if steps were taken."""
-        game = app.world.game
-        if _phase(app) is not Phase.DEMONSTRATING or game is None:
+        if app.world.lesson.phase is not Phase.DEMONSTRATING:
             go(app)
             return
 
@@ -344,7 +338,7 @@ class LessonScreen(Screen):
             self._discard(app)
             go(app)
 
-        if game.step:
+        if app.world.game.step:
             question = f'{words}? The demonstration under way is discarded; all else is saved.'
             app.show(ConfirmScreen(question, discard, self._back))
         else:
@@ -379,10 +373,8 @@ def _as_before(lesson: LessonView) -> AnswerQuestion:
 
 def _open_group(app: App) -> FeatureGroup | None:
     """Return the group that is asked about; None: no question is open, or it is of one feature."""
-    lesson = app.world.lesson
-    if lesson is None or lesson.phase is not Phase.ASKING:
-        return None
-    return app.groups.open_group(app.domain, lesson)
+    asking = app.world.lesson.phase is Phase.ASKING
+    return app.groups.open_group(app.domain, app.world.lesson) if asking else None
 
 
 def _group_answer(key: str, lesson: LessonView) -> GroupAnswer | None:
@@ -394,31 +386,25 @@ def _group_answer(key: str, lesson: LessonView) -> GroupAnswer | None:
 
 def _can_start_again(app: App) -> bool:
     """Return whether the next done says that the option could start again there."""
-    lesson = app.world.lesson
-    return lesson is not None and app.can_start_again.get(lesson.option_name, False)
+    return app.can_start_again.get(app.world.lesson.option_name, False)
 
 
 def _random_start(app: App) -> str:
     """Draw a start of the task, another one in each episode."""
-    episode = app.world.game.episode if app.world.game is not None else 0
-    rng = generator(app.seed, 'watched start', app.participant, episode)
+    rng = generator(app.seed, 'watched start', app.participant, app.world.game.episode)
     return app.domain.encode(app.domain.reset(rng))
 
 
 def _question_keys(app: App) -> list[tuple[str, str]]:
     lesson, group = app.world.lesson, _open_group(app)
     keys = [('y', 'yes'), ('n', 'no' if group is None else 'no, to all of them')]
-    if lesson is not None and lesson.earlier_features:
+    if lesson.earlier_features:
         asked = {lesson.question_feature} if group is None else set(group.features)
         before = 'yes' if asked & set(lesson.earlier_features) else 'no'
         keys += [(label(ENTER), f'as before: {before}'), ('o', 'all others as before')]
-    elif lesson is not None and _can_skip(lesson):
+    elif _can_skip(lesson):
         keys.append(('o', 'no to all others'))
     return keys
-
-
-def _phase(app: App) -> Phase:
-    return app.world.lesson.phase if app.world.lesson is not None else Phase.NO_SESSION
 
 
 def _showing(app: App) -> KeyTable:
@@ -427,7 +413,7 @@ def _showing(app: App) -> KeyTable:
 
 def _help(app: App) -> Sequence[tuple[str, str]]:
     leave = (label('ctrl-c'), 'leave at once')
-    if _phase(app) is Phase.ASKING:
+    if app.world.lesson.phase is Phase.ASKING:
         table = key_table((), _IN_PHASE[Phase.ASKING])
         return [*_question_keys(app), *table.labelled(_LONG), leave]
     table = _showing(app)

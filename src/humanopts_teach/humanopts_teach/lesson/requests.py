@@ -336,16 +336,18 @@ class LessonView:
     text: str = ''
 
 
+UNKNOWN = LessonView(Phase.NO_SESSION)  # nothing was heard of the lesson
+_NO_GAME = Transition()
+
+
 @dataclass
 class World:
-    """The newest of everything that the graph has published; None: nothing has come yet."""
+    """The newest of everything that the graph has published."""
 
-    domain: Domain[Any] | None = None
-    game: Transition | None = None
-    before: Transition | None = (
-        None  # the state from which the step was taken that led to ``game``
-    )
-    lesson: LessonView | None = None
+    domain: Domain[Any] | None = None  # None: it has not come yet
+    game: Transition = _NO_GAME  # of episode 0: none has come yet
+    before: Transition | None = None  # from which the step was taken that led to ``game``
+    lesson: LessonView = UNKNOWN
     progress: Sequence[OptionStatus] = ()
     running: str = ''  # what option_server took on last: an option, or action:NAME
     execution: str = ''  # of the policy that runs or ran last; empty: none did
@@ -361,11 +363,6 @@ class World:
     driven: list[str] = field(default_factory=list)  # the person's actions from there on
 
     @property
-    def paused(self) -> str:
-        """Why nothing new can be taught now; empty: it can."""
-        return self.lesson.paused if self.lesson is not None else ''
-
-    @property
     def i_drive(self) -> bool:
         """Whether this terminal holds control."""
         return bool(self.me) and self.holder == self.me
@@ -373,8 +370,8 @@ class World:
     def update_game(self, game: Transition) -> None:
         """Keep the newest state of the game, and the one before it where no step is missing."""
         now = self.game
-        if now is None or (game.episode, game.step) != (now.episode, now.step):
-            self.before = now if now is not None and game.follows(now) else None
+        if (game.episode, game.step) != (now.episode, now.step):
+            self.before = now if game.follows(now) else None
             if self.before is None or game.action_source is not Source.PERSON:
                 self.since, self.driven = game, []
             else:
@@ -385,7 +382,7 @@ class World:
     def last_effect(self) -> StepEffect | None:
         """What the last step did; None: none was taken, or its beginning was not seen."""
         domain, game, before = self.domain, self.game, self.before
-        if domain is None or game is None or before is None or not game.previous_action:
+        if domain is None or before is None or not game.previous_action:
             return None
         return effect_between(domain, before, game)
 
@@ -416,10 +413,7 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
         case SetExecution(execution):
             return world.execution == execution
         case NewEpisode():
-            return game is not None and game.episode >= answer.episode
-    if lesson is None:
-        return False
-    match request:
+            return game.episode >= answer.episode
         case OpenSession(participant, session):
             return lesson.participant == participant and session in ('', lesson.session)
         case DefineOption(name):
@@ -427,8 +421,7 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
         case AnswerQuestion(question_id):
             return lesson.question_id != question_id
         case BeginDemonstration():
-            begun = game is not None and game.episode >= answer.episode
-            return begun and lesson.episode == answer.episode
+            return game.episode >= answer.episode == lesson.episode
         case EndDemonstration(episode=episode):
             return lesson.episode != episode
         case WithdrawDemonstration():

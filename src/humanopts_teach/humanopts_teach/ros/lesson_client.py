@@ -31,6 +31,7 @@ from humanopts_teach.lesson.requests import (
     SetControl,
     SetPace,
     settled,
+    UNKNOWN,
     World,
 )
 from humanopts_teach.ros.convert import CONTROL_SERVICES, decode, encode, LESSON_SERVICES
@@ -119,12 +120,12 @@ class LessonClient:
     @property
     def lesson(self) -> LessonView | None:
         """Where the lesson stands; None: nothing was published yet."""
-        return self.world.lesson
+        return None if self.world.lesson is UNKNOWN else self.world.lesson
 
     @property
     def game(self) -> Transition | None:
         """The newest state of the game; None: nothing was published yet."""
-        return self.world.game
+        return self.world.game if self.world.game.episode else None
 
     def waits_for(self) -> str | None:
         """Return the first topic or service that is not there yet; None: all are."""

@@ -12,7 +12,6 @@ from pathlib import Path
 import time
 from typing import Any
 
-from humanopts_env.game import Transition
 from humanopts_interfaces import action as actions
 from humanopts_interfaces.msg import (
     ActionCommand,
@@ -263,7 +262,7 @@ class Runs:
         """Send the goal; the app gets the answer once the server has accepted it or not."""
         goal = encode(run, _ACTIONS[type(run)][0].Goal())
         if isinstance(run, RunOption):
-            game = self._app.world.game or Transition()
+            game = self._app.world.game
             goal.episode, goal.step = game.episode, game.step
 
         def on_feedback(message: Any) -> None:
