@@ -6,6 +6,7 @@ The work is imported when a command runs, so that help and completion are quick.
 
 from collections.abc import Sequence
 from functools import partial
+import gc
 import importlib
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -292,4 +293,6 @@ def _complain(path: str, text: str, status: int) -> int:
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    ended_with = main()
+    gc.freeze()  # so that nothing is searched for garbage at the end: half a second after a demo
+    sys.exit(ended_with)

@@ -5,10 +5,12 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 import sys
+import threading
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError, is_enumerable
 from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_learner.options.decision_tree import import_scikit_learn
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.request import batch_games, HUMAN, PlanError, PRIMITIVE
 from humanopts_teach.bags import BagError
@@ -100,7 +102,7 @@ def run_demo(
             'messages': bag.n_messages,
             'topics': len(bag.topics),
         }
-        from humanopts_teach.report.write import write_evaluation_report  # takes a second
+        from humanopts_teach.report.write import write_evaluation_report
 
         page = setup.directory / 'report.html'
         try:
@@ -150,10 +152,17 @@ def _teach_plan_play(
         graph.retry(partial(graph.plan, name, judged, setup.seed)) for name in (HUMAN, PRIMITIVE)
     ]
     progress.stage(f'playing {episodes} episodes')
+    threading.Thread(target=_import_what_follows, daemon=True).start()
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed))
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
     execution = Execution(played.episodes, played.successes, played.fallbacks, played.mean_return)
     return Live(tuple(options), tuple(map(row_of_result, plans)), execution)
+
+
+def _import_what_follows() -> None:
+    """Import what evaluates and draws: a second that would be waited for afterwards."""
+    import_scikit_learn()
+    from humanopts_teach.report import write  # noqa: F401
 
 
 def _problems(
