@@ -11,7 +11,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.planning.request import batch_games
 import numpy as np
 
-from benchmarks.measure import clocks, compare, in_turns, OnMeasured, Row, since, Timed
+from benchmarks.measure import clocks, compare, in_turns, OnMeasured, Row, Times
 
 QUICK = (2, 50, 2)
 BATCH = 4096  # games
@@ -38,21 +38,16 @@ def measure(
     rows = []
     for number, (what, domain, features, target) in enumerate(forms):
         progress(number / len(forms), what)
-        ours, one = in_turns(
-            [
-                partial(_many, domain, batch_steps, features=features),
-                partial(_one, domain, single_steps, features=features),
-            ],
-            repeats,
-        )
+        many = partial(_many, domain, batch_steps, features=features)
+        single = partial(_one, domain, single_steps, features=features)
+        ours, one = in_turns([many, single], repeats)
         facts = {'games': BATCH, 'steps': BATCH * batch_steps, 'yardstick_steps': single_steps}
-        rows.append(
-            compare(what, ours, 'the same, one game at a time', one, target=target, facts=facts)
-        )
+        usual = 'the same, one game at a time'
+        rows.append(compare(what, ours, usual, one, target=target, facts=facts))
     return rows
 
 
-def _many(domain: Domain[Any], steps: int, *, features: bool) -> Timed:
+def _many(domain: Domain[Any], steps: int, *, features: bool) -> Times:
     """Return the time of one step of one game among many."""
     games = TabularGames(domain) if is_enumerable(domain) else batch_games(domain)
     rng = generator(SEED, 'benchmark', 'games')
@@ -65,10 +60,10 @@ def _many(domain: Domain[Any], steps: int, *, features: bool) -> Timed:
             games.batch_features(batch)
         over = np.flatnonzero(games.batch_over(batch))
         games.batch_put(batch, over, games.batch_reset(len(over), rng))
-    return since(began).per(steps * BATCH)
+    return (clocks() - began) / (steps * BATCH)
 
 
-def _one(domain: Domain[Any], steps: int, *, features: bool) -> Timed:
+def _one(domain: Domain[Any], steps: int, *, features: bool) -> Times:
     """Return the time of one step of the only game."""
     rng = generator(SEED, 'benchmark', 'game')
     actions = rng.integers(len(domain.actions), size=steps).tolist()
@@ -79,4 +74,4 @@ def _one(domain: Domain[Any], steps: int, *, features: bool) -> Timed:
         if features:
             domain.feature_values(outcome.state)
         state = domain.reset(rng) if outcome.terminated else outcome.state
-    return since(began).per(steps)
+    return (clocks() - began) / steps

@@ -22,7 +22,7 @@ from humanopts_teach.launching.processes import processes, Setup
 import numpy as np
 from rclpy.action.client import ActionClient
 
-from benchmarks.measure import compare, OnMeasured, Row, Timed, Turns
+from benchmarks.measure import compare, OnMeasured, Row, Times
 from benchmarks.planning import TaxiCase
 from benchmarks.processes import bench_spec, Client, launched, NAMESPACE, own_place
 
@@ -66,28 +66,23 @@ def measure(
     return latencies(found[1:])
 
 
-def latencies(rounds: Sequence[Mapping[str, Sequence[Timed]]]) -> list[Row]:
+def latencies(rounds: Sequence[Mapping[str, Sequence[Times]]]) -> list[Row]:
     """
     Set each kind of latency beside its bare form.
 
     :param rounds: samples by the name of the measurement: ``step``, ``service K`` and
         ``action K`` of K steps, and the same after ``bare``.
     """
-
-    def turns(name: str, parts: int = 1) -> Turns:
-        return [[sample.per(parts) for sample in found[name]] for found in rounds]
-
-    bare_step = turns('bare step')
-    rows = [compare('a command, to the next state', turns('step'), BARE_STEP, bare_step)]
+    turns = {name: np.array([found[name] for found in rounds]) for name in rounds[0]}
+    bare_step = turns['bare step']
+    rows = [compare('a command, to the next state', turns['step'], BARE_STEP, bare_step)]
     for via, name in NAMES.items():
         for k in LENGTHS:
-            own, facts = f'{via} {k}', {'steps': k}
+            own, facts = turns[f'{via} {k}'], {'steps': k}
             what = f'{name}, {k} step' + 's' * (k > 1)
-            bare = turns(f'bare {via}')
-            rows.append(compare(what, turns(own), BARE[via], bare, facts=facts))
+            rows.append(compare(what, own, BARE[via], turns[f'bare {via}'], facts=facts))
             if k > 1:
-                each = turns(own, k)
-                rows.append(compare(f'{what}: a step', each, BARE_STEP, bare_step, facts=facts))
+                rows.append(compare(f'{what}: a step', own / k, BARE_STEP, bare_step, facts=facts))
     return rows
 
 
@@ -112,14 +107,8 @@ class _Measured:
         self._reset.until(self._resets.service_is_ready, 'reset_game')
         self._game = _Stepper(launcher, 'bench_step')
         self._echo = _Stepper(launcher, 'bench_echo', 'bare/')
-        self._runs: dict[str, _Caller | _Actor] = {
-            'service': _Caller(launcher, 'bench_run'),
-            'action': _Actor(launcher, 'bench_act'),
-        }
-        self._bare: dict[str, _Caller | _Actor] = {
-            'service': _Caller(launcher, 'bench_call', 'bare/'),
-            'action': _Actor(launcher, 'bench_goal', 'bare/'),
-        }
+        self._runs = {via: _Runner(launcher, via) for via in NAMES}
+        self._bare = {via: _Runner(launcher, via, 'bare/') for via in NAMES}
 
     def _await_ready(self, missing: set[str]) -> None:
         def keep(status: NodeStatus) -> None:
@@ -138,7 +127,7 @@ class _Measured:
         for client in (self._reset, self._game, self._echo, *both):
             client.close()
 
-    def take(self, steps: int, calls: int) -> dict[str, list[Timed]]:
+    def take(self, steps: int, calls: int) -> dict[str, list[Times]]:
         """Take one round of samples by the name of the measurement."""
         episode = self._begin(LENGTHS[0])
         found = {
@@ -151,17 +140,17 @@ class _Measured:
                 found[f'{via} {length}'] = [self._run(via, length) for _ in range(calls)]
         return found
 
-    def _run(self, via: str, length: int) -> Timed:
+    def _run(self, via: str, length: int) -> Times:
         """
         Run an option for so many steps; return the time.
 
         :raises LaunchError: it takes other steps.
         """
         episode = self._begin(length)
-        timed, result = self._runs[via].run(option_name=self._option, episode=episode)
+        times, result = self._runs[via].run(option_name=self._option, episode=episode)
         if (result.status, result.step_count) != (OptionResult.STATUS_REACHED, length):
             raise LaunchError(f'a run of {length} steps ended otherwise: {result.detail}')
-        return timed
+        return times
 
     def _begin(self, length: int) -> int:
         """
@@ -192,11 +181,11 @@ class _Stepper(Client):
     def _keep(self, state: GameState) -> None:
         self.at = (state.episode, state.step)
 
-    def steps(self, episode: int, count: int) -> list[Timed]:
+    def steps(self, episode: int, count: int) -> list[Times]:
         """Take steps from the first state of an episode; return the time of each."""
         return [self._step(episode, step) for step in range(count)]
 
-    def _step(self, episode: int, step: int) -> Timed:
+    def _step(self, episode: int, step: int) -> Times:
         command = ActionCommand(
             publisher_id=f'{NAMESPACE}/{self.node.get_name()}#00000000',
             sequence=step + 1,
@@ -208,37 +197,32 @@ class _Stepper(Client):
         began = self.clocks()
         self._commands.publish(command)
         self.until(lambda: self.at == (episode, step + 1), f'the answer to step {step}')
-        return self.since(began)
+        return self.clocks() - began
 
 
-class _Caller(Client):
-    """Calls the service that runs an option."""
+class _Runner(Client):
+    """Runs an option by a service, or by an action; returns the time and the result."""
 
-    def __init__(self, launcher: Launcher, name: str, prefix: str = '') -> None:
-        super().__init__(launcher, name)
-        self._client = self.node.create_client(RunOption, f'{prefix}run_option')
-        self.until(self._client.service_is_ready, f'{prefix}run_option')
+    def __init__(self, launcher: Launcher, via: str, prefix: str = '') -> None:
+        super().__init__(launcher, f'bench_{prefix.rstrip("/")}{via}')
+        if via == 'service':
+            self.run = self._call
+            self._client = self.node.create_client(RunOption, f'{prefix}run_option')
+            self.until(self._client.service_is_ready, f'{prefix}run_option')
+        else:
+            self.run = self._act
+            self._action = ActionClient(self.node, ExecuteOption, f'{prefix}execute_option')
+            self.until(self._action.server_is_ready, f'{prefix}execute_option')
 
-    def run(self, **request: Any) -> tuple[Timed, OptionResult]:
-        """Call; return the time and the result."""
+    def _call(self, **request: Any) -> tuple[Times, OptionResult]:
         asked = RunOption.Request(**request)
         began = self.clocks()
         reply = self.ask(self._client.call_async(asked), 'run_option')
-        return self.since(began), reply.result
+        return self.clocks() - began, reply.result
 
-
-class _Actor(Client):
-    """Sends goals to the action that runs an option."""
-
-    def __init__(self, launcher: Launcher, name: str, prefix: str = '') -> None:
-        super().__init__(launcher, name)
-        self._client = ActionClient(self.node, ExecuteOption, f'{prefix}execute_option')
-        self.until(self._client.server_is_ready, f'{prefix}execute_option')
-
-    def run(self, **goal: Any) -> tuple[Timed, OptionResult]:
-        """Send a goal; return the time until its result is here, and the result."""
+    def _act(self, **goal: Any) -> tuple[Times, OptionResult]:
         wanted = ExecuteOption.Goal(**goal)
         began = self.clocks()
-        handle = self.ask(self._client.send_goal_async(wanted), 'the goal to be accepted')
+        handle = self.ask(self._action.send_goal_async(wanted), 'the goal to be accepted')
         reply = self.ask(handle.get_result_async(), 'the result')
-        return self.since(began), reply.result.result
+        return self.clocks() - began, reply.result.result

@@ -1,8 +1,7 @@
 """Times to learn an option again after a demonstration, as the learner node does."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.demonstrations import Demonstration
@@ -13,7 +12,7 @@ from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
 
-from benchmarks.measure import clocks, compare, in_turns, OnMeasured, Row, since, Timed
+from benchmarks.measure import compare, in_turns, OnMeasured, Row, timed
 from benchmarks.planning import OPTIONS
 
 COUNTS = (10, 20, 40)
@@ -56,22 +55,15 @@ def _rows(shown: Sequence[Demonstration], domain: Taxi, repeats: int) -> list[Ro
     data = make_dataset(shown, domain)
     X, y = encode_rows(data.encoding, data.policy.rows), data.policy.labels
     option = learn_option(shown, domain, SEED)
-    works = {
+    works: dict[str, Callable[[], object]] = {
         'three trees fitted': partial(learn_option, shown, domain, SEED),
         'the criteria judged': partial(judge, shown, domain, Thresholds(), SEED, option),
         YARDSTICK: lambda: DecisionTreeClassifier(random_state=SEED).fit(X, y),
     }
-    *ours, yardstick = in_turns([partial(_timed, work) for work in works.values()], repeats)
+    *ours, yardstick = in_turns([partial(timed, work) for work in works.values()], repeats)
+    after = f'after {len(shown)} demonstrations'
     facts = {'demonstrations': len(shown), 'rows': len(X)}
     return [
-        compare(
-            f'after {len(shown)} demonstrations: {what}', own, YARDSTICK, yardstick, facts=facts
-        )
+        compare(f'{after}: {what}', own, YARDSTICK, yardstick, facts=facts)
         for what, own in zip(works, ours)
     ]
-
-
-def _timed(work: Any) -> Timed:
-    began = clocks()
-    work()
-    return since(began)

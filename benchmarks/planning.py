@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 import importlib.util
-from operator import attrgetter
 import resource
 import statistics
 import time
@@ -36,13 +35,13 @@ from humanopts_learner.options.option import (
 )
 from humanopts_learner.planning.exact import build_model, make_exact_plan
 from humanopts_learner.planning.request import HUMAN, PlanRequest, PRIMITIVE
-from humanopts_learner.planning.smdp import Model, MultiTimeModel
+from humanopts_learner.planning.smdp import MultiTimeModel
 from humanopts_learner.planning.value_iteration import compiled_sweep, solve_smdp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from benchmarks.measure import clocks, compare, in_turns, OnMeasured, ratios, Row, since, Timed
+from benchmarks.measure import clocks, compare, in_turns, OnMeasured, ratios, Row, timed, Times
 
 SIDES = (5, 25, 50, 100)
 LARGER = (200, 500)  # measured too where one still larger is asked for
@@ -86,7 +85,7 @@ class TaxiCase:
         rows, going = domain.feature_table(), ~domain.over()
         began = clocks()
         used = reference_options(domain, OPTIONS)
-        self.optimal_time = since(began)  # for the shortest paths of both
+        self.optimal_time = clocks() - began  # for the shortest paths of both
         known = [used[name] for name in OPTIONS]
         self.optimal = [TabularOption.of_reference(option, domain.n_states) for option in known]
         self.learned = [  # none on large grids: the trees would have millions of rows
@@ -101,7 +100,7 @@ class TaxiCase:
             for option, table in zip(known, self.optimal)
             if side <= SIDES[-1]
         ]
-        self.learned_time = since(began)  # for the paths, and for fitting
+        self.learned_time = clocks() - began  # for the paths, and for fitting
 
 
 @dataclass(frozen=True)
@@ -125,10 +124,10 @@ class Solver:
     """A way to solve a grid."""
 
     name: str
-    obtained: str  # what the solver needs besides the transitions, and its origin
     solve: Callable[[TaxiCase], Solved]
+    obtained: str = 'nothing'  # what it needs besides the transitions, and its origin
+    cost: str = ''  # the time to obtain that, an attribute of the case
     largest: int = LARGEST  # side of a grid
-    cost: Callable[[TaxiCase], Timed] = lambda case: Timed(0.0, 0.0)  # to obtain that
 
 
 def _planned(
@@ -248,33 +247,28 @@ def _discrete_dp(case: TaxiCase) -> Any:
     )
 
 
-GIVEN, OPTIMAL = 'shortest ways, as tables', attrgetter('optimal_time')
+GIVEN, EVERYWHERE = (
+    'shortest ways, as tables',
+    'trees fitted to the shortest ways from every state',
+)
+TREES, ALIKE = (
+    'options by composition, trees evaluated',
+    'that every step costs the same, without chance',
+)
 SOLVERS = (
-    Solver('options by composition', GIVEN, composed, cost=OPTIMAL),
-    Solver(
-        'options by composition, trees evaluated',
-        'trees fitted to the shortest ways from every state',
-        composed_from_trees,
-        SIDES[-1],
-        attrgetter('learned_time'),
-    ),
-    Solver('options by iterated models', GIVEN, iterated, SIDES[-1], OPTIMAL),
-    Solver('primitive value iteration', 'nothing', primitive),
-    Solver(
-        'breadth-first search backwards',
-        'that every step costs the same, without chance',
-        backwards,
-    ),
+    Solver('options by composition', composed, GIVEN, 'optimal_time'),
+    Solver(TREES, composed_from_trees, EVERYWHERE, 'learned_time', SIDES[-1]),
+    Solver('options by iterated models', iterated, GIVEN, 'optimal_time', SIDES[-1]),
+    Solver('primitive value iteration', primitive),
+    Solver('breadth-first search backwards', backwards, ALIKE),
+    Solver("quantecon's value iteration", quantecon, largest=SIDES[-1]),
 )
 
 
 def solvers(side: int = SIDES[0]) -> list[Solver]:
     """Return the solvers of a grid that can run here: quantecon's where it is installed."""
-    found = [*SOLVERS]
-    if importlib.util.find_spec('quantecon') is not None:
-        name = "quantecon's value iteration"
-        found.append(Solver(name, 'nothing', quantecon, SIDES[-1]))
-    return [solver for solver in found if side <= solver.largest]
+    missing = [] if importlib.util.find_spec('quantecon') else [quantecon]
+    return [one for one in SOLVERS if side <= one.largest and one.solve not in missing]
 
 
 def sides_up_to(largest: int) -> tuple[int, ...]:
@@ -297,13 +291,15 @@ def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
     :param repeats: turns of every solver; one more comes first, and is not counted.
     :raises DomainError: a side is not from 4 to 1000.
     """
-    began = clocks()
-    compiled_sweep()  # once, so that no solver's time has it
-    compiling = since(began).seconds
-    rows, total, done = [], sum(side * side for side in sides), 0
+    compiling = timed(compiled_sweep)[0]  # once, so that no solver's time has it
+    rows: list[Row] = []
+    total, done = sum(side * side for side in sides), 0
     for side in sides:
-        share, before = side * side / total, done / total
-        rows += _grid_rows(partial(_show, progress, side, before, share), side, repeats)
+        case, part = TaxiCase(side), side * side / total
+        show = partial(_show, progress, side, done / total, part)
+        rows += _solver_rows(show, case, side, 1 if side > SIDES[-1] else repeats + 1)
+        show(SOLVING, 'single sweeps')
+        rows += sweep_rows(case, side, repeats)
         done += side * side
     for row in rows:
         row['compile_seconds'] = compiling if row['solver'] == YARDSTICK else None
@@ -316,48 +312,43 @@ def _show(
     progress(before + share * part, f'taxi {side} x {side}: {text}')
 
 
-def _grid_rows(progress: OnMeasured, side: int, repeats: int) -> list[Row]:
-    case = TaxiCase(side)
-    rows = _solver_rows(progress, case, side, 1 if side > SIDES[-1] else repeats + 1)
-    progress(SOLVING, 'single sweeps')
-    return rows + sweep_rows(case, side, repeats)
-
-
 def _solver_rows(progress: OnMeasured, case: TaxiCase, side: int, turns: int) -> list[Row]:
     """Return a row for each solver; the first of several turns is not counted."""
     chosen = solvers(side)
-    runs: dict[str, list[Solved]] = {solver.name: [] for solver in chosen}
-    times: dict[str, list[Timed]] = {solver.name: [] for solver in chosen}
+    runs: dict[str, list[tuple[Solved, Times]]] = {solver.name: [] for solver in chosen}
     memory: dict[str, int] = {}
     for turn in range(turns):
         for number, solver in enumerate(chosen):
             done = (turn + number / len(chosen)) / turns
             progress(SOLVING * done, solver.name)
-            work = partial(_timed, solver, case)
-            if turn == 0:
-                (solved, timed), _, memory[solver.name] = traced(work)
+            began = clocks()
+            if turn:
+                solved = solver.solve(case)
             else:
-                solved, timed = work()
-            if turn or turns == 1:
-                runs[solver.name].append(solved)
-                times[solver.name].append(timed)
-    truth = runs['breadth-first search backwards'][0].values
-    yardstick = _median('seconds', runs[YARDSTICK])
-    processor_yardstick = _median('processor', times[YARDSTICK])
+                solved, _, memory[solver.name] = traced(partial(solver.solve, case))
+            times = np.array([solved.seconds, (clocks() - began)[1]])
+            runs[solver.name].append((solved, times))
+    runs = {name: found[turns > 1 :] for name, found in runs.items()}
+    each = {name: np.array([times for _, times in found]) for name, found in runs.items()}
+    truth = runs['breadth-first search backwards'][0][0].values
+    yardstick, processor_yardstick = np.median(each[YARDSTICK], axis=0).tolist()
     rows = []
     for solver in chosen:
-        found, cost = runs[solver.name], solver.cost(case)
-        seconds = {name: _median(name, found) for name in SECONDS}
+        found = [solved for solved, _ in runs[solver.name]]
+        cost = getattr(case, solver.cost) if solver.cost else np.zeros(2)
+        seconds = {
+            name: statistics.median(getattr(one, name) for one in found) for name in SECONDS
+        }
         rows.append(
             {
                 'side': side,
                 'n_states': len(truth),
                 'solver': solver.name,
                 'obtained': solver.obtained,
-                'obtained_seconds': cost.seconds,  # to get that, once, before all runs
-                'obtained_processor_seconds': cost.processor,
+                'obtained_seconds': float(cost[0]),  # to get that, once, before all runs
+                'obtained_processor_seconds': float(cost[1]),
                 **seconds,
-                'processor_seconds': _median('processor', times[solver.name]),
+                'processor_seconds': float(np.median(each[solver.name][:, 1])),
                 'sweeps': found[0].sweeps,
                 'error': float(np.abs(found[0].values - truth).max()),  # reward units
                 'yardstick': YARDSTICK,
@@ -365,7 +356,7 @@ def _solver_rows(progress: OnMeasured, case: TaxiCase, side: int, turns: int) ->
                 'yardstick_processor_seconds': processor_yardstick,
                 'samples': len(found),
                 'ratio': seconds['seconds'] / yardstick,
-                **ratios(times[solver.name], times[YARDSTICK]),
+                **ratios(each[solver.name], each[YARDSTICK]),
                 'table_bytes': case.table_bytes,
                 'memory_bytes': memory[solver.name],
                 'bytes_a_state': (case.table_bytes + memory[solver.name]) / len(truth),
@@ -391,51 +382,43 @@ def sweep_rows(case: TaxiCase, side: int, repeats: int = 5) -> list[Row]:
     size = SWEEP_BYTES * n_states
     origin, target = np.ones(COPIED // 16), np.empty(COPIED // 16)
 
-    def copied() -> Timed:
-        began = clocks()
-        np.copyto(target, origin)
-        seconds, processor = since(began)
-        return Timed(seconds * size / COPIED, processor * size / COPIED)
+    def swept() -> Times:
+        ends: list[Times] = []  # of sweeps from values of 0
 
-    def swept() -> Timed:
-        spent, done = Timed(0.0, 0.0), 0
+        def keep(sweep: int, residual: float) -> None:
+            ends.append(clocks())
+
+        spent, done = np.zeros(2), 0
         while done < sweeps:  # on small grids nothing changes any more after a few
-            timed, count = _sweeps(model, sweeps - done)
-            spent = Timed(spent.seconds + timed.seconds, spent.processor + timed.processor)
-            done += count
-        return spent.per(done)
+            ends.clear()
+            solve_smdp(model, 0.0, sweeps - done + 1, keep)
+            spent += ends[-1] - ends[0]  # the first sweep is left out
+            done += len(ends) - 1
+        return spent / done
 
-    works: dict[str, Callable[[], Timed]] = {}
+    works: dict[str, Callable[[], Times]] = {'ours': swept}
     if n_states >= TRAFFIC_FROM:
-        works['a copy'] = copied
+        copied = partial(np.copyto, target, origin)
+        works['a copy'] = lambda: timed(copied) * size / COPIED
     if importlib.util.find_spec('quantecon') is not None:
         problem = _discrete_dp(case)
 
-        def theirs() -> Timed:
+        def theirs() -> Times:
             began, values = clocks(), np.zeros(n_states)
             done = problem.operator_iteration(problem.bellman_operator, values, sweeps, 0.0)
-            return since(began).per(done)
+            per_sweep: Times = (clocks() - began) / done
+            return per_sweep
 
         works['quantecon'] = theirs
-    own, *others = in_turns([swept, *works.values()], repeats)
-    times = dict(zip(works, others))
-    found = []
+    times, found = dict(zip(works, in_turns([*works.values()], repeats))), []
+    own, what = times['ours'], f'{SWEEP}, beside a copy'
     if 'a copy' in times:
-        copy = times['a copy']
-        found.append(compare(f'{SWEEP}, beside a copy', own, 'a copy of as many bytes', copy))
+        found.append(compare(what, own, 'a copy of as many bytes', times['a copy']))
     if 'quantecon' in times:
         found.append(compare("quantecon's sweep, beside ours", times['quantecon'], SWEEP, own))
     facts = {'sweep_bytes': size, 'process_bytes': _process_bytes()}
     shared = {'side': side, 'n_states': n_states, **facts}
     return [{**shared, 'solver': row.pop('what'), **row} for row in found]
-
-
-def _sweeps(model: Model, most: int) -> tuple[Timed, int]:
-    """Return the time of sweeps from values of 0, the first left out, and their number."""
-    times: list[Timed] = []
-    solve_smdp(model, 0.0, most + 1, lambda sweep, residual: times.append(clocks()))
-    (began, began_processor), (ended, ended_processor) = times[0], times[-1]
-    return Timed(ended - began, ended_processor - began_processor), len(times) - 1
 
 
 def traced(work: Callable[[], Result]) -> tuple[Result, int, int]:
@@ -450,13 +433,3 @@ def traced(work: Callable[[], Result]) -> tuple[Result, int, int]:
 def _process_bytes() -> int:
     """Return the most memory that this process had at once until now."""
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-
-
-def _timed(solver: Solver, case: TaxiCase) -> tuple[Solved, Timed]:
-    began = clocks()
-    solved = solver.solve(case)
-    return solved, Timed(solved.seconds, since(began).processor)
-
-
-def _median(field: str, runs: Sequence[Solved] | Sequence[Timed]) -> float:
-    return float(statistics.median(getattr(run, field) for run in runs))

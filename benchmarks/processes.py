@@ -14,13 +14,14 @@ from humanopts_ros.environment import prepare_discovery
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec, Value
+import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
-from benchmarks.measure import Timed
+from benchmarks.measure import Times
 
 # Domains whose UDP ports lie above those that Linux hands out to other programs.
 DOMAIN_IDS = range(215, 232)
@@ -131,14 +132,10 @@ class Client:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
 
-    def clocks(self) -> Timed:
+    def clocks(self) -> Times:
         """Return a clock on the wall, and the processor time of this process and all launched."""
         pids = [os.getpid(), *self._launcher.pids]
-        return Timed(time.perf_counter(), sum(map(processor_time, pids)))
-
-    def since(self, began: Timed) -> Timed:
-        """Return the time since ``clocks`` returned that."""
-        return Timed(*(now - then for now, then in zip(self.clocks(), began)))
+        return np.array([time.perf_counter(), sum(map(processor_time, pids))])
 
     def until(self, done: Callable[[], Any], what: str, seconds: float = _PATIENCE) -> None:
         """

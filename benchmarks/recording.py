@@ -24,12 +24,13 @@ from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec
 from humanopts_teach.launching.usage import Usage, usage_of
+import numpy as np
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import serialize_message
 
 from benchmarks.bench_reader import KINDS
-from benchmarks.measure import OnMeasured, ratios, Row, Timed
+from benchmarks.measure import OnMeasured, ratios, Row
 from benchmarks.processes import (
     bench_spec,
     Client,
@@ -51,6 +52,7 @@ RECORDER = 'the recorder'
 YARDSTICK = 'taken in the same way, not written'
 CALLBACK = 'a raw subscription with a callback, not written'
 READERS = (RECORDER, YARDSTICK, CALLBACK)
+COUNTED = ('sent', 'taken', 'lost')  # messages of a turn
 OnSent = Callable[[float], object]  # share that is sent
 
 
@@ -114,8 +116,8 @@ def measure(progress: OnMeasured, loads: Sequence[Load] = LOADS) -> list[Row]:
             share, text = load.seconds / total, f'messages {load.name}: {name}'
             on_sent = partial(_part, progress, text, done / total, share)
             on_sent(0.0)
-            take = record if name == RECORDER else read
-            runs[load][name].append(take(load, name, folder / str(number), on_sent))
+            take = record if name == RECORDER else partial(read, name=name)
+            runs[load][name].append(take(load, folder=folder / str(number), on_sent=on_sent))
             done += load.seconds
     return [row for load in loads for row in recording(load, runs[load])]
 
@@ -125,7 +127,7 @@ def _part(progress: OnMeasured, text: str, begun: float, length: float, share: f
     progress(begun + share * length, text)
 
 
-def record(load: Load, name: str, folder: Path, on_sent: OnSent) -> Run:
+def record(load: Load, folder: Path, on_sent: OnSent) -> Run:
     """Send to the recorder; return what came of it."""
     parameters = {'path': str(folder / 'bag')}
     recorder = ProcessSpec('recorder', 'humanopts_teach.ros.recorder', parameters)
@@ -147,26 +149,26 @@ def read(load: Load, name: str, folder: Path, on_sent: OnSent) -> Run:
     reader = bench_spec('bench_reader', results=str(results), polled=name == YARDSTICK)
     sent = _send(load, reader, folder, on_sent)
     # A reader that is stopped, or was killed because it did not end, leaves no results.
-    found = json.loads(results.read_text('utf-8')) if results.exists() else {}
-    taken = found.get('taken', 0)
-    lost = sent['sent'] - taken
-    return Run(taken=taken, lost=lost, waited=found.get('waited', 0.0), **sent)
+    found = json.loads(results.read_text('utf-8')) if results.exists() else {'taken': 0}
+    lost = sent['sent'] - found['taken']
+    return Run(**{'waited': 0.0, **found}, lost=lost, **sent)
 
 
 def _send(load: Load, reader: ProcessSpec, folder: Path, on_sent: OnSent) -> dict[str, Any]:
     """Send to a reader; return the fields of ``Run`` that do not depend on what it took."""
     looks: list[Usage] = []
     with launched([reader], folder) as launcher:
+        pid = launcher.pid(reader.name)
 
         def watch() -> None:
-            looks.append(usage_of(launcher.pid(reader.name)))
+            looks.append(usage_of(pid))
             on_sent(min(1.0, (looks[-1].time - looks[0].time) / load.seconds))
             launcher.check()
 
         with closing(_Sender(launcher, load, reader.name)) as sender:
-            began = processor_time(launcher.pid(reader.name))
+            began = processor_time(pid)
             number, size, seconds = sender.send(watch)
-            used = processor_time(launcher.pid(reader.name)) - began
+            used = processor_time(pid) - began
             if not sender.all_received(0.0):
                 stop(launcher)  # it takes what is left while the sender can still send it
     first, middle, last = looks[0], looks[len(looks) // 2], looks[-1]
@@ -277,59 +279,51 @@ def _fill(message: Any) -> None:
 
 def recording(load: Load, runs: Mapping[str, Sequence[Run]]) -> list[Row]:
     """Return the results of all readers for one load, beside the yardstick."""
-    each = {name: [_each(run) for run in found] for name, found in runs.items()}
-    yardstick = _median(each[YARDSTICK])
+    each = {  # the time of each message of each turn, (T, 2)
+        name: np.array([[run.seconds, run.processor_seconds] for run in found])
+        / np.array([[max(run.sent, 1)] for run in found])
+        for name, found in runs.items()
+    }
+    usual, usual_processor = np.median(each[YARDSTICK], axis=0).tolist()
     rows = []
     for name, found in runs.items():
-        sent, (seconds, processor_seconds) = sum(run.sent for run in found), _median(each[name])
+        sent, taken, lost = (sum(getattr(run, of) for run in found) for of in COUNTED)
+        seconds, processor_seconds = np.median(each[name], axis=0).tolist()
         rows.append(
             {
                 'load': load.name,
                 'what': name,
                 'turns': len(found),
                 'sent': sent,  # over all turns, as the next two
-                'taken': sum(run.taken for run in found),
-                'lost': sum(run.lost for run in found),
+                'taken': taken,
+                'lost': lost,
                 'message_bytes': sum(run.bytes for run in found) / max(sent, 1),
                 'seconds': seconds,  # for each message, the median of the turns
                 'processor_seconds': processor_seconds,  # of the reader, as ``seconds``
                 'yardstick': YARDSTICK,
-                'yardstick_seconds': yardstick.seconds,
-                'yardstick_processor_seconds': yardstick.processor,
+                'yardstick_seconds': usual,
+                'yardstick_processor_seconds': usual_processor,
                 'target': load.rate or None,  # a second; None: as many as are taken
                 'processor': statistics.median(run.processor for run in found),
                 'memory': max(run.memory for run in found),
                 'grown': max(run.grown for run in found),
                 'waited': max(run.waited for run in found),
                 'per_second': 1.0 / seconds,
-                'ratio': seconds / yardstick.seconds,
+                'ratio': seconds / usual,
                 **ratios(each[name], each[YARDSTICK]),
-                # share of the yardstick's messages a second
-                'throughput': yardstick.seconds / seconds,
-                'remark': _remark(load, found),
+                'throughput': usual / seconds,  # share of the yardstick's messages a second
+                'remark': _remark(load, load.messages * len(found), sent, lost),
             }
         )
     return rows
 
 
-def _remark(load: Load, runs: Sequence[Run]) -> str:
+def _remark(load: Load, wanted: int, sent: int, lost: int) -> str:
     """Return in words what a reader did not get or lost; empty: it took everything."""
-    wanted, sent = load.messages * len(runs), sum(run.sent for run in runs)
-    lost, remarks = sum(run.lost for run in runs), []
+    remarks = []
     if sent < wanted:
-        remarks.append(
-            f'was too slow: {sent:,} of {wanted:,} messages could be sent to it in '
-            f'{load.longest:g} s a turn'
-        )
+        text = f'{sent:,} of {wanted:,} messages could be sent to it in {load.longest:g} s a turn'
+        remarks.append(f'was too slow: {text}')
     if lost:
         remarks.append(f'lost {lost:,} of the {sent:,} messages that were sent to it')
     return '; '.join(remarks)
-
-
-def _each(run: Run) -> Timed:
-    """Return the time of each message of a turn."""
-    return Timed(run.seconds, run.processor_seconds).per(max(run.sent, 1))
-
-
-def _median(times: Sequence[Timed]) -> Timed:
-    return Timed(*map(statistics.median, zip(*times)))

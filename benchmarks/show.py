@@ -1,7 +1,6 @@
 """Tables of the measurements, and the figure of planning."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,10 +43,6 @@ def _rate(value: float) -> str:
     return f'{float(f"{value:.3g}"):,.0f}' if value >= 10 else f'{value:.1f}'
 
 
-def _whole(value: int) -> str:
-    return f'{value:,}'
-
-
 def _megabytes(size: float) -> str:
     return f'{size / 1e6:.1f} MB'
 
@@ -57,65 +52,52 @@ def _digits(value: float) -> str:
     return f'{value:,.0f}' if value >= 100 else f'{value:.3g}'
 
 
-@dataclass(frozen=True)
-class _Column:
-    """One column of a table."""
-
-    title: str
-    key: str  # of a row
-    text: Callable[[Any], str] | None = None  # None: it is text; else a number, to the right
-
-
-_RATIOS = (
-    _Column('ratio on the wall', 'wall_ratio', ratio_interval),
-    _Column('ratio of processor', 'processor_ratio', ratio_interval),
-)
-_COMPARISON = (
-    _Column('what', 'what'),
-    _Column('median', 'seconds', duration),
-    _Column('processor', 'processor_seconds', duration),
-    _Column('99 %', 'slow_seconds', duration),
-    _Column('a second', 'per_second', _rate),
-    _Column('wanted', 'target', _rate),
-    _Column('yardstick', 'yardstick'),
-    _Column('median', 'yardstick_seconds', duration),
-    _Column('processor', 'yardstick_processor_seconds', duration),
-    _Column('99 %', 'yardstick_slow_seconds', duration),
-    *_RATIOS,
-)
-_COLUMNS = {
-    'planning': (
-        _Column('states', 'n_states', _whole),
-        _Column('solver', 'solver'),
-        _Column('is given', 'obtained'),
-        _Column('cost', 'obtained_seconds', duration),
-        _Column('tables', 'table_seconds', duration),
-        _Column('models', 'model_seconds', duration),
-        _Column('sweeping', 'sweep_seconds', duration),
-        _Column('all', 'seconds', duration),
-        _Column('processor', 'processor_seconds', duration),
-        _Column('sweeps', 'sweeps', str),
-        _Column('error', 'error', lambda error: f'{error:.0e}' if error else '0'),
-        _Column('compiling', 'compile_seconds', duration),
-        _Column('bytes a state', 'bytes_a_state', lambda size: f'{size:,.0f}'),
-        *_RATIOS,
-    ),
-    'learning': _COMPARISON,
-    'games': _COMPARISON,
-    'graph': _COMPARISON,
-    'recording': (
-        _Column('messages', 'load'),
-        _Column('reader', 'what'),
-        _Column('sent', 'sent', _whole),
-        _Column('lost', 'lost', _whole),
-        _Column('a second', 'per_second', _rate),
-        _Column('throughput', 'throughput', lambda share: f'{share:.2f}'),
-        _Column('processor', 'processor', lambda share: f'{share:.0%}'),
-        _Column('memory', 'memory', _megabytes),
-        _Column('grown', 'grown', _megabytes),
-        _Column('waited', 'waited', duration),
-        *_RATIOS,
-    ),
+# Columns: title, key of a row, and what makes text of a number, or its format; '': it is text.
+_Column = tuple[str, str, Callable[[Any], str] | str]
+_RATIOS: list[_Column] = [
+    ('ratio on the wall', 'wall_ratio', ratio_interval),
+    ('ratio of processor', 'processor_ratio', ratio_interval),
+]
+_COMPARISON: list[_Column] = [
+    ('what', 'what', ''),
+    ('median', 'seconds', duration),
+    ('processor', 'processor_seconds', duration),
+    ('99 %', 'slow_seconds', duration),
+    ('a second', 'per_second', _rate),
+    ('wanted', 'target', _rate),
+    ('yardstick', 'yardstick', ''),
+    ('median', 'yardstick_seconds', duration),
+    ('processor', 'yardstick_processor_seconds', duration),
+    ('99 %', 'yardstick_slow_seconds', duration),
+]
+_COLUMNS: dict[str, list[_Column]] = {
+    'planning': [
+        ('states', 'n_states', ','),
+        ('solver', 'solver', ''),
+        ('is given', 'obtained', ''),
+        ('cost', 'obtained_seconds', duration),
+        ('tables', 'table_seconds', duration),
+        ('models', 'model_seconds', duration),
+        ('sweeping', 'sweep_seconds', duration),
+        ('all', 'seconds', duration),
+        ('processor', 'processor_seconds', duration),
+        ('sweeps', 'sweeps', 'd'),
+        ('error', 'error', lambda error: f'{error:.0e}' if error else '0'),
+        ('compiling', 'compile_seconds', duration),
+        ('bytes a state', 'bytes_a_state', ',.0f'),
+    ],
+    'recording': [
+        ('messages', 'load', ''),
+        ('reader', 'what', ''),
+        ('sent', 'sent', ','),
+        ('lost', 'lost', ','),
+        ('a second', 'per_second', _rate),
+        ('throughput', 'throughput', '.2f'),
+        ('processor', 'processor', '.0%'),
+        ('memory', 'memory', _megabytes),
+        ('grown', 'grown', _megabytes),
+        ('waited', 'waited', duration),
+    ],
 }
 _TITLES = {
     'planning': 'Planning on Taxi, beside primitive value iteration',
@@ -129,21 +111,25 @@ _PARTS = {'planning': 'n_states', 'recording': 'load'}  # a line is drawn where 
 
 def section_table(name: str, rows: Sequence[Row]) -> Table:
     """Return the table of a section; columns without any value are left out."""
-    columns = [
-        column for column in _COLUMNS[name] if any(row.get(column.key) is not None for row in rows)
-    ]
+    columns = [*_COLUMNS.get(name, _COMPARISON), *_RATIOS]
+    columns = [one for one in columns if any(row.get(one[1]) is not None for row in rows)]
     table = Table(title=_TITLES[name], title_justify='left', box=SIMPLE, pad_edge=False)
-    for column in columns:
-        if column.text is None:
-            table.add_column(column.title, min_width=_LEAST)
+    for title, _, text in columns:
+        if text:
+            table.add_column(title, justify='right', no_wrap=True)
         else:
-            table.add_column(column.title, justify='right', no_wrap=True)
+            table.add_column(title, min_width=_LEAST)
     parts = [row.get(_PARTS.get(name, '')) for row in rows]
     for row, part, following in zip(rows, parts, [*parts[1:], None]):
-        cells = [(column.text or str, row.get(column.key)) for column in columns]
-        texts = ['' if value is None else text(value) for text, value in cells]
+        texts = [_text(row.get(key), text) for _, key, text in columns]
         table.add_row(*texts, end_section=part != following)
     return table
+
+
+def _text(value: Any, text: Callable[[Any], str] | str) -> str:
+    if value is None:
+        return ''
+    return format(value, text) if isinstance(text, str) else text(value)
 
 
 def remarks(rows: Sequence[Row]) -> list[str]:

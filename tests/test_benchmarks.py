@@ -26,7 +26,7 @@ from benchmarks import games, learning, planning
 from benchmarks.games import BATCH
 from benchmarks.graph import latencies, LENGTHS, SIDE, start_of
 from benchmarks.learning import demonstrations
-from benchmarks.measure import compare, in_turns, machine_facts, Timed
+from benchmarks.measure import compare, in_turns, machine_facts, Times
 from benchmarks.planning import OPTIONS, solvers, TaxiCase
 from benchmarks.processes import DOMAIN_IDS, own_domain, processor_time
 from benchmarks.recording import Load, READERS, RECORDER, recording, Run
@@ -90,7 +90,7 @@ def test_each_latency_stands_beside_its_own_bare_form() -> None:
     for k in LENGTHS:
         known |= {f'service {k}': [8.0 * k], f'action {k}': [16.0 * k]}
     first, second = (
-        {name: [Timed(busy * s, s / 10) for s in found] for name, found in known.items()}
+        {name: [np.array([busy * s, s / 10]) for s in found] for name, found in known.items()}
         for busy in (1.0, 5.0)
     )
     rows = {row['what']: row for row in latencies([first, second])}
@@ -243,9 +243,9 @@ def test_ratio_is_of_the_medians() -> None:
     assert (row['processor_seconds'], row['yardstick_processor_seconds']) == (0.25, 0.125)
 
 
-def one_a_turn(*seconds: float) -> list[list[Timed]]:
+def one_a_turn(*seconds: float) -> Times:
     """Return a sample a turn, with half of it as processor time."""
-    return [[Timed(each, each / 2)] for each in seconds]
+    return np.array([[[each, each / 2]] for each in seconds])
 
 
 def test_intervals_of_ratios_are_those_of_the_turns() -> None:
@@ -253,8 +253,8 @@ def test_intervals_of_ratios_are_those_of_the_turns() -> None:
     busy = [1.0, 4.0, 30.0, 2.0]
     own, other = [2.0, 2.2, 1.9, 2.1], [1.0, 1.0, 1.1, 0.9]
     row = compare(
-        *('a', [[Timed(load * each, each)] for load, each in zip(busy, own)]),
-        *('b', [[Timed(load * each, each)] for load, each in zip(busy, other)]),
+        *('a', np.array([[[load * each, each]] for load, each in zip(busy, own)])),
+        *('b', np.array([[[load * each, each]] for load, each in zip(busy, other)])),
     )
     known = asdict(Interval.of_ratio(own, other))
     assert known['low'] < 2.0 < known['high']
@@ -272,12 +272,12 @@ def test_percentile_needs_a_hundred_samples(count: int, slow: float | None) -> N
 def test_works_take_turns_and_the_first_turn_is_not_counted() -> None:
     calls: list[str] = []
 
-    def work(name: str) -> Timed:
+    def work(name: str) -> Times:
         calls.append(name)
-        return Timed(float(len(calls)), 0.0)
+        return np.array([float(len(calls)), 0.0])
 
     found = in_turns([lambda: work('a'), lambda: work('b')], 2)
-    seconds = [[timed.seconds for (timed,) in turns] for turns in found]
+    seconds = [turns[:, 0, 0].tolist() for turns in found]
     assert seconds == [[3.0, 5.0], [4.0, 6.0]]
     assert ''.join(calls) == 'ababab'
 
