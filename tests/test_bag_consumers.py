@@ -171,6 +171,7 @@ def test_mcap_reads_messages_attachments_and_facts_of_several_files(
             assert summary is not None
             assert summary.statistics is not None
             assert summary.statistics.message_count == len(messages)
+            assert {chunk.compression for chunk in summary.chunk_indexes} == {'zstd'}
             sequences += messages
             attached |= {item.name: item.data for item in reader.iter_attachments()}
             records = {record.name: record.metadata for record in reader.iter_metadata()}

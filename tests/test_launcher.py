@@ -355,15 +355,6 @@ def test_what_was_learned_is_known_once_all_of_it_has_come_in_any_order(
         conductor.close()
 
 
-def test_nodes_that_cannot_be_imported_are_no_traceback(tmp_path: Path) -> None:
-    launcher = Launcher([spec('game', 'no_such_module')], tmp_path / 'log')
-    launcher.start()
-    try:
-        assert death(launcher).startswith('the node game ended (exit status 1) while it was')
-    finally:
-        launcher.stop()
-
-
 def test_a_log_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / 'log').write_text('')
     with pytest.raises(LaunchError, match=r'cannot write logs in .*/log'):

@@ -191,9 +191,3 @@ def test_what_is_damaged_in_the_data_set_is_named_and_the_rest_is_kept(
     assert str(learning.known()) == before
     assert data.read_bytes() == whole
     assert (learning.folder / f'{DATA_SET}.torn-1').read_bytes() == b'{"kind": "traj'
-
-
-def test_a_folder_that_cannot_be_used_is_named(learning: Learning, tmp_path: Path) -> None:
-    (tmp_path / 'file').write_text('')
-    text = learning.graph.refused(LEARNER, directory=tmp_path / 'file')
-    assert f'cannot use the folder {tmp_path / "file"}' in text

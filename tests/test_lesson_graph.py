@@ -14,13 +14,11 @@ from humanopts_interfaces.msg import (
     NodeStatus,
 )
 from humanopts_interfaces.srv import (
-    AnswerQuestion,
     BeginDemonstration,
     ChangeOption,
     EndDemonstration,
     ListDemonstrations,
     ListOptions,
-    OpenSession,
     ResetGame,
     WithdrawDemonstration,
 )
@@ -212,30 +210,6 @@ def test_a_learner_that_missed_something_gets_it_once_it_is_heard_again(
     says.publish(LearningStatus(publisher_id='/learner#1'))
     graph.until(lambda: len(person.shown) > known, 'the demonstration again')
     assert person.shown[-1].uuid == uuid
-
-
-def test_a_person_gets_clear_refusals_and_can_go_on(graph: Graph, person: Person) -> None:
-    person.start_lesson(learner_deadline=0.2)
-    person.phase(LessonState.PHASE_NO_SESSION)
-    early = person.ask(BeginDemonstration)
-    assert early.status == BeginDemonstration.Response.STATUS_WRONG_PHASE
-    assert 'Open a session' in early.detail
-    bad = person.ask(OpenSession, participant='no code')
-    assert bad.status == OpenSession.Response.STATUS_BAD_NAME
-    person.get_ready()
-    unasked = person.ask(AnswerQuestion, question_id=3, yes=True)
-    assert unasked.status == AnswerQuestion.Response.STATUS_NOT_ASKED
-    nowhere = person.ask(BeginDemonstration, start_state='nowhere')
-    assert nowhere.status == BeginDemonstration.Response.STATUS_BAD_STATE
-
-    episode = person.begin()
-    assert person.end(episode, 0).status == EndDemonstration.Response.STATUS_NO_STEPS
-    verdict = person.ask(EndDemonstration, verdict=9)
-    assert verdict.status == EndDemonstration.Response.STATUS_BAD_VERDICT
-    other = person.end(episode + 1, 0)
-    assert other.status == EndDemonstration.Response.STATUS_NOT_CURRENT
-    person.drive(episode, 'west')
-    assert person.end(episode, 1).status == EndDemonstration.Response.STATUS_OK
 
 
 def test_a_reset_by_somebody_else_ends_the_demonstration(graph: Graph, person: Person) -> None:

@@ -148,12 +148,6 @@ def test_goals_and_results_of_runs_are_on_the_graph(runs: Runs) -> None:
     assert runs.results[-1].step_count == result.step_count
 
 
-def test_a_primitive_action_is_an_option_of_one_step(runs: Runs) -> None:
-    result = runs.run('action:north')
-    assert (result.status, result.step_count) == (OptionResult.STATUS_REACHED, 1)
-    assert runs.steps(result)[0].previous_action == 'north'
-
-
 def test_whatever_is_current_is_where_a_run_starts_that_names_no_moment(runs: Runs) -> None:
     runs.player.fresh(START)
     runs.player.do('north')
@@ -222,13 +216,6 @@ def test_an_unknown_option_is_refused_with_what_there_is(runs: Runs) -> None:
     whose = runs.run(FETCH, participant='p2')
     assert whose.status == OptionResult.STATUS_UNKNOWN_OPTION
     assert "participant 'p2'" in whose.detail
-
-
-def test_an_option_outside_its_initiation_set_is_not_available(runs: Runs) -> None:
-    result = runs.run(FETCH, ABOARD)
-    assert result.status == OptionResult.STATUS_NOT_AVAILABLE
-    assert ABOARD in result.detail
-    assert (result.step_count, result.run_id) == (0, '')
 
 
 def test_without_an_episode_under_way_nothing_runs(runs: Runs) -> None:

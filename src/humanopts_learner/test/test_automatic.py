@@ -21,16 +21,13 @@ from humanopts_learner.automatic.extract import (
 from humanopts_learner.automatic.subgoals import draw_tasks
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, tabulate
-from humanopts_learner.planning.exact import make_exact_plan
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (
     batch_games,
-    HUMAN_AND_PRIMITIVE,
     NoOptionsError,
     PlanCanceled,
     PlanError,
     PlanRequest,
-    PRIMITIVE,
     select_options,
 )
 from humanopts_learner.planning.sampled.action_set import ActionSet
@@ -164,16 +161,6 @@ def test_the_doorways_of_rooms_lie_on_most_runs() -> None:
     doorway = rooms.feature_table()[:, 3] != 0
     near = doorway | doorway[space.transitions.successor[:, :, 0]].any(axis=1)
     assert sum(near[option.target.cell] for option in found('rooms').options[:4]) >= 2
-
-
-@pytest.mark.heavy
-def test_planning_with_automatic_options_and_primitives_loses_nothing() -> None:
-    taxi = Taxi()
-    best = make_exact_plan(taxi, (), PlanRequest(PRIMITIVE, gamma=0.99)).solution.values
-    both = make_exact_plan(
-        taxi, found('taxi').options, PlanRequest(HUMAN_AND_PRIMITIVE, gamma=0.99)
-    )
-    assert both.solution.values == pytest.approx(best, abs=1e-6)
 
 
 def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
@@ -314,19 +301,6 @@ def test_a_file_keeps_an_automatic_option_without_demonstrations() -> None:
     assert again == option
     assert not demonstrations
     assert (again.participant, again.n_demonstrations) == ('automatic', 0)
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize('action_set', ['automatic', 'automatic+primitive'])
-def test_plans_of_learned_form_and_of_tables_are_the_same(action_set: str) -> None:
-    taxi = Taxi()
-    plan: Any = make_plan(taxi, options('taxi'), PlanRequest(action_set))
-    tabled = make_exact_plan(taxi, found('taxi').options, PlanRequest(action_set))
-    space = found('taxi').space
-    going = space.reached & ~space.over
-    assert (plan.solution.values == tabled.solution.values)[going].all()
-    assert (plan.solution.best == tabled.solution.best)[going].all()
-    assert plan.first_fallback == (len(plan.options) if action_set == 'automatic' else 9 + 6)
 
 
 @pytest.mark.heavy

@@ -151,11 +151,6 @@ def test_a_recorder_that_was_killed_records_no_more(tmp_path: Path) -> None:
     assert 'was not closed' in opened.damage
 
 
-def test_no_bag_is_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['bag', 'check', str(tmp_path / 'nothing')]) == 2
-    assert 'there is no bag at' in capsys.readouterr().err
-
-
 def damage(bag: Path, *kinds: str) -> None:
     """Damage a bag in some ways, one after the other."""
     file = bag / f'{bag.name}_0.mcap'
