@@ -168,6 +168,7 @@ def test_a_shell_completes_what_is_typed(
         (('teach', 'taxi', '--browser', '--only', 'game'), ['--only is not for --browser']),
         (('up', 'taxi', '--namespace', '/left hand'), ["'/left hand' is not a namespace"]),
         (('teach', 'taxi'), ['terminal']),
+        (('status', '--namespace', 'room'), ["'room' is not a namespace"]),
         (('teach', 'taxi', '--participant', 'J. Doe'), ["'J. Doe' is not a code"]),
         (('bag',), ['command']),
         (('bag', 'burn', 'x'), ["'burn'", 'info', 'eval']),

@@ -1,14 +1,21 @@
 """The lesson over the real graph, with game, learner and teacher; the test is the person."""
 
+import os
 from pathlib import Path
+import re
 import shutil
+import subprocess
+import sys
 from typing import Any
 
-from graph_support.live import GAME, Graph, LEARNER, LESSON, OPTION_SERVER, TEACHER
-from graph_support.teaching import CHOSEN, Person, PICKUP
+from graph_support.live import GAME, Graph, LEARNER, LESSON, OPTION_SERVER, RECORDER, TEACHER
+from graph_support.teaching import CHOSEN, Person, PICKUP, SERVICES, START
+from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import (
     ControlState,
     DemonstrationReceipt,
+    GameState,
+    LearnedOptions,
     LearningStatus,
     LessonState,
     NodeStatus,
@@ -23,7 +30,11 @@ from humanopts_interfaces.srv import (
     WithdrawDemonstration,
 )
 from humanopts_learner.demonstrations import GOAL
-from humanopts_ros.qos import LATCHED, STREAM
+from humanopts_learner.options.files import option_from_json
+from humanopts_learner.options.learn import learn_option
+from humanopts_ros.qos import CURRENT, LATCHED, STREAM
+from humanopts_teach.bags.contents import read_demonstrations, read_domain, read_episodes
+from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
 from rclpy.parameter import Parameter
@@ -261,3 +272,217 @@ def test_two_lessons_cannot_share_a_folder(played: Graph) -> None:
     folder = played.folder / 'demonstrations'
     with DemonstrationStore(folder):
         assert 'another lesson has it open' in played.refused(LESSON, directory=folder)
+
+
+class Session(Person):
+    """A game, a lesson, the recorders of the test, and a person."""
+
+    def __init__(self, graph: Graph) -> None:
+        super().__init__(graph)
+        self.recorder = self.record('first')
+        graph.start(GAME, expect_recorder=True)
+        self.start_lesson(
+            expect_recorder=True, participant='p1', session='s1', learner_deadline=0.2
+        )
+        graph.ready('/game')
+
+    def record(self, name: str) -> Any:
+        """Start a recorder, which begins a file again and again."""
+        return self.graph.start(RECORDER, path=self.graph.folder / name, max_seconds=0.2)
+
+    def paused(self) -> str:
+        """Wait until the lesson is paused, and return the cause."""
+        self.graph.until(lambda: self.lesson.paused, 'the pause')
+        self.graph.until(self._in(NodeStatus.STATE_PAUSED), 'the status of the node')
+        return str(self.lesson.paused)
+
+    def goes_on(self) -> None:
+        """Wait until the lesson goes on."""
+        self.graph.until(lambda: not self.lesson.paused, 'the end of the pause')
+        self.graph.until(self._in(NodeStatus.STATE_READY), 'the status of the node')
+
+    def _in(self, state: int) -> Any:
+        return lambda: self.graph.state('/lesson') == state
+
+
+@pytest.fixture
+def session(live: Graph) -> Session:
+    return Session(live)
+
+
+def uuids(bag: Path) -> list[str]:
+    """Return the demonstrations in a bag, each once."""
+    return list(dict.fromkeys(demo.uuid for demo in read_demonstrations(open_bag(bag))))
+
+
+def test_a_recording_that_stops_pauses_the_lesson_until_the_next_one_has_all_that_was_shown(
+    session: Session,
+) -> None:
+    folder = session.graph.folder
+    session.name_and_answer()
+    shown = []
+    for _ in range(2):
+        episode = session.begin()
+        session.drive(episode, 'west')
+        if shown:  # the recording stops in the middle of the second one
+            session.graph.until(lambda: uuids(folder / 'first') == shown, 'the first in the bag')
+            (folder / 'first' / 'metadata.yaml.new').mkdir()
+            cause = session.paused()
+        session.drive(episode, 'pickup')
+        ended = session.end(episode, 2)
+        assert ended.status == EndDemonstration.Response.STATUS_OK, ended.detail
+        shown.append(ended.uuid)
+    assert 'recording stopped: cannot write in' in cause
+    assert 'Everything taught so far is on disk' in cause
+    assert 'not in this recording: the next one has it' in ended.detail
+    for kind in SERVICES.keys() - {EndDemonstration, ListDemonstrations}:
+        refused = session.ask(kind)
+        assert refused.status == kind.Response.STATUS_PAUSED
+        assert cause in refused.detail
+
+    second = session.record('second')
+    session.goes_on()
+    session.begin()
+    for recorder in (session.recorder, second):
+        session.graph.stop(recorder)
+    with session.graph.hurried():
+        assert 'nothing is heard of the recorder any more' in session.paused()
+    assert uuids(folder / 'first') == shown[:1]
+    assert uuids(folder / 'second') == shown
+
+
+def test_what_the_machine_showed_is_told_apart_and_the_bag_learns_the_same(live: Graph) -> None:
+    recorder = live.start(RECORDER, path=live.folder / 'bag')
+    live.start(GAME)
+    live.start(LEARNER, directory=live.folder / 'options')
+    live.start(OPTION_SERVER)
+    person = Person(live)
+    person.start_lesson()
+    live.ready('/game', '/learner', '/option_server', '/recorder')
+    person.get_ready()
+    person.show()  # from START: west, pickup
+    learned = live.listen(LearnedOptions, 'learned_options', CURRENT)
+
+    def watch(steps: int) -> int:
+        nobody = ControlState.HOLDER_NOBODY
+        live.until(lambda: person.latest[ControlState].holder == nobody, 'the lease to end')
+        begun = person.ask(BeginDemonstration, start_state=START, watch=True)
+        assert begun.status == BeginDemonstration.Response.STATUS_OK, begun.detail
+        live.act(
+            ExecuteOption,
+            'execute_option',
+            option_name=PICKUP,
+            episode=begun.episode,
+            max_steps=steps,
+        ).result()
+        live.until(lambda: person.lesson.machine_steps == steps, "the machine's steps")
+        return int(begun.episode)
+
+    def end(episode: int, step: int, *, counts: bool) -> None:
+        done = EndDemonstration.Request.VERDICT_DONE
+        ended = person.ask(
+            EndDemonstration,
+            verdict=done,
+            episode=episode,
+            step=step,
+            count_machine_steps=counts,
+        )
+        assert ended.status == EndDemonstration.Response.STATUS_OK, ended.detail
+        live.until(lambda: person.lesson.last_uuid == ended.uuid, 'the lesson to keep it')
+        person.phase(LessonState.PHASE_READY)
+
+    episode = watch(1)
+    person.drive(episode, 'pickup')
+    end(episode, 2, counts=True)
+    episode = watch(2)
+    end(episode, 2, counts=True)
+    newest = person.lesson.last_uuid
+    live.until(lambda: learned and newest in learned[-1].options[0].model, 'the option')
+    option, _ = option_from_json(learned[-1].options[0].model)
+    live.stop(recorder)
+
+    bag = open_bag(live.folder / 'bag')
+    demos = {demo.uuid: demo for demo in read_demonstrations(bag)}
+    assert [(d.actions, d.machine_steps) for d in demos.values()] == [
+        (('west', 'pickup'), 0),
+        (('west', 'pickup'), 1),
+        (('west', 'pickup'), 2),
+    ]
+    sources = [
+        [int(step.action_source) for step in found.transitions[1:]] for found in read_episodes(bag)
+    ]
+    person_, machine = GameState.SOURCE_PERSON, GameState.SOURCE_MACHINE
+    assert sources[-3:] == [[person_] * 2, [machine, person_], [machine] * 2]
+    assert learn_option(list(demos.values()), read_domain(bag), 0) == option
+
+
+PAGE = Path(__file__).parents[1] / 'docs' / 'how-to' / 'call-the-services.md'
+# What is refused before the program of the documentation runs, and after it.
+BEFORE = """
+from humanopts_teach.lesson.requests import BeginDemonstration, OpenSession, RequestStatus
+from humanopts_teach.ros.lesson_client import RefusedError, run_with_lesson
+
+
+async def teach(client):
+    try:
+        await client.ask(BeginDemonstration())
+    except RefusedError as error:
+        print(error.answer.status.name, error)
+    try:
+        await client.drive('fly')
+    except RefusedError as error:
+        print(error)
+    await client.ask(OpenSession('p1', 's1'))
+    print(client.lesson.participant, client.lesson.session)
+
+
+run_with_lesson(teach)
+"""
+AFTER = "run_with_lesson(lambda client: client.ask(OpenSession('no code')))"
+
+
+def run(graph: Graph, program: str) -> tuple[int | None, str, str]:
+    """Run a program on the graph; return its exit status, its output and its errors."""
+    process = subprocess.Popen(
+        [sys.executable, '-c', program],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(graph.domain_id)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        graph.until(lambda: process.poll() is not None, 'the end of the program', 60.0)
+        return process.returncode, *process.communicate()
+
+
+@pytest.fixture
+def lesson(live: Graph) -> Graph:
+    """A game with a learner and a lesson, as the command ``up`` starts them."""
+    live.start(GAME)
+    live.start(LEARNER, directory=live.folder / 'options', seed=1)
+    live.start(
+        LESSON,
+        directory=live.folder / 'demonstrations',
+        strategy='failures',
+        until_no_failures=True,
+        seed=1,
+    )
+    live.ready('/game', '/learner', '/lesson')
+    return live
+
+
+def test_the_program_of_the_documentation_teaches_and_what_is_refused_is_raised_with_its_reason(
+    lesson: Graph,
+) -> None:
+    section = PAGE.read_text('utf-8').partition('## Teach from a program')[2]
+    program, output = re.findall(r'```(?:python|text)\n(.*?)```', section, re.DOTALL)
+    assert 'All criteria hold.' in output
+    status, said, errors = run(lesson, BEFORE + program + AFTER)
+    assert said.endswith(output)
+    first, second, third = said.removesuffix(output).splitlines()
+    assert first == 'WRONG_PHASE lesson/begin_demonstration was refused: Open a session to begin.'
+    assert second.startswith('action fly was refused: ')
+    assert third == 'p1 s1'
+    assert status == 1
+    assert errors.startswith('Traceback')
+    assert "RefusedError: lesson/open_session was refused: participant 'no code'" in errors

@@ -6,17 +6,22 @@ from pathlib import Path
 import re
 import shutil
 import signal
-from signal import SIGINT, SIGKILL, SIGTERM
+from signal import SIGCONT, SIGINT, SIGKILL, SIGSTOP, SIGTERM
 import subprocess
 from typing import Any
 
 from graph_support.command import Command, shown_in_bag, shown_on_disk
 from humanopts_learner.demonstrations import Demonstration, GOAL
 from humanopts_teach.bags.reader import Bag, BagError, open_bag
+from humanopts_teach.cli import main
 import pytest
 
 SHOWN = 3  # demonstrations on disk before anything happens
 PATIENCE = 30.0  # s for a demo to end; it takes about one
+NODES = [
+    *('conductor', 'game', 'learner', 'lesson', 'option_server', 'planner', 'recorder'),
+    'simulated_teacher',
+]
 DISK = 300_000  # bytes; a demo's bag alone is about twice as large
 Start = Callable[..., Command]
 pytestmark = pytest.mark.timeout(300)  # on a busy machine
@@ -194,15 +199,50 @@ def test_a_node_that_cannot_go_on_is_given_up(start: Start, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize('how', [SIGINT, pytest.param(SIGTERM, marks=slow)])
-def test_a_demo_that_is_interrupted_stops_everything(
-    start: Start, tmp_path: Path, how: signal.Signals
+def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everything(
+    start: Start,
+    tmp_path: Path,
+    domain_id: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    how: signal.Signals,
 ) -> None:
-    command = start()
+    def look() -> tuple[int, dict[str, Any]]:
+        status = main(['status', '--json'])
+        return status, json.loads(capsys.readouterr().out)
+
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    assert look()[0] == 2
+    command = start('--step-period', 0.1)
     teach(command, tmp_path)
+    # A busy machine answers late, which is told as a fault.
+    looks: list[tuple[int, dict[str, Any]]] = []
+    command.until(lambda: looks.append(look()) or looks[-1][0] == 0, 'all to be well')
+    found = looks[-1][1]
+    nodes = {node['name']: node for node in found['nodes']}
+    assert list(nodes) == NODES
+    assert [name for name in NODES if nodes[name]['answer'] is None] == ['conductor']
+    assert {nodes[name]['state'] for name in NODES} == {'ready'}
+    assert all(nodes[name]['pid'] in command.running() for name in NODES[1:])
+    assert (found['recorder']['missing'], found['game']) == (0, 'taxi')
+
+    command.kill('planner', SIGKILL)
+    command.until(lambda: 'is started again' in command.errors, 'its restart')
+    command.kill('learner', SIGSTOP)
+    status, found = look()
+    nodes = {node['name']: node for node in found['nodes']}
+    assert status == 1
+    assert nodes['planner']['restarts'] == 1
+    stopped = f'learner is stopped; kill -CONT {nodes["learner"]["pid"]} lets it go on'
+    assert stopped in found['faults']
+    command.until(lambda: f'the node {stopped}' in command.errors, 'its name')
+    command.kill('learner', SIGCONT)
+
     command.send(how)
     command.send(how)  # an impatient second one changes nothing
     assert command.ended(PATIENCE) == 130
-    assert command.errors == 'humanopts demo: interrupted; everything is stopped\n'
+    told = [line for line in command.errors.splitlines() if ': the node ' not in line]
+    assert told == ['humanopts demo: interrupted; everything is stopped']
     assert command.running() == {}
     bag = bag_of(tmp_path)
     assert bag.damage == ''

@@ -1,6 +1,6 @@
-"""Our domains keep the contract, and domains that break a promise of it are refused."""
+"""Our domains and reference options keep their contracts, and breaches of a promise are found."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 import itertools
@@ -18,8 +18,12 @@ from humanopts_env.domains.base import (
     Outcome,
 )
 from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi, TaxiState
+from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_env.reference_contract import ReferenceContract
+import numpy as np
 import pytest
 
 FOUR_GHOSTS = str(Path(__file__).with_name('four_ghosts.lay'))
@@ -200,3 +204,50 @@ def test_a_good_domain_is_checked_in_the_blink_of_an_eye(domain: Any) -> None:
         times.append(time.process_time() - began)
     assert is_enumerable(domain)
     assert min(times) < 0.05
+
+
+PICKUP = reference_options(Taxi())['go to passenger and pickup']
+ONLY_SOUTH = np.arange(6) == 0
+
+
+REFERENCES: dict[str, Any] = {
+    'Taxi': Taxi,
+    'LargerTaxi': partial(Taxi, 14, 9),
+    'RoomsWithTheGoalInARoom': partial(Rooms, 'G2'),
+    'PacMan': PacMan,
+    'ChasedPacMan': partial(PacMan, 'yard', ghosts='chase'),
+    'PacManWithThePapersFeatures': partial(PacMan, 'yard', features='paper'),
+}
+for _name, _make in REFERENCES.items():
+    _suite = type(f'TestReferencesOf{_name}', (ReferenceContract,), {'make': staticmethod(_make)})
+    globals()[f'TestReferencesOf{_name}'] = pytest.mark.heavy(_suite)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(
+    ('test', 'change'),
+    [
+        ('test_a_person_can_be_told_what_each_means', {'definition': ''}),
+        ('test_a_person_can_be_told_what_each_means', {'features': PICKUP.features[::-1]}),
+        ('test_a_person_can_be_told_what_each_means', {'name': 'Pickup'}),
+        ('test_each_can_start_somewhere', {'initiation': np.zeros(500, dtype=np.bool_)}),
+        ('test_it_acts_where_it_can_start', {'optimal': np.zeros((500, 6), dtype=np.bool_)}),
+        ('test_it_acts_where_it_can_start', {'termination': np.zeros(500, dtype=np.bool_)}),
+        ('test_its_features_tell_where', {'features': ('taxi_row',)}),
+        ('test_every_run_comes_to_its_end', {'optimal': PICKUP.initiation[:, None] & ONLY_SOUTH}),
+    ],
+)
+def test_what_breaks_the_contract_of_options_is_found(test: str, change: dict[str, Any]) -> None:
+    """By the test that is meant to."""
+    broken = replace(PICKUP, **change)
+
+    class Suite(ReferenceContract):
+        def make(self) -> Domain[Any]:
+            return Taxi()
+
+        def options(self, domain: Domain[Any]) -> Mapping[str, ReferenceOption]:
+            return {broken.name: broken}
+
+    (name,) = [name for name in dir(Suite) if name.startswith(test)]
+    with pytest.raises(AssertionError):
+        getattr(Suite(), name)()

@@ -1,7 +1,10 @@
-"""The lock-step game: who may act when, and what is said to those who may not."""
+"""The lock-step game: who may act when, control that is not renewed, and its messages."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
+from enum import IntEnum
+from typing import Any
 
+from humanopts_env import game
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.game import (
     Accepted,
@@ -15,6 +18,9 @@ from humanopts_env.game import (
     Source,
     Transition,
 )
+from humanopts_env.lease import CHECKS, Lease, MOST_KNOWN
+from humanopts_interfaces.msg import ActionCommand, ActionRefusal, ControlState, GameState
+from humanopts_interfaces.srv import ResetGame, SetControl
 import pytest
 
 START = 'taxi 2,3 passenger R destination B'
@@ -296,3 +302,109 @@ def test_control_of_a_terminal_that_is_gone_can_be_released() -> None:
     assert control == game.control
     assert (control.holder, control.holder_id) == (Holder.NOBODY, '')
     assert control.reason == 'the terminal is gone'
+
+
+HOLDER, AGAIN, OTHER = '/anna#1', '/anna#2', '/bert#1'
+
+
+def leased(*known: str) -> Lease:
+    """A lease of Anna, where publishers have told their life."""
+    lease = Lease()
+    for publisher in known:
+        lease.note_status(publisher)
+    lease.begin(HOLDER)
+    return lease
+
+
+def looks(lease: Lease, count: int) -> list[str]:
+    return [lease.check() for _ in range(count)]
+
+
+def test_it_ends_after_so_many_looks_without_a_sign() -> None:
+    *before, last = looks(leased(HOLDER), CHECKS)
+    assert not any(before)
+    assert last == '/anna#1 is silent, and has not renewed its control'
+
+
+def test_whatever_the_holder_publishes_renews_it_and_nobody_else() -> None:
+    lease = leased(HOLDER, OTHER)
+    for renew in (lease.renew, lease.note_status):
+        assert not any(looks(lease, CHECKS - 1))
+        renew(HOLDER)
+        assert not any(looks(lease, CHECKS - 1))
+        renew(OTHER)
+        assert lease.check() != ''
+        lease.begin(HOLDER)
+
+
+def test_a_holder_that_is_started_again_or_ends_loses_it_at_once() -> None:
+    assert leased(HOLDER).note_status(AGAIN) == '/anna was started again'
+    assert leased(HOLDER).note_status(HOLDER, ended=True) == '/anna#1 has ended'
+    assert not leased(HOLDER).note_status(OTHER)
+    assert not leased(HOLDER).note_status(OTHER, ended=True)
+    assert not leased(HOLDER, AGAIN).note_status(AGAIN)  # two that both were there before
+
+
+def test_nobody_can_lose_it() -> None:
+    lease = Lease()
+    assert not any(looks(lease, 3 * CHECKS))
+    assert not lease.note_status(HOLDER)
+    assert not lease.note_status(HOLDER, ended=True)
+
+
+def test_who_told_its_life_is_known_until_it_ends_and_not_more_than_memory_allows() -> None:
+    lease = leased(HOLDER)
+    assert (lease.knows(HOLDER), lease.knows(OTHER)) == (True, False)
+    lease.note_status(HOLDER, ended=True)
+    assert not lease.knows(HOLDER)
+    for number in range(MOST_KNOWN + 1):
+        lease.note_status(f'/many#{number}')
+    assert not lease.knows('/many#0')
+    assert lease.knows('/many#1')
+
+
+ENVELOPE = {'header', 'publisher_id', 'sequence'}
+PACE = {'step_period', 'paused_by'}  # of ``Pacing``, told with who holds control
+
+
+@pytest.mark.parametrize(
+    ('values', 'prefix', 'message'),
+    [
+        (game.Source, 'SOURCE_', GameState),
+        (game.Reason, 'REASON_', ActionRefusal),
+        (game.Holder, 'HOLDER_', ControlState),
+        (game.ResetStatus, 'STATUS_', ResetGame.Response),
+        (game.ControlStatus, 'STATUS_', SetControl.Response),
+    ],
+)
+def test_numbers_are_those_of_the_message(
+    values: type[IntEnum], prefix: str, message: Any
+) -> None:
+    """Every constant has its member, and the other way round; UNKNOWN is never sent."""
+    constants = {
+        name.removeprefix(prefix): getattr(message, name)
+        for name in dir(message)
+        if name.startswith(prefix) and not name.endswith('_UNKNOWN')
+    }
+    assert {member.name: member.value for member in values} == constants
+
+
+@pytest.mark.parametrize('message', [ActionCommand, ResetGame.Request])
+def test_sources_of_requests_are_those_of_the_game(message: Any) -> None:
+    """The same number means the same source everywhere."""
+    assert message.SOURCE_PERSON == game.Source.PERSON
+    assert message.SOURCE_MACHINE == game.Source.MACHINE
+
+
+@pytest.mark.parametrize(
+    ('value', 'message', 'envelope'),
+    [
+        (game.Transition, GameState, ENVELOPE),
+        (game.Control, ControlState, ENVELOPE | PACE),
+        (game.Command, ActionCommand, {'header', 'option_name'}),  # which is for the bag
+    ],
+)
+def test_fields_are_those_of_the_message(value: Any, message: Any, envelope: set[str]) -> None:
+    """Nothing is lost on the way."""
+    names = {field.name for field in fields(value)}
+    assert names == message.get_fields_and_field_types().keys() - envelope
