@@ -25,19 +25,9 @@ from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.report.figures import Drawing
 import pandas as pd
 
+from experiments import report
 from experiments.paper import Statement
 from experiments.people import CAREFUL, Participant, participants, Study
-from experiments.report import (
-    compared,
-    Comparison,
-    Done,
-    grouped,
-    listed,
-    OURS,
-    Picture,
-    Section,
-    Table,
-)
 from experiments.trials import Trial
 
 NAME = 'demonstrations'
@@ -119,7 +109,7 @@ def _lesson(parameters: Mapping[str, Any], name: str) -> list[tuple[int, float, 
     return past
 
 
-def count_table(done: Done) -> pd.DataFrame:
+def count_table(done: report.Done) -> pd.DataFrame:
     """Return a row for each option that a person taught: ``KEYS``, code, counts, accuracy."""
     return pd.DataFrame(
         {
@@ -141,7 +131,7 @@ def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
         people did not get there within the budget, and the most by which criteria came later.
     """
     rows = []
-    for key, mine in grouped(counts, KEYS):
+    for key, mine in report.grouped(counts, KEYS):
         row: dict[str, Any] = {**dict(zip(KEYS, key)), 'count': len(mine)}
         for what in UNTIL:
             row |= {
@@ -154,46 +144,48 @@ def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def present(done: Done) -> Section:
+def present(done: report.Done) -> report.Section:
     """Return the section of the report."""
     counts = count_table(done)
-    return Section(
+    return report.Section(
         NAME,
         TITLE,
         _comparisons(counts),
         _pictures(counts),
         [
-            Table('demonstrations-summary', 'Demonstrations by option', summary_table(counts)),
-            Table('demonstrations-each', 'Each lesson', counts, shown=False),
+            report.Table(
+                'demonstrations-summary', 'Demonstrations by option', summary_table(counts)
+            ),
+            report.Table('demonstrations-each', 'Each lesson', counts, shown=False),
         ],
         {'budget': BUDGET, 'error_rate': ERROR_RATE},
     )
 
 
-def _comparisons(counts: pd.DataFrame) -> list[Comparison]:
+def _comparisons(counts: pd.DataFrame) -> list[report.Comparison]:
     """Compare the mean demonstrations of each option of Taxi with the goal of its method."""
     found = []
     taxi = counts[(counts['domain'] == 'taxi') & (counts['strategy'] == 'failures')]
-    for (method, people), rows in grouped(taxi, ['method', 'people']):
+    for (method, people), rows in report.grouped(taxi, ['method', 'people']):
         # Where a lesson did not get there, it took more demonstrations than it had.
         means = {
             option: Interval.of(mine[UNTIL[0]].fillna(BUDGET))
-            for (option,), mine in grouped(rows, ['option'])
+            for (option,), mine in report.grouped(rows, ['option'])
         }
         most = TARGETS[method]
         said = (
             f'With {method} (people: {people}), the criteria of each Taxi option hold after '
             f'{most} demonstrations or fewer, the mean over people.'
         )
-        text = listed(f'{rows["code"].nunique()} people', means, '.1f')
+        text = report.listed(f'{rows["code"].nunique()} people', means, '.1f')
         met = all_hold(mean.at_most(most) for mean in means.values())
-        found.append(compared(Statement(said, OURS), text, met))
+        found.append(report.compared(Statement(said, report.OURS), text, met))
     return found
 
 
-def _pictures(counts: pd.DataFrame) -> list[Picture]:
+def _pictures(counts: pd.DataFrame) -> list[report.Picture]:
     return [
-        Picture(
+        report.Picture(
             f'demonstrations-{domain}',
             f'Demonstrations until the criteria hold for each option of {domain}',
             SIZE,
@@ -201,7 +193,7 @@ def _pictures(counts: pd.DataFrame) -> list[Picture]:
             f'{domain}: until the criteria hold, with the strategy failures; the dots are people, '
             'careful or with slips, the bars medians. Lessons that did not get there are missing.',
         )
-        for (domain,), rows in grouped(counts[counts['strategy'] == 'failures'], ['domain'])
+        for (domain,), rows in report.grouped(counts[counts['strategy'] == 'failures'], ['domain'])
     ]
 
 

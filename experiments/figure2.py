@@ -38,7 +38,7 @@ import matplotlib
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 import pandas as pd
 
-from experiments import paper
+from experiments import paper, report
 from experiments.learners import cloned_accuracies, FOREST, NEIGHBOUR
 from experiments.paper import Statement
 from experiments.people import (
@@ -49,20 +49,6 @@ from experiments.people import (
     Study,
     taught_in,
     VARIED,
-)
-from experiments.report import (
-    compared,
-    Comparison,
-    Done,
-    draw_curves,
-    grouped,
-    listed,
-    Mark,
-    mean_intervals,
-    OURS,
-    Picture,
-    Section,
-    Table,
 )
 from experiments.trials import Trial
 
@@ -218,7 +204,7 @@ def _measured(
     return {'points': points, 'best_return': returns[-1], 'others': others}
 
 
-def accuracy_table(done: Done) -> pd.DataFrame:
+def accuracy_table(done: report.Done) -> pd.DataFrame:
     """
     Return a row for each person and number of demonstrations, case by case.
 
@@ -253,12 +239,12 @@ def _who(parameters: Mapping[str, Any]) -> dict[str, str]:
     """Return the case and the person of a trial."""
     person = {'group': PEOPLE, 'code': parameters.get('participant')}
     person = parameters.get('person', person)
-    domain, listed = parameters['domain'], json.loads(parameters['domain_parameters'])
+    domain, known = parameters['domain'], json.loads(parameters['domain_parameters'])
     lists = {
         game.features
         for game in GAMES
         if (game.domain, json.loads(game.parameters).get('features'))
-        == (domain, listed.get('features'))
+        == (domain, known.get('features'))
     }
     case = [domain, *(lists or {'all'}), parameters['option'], person['group']]
     return dict(zip([*CASE, 'person'], [*case, parameters['strategy'], person['code']]))
@@ -278,7 +264,7 @@ def curve_table(points: pd.DataFrame) -> pd.DataFrame:
     """
     kept = [*CASE, 'demonstrations', 'best return']
     each = points.melt(kept, [*MEASURES], 'measure', 'value')
-    found = mean_intervals(each, [*CASE, 'measure', 'demonstrations'], 'value')
+    found = report.mean_intervals(each, [*CASE, 'measure', 'demonstrations'], 'value')
     best = points.groupby(CASE, sort=False)['best return'].first().rename('best').reset_index()
     found = found.merge(best, on=CASE, how='left')
     shares = found['measure'] != RETURN
@@ -299,7 +285,7 @@ def person_table(points: pd.DataFrame) -> pd.DataFrame:
     """
     last = {name: f'last accuracy of {name}' for name in MEASURES} | {RETURN: 'last return'}
     rows = []
-    for key, mine in grouped(points, [*CASE, 'person']):
+    for key, mine in report.grouped(points, [*CASE, 'person']):
         row: dict[str, Any] = dict(zip([*CASE, 'person'], key))
         for level in LEVELS:
             first = mine['policy'] >= level - 1e-12
@@ -327,7 +313,7 @@ def needed_table(people: pd.DataFrame) -> pd.DataFrame:
     least that with all demonstrations that were shown.
     """
     rows = []
-    for key, members in grouped(people, CASE):
+    for key, members in report.grouped(people, CASE):
         row = {**dict(zip(CASE, key)), 'count': len(members)}
         for case in CROSSINGS:
             demonstrations = members[f'demonstrations for {case}']
@@ -354,7 +340,7 @@ def last_table(curves: pd.DataFrame) -> pd.DataFrame:
     return _case_by_case(wide.rename_axis(columns=None).reset_index())
 
 
-def learner_table(done: Done, points: pd.DataFrame) -> pd.DataFrame:
+def learner_table(done: report.Done, points: pd.DataFrame) -> pd.DataFrame:
     """
     Return the policy accuracies of the tree and of other classifiers, means over people.
 
@@ -368,33 +354,33 @@ def learner_table(done: Done, points: pd.DataFrame) -> pd.DataFrame:
     each = pd.DataFrame(rows).merge(points[[*keys, 'policy']], on=keys)
     each['more'], by = each[FOREST] - each['policy'], [*CASE, 'demonstrations']
     means = each.groupby(by, sort=False)[['policy', NEIGHBOUR, FOREST]].mean()
-    gain = mean_intervals(each, by, 'more').set_index(by)
+    gain = report.mean_intervals(each, by, 'more').set_index(by)
     found = gain[['count']].join(means).join(gain[['mean', 'low', 'high']])
     named = {'policy': 'tree', 'mean': 'forest less tree'}
     return found.rename(columns=named).round(3).reset_index()
 
 
-def present(done: Done) -> Section:
+def present(done: report.Done) -> report.Section:
     """Return the section of the report."""
     points = accuracy_table(done)
     curves, people = curve_table(points), person_table(points)
     needed = needed_table(people)
     hidden = ['shown', *(f'start states for {case}' for case in CROSSINGS)]
-    return Section(
+    return report.Section(
         NAME,
         TITLE,
         [*_compare_cases(points, people, needed), *_compare_minutes(people)],
         _pictures(curves),
         [
-            Table('fig2-needed', 'Demonstrations needed for a policy accuracy', needed),
-            Table('fig2-last', 'After the last demonstration', last_table(curves)),
-            Table(
+            report.Table('fig2-needed', 'Demonstrations needed for a policy accuracy', needed),
+            report.Table('fig2-last', 'After the last demonstration', last_table(curves)),
+            report.Table(
                 'fig2-learners',
                 'Best actions of other classifiers from the same demonstrations',
                 learner_table(done, points),
             ),
-            Table('fig2-curves', 'The curves', curves, shown=False),
-            Table('fig2-people', 'Each person', people.drop(columns=hidden), shown=False),
+            report.Table('fig2-curves', 'The curves', curves, shown=False),
+            report.Table('fig2-people', 'Each person', people.drop(columns=hidden), shown=False),
         ],
         {
             'shown': {f'{game.domain}, {game.features}': game.shown for game in GAMES},
@@ -406,9 +392,9 @@ def present(done: Done) -> Section:
 
 def _compare_cases(
     points: pd.DataFrame, people: pd.DataFrame, needed: pd.DataFrame
-) -> Iterator[Comparison]:
+) -> Iterator[report.Comparison]:
     for (key, members), (_, mine), (_, row) in zip(
-        grouped(people, CASE), grouped(points, CASE), needed.iterrows()
+        report.grouped(people, CASE), report.grouped(points, CASE), needed.iterrows()
     ):
         domain, features, option, group, strategy = key
         case = f'{_game(domain, features)}, “{option}”, start states by {strategy}'
@@ -418,7 +404,7 @@ def _compare_cases(
             yield from _compare_needed(case, strategy, members, row)
 
 
-def _compare_accuracies(case: str, points: pd.DataFrame) -> Iterator[Comparison]:
+def _compare_accuracies(case: str, points: pd.DataFrame) -> Iterator[report.Comparison]:
     """Yield how return and best actions rise, within each person, and what I and beta are."""
     most = int(points['demonstrations'].max())
     last, gains = min(paper.DEMONSTRATIONS, most), {}
@@ -430,16 +416,18 @@ def _compare_accuracies(case: str, points: pd.DataFrame) -> Iterator[Comparison]
     ends = points.groupby('person', sort=False).last()
     parts = ('initiation', 'termination')
     errors = {MEASURES[part]: Interval.of(1 - ends[part].dropna()) for part in parts}
-    rises = listed(f'{case}, gain within a person from 1 to {last}', gains)
-    wrong = listed(f'{case}, errors after {most}', errors)
-    yield compared(paper.FIGURE_2['rises'], rises, all_hold(g.above() for g in gains.values()))
+    rises = report.listed(f'{case}, gain within a person from 1 to {last}', gains)
+    wrong = report.listed(f'{case}, errors after {most}', errors)
+    yield report.compared(
+        paper.FIGURE_2['rises'], rises, all_hold(g.above() for g in gains.values())
+    )
     verdict = any_holds(error.above(ROUNDING) for error in errors.values())
-    yield compared(paper.FIGURE_2['imperfect'], wrong, verdict)
+    yield report.compared(paper.FIGURE_2['imperfect'], wrong, verdict)
 
 
 def _compare_needed(
     case: str, strategy: str, members: pd.DataFrame, row: pd.Series
-) -> Iterator[Comparison]:
+) -> Iterator[report.Comparison]:
     """
     Yield the demonstrations that careful people needed beside the paper's and our goals.
 
@@ -453,7 +441,7 @@ def _compare_needed(
         if (strategy, level) in GOALS:
             least, most = 0, GOALS[strategy, level]
             text = f'{level:.0%} policy accuracy takes at most {most} demonstrations.'
-            claim = Statement(text, OURS)
+            claim = Statement(text, report.OURS)
         elif (strategy, level) != ('random', LEVELS[0]):
             continue
         said = {name: row[f'demonstrations for {level:.0%}, {name}'] for name in (REACHED, HELD)}
@@ -463,7 +451,9 @@ def _compare_needed(
         if demonstrations.notna().all():
             said[HELD] = needed
             verdict = all_hold([needed.at_least(least), needed.at_most(most)])
-        yield compared(claim, listed(f'{case}, without errors', said, '.1f'), verdict)
+        yield report.compared(
+            claim, report.listed(f'{case}, without errors', said, '.1f'), verdict
+        )
 
 
 def _game(domain: str, features: str) -> str:
@@ -471,9 +461,9 @@ def _game(domain: str, features: str) -> str:
     return domain if features == 'all' else f'{domain} with {features}'
 
 
-def _compare_minutes(people: pd.DataFrame) -> Iterator[Comparison]:
+def _compare_minutes(people: pd.DataFrame) -> Iterator[report.Comparison]:
     """Yield the time that people took for all that they showed."""
-    for (domain, features), members in grouped(people, CASE[:2]):
+    for (domain, features), members in report.grouped(people, CASE[:2]):
         like = [_as_in_paper(*key) for key in members[CASE[3:]].itertuples(index=False)]
         mine = members[like]
         if domain in paper.MINUTES and len(mine):
@@ -481,9 +471,9 @@ def _compare_minutes(people: pd.DataFrame) -> Iterator[Comparison]:
             taken = Interval.of(lessons.groupby('person').mean())
             real = bool((mine['people'] == PEOPLE).all())
             pace = 'minutes by the clock' if real else 'minutes at an assumed pace'
-            verdict = taken.at_most(paper.MINUTES[domain]) if real else Mark.NOT_COMPARABLE
-            text = listed(_game(domain, features), {pace: taken}, '.1f')
-            yield compared(paper.FIGURE_2[f'minutes in {domain}'], text, verdict)
+            verdict = taken.at_most(paper.MINUTES[domain]) if real else report.Mark.NOT_COMPARABLE
+            text = report.listed(_game(domain, features), {pace: taken}, '.1f')
+            yield report.compared(paper.FIGURE_2[f'minutes in {domain}'], text, verdict)
 
 
 def _as_in_paper(group: str, strategy: str) -> bool:
@@ -491,11 +481,11 @@ def _as_in_paper(group: str, strategy: str) -> bool:
     return group == PEOPLE or (group, strategy) == (VARIED, 'random')
 
 
-def _pictures(curves: pd.DataFrame) -> list[Picture]:
+def _pictures(curves: pd.DataFrame) -> list[report.Picture]:
     """Return one figure for each option and group, with a line for each strategy."""
     notes = {(game.domain, game.features): game.note for game in GAMES}
     return [
-        Picture(
+        report.Picture(
             re.sub(r'[^a-z0-9]+', '-', f'fig2-{domain}-{known}{option}-{group}'.lower()),
             f'Accuracy of {option} in {_game(domain, features)} by demonstrations, {group} people',
             (13.0, 2.9),
@@ -504,7 +494,7 @@ def _pictures(curves: pd.DataFrame) -> list[Picture]:
             + (' (figure 2)' if paper.FIGURE_2_OPTIONS.get(domain) == option else '')
             + f'. {notes.get((domain, features), "")}'.rstrip(),
         )
-        for (domain, features, option, group), shown in grouped(curves, CASE[:4])
+        for (domain, features, option, group), shown in report.grouped(curves, CASE[:4])
         for known in ['positions-' if features == POSITIONS else '']
     ]
 
@@ -514,7 +504,7 @@ def _draw(shown: pd.DataFrame, work: Drawing) -> None:
     muted = matplotlib.rcParams['axes.edgecolor']
     for axes, (measure, title) in zip(plots, MEASURES.items()):
         mine = shown[shown['measure'] == measure]
-        draw_curves(axes, mine, 'start states by', 'demonstrations', STYLES, lw=1.5)
+        report.draw_curves(axes, mine, 'start states by', 'demonstrations', STYLES, lw=1.5)
         axes.axvline(paper.DEMONSTRATIONS, color=muted, ls=':', lw=1)
         axes.set(title=title, xlabel='demonstrations')
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))

@@ -33,38 +33,17 @@ from humanopts_teach.report.figures import Drawing
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 import pandas as pd
 
-from experiments import paper
-from experiments.people import (
-    MACHINE,
-    NOBODY,
-    options_of,
-    owner_seed,
-    owners,
-    PERSON,
-    Study,
-)
-from experiments.report import (
-    compared,
-    Comparison,
-    Done,
-    draw_curves,
-    grouped,
-    listed,
-    mean_intervals,
-    Picture,
-    Section,
-    Table,
-)
+from experiments import paper, people, report
 from experiments.trials import Trial
 
 NAME, DOMAIN = 'fig4', 'taxi'
 TITLE = 'Figure 4: steps per episode of Q-learning'
 SETS = {  # by name: kind of owner of the options, action set of the learner, colour and line
-    'primitive': (NOBODY, PRIMITIVE, 'C0-'),
-    'human': (PERSON, HUMAN, 'C1--'),
-    'automatic': (MACHINE, AUTOMATIC, 'C2-.'),
-    'human + primitive': (PERSON, HUMAN_AND_PRIMITIVE, 'C3:'),
-    'automatic + primitive': (MACHINE, AUTOMATIC_AND_PRIMITIVE, 'C4-'),
+    'primitive': (people.NOBODY, PRIMITIVE, 'C0-'),
+    'human': (people.PERSON, HUMAN, 'C1--'),
+    'automatic': (people.MACHINE, AUTOMATIC, 'C2-.'),
+    'human + primitive': (people.PERSON, HUMAN_AND_PRIMITIVE, 'C3:'),
+    'automatic + primitive': (people.MACHINE, AUTOMATIC_AND_PRIMITIVE, 'C4-'),
 }
 METHODS = {'smdp': 'SMDP Q-learning', 'intra-option': 'intra-option Q-learning'}
 LIMIT = 1000  # steps of an episode at most; the domain's own 200 would hide how long they get
@@ -74,13 +53,13 @@ COST = 8.0  # of a member, about processor seconds
 KEYS = ['method', 'action set']
 
 
-def trials(study: Study) -> list[Trial]:
+def trials(study: people.Study) -> list[Trial]:
     """
     Return a trial for each method, action set, and up to ``TOGETHER`` members.
 
     Members learn side by side, since that takes a fraction of the time.
     """
-    sources = owners(study, DOMAIN)
+    sources = people.owners(study, DOMAIN)
     return [
         Trial(
             NAME,
@@ -112,12 +91,12 @@ def learn_curves(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     domain, chosen = Taxi(), SETS[parameters['set']][1]
     members = [{**parameters, **member} for member in parameters['members']]
     options = [
-        [tabulate(option, domain) for option in options_of(member, domain).options]
+        [tabulate(option, domain) for option in people.options_of(member, domain).options]
         for member in members
     ]
     tables = [option_table(domain, chosen, each) for each in options]
     search, judging = (
-        [owner_seed(member, 'figure 4', purpose) for member in members]
+        [people.owner_seed(member, 'figure 4', purpose) for member in members]
         for purpose in ('search', 'judging')
     )
     rates = drawn_rates(parameters['seed'], TRIED)
@@ -142,7 +121,7 @@ def learn_curves(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def episode_table(done: Done) -> pd.DataFrame:
+def episode_table(done: report.Done) -> pd.DataFrame:
     """
     Return a row for each episode of each member.
 
@@ -172,7 +151,7 @@ def summary_table(episodes: pd.DataFrame) -> pd.DataFrame:
     rates = ['learning rate', 'exploring']
     members = episodes.groupby([*KEYS, 'member'], sort=False)
     totals = members.agg({'steps': 'sum', **dict.fromkeys(['options', *rates], 'first')})
-    found = mean_intervals(totals.reset_index(), KEYS, 'steps', least=0.0).set_index(KEYS)
+    found = report.mean_intervals(totals.reset_index(), KEYS, 'steps', least=0.0).set_index(KEYS)
     found = found.rename(columns={'mean': 'steps in all'})
     means = totals.groupby(KEYS, sort=False)[['options', *rates]].mean()
     found.insert(1, 'options', means['options'])
@@ -185,43 +164,43 @@ def summary_table(episodes: pd.DataFrame) -> pd.DataFrame:
     return found.join(means[rates]).reset_index()
 
 
-def present(done: Done) -> Section:
+def present(done: report.Done) -> report.Section:
     """Return the section of the report."""
     episodes = episode_table(done)
     summary = summary_table(episodes)
-    curves = mean_intervals(episodes, [*KEYS, 'episode'], 'steps', least=1.0)
-    return Section(
+    curves = report.mean_intervals(episodes, [*KEYS, 'episode'], 'steps', least=1.0)
+    return report.Section(
         NAME,
         TITLE,
         _comparisons(episodes),
         _pictures(curves),
         [
-            Table('fig4-summary', 'Steps while learning', summary),
-            Table('fig4-curves', 'The curves', curves, shown=False),
+            report.Table('fig4-summary', 'Steps while learning', summary),
+            report.Table('fig4-curves', 'The curves', curves, shown=False),
         ],
         {'episodes': paper.EPISODES, 'limit': LIMIT, 'rates tried': TRIED},
     )
 
 
-def _comparisons(episodes: pd.DataFrame) -> list[Comparison]:
+def _comparisons(episodes: pd.DataFrame) -> list[report.Comparison]:
     """Compare the steps of all episodes; people and extractions are independent units."""
     found = []
     totals = episodes.groupby([*KEYS, 'member'], sort=False)['steps'].sum().reset_index()
-    for (method,), rows in grouped(totals, ['method']):
-        steps = {name: mine['steps'] for (name,), mine in grouped(rows, ['action set'])}
+    for (method,), rows in report.grouped(totals, ['method']):
+        steps = {name: mine['steps'] for (name,), mine in report.grouped(rows, ['action set'])}
         if {'human', 'automatic'} <= set(steps):
             fewer = Interval.of_difference(steps['automatic'], steps['human'], paired=False)
             values = {name: Interval.of(each) for name, each in steps.items()}
             case = f'{method}, steps in all {paper.EPISODES} episodes'
-            text = listed(case, {**values, 'automatic less human': fewer}, ',.0f')
-            found.append(compared(paper.FIGURE_4_FASTER, text, fewer.above()))
+            text = report.listed(case, {**values, 'automatic less human': fewer}, ',.0f')
+            found.append(report.compared(paper.FIGURE_4_FASTER, text, fewer.above()))
     return found
 
 
-def _pictures(curves: pd.DataFrame) -> list[Picture]:
+def _pictures(curves: pd.DataFrame) -> list[report.Picture]:
     """Return two figures for each method: the paper's action sets on its axis, and all sets."""
     return [
-        Picture(
+        report.Picture(
             f'fig4-{method}{suffix}',
             f'Steps per episode of {called} in Taxi by action set, {axis}',
             (6.4, 3.8),
@@ -237,7 +216,7 @@ def _pictures(curves: pd.DataFrame) -> list[Picture]:
 def _draw(curves: pd.DataFrame, title: str, as_in_paper: bool, work: Drawing) -> None:
     axes, lines = work.axes, {name: line for name, (*_, line) in SETS.items()}
     shown = curves[curves['action set'].isin(paper.CURVES)] if as_in_paper else curves
-    draw_curves(axes, shown, 'action set', 'episode', lines, lw=1.4)
+    report.draw_curves(axes, shown, 'action set', 'episode', lines, lw=1.4)
     axes.set(title=title, xlabel='episode', ylabel='steps per episode')
     if as_in_paper:
         axes.set_ylim(0, paper.MOST_STEPS)

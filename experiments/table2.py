@@ -53,34 +53,9 @@ import numpy as np
 from numpy.typing import NDArray
 import pandas as pd
 
-from experiments import paper
+from experiments import paper, people, report
 from experiments.learners import FOREST, LEARNERS, NEIGHBOUR, with_cloned_policies
 from experiments.paper import Statement
-from experiments.people import (
-    CLOCK,
-    MACHINE,
-    NOBODY,
-    options_of,
-    OwnedOptions,
-    owner_seed,
-    owners,
-    PERSON,
-    Study,
-)
-from experiments.report import (
-    compared,
-    Comparison,
-    Done,
-    draw_curves,
-    grouped,
-    listed,
-    Mark,
-    mean_intervals,
-    OURS,
-    Picture,
-    Section,
-    Table,
-)
 from experiments.trials import Trial
 
 NAME = 'table2'
@@ -94,11 +69,11 @@ SECTION_7, NAMED, ALSO_FRUIT = 'of section 7', 'named in the paper', 'the fruit 
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')
 REPEATS = 7  # makings of one exact plan, for its seconds
 COSTS = {  # of a trial, about processor seconds, by domain and kind of owner
-    ('pacman', NOBODY): 90.0,
-    ('pacman', PERSON): 260.0,
-    ('pacman', MACHINE): 150.0,
-    ('taxi', PERSON): 6.0,
-    ('taxi', MACHINE): 9.0,
+    ('pacman', people.NOBODY): 90.0,
+    ('pacman', people.PERSON): 260.0,
+    ('pacman', people.MACHINE): 150.0,
+    ('taxi', people.PERSON): 6.0,
+    ('taxi', people.MACHINE): 9.0,
 }
 ROUNDING = 1e-9  # reward units
 WANTED_UNIFORM, WANTED_MORE, TENTH = 1900.0, 300.0, 10.0  # points; times as long
@@ -137,22 +112,24 @@ GAMES = (TAXI, UNIFORM, CHASE)
 STOPPED, FIVE = Execution.INTERRUPTED, 'human, 5 options'
 MASS_NAME = 'human, modular (greatest mass)'  # it may make a state worth less
 MASS, STRONGEST = Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST
-TO_END = Variant('human', PERSON, HUMAN, 'C1-s')
-BY_CHANCE = Variant('random choice among human options', PERSON, HUMAN, 'C6:*', by_chance=True)
+TO_END = Variant('human', people.PERSON, HUMAN, 'C1-s')
+BY_CHANCE = Variant(
+    'random choice among human options', people.PERSON, HUMAN, 'C6:*', by_chance=True
+)
 VARIANTS = (
-    Variant('primitive', NOBODY, PRIMITIVE, 'C0-o'),
+    Variant('primitive', people.NOBODY, PRIMITIVE, 'C0-o'),
     TO_END,
-    Variant(AS_IN_PAPER, PERSON, HUMAN, 'C1:x', options=SECTION_7),
-    Variant(FIVE, PERSON, HUMAN, 'C7-p', options=ALSO_FRUIT),
-    Variant('automatic', MACHINE, AUTOMATIC, 'C2-^'),
-    Variant('human + primitive', PERSON, HUMAN_AND_PRIMITIVE, 'C1--D'),
-    Variant('automatic + primitive', MACHINE, AUTOMATIC_AND_PRIMITIVE, 'C2--v'),
-    Variant('human, interrupted', PERSON, HUMAN, 'C3-P', STOPPED),
-    Variant(f'{FIVE}, interrupted', PERSON, HUMAN, 'C8-h', STOPPED, ALSO_FRUIT),
-    Variant(MASS_NAME, PERSON, HUMAN, 'C4-.<', MASS),
-    Variant('human, modular (strongest)', PERSON, HUMAN, 'C5-.>', STRONGEST),
-    Variant(f'human, {NEIGHBOUR}', PERSON, HUMAN, 'C7:1', options=NEIGHBOUR),  # in Taxi
-    Variant(f'human, {FOREST}', PERSON, HUMAN, 'C8:2', options=FOREST),
+    Variant(AS_IN_PAPER, people.PERSON, HUMAN, 'C1:x', options=SECTION_7),
+    Variant(FIVE, people.PERSON, HUMAN, 'C7-p', options=ALSO_FRUIT),
+    Variant('automatic', people.MACHINE, AUTOMATIC, 'C2-^'),
+    Variant('human + primitive', people.PERSON, HUMAN_AND_PRIMITIVE, 'C1--D'),
+    Variant('automatic + primitive', people.MACHINE, AUTOMATIC_AND_PRIMITIVE, 'C2--v'),
+    Variant('human, interrupted', people.PERSON, HUMAN, 'C3-P', STOPPED),
+    Variant(f'{FIVE}, interrupted', people.PERSON, HUMAN, 'C8-h', STOPPED, ALSO_FRUIT),
+    Variant(MASS_NAME, people.PERSON, HUMAN, 'C4-.<', MASS),
+    Variant('human, modular (strongest)', people.PERSON, HUMAN, 'C5-.>', STRONGEST),
+    Variant(f'human, {NEIGHBOUR}', people.PERSON, HUMAN, 'C7:1', options=NEIGHBOUR),  # in Taxi
+    Variant(f'human, {FOREST}', people.PERSON, HUMAN, 'C8:2', options=FOREST),
     BY_CHANCE,
 )
 INTERRUPTING = tuple(  # other executions of the plan ``TO_END``
@@ -199,12 +176,12 @@ class Effort:
 EFFORT = Effort()
 
 
-def trials(study: Study) -> list[Trial]:
+def trials(study: people.Study) -> list[Trial]:
     """Return one trial for each domain that is taught, and person, extraction, repetition."""
     found = []
     for domain in dict.fromkeys(game.domain for game in GAMES):
-        sources = owners(study, domain)
-        if not (count := len(sources[PERSON])):
+        sources = people.owners(study, domain)
+        if not (count := len(sources[people.PERSON])):
             continue
         for whose, members in sources.items():
             for source in members:
@@ -241,7 +218,7 @@ def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, An
         if game.domain != parameters['domain']:
             continue
         domain = make_domain(game.domain, game.parameters)
-        seed = owner_seed(parameters, NAME, game.name)
+        seed = people.owner_seed(parameters, NAME, game.name)
         for variant, owner in owned:
             options = [  # for use with other parameters than they were taught with
                 carried_over(option, domain) if isinstance(option, LearnedOption) else option
@@ -259,16 +236,18 @@ def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, An
     return found
 
 
-def _options_by_variant(parameters: Mapping[str, Any]) -> list[tuple[Variant, OwnedOptions]]:
+def _options_by_variant(
+    parameters: Mapping[str, Any],
+) -> list[tuple[Variant, people.OwnedOptions]]:
     """Return the variants of a trial, each with its options, without those that have no more."""
     domain, whose = make_domain(parameters['domain']), parameters['whose']
-    owned = {NAMED: options_of(parameters, domain)}
+    owned = {NAMED: people.options_of(parameters, domain)}
     if domain.name in paper.ALSO_NAMED and 'person' in parameters.get('teacher', {}):
         owned[SECTION_7] = owned[NAMED]
-        owned[NAMED] += options_of(parameters, domain, paper.ALSO_NAMED[domain.name])
-        fruit = options_of(parameters, domain, paper.NOT_NAMED[domain.name])
+        owned[NAMED] += people.options_of(parameters, domain, paper.ALSO_NAMED[domain.name])
+        fruit = people.options_of(parameters, domain, paper.NOT_NAMED[domain.name])
         owned[ALSO_FRUIT] = owned[NAMED] + fruit
-    if whose == PERSON and is_enumerable(domain):
+    if whose == people.PERSON and is_enumerable(domain):
         seed, by_trees = parameters['seed'], owned[NAMED]
         owned |= {each: with_cloned_policies(each, by_trees, domain, seed) for each in LEARNERS}
     return [
@@ -387,10 +366,10 @@ def plan_exactly(
     def make(max_sweeps: int = MAX_SWEEPS) -> tuple[ExactPlan, ExactPlan]:
         """Return a plan, with all its seconds, and the one that executes it."""
         request = PlanRequest(variant.action_set, max_sweeps=max_sweeps)
-        plan = make_exact_plan(domain, options, request, clock=CLOCK)
-        began = CLOCK()
+        plan = make_exact_plan(domain, options, request, clock=people.CLOCK)
+        began = people.CLOCK()
         executed = as_executed(plan, variant.execution)
-        return replace(plan, model_seconds=plan.model_seconds + CLOCK() - began), executed
+        return replace(plan, model_seconds=plan.model_seconds + people.CLOCK() - began), executed
 
     def judge(max_sweeps: int = MAX_SWEEPS) -> tuple[ExactPlan, dict[str, Any]]:
         """Judge the plan of the median seconds of several, since one takes hardly any."""
@@ -470,7 +449,7 @@ def plan_from_samples(
             domain,
             options,
             replace(best, game_steps=budget, seed=_seed_for(seed, 'plan', number)),
-            clock=CLOCK,
+            clock=people.CLOCK,
         )
         for budget, number in zip(budgets, numbers)
     ]
@@ -513,7 +492,7 @@ def plan_from_samples(
 # The section of the report.
 
 
-def present(done: Done) -> Section:
+def present(done: report.Done) -> report.Section:
     """Return the section of the report."""
     members, points, gains = member_table(done), point_table(done), gain_of_members(done)
     summary, curves = summary_table(members), curve_table(points)
@@ -524,7 +503,7 @@ def present(done: Done) -> Section:
         results = Results(game, members, points, curves)
         found += [*_claims(results), *_numbers(results), *_goals(results), *_gains(game, gains)]
         name = f'table2-{re.sub(r"[^a-z]+", "-", game.name.lower())}'
-        tables.append(Table(name, game.name, summary.loc[game.name].reset_index()))
+        tables.append(report.Table(name, game.name, summary.loc[game.name].reset_index()))
         pictures.append(_picture(game, name, curves[curves['game'] == game.name]))
     others = {  # by name: title and rows
         'acquisition': ('What it cost to get the options, mean of each', cost_table(done)),
@@ -538,11 +517,11 @@ def present(done: Done) -> Section:
     }
     for name, (title, frame) in others.items():
         shown = name not in ('curves', 'settings')
-        tables.append(Table(f'table2-{name}', title, frame, shown))
-    return Section(NAME, TITLE, found, pictures, tables, {'effort': asdict(EFFORT)})
+        tables.append(report.Table(f'table2-{name}', title, frame, shown))
+    return report.Section(NAME, TITLE, found, pictures, tables, {'effort': asdict(EFFORT)})
 
 
-def rows_of(done: Done, name: str, by: Sequence[str]) -> pd.DataFrame:
+def rows_of(done: report.Done, name: str, by: Sequence[str]) -> pd.DataFrame:
     """
     Return the rows of one table of all trials, with the number of the trial as ``member``.
 
@@ -559,7 +538,7 @@ def rows_of(done: Done, name: str, by: Sequence[str]) -> pd.DataFrame:
     )
 
 
-def member_table(done: Done) -> pd.DataFrame:
+def member_table(done: report.Done) -> pd.DataFrame:
     """Return the means of each member's plans, indexed by game, variant and member."""
     plans = rows_of(done, 'plans', KEYS)
     plans['seconds'] = plans[list(SECONDS)].sum(axis=1)
@@ -569,7 +548,7 @@ def member_table(done: Done) -> pd.DataFrame:
 def summary_table(members: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each game and variant, indexed by both; each member counts once."""
     means = members.groupby(KEYS, sort=False).mean()
-    returns = mean_intervals(members.reset_index(), KEYS, 'mean').set_index(KEYS)
+    returns = report.mean_intervals(members.reset_index(), KEYS, 'mean').set_index(KEYS)
     exact = means.index.get_level_values('game') == TAXI.name
     parts = {
         'count': returns['count'],
@@ -590,12 +569,12 @@ def summary_table(members: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(parts)
 
 
-def point_table(done: Done) -> pd.DataFrame:
+def point_table(done: report.Done) -> pd.DataFrame:
     """Return each member's curve by budget; one that has ended keeps its last point."""
     points = rows_of(done, 'curve', KEYS)
     found: list[pd.DataFrame] = []
     points['seconds'] = points[list(SECONDS)].sum(axis=1)
-    for key, mine in grouped(points, KEYS):
+    for key, mine in report.grouped(points, KEYS):
         wide = mine.set_index(['budget', 'member'])[['seconds', 'mean']].unstack('member').ffill()
         every = wide.stack('member', future_stack=True).reset_index()
         found.append(every.assign(**dict(zip(KEYS, key))))
@@ -605,13 +584,13 @@ def point_table(done: Done) -> pd.DataFrame:
 def curve_table(points: pd.DataFrame) -> pd.DataFrame:
     """Return mean return by budget, over members."""
     by = [*KEYS, 'budget']
-    curves = mean_intervals(points, by, 'mean')
+    curves = report.mean_intervals(points, by, 'mean')
     curves['seconds'] = points.groupby(by, sort=False)['seconds'].mean().to_numpy()
     columns = [*by, 'seconds', 'mean', 'low', 'high']
     return curves[columns].rename(columns={'mean': 'mean return'})
 
 
-def cost_table(done: Done) -> pd.DataFrame:
+def cost_table(done: report.Done) -> pd.DataFrame:
     """Return what it cost to get the options, mean of their owners."""
     names = {
         'options': 'options',
@@ -629,7 +608,7 @@ def cost_table(done: Done) -> pd.DataFrame:
     return found.reset_index()
 
 
-def gain_of_members(done: Done) -> pd.DataFrame:
+def gain_of_members(done: report.Done) -> pd.DataFrame:
     """Return each member's gain by each execution of a plan over running options to their end."""
     means = {'least': 'min', 'mean': 'mean', 'most': 'max'}
     gains = rows_of(done, 'gains', EXECUTIONS).reindex(columns=[*EXECUTIONS, 'member', *means])
@@ -639,7 +618,7 @@ def gain_of_members(done: Done) -> pd.DataFrame:
 
 def gain_table(members: pd.DataFrame) -> pd.DataFrame:
     """Return the gain of each execution, over members."""
-    found = mean_intervals(members, EXECUTIONS, 'mean')
+    found = report.mean_intervals(members, EXECUTIONS, 'mean')
     extremes = members.groupby(EXECUTIONS, sort=False)
     found['least of all states'] = extremes['least'].min().to_numpy()
     found['most of all states'] = extremes['most'].max().to_numpy()
@@ -661,7 +640,7 @@ def paper_table(summary: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*columns, 'low', 'high'])
 
 
-def setting_table(done: Done) -> pd.DataFrame:
+def setting_table(done: report.Done) -> pd.DataFrame:
     """Return the settings that were chosen, for each game, variant and member."""
     settings = rows_of(done, 'settings', KEYS)
     number = settings.groupby(KEYS, sort=False).cumcount() + 1
@@ -679,7 +658,7 @@ class Results:
         """Take the members, points and curves of all games."""
         self.game = game
         self.members, self._points, self._curves = (
-            {name: rows for (name,), rows in grouped(of[of['game'] == game.name], KEYS[1:])}
+            {name: rows for (name,), rows in report.grouped(of[of['game'] == game.name], KEYS[1:])}
             for of in (table.reset_index() for table in tables)
         )
 
@@ -724,14 +703,14 @@ class Results:
         return named, Interval.of_ratio(*times, paired=False)
 
     def says(
-        self, claim: Statement, verdict: bool | Mark | None, *values: Value, why: str = ''
-    ) -> Comparison:
+        self, claim: Statement, verdict: bool | report.Mark | None, *values: Value, why: str = ''
+    ) -> report.Comparison:
         """Return a claim beside the values that decide it, or why nothing does."""
-        found = listed(self.game.name, dict(values)) if values else ''
-        return compared(claim, '; '.join(filter(None, (found, why))), verdict)
+        found = report.listed(self.game.name, dict(values)) if values else ''
+        return report.compared(claim, '; '.join(filter(None, (found, why))), verdict)
 
 
-def _claims(results: Results) -> Iterator[Comparison]:
+def _claims(results: Results) -> Iterator[report.Comparison]:
     """Yield what the paper says of times and returns, and what planning shall gain over chance."""
     said, options = paper.TABLE_2_SAID, [*filter(results.has, ('human', 'automatic'))]
     if results.has('primitive') and options:
@@ -751,10 +730,10 @@ def _claims(results: Results) -> Iterator[Comparison]:
         planned, by_chance = (results.value(one.name)[1].mean for one in (TO_END, BY_CHANCE))
         share = f'random choice has {by_chance / planned:.0%}' if planned > 0 else ''
         claim = 'Planning with human options returns more than random choice among them.'
-        yield results.says(Statement(claim, OURS), gain[1].above(ROUNDING), gain, why=share)
+        yield results.says(Statement(claim, report.OURS), gain[1].above(ROUNDING), gain, why=share)
 
 
-def _numbers(results: Results) -> Iterator[Comparison]:
+def _numbers(results: Results) -> Iterator[report.Comparison]:
     """
     Yield the numbers of table 2 beside ours.
 
@@ -772,7 +751,7 @@ def _numbers(results: Results) -> Iterator[Comparison]:
         if name == 'primitive':
             taken = 'seconds', Interval.of(results.members[own]['seconds'])
             claim, why = Statement(f'{said}.', 'table 2'), paper.WHY_NO_SECONDS
-            yield results.says(claim, Mark.NOT_COMPARABLE, taken, why=why)
+            yield results.says(claim, report.Mark.NOT_COMPARABLE, taken, why=why)
         else:
             part, time = part / known['primitive'][0], results.race(own, 'primitive')
             said += f', {part:.3g} of the time of primitive actions.'
@@ -780,13 +759,13 @@ def _numbers(results: Results) -> Iterator[Comparison]:
     why = paper.WHY_NO_RETURN[results.game.domain]
     for name, own in ours.items():
         claim = Statement(f'{title}, {name}: average reward {known[name][1]:,g}.', 'table 2')
-        yield results.says(claim, Mark.NOT_COMPARABLE, results.value(own), why=why)
+        yield results.says(claim, report.Mark.NOT_COMPARABLE, results.value(own), why=why)
     if not results.game.exact:
         best = paper.TABLE_2_SAID['incomplete']
-        yield results.says(best, Mark.NO_COUNTERPART, why=paper.NO_BEST_KNOWN)
+        yield results.says(best, report.Mark.NO_COUNTERPART, why=paper.NO_BEST_KNOWN)
 
 
-def _goals(results: Results) -> Iterator[Comparison]:
+def _goals(results: Results) -> Iterator[report.Comparison]:
     """
     Yield the best way to interrupt human options beside the goals of this project.
 
@@ -806,33 +785,33 @@ def _goals(results: Results) -> Iterator[Comparison]:
         more = results.more(best, 'human', level)
         values, parts = [reached, less, more], [more[1].at_least(WANTED_MORE)]
     verdict = all_hold([*parts, less[1].at_least(-ROUNDING)])
-    yield results.says(Statement(GOALS[results.game.name], OURS), verdict, *values)
+    yield results.says(Statement(GOALS[results.game.name], report.OURS), verdict, *values)
 
 
-def _gains(game: ComparedGame, gains: pd.DataFrame) -> Iterator[Comparison]:
+def _gains(game: ComparedGame, gains: pd.DataFrame) -> Iterator[report.Comparison]:
     """Yield what the same plan gains where its options are stopped: by state, or in games."""
-    mine = grouped(gains[gains['game'] == game.name], EXECUTIONS[1:])
+    mine = report.grouped(gains[gains['game'] == game.name], EXECUTIONS[1:])
     by_way = {name: rows for (name,), rows in mine}
     if game.exact:
         least = {name: rows['least'].min() for name, rows in by_way.items()}
         least = {name: value for name, value in least.items() if name != MASS_NAME}
-        text = listed('least of all states and people', least)
+        text = report.listed('least of all states and people', least)
         claim, verdict = (
-            Statement(GOALS[game.name], OURS),
+            Statement(GOALS[game.name], report.OURS),
             min(least.values(), default=0) >= -ROUNDING,
         )
     else:
         level = level_of_each(max(len(by_way), 1))
         more = {name: Interval.of(rows['mean'], level) for name, rows in by_way.items()}
-        text = listed(f'{game.name}, points more than run to the end', more)
+        text = report.listed(f'{game.name}, points more than run to the end', more)
         verdict = any_holds(gain.above() for gain in more.values())
         claim = paper.TABLE_2_SAID['interrupted']
     if by_way:
-        yield compared(claim, text, verdict)
+        yield report.compared(claim, text, verdict)
 
 
-def _picture(game: ComparedGame, name: str, curves: pd.DataFrame) -> Picture:
-    return Picture(
+def _picture(game: ComparedGame, name: str, curves: pd.DataFrame) -> report.Picture:
+    return report.Picture(
         name,
         f'Mean return in {game.name} by planning seconds and action set',
         (8.2, 4.2),
@@ -847,7 +826,7 @@ def _draw(game: ComparedGame, curves: pd.DataFrame, work: Drawing) -> None:
     axes, (unit, scale) = work.axes, ('ms', 1e3) if game.exact else ('s', 1.0)
     drawn = curves.assign(mean=curves['mean return'], seconds=scale * curves['seconds'])
     lines = {variant.name: variant.line for variant in VARIANTS}
-    draw_curves(axes, drawn, 'action set', 'seconds', lines, ms=4, lw=1.3)
+    report.draw_curves(axes, drawn, 'action set', 'seconds', lines, ms=4, lw=1.3)
     axes.set(title=game.name, xlabel=f'planning time of a processor, {unit}', ylabel='mean return')
     axes.set_xscale('log')
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

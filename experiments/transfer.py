@@ -28,21 +28,9 @@ from humanopts_teach.report.figures import Drawing
 from humanopts_teach.report.pages import counted
 import pandas as pd
 
-from experiments import paper
+from experiments import paper, report
 from experiments.paper import Statement
 from experiments.people import options_of, OwnedOptions, owners, PERSON, Study
-from experiments.report import (
-    compared,
-    Comparison,
-    Done,
-    grouped,
-    listed,
-    mean_intervals,
-    OURS,
-    Picture,
-    Section,
-    Table,
-)
 from experiments.trials import Trial
 
 NAME, DOMAIN = 'transfer', 'pacman'
@@ -112,7 +100,7 @@ def taught_in_usual_maze(teacher: Mapping[str, Any]) -> OwnedOptions:
     return options_of({'teacher': teacher}, make_domain(DOMAIN), names)
 
 
-def score_table(done: Done) -> pd.DataFrame:
+def score_table(done: report.Done) -> pd.DataFrame:
     """
     Return a row for each maze, variant of the game and way to play.
 
@@ -124,25 +112,25 @@ def score_table(done: Done) -> pd.DataFrame:
 
 def summary_table(scores: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each variant and way to play: means over the mazes, score with limits."""
-    found = mean_intervals(scores, KEYS, 'score')
+    found = report.mean_intervals(scores, KEYS, 'score')
     others = scores.columns.intersection(['cleared', 'fallbacks', 'seconds'], sort=False)
     found = found.join(scores.groupby(KEYS, sort=False)[list(others)].mean(), on=KEYS)
     return found.rename(columns={'count': 'mazes', 'mean': 'score'})
 
 
-def present(done: Done) -> Section:
+def present(done: report.Done) -> report.Section:
     """Return the section of the report."""
     scores = score_table(done)
     mazes = pd.DataFrame([(p['number'], p['maze']) for p, _ in done], columns=['maze', 'text'])
-    return Section(
+    return report.Section(
         NAME,
         TITLE,
         _comparisons(scores),
         _pictures(scores),
         [
-            Table('transfer-summary', 'Mean scores over the mazes', summary_table(scores)),
-            Table('transfer-scores', 'Scores by maze', scores, shown=False),
-            Table('transfer-mazes', 'The mazes', mazes, shown=False),
+            report.Table('transfer-summary', 'Mean scores over the mazes', summary_table(scores)),
+            report.Table('transfer-scores', 'Scores by maze', scores, shown=False),
+            report.Table('transfer-mazes', 'The mazes', mazes, shown=False),
         ],
         {'steps': STEPS, 'games': GAMES},
     )
@@ -150,13 +138,15 @@ def present(done: Done) -> Section:
 
 def _by_maze(rows: pd.DataFrame) -> dict[str, pd.Series]:
     """Return the scores (mazes,) of each way to play in one game, in the order of the rows."""
-    return {name: mine.set_index('maze')['score'] for (name,), mine in grouped(rows, KEYS[1:])}
+    return {
+        name: mine.set_index('maze')['score'] for (name,), mine in report.grouped(rows, KEYS[1:])
+    }
 
 
-def _comparisons(scores: pd.DataFrame) -> list[Comparison]:
+def _comparisons(scores: pd.DataFrame) -> list[report.Comparison]:
     """Compare the plan with all options, interrupted, with each baseline."""
     found = []
-    for (game,), rows in grouped(scores, ['game']):
+    for (game,), rows in report.grouped(scores, ['game']):
         by_way = _by_maze(rows)
         kinds = dict(zip(rows['way to play'], rows['kind']))
         plans = [n for n in by_way if kinds[n] == PLAN and INTERRUPTED.fullmatch(n)]
@@ -166,22 +156,22 @@ def _comparisons(scores: pd.DataFrame) -> list[Comparison]:
                 more = Interval.of_difference(by_way[plan], by_way[other])
                 values = {name: Interval.of(by_way[name]) for name in (plan, other)}
                 case = f'{game}, {counted(len(by_way[plan]), "maze")}'
-                text = listed(case, {**values, 'more': more}, ',.0f')
+                text = report.listed(case, {**values, 'more': more}, ',.0f')
                 said = f'Options that are planned with and interrupted score more than: {other}.'
-                found.append(compared(Statement(said, OURS), text, more.above()))
+                found.append(report.compared(Statement(said, report.OURS), text, more.above()))
     return found
 
 
-def _pictures(scores: pd.DataFrame) -> list[Picture]:
+def _pictures(scores: pd.DataFrame) -> list[report.Picture]:
     return [
-        Picture(
+        report.Picture(
             f'transfer-{game.rpartition("=")[2]}',
             f'Scores by maze of every way to play Pac-Man, {game}',
             SIZE,
             partial(_draw, _by_maze(rows), game),
             f'{game}: the dots are mazes, the bars means over the mazes with 95 % intervals.',
         )
-        for (game,), rows in grouped(scores, ['game'])
+        for (game,), rows in report.grouped(scores, ['game'])
     ]
 
 

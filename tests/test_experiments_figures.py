@@ -472,7 +472,7 @@ def test_trial_of_figure_4_has_the_mean_steps_of_its_learners(
     taxi = Taxi()
     known = (reference_options(taxi)[name] for name in paper.TAUGHT['taxi'])
     taught = OwnedOptions(tuple(options_from_references(taxi, known)))
-    monkeypatch.setattr(figure4, 'options_of', lambda owner, domain: taught)
+    monkeypatch.setattr(figure4.people, 'options_of', lambda owner, domain: taught)
     trials = figure4.trials(Study(participants=1, seeds=2))
     human = next(trial for trial in trials if trial.parameters['set'] == 'human')
     (found,) = figure4.learn_curves({**human.parameters, 'episodes': 5})

@@ -22,7 +22,7 @@ import pytest
 
 from experiments import paper, table2
 from experiments.learners import cloned_accuracies, LEARNERS, with_cloned_policies
-from experiments.people import BagLesson, OwnedOptions, Study
+from experiments.people import BagLesson, NOBODY, OwnedOptions, PERSON, Study
 from experiments.report import Comparison, Done, Mark, Section
 from experiments.table2 import (
     BY_CHANCE,
@@ -30,8 +30,6 @@ from experiments.table2 import (
     Effort,
     GAMES,
     INTERRUPTING,
-    NOBODY,
-    PERSON,
     plan_from_samples,
     play_states_by_chance,
     present,
