@@ -95,9 +95,8 @@ def view_of(env: Any, name: str, table: Sequence[Any], starts: set[int], ends: s
     shape: tuple[int, ...] = getattr(desc, 'shape', getattr(env, 'shape', ()))
     if len(shape) == 2 and np.prod(shape) == count:
         tiles = _tiles(table, starts, ends) if desc is None else np.array(desc).astype(str).ravel()
-        size, fell = (int(shape[0]), int(shape[1])), isinstance(env, CliffWalkingEnv)
-        view = _grid_view(actions, size, tiles.tolist())
-        return replace(view, effect=_grid_effect(actions, size, tiles.tolist(), table, fell))
+        size, has_cliff = (int(shape[0]), int(shape[1])), isinstance(env, CliffWalkingEnv)
+        return _grid_view(actions, size, tiles.tolist(), table, has_cliff)
     state = Feature.nominal('state', 'which state it is', map(str, range(count)))
     return View((state,), [(number,) for number in range(count)], actions, _drawing(env))
 
@@ -117,40 +116,28 @@ def _actions(env: Any, name: str, count: int) -> tuple[Action, ...]:
 # Grids.
 
 
-def _grid_view(actions: tuple[Action, ...], shape: tuple[int, int], tiles: list[str]) -> View:
+def _grid_view(
+    actions: tuple[Action, ...],
+    shape: tuple[int, int],
+    tiles: list[str],
+    table: Sequence[Any],
+    has_cliff: bool,
+) -> View:
+    """
+    Return the view of a grid.
+
+    :param has_cliff: a step into a cell that is never entered is a fall that leads to the start.
+    """
     rows, cols = shape
     present = (f'{tile} {what}' for tile, what in TILES.items() if tile == AGENT or tile in tiles)
     legend = '   '.join(present)
+    ways = {name: step for step, name in DIRECTIONS.items()}
 
     def draw(state: int, seen: Mapping[str, str]) -> str:
         at = state if len(seen) == 2 else -1  # drawn only where row and column may be seen
         cells = [(AGENT if cell == at else ' ') + tile for cell, tile in enumerate(tiles)]
         lines = [''.join(cells[row * cols : (row + 1) * cols]) for row in range(rows)]
         return '\n'.join([*lines, legend, *([] if len(seen) == 2 else [_words(seen)])])
-
-    features = (
-        Feature.number('row', 'which row the agent is in', rows),
-        Feature.number('col', 'which column the agent is in', cols),
-    )
-    values = [divmod(state, cols) for state in range(rows * cols)]
-    cells = np.arange(rows * cols, dtype=np.int32).reshape(rows, cols)
-    return View(features, values, actions, draw, [BoardSlice('board', cells)], GRID_STYLES)
-
-
-def _grid_effect(
-    actions: tuple[Action, ...],
-    shape: tuple[int, int],
-    tiles: list[str],
-    table: Sequence[Any],
-    has_cliff: bool,
-) -> Callable[[int, int, int], StepEffect]:
-    """
-    Return the function that tells what a step did: from state, action and successor.
-
-    :param has_cliff: a step into a cell that is never entered is a fall that leads to the start.
-    """
-    rows, cols = shape
-    ways = {name: step for step, name in DIRECTIONS.items()}
 
     def effect(state: int, action: int, successor: int) -> StepEffect:
         (row, col), (to_row, to_col) = divmod(state, cols), divmod(successor, cols)
@@ -169,7 +156,13 @@ def _grid_effect(
         entered = ENTERED.get(tiles[successor], '') if moved.changed else ''
         return replace(moved, text=f'{moved.text} and {entered}') if entered else moved
 
-    return effect
+    features = (
+        Feature.number('row', 'which row the agent is in', rows),
+        Feature.number('col', 'which column the agent is in', cols),
+    )
+    values = [divmod(state, cols) for state in range(rows * cols)]
+    board = BoardSlice('board', np.arange(rows * cols, dtype=np.int32).reshape(rows, cols))
+    return View(features, values, actions, draw, [board], GRID_STYLES, effect)
 
 
 def _tiles(table: Sequence[Any], starts: set[int], ends: set[int]) -> NDArray[np.str_]:

@@ -73,6 +73,10 @@ class Screen:
         """Return the labels of the keys that do something now, and what they do."""
         return []
 
+    def again(self, app: 'App') -> None:
+        """Go back to this screen."""
+        app.show(self)
+
 
 @dataclass(frozen=True, slots=True)
 class Message:
@@ -295,6 +299,8 @@ class App:
             self._keys.clear()
         if answer.detail or not answer.carried_out:
             self.say(answer.detail, bad=not answer.carried_out)
+        if isinstance(request, Drive) and not answer.carried_out and self.run is not None:
+            self.ask(SetControl(hold=True))  # the machine goes on, and the person wants to drive
         self.screen.replied(request, answer, self)
 
 

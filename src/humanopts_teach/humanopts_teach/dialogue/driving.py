@@ -13,7 +13,6 @@ from humanopts_teach.dialogue.keys import Command, key_table, KeyTable, label
 from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,
-    Drive,
     NewEpisode,
     PlanOptions,
     PlayEpisodes,
@@ -84,14 +83,9 @@ class PlayScreen(Screen):
         elif command is Command.MENU:
             self._out(app)
         elif command is Command.HELP:
-            app.show(HelpScreen(self._help(app), self._back))
+            app.show(HelpScreen(self._help(app), self.again))
         elif command is Command.QUIT:
             app.end()
-
-    def replied(self, request: Request, answer: Answer, app: App) -> None:
-        """Take control where a step was refused while the machine goes on."""
-        if isinstance(request, Drive) and not answer.ok and app.run is not None:
-            app.ask(SetControl(hold=True))
 
     def start(self, app: App) -> None:
         """Have the machine begin. To be overridden where a machine plays."""
@@ -121,9 +115,6 @@ class PlayScreen(Screen):
         else:
             app.ask(SetControl(hold=False))
             self.menu(app)
-
-    def _back(self, app: App) -> None:
-        app.show(self)
 
     def _help(self, app: App) -> Keys:
         actions = [(label(action.key), action.description) for action in app.domain.actions]
@@ -185,7 +176,6 @@ class WatchScreen(PlayScreen):
         """Keep the new execution for the runs that follow."""
         if isinstance(request, SetExecution) and answer.ok:
             self.execution = Execution(request.execution)
-        super().replied(request, answer, app)
 
     def in_force(self, app: App) -> Execution:
         """Return how it plays, or will play."""
@@ -224,7 +214,7 @@ class WatchScreen(PlayScreen):
             )
             for state, gain in app.world.uncovered
         ]
-        app.show(ListScreen('Not covered: teach from which place?', items, back=self._back))
+        app.show(ListScreen('Not covered: teach from which place?', items, back=self.again))
 
     def _teach_from(self, state: str, app: App) -> None:
         app.next_start = state

@@ -116,14 +116,16 @@ class ListScreen(Screen):
 
 @dataclass
 class ConfirmScreen(Screen):
-    """A question that Enter affirms; any other key goes back."""
+    """A question: every key goes back, and Enter affirms it then."""
 
     question: str
     affirm: Callable[[App], None]
     back: Callable[[App], None]
 
     def press(self, key: str, app: App) -> None:
-        (self.affirm if key == ENTER else self.back)(app)
+        self.back(app)
+        if key == ENTER:
+            self.affirm(app)
 
     def keys(self, app: App) -> Keys:
         return [('Enter', 'yes'), ('any other key', 'go on as before')]
@@ -148,6 +150,4 @@ class HelpScreen(Screen):
 def show_game(screen: Screen, app: App) -> None:
     """Show what the game is about, what its signs mean, and what its actions do."""
     actions = [(label(action.key), action.description) for action in app.domain.actions]
-    app.show(
-        HelpScreen([*explanation(app.domain), *actions], lambda app: app.show(screen), 'The game')
-    )
+    app.show(HelpScreen([*explanation(app.domain), *actions], screen.again, 'The game'))

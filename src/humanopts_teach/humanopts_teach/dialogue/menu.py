@@ -157,12 +157,9 @@ def _rename(name: str, app: App) -> None:
 
 
 def _delete(name: str, app: App) -> None:
-    def delete(app: App) -> None:
-        _change(name, app)
-        app.ask(ChangeOption(name))
-
     question = f'Delete {name}? It is unlearned; the recording keeps what was shown.'
-    app.show(ConfirmScreen(question, delete, partial(_change, name)))
+    back = partial(_change, name)
+    app.show(ConfirmScreen(question, lambda app: app.ask(ChangeOption(name)), back))
 
 
 def _changed(request: Request, answer: Answer, app: App) -> None:

@@ -19,7 +19,6 @@ from humanopts_teach.lesson.requests import (
     AnswerQuestion,
     BeginDemonstration,
     DefineOption,
-    Drive,
     EndDemonstration,
     LessonView,
     ListDemonstrations,
@@ -152,8 +151,6 @@ class LessonScreen(Screen):
                 self._show_contradiction(answer, app)
         elif isinstance(request, ListDemonstrations) and answer.ok:
             self._show_demonstrations(answer.demonstrations, app)
-        elif isinstance(request, Drive) and not answer.ok and app.run is not None:
-            app.ask(SetControl(hold=True))
 
     def table(self, app: App) -> KeyTable:
         lesson, phase = app.world.lesson, app.world.lesson.phase
@@ -205,13 +202,13 @@ class LessonScreen(Screen):
             Command.WATCH: lambda: self._watch(_random_start(app), app),
             Command.BACK: lambda: app.ask(AnswerQuestion(lesson.question_id, back=True)),
             **{pace: partial(set_pace, pace, app) for pace in PACE},
-            Command.START_AGAIN: lambda: self._toggle(lesson, app),
-            Command.QUESTIONS: lambda: leave(
-                'Answer the questions again', lambda app: self._ask_again(lesson, app)
+            Command.START_AGAIN: lambda: app.can_start_again.update(
+                {lesson.option_name: not _can_start_again(app)}
             ),
+            Command.QUESTIONS: lambda: leave('Answer the questions again', self._ask_again),
             Command.RUN: lambda: self.run(lesson.option_name, app),
             Command.MENU: lambda: leave('Go to the menu', self.menu),
-            Command.HELP: lambda: app.show(HelpScreen(_help(app), self._back)),
+            Command.HELP: lambda: app.show(HelpScreen(_help(app), self.again)),
             Command.QUIT: lambda: leave('Quit', lambda app: app.end()),
         }
         does[command]()
@@ -219,25 +216,14 @@ class LessonScreen(Screen):
     def _begin(self, app: App) -> None:
         app.ask(BeginDemonstration(app.next_start))
 
-    def _toggle(self, lesson: LessonView, app: App) -> None:
-        app.can_start_again[lesson.option_name] = not _can_start_again(app)
-
-    def _back(self, app: App) -> None:
-        app.show(self)
-
     def _done(self, app: App) -> None:
         """Say done; ask once more where the last step had no effect."""
         effect = app.world.last_effect
         if effect is None or effect.changed:
             self._count(app)
             return
-
-        def affirm(app: App) -> None:
-            app.show(self)
-            self._count(app)
-
         question = f'The last step had no effect ({effect.text}). Does the option end here?'
-        app.show(ConfirmScreen(question, affirm, self._back))
+        app.show(ConfirmScreen(question, self._count, self.again))
 
     def _count(self, app: App) -> None:
         """Keep the demonstration; ask whether the steps count that the machine took before."""
@@ -254,7 +240,7 @@ class LessonScreen(Screen):
         if app.world.game.step > steps:
             items.append(Item('No', 'it begins where I took over', partial(keep, counts=False)))
         title = f'The machine took the first {steps}. Do its steps count as shown by you?'
-        app.show(ListScreen(title, items, back=self._back))
+        app.show(ListScreen(title, items, back=self.again))
 
     def _verdict(self, verdict: Verdict, app: App, *, counts: bool = False) -> None:
         game, again = app.world.game, _can_start_again(app) and verdict is Verdict.DONE
@@ -283,12 +269,9 @@ class LessonScreen(Screen):
 
     def _watch(self, start: str, app: App) -> None:
         """Have the machine run the option in a demonstration that the person can take over."""
-
-        def begin(app: App) -> None:
-            app.show(self)
-            app.ask(BeginDemonstration(start, watch=True))
-
-        self._leave('Watch the option', begin, app)
+        app.show(self)
+        begin = BeginDemonstration(start, watch=True)
+        self._leave('Watch the option', lambda app: app.ask(begin), app)
 
     def _show_demonstrations(self, shown: Sequence[Demonstration], app: App) -> None:
         if not shown:
@@ -299,7 +282,7 @@ class LessonScreen(Screen):
             Item(*_in_words(demo), partial(self._show_one, demo, back), demo.states)
             for demo in reversed(shown)
         ]
-        app.show(ListScreen('What was shown, the newest first', items, back=self._back))
+        app.show(ListScreen('What was shown, the newest first', items, back=self.again))
 
     def _show_one(self, demo: Demonstration, back: Callable[[App], None], app: App) -> None:
         watch, states = partial(self._watch, demo.states[0]), demo.states
@@ -334,19 +317,17 @@ class LessonScreen(Screen):
             return
 
         def discard(app: App) -> None:
-            app.show(self)
             self._discard(app)
             go(app)
 
         if app.world.game.step:
             question = f'{words}? The demonstration under way is discarded; all else is saved.'
-            app.show(ConfirmScreen(question, discard, self._back))
+            app.show(ConfirmScreen(question, discard, self.again))
         else:
             discard(app)
 
-    def _ask_again(self, lesson: LessonView, app: App) -> None:
-        app.show(self)
-        app.ask(DefineOption(lesson.option_name, ask_again=True))
+    def _ask_again(self, app: App) -> None:
+        app.ask(DefineOption(app.world.lesson.option_name, ask_again=True))
 
 
 def _in_words(demo: Demonstration) -> tuple[str, str]:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.capabilities import Baselines, PlanSettings, Scores
 from humanopts_env.domains.pacman.features import look_around, Surroundings
-from humanopts_env.domains.pacman.games import batch_outcome
 from humanopts_env.domains.pacman.reference import (
     AVOID_GHOST,
     CLOSEST_FOOD,
@@ -91,7 +90,7 @@ def play_heuristic(domain: 'PacMan', games: int, seed: int, *, to_end: bool) -> 
         running = np.where(ended | (running < 0) | (not to_end), chosen, running)
         moves: Ints = np.stack([j.optimal for j in said])[running, each].argmax(axis=1)
         batch.step(moves, batch.draws(rng))
-    return Scores(batch.score, batch_outcome(batch))
+    return Scores(batch.score, domain.batch_games().batch_outcome(batch))
 
 
 def _by_rule(names: Sequence[str], seen: Surroundings, available: Flags) -> Ints:

@@ -133,7 +133,7 @@ class PacManGames(BatchGames):
 
     def batch_outcome(self, batch: PacManBatch) -> Mapping[str, NDArray[Any]]:
         """Return whether the maze is cleared, and the lives that are left."""
-        return batch_outcome(batch)
+        return {'cleared': batch.food_left == 0, 'lives left': batch.lives}
 
     def abstraction(self, *, fine: bool) -> Abstraction:
         """
@@ -199,11 +199,6 @@ class PacManGames(BatchGames):
             _near(direction[game, first], away[game, first], NEAR_DANGER),
             _near(direction[game, second], away[game, second], NEAR_SECOND),
         )
-
-
-def batch_outcome(batch: PacManBatch) -> Mapping[str, NDArray[Any]]:
-    """Return the measures that are reported beside the score."""
-    return {'cleared': batch.food_left == 0, 'lives left': batch.lives}
 
 
 def _near(direction: NDArray[Any], away: NDArray[Any], near: Ints) -> Ints:
