@@ -6,7 +6,7 @@ conditions. The order is counterbalanced by a rule, so that it can be told befor
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 import re
@@ -214,11 +214,11 @@ def _check_balance(plan: StudyPlan) -> None:
     orders, count = len(balanced_latin_square(len(plan.conditions))), plan.participants
     if count % orders:
         fitting = [
-            each for each in (count // orders * orders, -(-count // orders) * orders) if each
+            str(times * orders) for times in (count // orders, -(-count // orders)) if times
         ]
         raise PlanFileError(
             f'{count} participants cannot be balanced over the {orders} orders of '
-            f'{len(plan.conditions)} conditions: plan for {" or ".join(map(str, fitting))}, or '
+            f'{len(plan.conditions)} conditions: plan for {" or ".join(fitting)}, or '
             'give order: random'
         )
 
@@ -226,14 +226,15 @@ def _check_balance(plan: StudyPlan) -> None:
 def _condition(given: Any, common: Mapping[str, Any]) -> Condition:
     values = {**common, **_mapping(given, 'a condition')}
     name = _name(values.get('name'), 'the name of a condition')
-    where = f'condition {name}'
-    _refuse_unknown(values, [each.name for each in fields(Condition)], where)
-    condition = Condition(name)
-    for each in fields(Condition):
-        if each.name in values:
-            default = getattr(condition, each.name)
-            value = _of_type(values[each.name], default, f'{each.name} of {where}')
-            condition = replace(condition, **{each.name: value})
+    where, usual = f'condition {name}', vars(Condition(name))
+    _refuse_unknown(values, list(usual), where)
+    condition = Condition(
+        **{
+            key: _of_type(values[key], usual[key], f'{key} of {where}')
+            for key in usual
+            if key in values
+        }
+    )
     if condition.strategy not in STRATEGIES:
         raise PlanFileError(
             f'strategy of {where} is {condition.strategy!r}; it is one of {", ".join(STRATEGIES)}'
@@ -275,23 +276,21 @@ def _page(folder: Path, name: Any, kind: Kind, key: str) -> tuple[Part, ...]:
 
 def _questions(name: str, folder: Path) -> tuple[Question, ...]:
     path = QUESTIONNAIRES / 'nasa_tlx.yaml' if name == SHIPPED else folder / name
-    values = _mapping(_load(path), str(path.name))
+    values = _mapping(_load(path), path.name)
     _refuse_unknown(values, ('points', 'items'), path.name)
     points, items = _whole(values.get('points', 7), f'points of {path.name}'), values.get('items')
     if not 2 <= points <= MOST_POINTS:
         raise PlanFileError(f'points of {path.name} is {points}, not from 2 to {MOST_POINTS}')
     if not isinstance(items, list) or not items:
         raise PlanFileError(f'items of {path.name} has to be a list of one or more')
-    found = []
+    found, where, parts = [], f'an item of {path.name}', ('name', 'text', 'low', 'high')
     for item in items:
-        values = _mapping(item, f'an item of {path.name}')
-        _refuse_unknown(values, ('name', 'text', 'low', 'high'), f'an item of {path.name}')
-        lacking = [key for key in ('name', 'text', 'low', 'high') if not values.get(key)]
-        if lacking:
-            raise PlanFileError(f'an item of {path.name} has no {", ".join(lacking)}')
-        texts = {key: str(value) for key, value in values.items()}
-        found.append(Question(**texts, points=points))
-        _name(found[-1].name, f'the name of an item of {path.name}')
+        values = _mapping(item, where)
+        _refuse_unknown(values, parts, where)
+        if lacking := [key for key in parts if not values.get(key)]:
+            raise PlanFileError(f'{where} has no {", ".join(lacking)}')
+        _name(str(values['name']), f'the name of {where}')
+        found.append(Question(**{key: str(values[key]) for key in parts}, points=points))
     if len({each.name for each in found}) < len(found):
         raise PlanFileError(f'two items of {path.name} have the same name')
     return tuple(found)

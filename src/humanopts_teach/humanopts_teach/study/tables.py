@@ -87,6 +87,9 @@ CODEBOOK = {  # file: column: what it holds
 }
 
 
+_FILES = {ANSWER: 'answers.csv', BUTTON: 'buttons.csv'}
+
+
 def tables(folder: StudyFolder) -> dict[str, pd.DataFrame]:
     """Return tidy tables by file name, one row for each observation, and the codebook."""
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in CODEBOOK}
@@ -95,12 +98,10 @@ def tables(folder: StudyFolder) -> dict[str, pd.DataFrame]:
         _add_participant(rows, each.code, events)
         for event in events:
             common = {'participant': each.code, 'condition': event.get('condition', '')}
-            if event['event'] == ANSWER:
-                rows['answers.csv'].append({**common, **_of(event, 'item', 'value', 'points')})
-            elif event['event'] == BUTTON:
-                rows['buttons.csv'].append({**common, **_of(event, 'domain', 'rank', 'text')})
-            elif event['event'] == LEARNED:
+            if event['event'] == LEARNED:
                 rows['options.csv'] += [{**common, **option} for option in event['options']]
+            elif event['event'] in _FILES:  # of whose fields the table has its columns
+                rows[_FILES[event['event']]].append({**event, **common})
     found = {
         name: pd.DataFrame(rows[name], columns=list(columns)) for name, columns in CODEBOOK.items()
     }
@@ -110,10 +111,6 @@ def tables(folder: StudyFolder) -> dict[str, pd.DataFrame]:
         for column, meaning in columns.items()
     ]
     return {**found, 'codebook.csv': pd.DataFrame(book)}
-
-
-def _of(event: Event, *names: str) -> dict[str, Any]:
-    return {name: event[name] for name in names}
 
 
 def _add_participant(
@@ -130,26 +127,14 @@ def _add_participant(
             if event['kind'] == Kind.CONSENT.value:
                 agreed = 'no' if event['why'] == REFUSED else 'yes'
             condition = event['condition']
+            place = order.index(condition) + 1 if condition in order else ''
             since = began.get(event['part'], event['time'])
-            rows['parts.csv'].append(
-                {
-                    'participant': code,
-                    'condition': condition,
-                    'part': event['kind'],
-                    'place': order.index(condition) + 1 if condition in order else '',
-                    'began': since,
-                    'seconds': round(event['time'] - since, 3),
-                    'why': event['why'],
-                }
-            )
-    rows['participants.csv'].append(
-        {
-            'participant': code,
-            'number': events[0].get('number', ''),
-            'simulated': 'yes' if events[0].get('simulated') else 'no',
-            'order': ' '.join(order),
-            'agreed': agreed,
-            'ended': 'yes' if events[-1]['event'] == ENDED else 'no',
-            'minutes': round((events[-1]['time'] - events[0]['time']) / 60, 2),
-        }
-    )
+            seconds = round(event['time'] - since, 3)
+            values = code, condition, event['kind'], place, since, seconds, event['why']
+            rows['parts.csv'].append(dict(zip(CODEBOOK['parts.csv'], values)))
+    simulated = 'yes' if events[0].get('simulated') else 'no'
+    ended = 'yes' if events[-1]['event'] == ENDED else 'no'
+    minutes = round((events[-1]['time'] - events[0]['time']) / 60, 2)
+    number = events[0].get('number', '')
+    person = code, number, simulated, ' '.join(order), agreed, ended, minutes
+    rows['participants.csv'].append(dict(zip(CODEBOOK['participants.csv'], person)))
