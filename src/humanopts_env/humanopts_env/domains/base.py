@@ -90,7 +90,6 @@ class Domain(Protocol[S]):
 
     def reset(self, rng: np.random.Generator) -> S:
         """Draw a start state of the task."""
-        ...
 
     def step(self, state: S, action: int, rng: np.random.Generator) -> Outcome[S]:
         """
@@ -99,23 +98,18 @@ class Domain(Protocol[S]):
         :param action: index into ``actions``.
         :raises DomainError: the action is not in the domain, or the episode is over in ``state``.
         """
-        ...
 
     def is_over(self, state: S) -> bool:
         """Return whether the task is over in ``state``, so that no step can be taken."""
-        ...
 
     def can_follow(self, state: S, action: int, successor: S) -> bool:
         """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
-        ...
 
     def feature_values(self, state: S) -> NDArray[np.int32]:
         """Return the value of every feature, (F,), indices into ``Feature.values``."""
-        ...
 
     def encode(self, state: S) -> str:
         """Return the state in the domain's notation, one line."""
-        ...
 
     def decode(self, text: str) -> S:
         """
@@ -123,11 +117,9 @@ class Domain(Protocol[S]):
 
         :raises StateError: ``text`` is not a state of this domain.
         """
-        ...
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
         """Draw states from which a person could be asked to demonstrate (never over)."""
-        ...
 
     def render(self, state: S, shown: Collection[str] | None = None) -> str:
         """
@@ -135,7 +127,6 @@ class Domain(Protocol[S]):
 
         :param shown: names of the features that may be revealed; None: all.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +165,6 @@ class EnumerableDomain(Domain[S], Protocol[S]):
     @property
     def n_states(self) -> int:
         """Number of states, reachable or not."""
-        ...
 
     def index(self, state: S) -> int:
         """
@@ -182,7 +172,6 @@ class EnumerableDomain(Domain[S], Protocol[S]):
 
         :raises StateError: it is not a state of this domain.
         """
-        ...
 
     def state_at(self, index: int) -> S:
         """
@@ -190,23 +179,18 @@ class EnumerableDomain(Domain[S], Protocol[S]):
 
         :raises StateError: there is no such state.
         """
-        ...
 
     def transitions(self) -> Transitions:
         """Return the exact transitions; built once, then shared and read-only."""
-        ...
 
     def feature_table(self) -> NDArray[np.int32]:
         """Return (S, F): ``feature_values`` of every state; shared and read-only."""
-        ...
 
     def start_states(self) -> NDArray[np.int32]:
         """Return the indices that ``reset`` draws from, uniformly."""
-        ...
 
     def over(self) -> NDArray[np.bool_]:
         """Return (S,): ``is_over`` of every state; shared and read-only."""
-        ...
 
     def board_slices(self) -> list[BoardSlice]:
         """Return a few layouts for figures of values and policies; by default none."""

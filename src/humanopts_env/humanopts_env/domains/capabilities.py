@@ -51,27 +51,21 @@ class BatchGames(Protocol):
 
     def batch_reset(self, count: int, rng: np.random.Generator) -> Any:
         """Begin games."""
-        ...
 
     def batch_of(self, states: Sequence[Any]) -> Any:
         """Return games that stand at given states."""
-        ...
 
     def batch_states(self, batch: Any) -> list[Any]:
         """Return the state of each game."""
-        ...
 
     def batch_take(self, batch: Any, games: Ints) -> Any:
         """Return copies of chosen games, by their indices (M,)."""
-        ...
 
     def batch_put(self, batch: Any, games: Ints, source: Any) -> None:
         """Set chosen games, by their indices (M,), each once, to the M games of another batch."""
-        ...
 
     def batch_step(self, batch: Any, actions: Ints, rng: np.random.Generator) -> NDArray[Any]:
         """Take one step in every game that is not over, in place; return the rewards (N,)."""
-        ...
 
     def batch_step_each(
         self, batch: Any, actions: Ints, rngs: Sequence[np.random.Generator]
@@ -82,19 +76,15 @@ class BatchGames(Protocol):
         :param batch: games that are not over.
         :param rngs: (N,) the chance of each game, drawn from as ``Domain.step`` does.
         """
-        ...
 
     def batch_over(self, batch: Any) -> Flags:
         """Return (N,): whether each game is over."""
-        ...
 
     def batch_features(self, batch: Any) -> NDArray[np.int32]:
         """Return (N, F): all features."""
-        ...
 
     def batch_outcome(self, batch: Any) -> Mapping[str, NDArray[Any]]:
         """Return the measures that are reported beside the return, each (N,), by name."""
-        ...
 
     def abstraction(self, *, fine: bool) -> Abstraction:
         """
@@ -103,7 +93,6 @@ class BatchGames(Protocol):
         :param fine: True: the features that primitive actions need; False: those that options
             need. Only the latter may have a ``mixture``.
         """
-        ...
 
     def abstract_features(
         self, batch: Any, rows: NDArray[np.int32], *, fine: bool
@@ -113,7 +102,6 @@ class BatchGames(Protocol):
 
         :param rows: (N, F) features of the games.
         """
-        ...
 
 
 @runtime_checkable
@@ -122,7 +110,6 @@ class HasBatchGames(Protocol):
 
     def batch_games(self) -> BatchGames:
         """Return the object that plays them."""
-        ...
 
 
 @runtime_checkable
@@ -135,7 +122,6 @@ class DrawsAhead(Protocol):
 
     def draws_ahead(self, rng: np.random.Generator, steps: int) -> NDArray[Any]:
         """Return (steps, D): what one game draws in so many steps of ``Domain.step``."""
-        ...
 
     def batch_step_drawn(self, batch: Any, actions: Ints, draws: NDArray[Any]) -> NDArray[Any]:
         """
@@ -144,7 +130,6 @@ class DrawsAhead(Protocol):
         :param batch: games that are not over.
         :param draws: (N, D) the chance of this step.
         """
-        ...
 
 
 def feature_rows(domain: Domain[Any], states: Sequence[Any]) -> NDArray[np.int32]:
@@ -166,7 +151,6 @@ class HasSearchSpace(Protocol):
 
     def search_space(self) -> SearchSpace:
         """Return the states of the random tasks, and the cell and situation of each."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -213,7 +197,6 @@ class Heuristic(Protocol):
 
         :param to_end: True: an option runs to its end; False: an option is chosen at every step.
         """
-        ...
 
 
 @dataclass(frozen=True)
@@ -236,7 +219,6 @@ class HasBaselines(Protocol):
 
     def baselines(self) -> Baselines:
         """Return the baselines in this variant of the game."""
-        ...
 
 
 @runtime_checkable
@@ -245,7 +227,6 @@ class HasActionMask(Protocol):
 
     def action_mask(self, state: Any) -> NDArray[np.int8]:
         """Return (A,): 1 for those that can."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +243,6 @@ class HasStepEffects(Protocol):
 
     def step_effect(self, state: Any, action: int, successor: Any) -> StepEffect:
         """Return what a step from ``state`` did that led to ``successor``."""
-        ...
 
 
 def step_effect(domain: Domain[Any], state: Any, action: int, successor: Any) -> StepEffect:
@@ -308,7 +288,6 @@ class HasFeatureGroups(Protocol):
     @property
     def feature_groups(self) -> Sequence[FeatureGroup]:
         """The groups; a feature is in one group at most."""
-        ...
 
 
 def feature_groups(domain: Domain[Any]) -> Sequence[FeatureGroup]:
@@ -323,7 +302,6 @@ class HasExplanation(Protocol):
     @property
     def explanation(self) -> Sequence[tuple[str, str]]:
         """Signs on the board, each with its meaning; the first sign is empty: what to do."""
-        ...
 
 
 def explanation(domain: Domain[Any]) -> Sequence[tuple[str, str]]:

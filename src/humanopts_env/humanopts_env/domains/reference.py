@@ -20,29 +20,23 @@ class ReferenceOption(Protocol):
     @property
     def name(self) -> str:
         """The name that people use, lower case."""
-        ...
 
     @property
     def features(self) -> tuple[str, ...]:
         """The features that the option depends on, in the domain's order."""
-        ...
 
     @property
     def definition(self) -> str:
         """The initiation set, policy and termination condition in words."""
-        ...
 
     def can_start(self, state: Any) -> bool:
         """Return whether the state is in the initiation set."""
-        ...
 
     def ends(self, state: Any) -> bool:
         """Return whether the termination condition holds."""
-        ...
 
     def optimal_actions(self, state: Any) -> tuple[int, ...]:
         """Return every action on a shortest path to the end; empty outside the initiation set."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +54,6 @@ class ManyStates(Protocol):
 
     def judge_states(self, states: Sequence[Any]) -> Judgement:
         """Judge N states."""
-        ...
 
 
 @runtime_checkable
@@ -69,7 +62,6 @@ class ManyGames(Protocol):
 
     def judge_games(self, batch: Any) -> Judgement:
         """Judge the states of N games."""
-        ...
 
 
 def judge_states(option: ReferenceOption, states: Sequence[Any], n_actions: int) -> Judgement:
