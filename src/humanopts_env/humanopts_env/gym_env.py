@@ -14,6 +14,7 @@ from typing import Any
 
 import gymnasium
 from gymnasium.envs.registration import EnvSpec
+from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import (
     Domain,
     DomainError,
@@ -166,7 +167,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         }
 
     @cached_property
-    def initial_state_distrib(self) -> NDArray[np.float64]:
+    def initial_state_distrib(self) -> Floats:
         """Probability of each state (S,) to be the first, in Gymnasium's tabular form."""
         starts = self._listed.start_states()
         share = np.zeros(self._listed.n_states)

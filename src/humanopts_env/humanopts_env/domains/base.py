@@ -6,6 +6,7 @@ from enum import Enum
 from itertools import compress, product
 from typing import Generic, Protocol, runtime_checkable, TypeGuard, TypeVar
 
+from humanopts_env.arrays import Flags, Floats
 import numpy as np
 from numpy.typing import NDArray
 
@@ -140,9 +141,9 @@ class Transitions:
     """
 
     successor: NDArray[np.int32]  # (S, A, B)
-    probability: NDArray[np.float64]  # (S, A, B), sums to 1 over B
-    reward: NDArray[np.float64]  # (S, A, B)
-    terminated: NDArray[np.bool_]  # (S, A, B)
+    probability: Floats  # (S, A, B), sums to 1 over B
+    reward: Floats  # (S, A, B)
+    terminated: Flags  # (S, A, B)
 
     @property
     def deterministic(self) -> bool:
@@ -189,7 +190,7 @@ class EnumerableDomain(Domain[S], Protocol[S]):
     def start_states(self) -> NDArray[np.int32]:
         """Return the indices that ``reset`` draws from, uniformly."""
 
-    def over(self) -> NDArray[np.bool_]:
+    def over(self) -> Flags:
         """Return (S,): ``is_over`` of every state; shared and read-only."""
 
     def board_slices(self) -> list[BoardSlice]:

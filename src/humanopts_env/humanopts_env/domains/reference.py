@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import EnumerableDomain
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +44,9 @@ class ReferenceOption(Protocol):
 class Judgement:
     """The values of a reference option in N states."""
 
-    initiation: NDArray[np.bool_]  # (N,)
-    termination: NDArray[np.bool_]  # (N,)
-    optimal: NDArray[np.bool_]  # (N, A), False outside the initiation set
+    initiation: Flags  # (N,)
+    termination: Flags  # (N,)
+    optimal: Flags  # (N, A), False outside the initiation set
 
 
 @runtime_checkable
@@ -85,13 +86,11 @@ class TabularReferenceOption:
     domain: EnumerableDomain[Any]
     name: str
     features: tuple[str, ...]
-    initiation: NDArray[np.bool_]  # (S,)
-    termination: NDArray[np.bool_]  # (S,)
-    optimal: NDArray[np.bool_]  # (S, A), False outside the initiation set
+    initiation: Flags  # (S,)
+    termination: Flags  # (S,)
+    optimal: Flags  # (S, A), False outside the initiation set
     distance: NDArray[np.int32]  # (S,) steps to the end; -1 outside the initiation set
-    judged: NDArray[
-        np.bool_
-    ]  # (S,) states that can be come to: learned I and beta are judged here
+    judged: Flags  # (S,) states that can be come to: learned I and beta are judged here
     definition: str = ''  # in words
 
     def can_start(self, state: Any) -> bool:

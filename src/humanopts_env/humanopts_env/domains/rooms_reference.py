@@ -5,16 +5,16 @@ Sutton, Precup and Singh (1999), section 3: from anywhere in a room, or from its
 option walks to one of the room's two doorways, and it ends wherever it has left the room.
 """
 
+from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import EnumerableDomain, Transitions
 from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.rooms import NOWHERE, ROOM_VALUES, ROOMS, RoomsState
 from humanopts_env.domains.tabular import best_ways, distance_to, feature_column, read_only
 import numpy as np
-from numpy.typing import NDArray
 
 FEATURES = ('row', 'col', 'room', 'doorway')
 Domain = EnumerableDomain[RoomsState]
-Mask = NDArray[np.bool_]
+Mask = Flags
 
 
 def reference_options(domain: Domain) -> dict[str, TabularReferenceOption]:

@@ -23,7 +23,7 @@ def feature_column(domain: EnumerableDomain[Any], name: str) -> NDArray[np.int32
     return values
 
 
-def reachable(domain: EnumerableDomain[Any]) -> NDArray[np.bool_]:
+def reachable(domain: EnumerableDomain[Any]) -> Flags:
     """
     Return (S,): whether an episode can reach each state from the start states.
 
@@ -41,8 +41,8 @@ def reachable(domain: EnumerableDomain[Any]) -> NDArray[np.bool_]:
 
 
 def distance_to(
-    transitions: Transitions, goal: NDArray[np.bool_], allowed: NDArray[np.bool_]
-) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    transitions: Transitions, goal: Flags, allowed: Flags
+) -> tuple[NDArray[np.int32], Flags]:
     """
     Find the shortest ways to a goal by breadth-first search backwards from it.
 
@@ -101,7 +101,7 @@ def best_ways(
 ROUNDING = 1e-9  # how far the probabilities of one action may be from 1 in sum
 
 
-def outcome_limits(transitions: Transitions) -> NDArray[np.float64]:
+def outcome_limits(transitions: Transitions) -> Floats:
     """
     Return (S, A, B): the probability of each outcome or one before it.
 
@@ -112,9 +112,7 @@ def outcome_limits(transitions: Transitions) -> NDArray[np.float64]:
     return limits
 
 
-def draw_outcomes(
-    limits: NDArray[np.float64], state: Any, action: Any, number: Any
-) -> NDArray[np.intp]:
+def draw_outcomes(limits: Floats, state: Any, action: Any, number: Any) -> Ints:
     """
     Return which of the B outcomes uniform numbers choose.
 
@@ -122,7 +120,7 @@ def draw_outcomes(
     :param state: index or indices (N,), as ``action``.
     :param number: in [0, 1), one or (N,).
     """
-    chosen: NDArray[np.intp] = (limits[state, action] <= np.asarray(number)[..., None]).sum(-1)
+    chosen: Ints = (limits[state, action] <= np.asarray(number)[..., None]).sum(-1)
     return chosen
 
 

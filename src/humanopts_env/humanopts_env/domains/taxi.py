@@ -52,7 +52,7 @@ def landmark_cells(rows: int, cols: int) -> dict[str, Cell]:
     return dict(zip(LANDMARKS, corners))
 
 
-def walls_east(rows: int, cols: int) -> NDArray[np.bool_]:
+def walls_east(rows: int, cols: int) -> Flags:
     """Return (rows, cols): whether a wall or the edge is on the east side of each cell."""
     walls = np.zeros((rows, cols), dtype=np.bool_)
     height = 2 * rows // 5
@@ -63,7 +63,7 @@ def walls_east(rows: int, cols: int) -> NDArray[np.bool_]:
     return read_only(walls)
 
 
-def blocked_moves(rows: int, cols: int) -> NDArray[np.bool_]:
+def blocked_moves(rows: int, cols: int) -> Flags:
     """Return (rows * cols, 4): whether each move is blocked in each cell, in action order."""
     row = np.indices((rows, cols))[0]
     east = walls_east(rows, cols)
@@ -128,7 +128,7 @@ WALL_END = {(False, False): ' ', (True, True): '┃', (True, False): '╹', (Fal
 
 
 def draw_board(
-    wall_east: NDArray[np.bool_],
+    wall_east: Flags,
     landmarks: Mapping[str, Cell],
     shown: Sequence[tuple[Feature, int]],
 ) -> str:

@@ -8,12 +8,12 @@ over are in no initiation set.
 
 from collections.abc import Container
 
+from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.tabular import distance_to, feature_column, reachable, read_only
 from humanopts_env.domains.taxi import TaxiState
 import numpy as np
-from numpy.typing import NDArray
 
 Taxi = EnumerableDomain[TaxiState]
 
@@ -40,8 +40,8 @@ def reference_options(
         name: str,
         definition: str,
         features: tuple[str, ...],
-        initiation: NDArray[np.bool_],
-        goal: NDArray[np.bool_],
+        initiation: Flags,
+        goal: Flags,
         ends_episode: bool = False,
     ) -> None:
         """

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from humanopts_env.arrays import Flags
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import Feature, FeatureKind, subset_names
 from humanopts_env.domains.capabilities import FeatureGroup
 from humanopts_env.domains.pacman.paths import FIRST_MOVE, Masks, MOVES, STAY
@@ -191,7 +191,7 @@ class FeatureReader:
         return first
 
 
-def nearest_key(keys: Keys, here: NDArray[np.intp], taken: Keys) -> Keys:
+def nearest_key(keys: Keys, here: Ints, taken: Keys) -> Keys:
     """
     Return the key (N,) of the nearest thing that is left.
 
@@ -210,11 +210,11 @@ def nearest_key(keys: Keys, here: NDArray[np.intp], taken: Keys) -> Keys:
 class Surroundings:
     """The nearest thing of each kind in N games, and the first moves of shortest paths to it."""
 
-    food: NDArray[np.intp]  # (N,) steps; ``far`` where there is none
-    pill: NDArray[np.intp]
-    danger: NDArray[np.intp]  # dangerous ghost
-    prey: NDArray[np.intp]  # scared ghost
-    fear: NDArray[np.intp]  # (N,) steps for which the nearest scared ghost is scared
+    food: Ints  # (N,) steps; ``far`` where there is none
+    pill: Ints
+    danger: Ints  # dangerous ghost
+    prey: Ints  # scared ghost
+    fear: Ints  # (N,) steps for which the nearest scared ghost is scared
     to_food: Masks  # (N,)
     to_pill: Masks
     to_prey: Masks
@@ -249,7 +249,7 @@ def look_around(batch: PacManBatch) -> Surroundings:
 
 def _nearest_things(
     batch: PacManBatch, masks: Masks, keys: Keys, taken: Keys
-) -> tuple[NDArray[np.intp], Masks]:
+) -> tuple[Ints, Masks]:
     """Return steps to the nearest thing left, and first moves to all as near."""
     far = batch.rules.paths.far
     steps = keys.take(batch.pacman, axis=0)

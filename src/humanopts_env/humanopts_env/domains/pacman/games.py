@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TYPE_CHECKING
 
-from humanopts_env.arrays import Ints
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.capabilities import Abstraction, BatchGames
 from humanopts_env.domains.pacman.features import (
     DIRECTIONS,
@@ -125,7 +125,7 @@ class PacManGames(BatchGames):
     def batch_step_drawn(self, batch: PacManBatch, actions: Ints, draws: Ints) -> Ints:
         return batch.step(actions, draws.T)
 
-    def batch_over(self, batch: PacManBatch) -> NDArray[np.bool_]:
+    def batch_over(self, batch: PacManBatch) -> Flags:
         return batch.over
 
     def batch_features(self, batch: PacManBatch) -> NDArray[np.int32]:

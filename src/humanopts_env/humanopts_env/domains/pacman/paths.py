@@ -8,6 +8,7 @@ it means that a ghost has no heading.
 
 from functools import lru_cache
 
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.pacman.maze import Maze
 from humanopts_env.domains.tabular import read_only
 import numpy as np
@@ -57,7 +58,7 @@ class Paths:
 maze_paths = lru_cache(maxsize=16)(Paths)  # computed once for each maze
 
 
-def _steps(maze: Maze) -> NDArray[np.intp]:
+def _steps(maze: Maze) -> Ints:
     number = {cell: index for index, cell in enumerate(maze.cells)}
     return np.array(
         [
@@ -68,7 +69,7 @@ def _steps(maze: Maze) -> NDArray[np.intp]:
     )
 
 
-def _distances(step: NDArray[np.intp], passable: NDArray[np.bool_]) -> NDArray[np.unsignedinteger]:
+def _distances(step: Ints, passable: Flags) -> NDArray[np.unsignedinteger]:
     """Return all distances, as bytes where these hold them and two numbers above."""
     count = len(step)
     here, move = np.nonzero(passable)
@@ -80,7 +81,7 @@ def _distances(step: NDArray[np.intp], passable: NDArray[np.bool_]) -> NDArray[n
     return steps
 
 
-def _allowed(passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _allowed(passable: Flags) -> Flags:
     """Return (C, 5, 4): the moves of a ghost in each cell with each heading."""
     back = np.zeros((5, STAY), dtype=np.bool_)
     back[range(STAY), range(STAY - 1, -1, -1)] = True
@@ -89,9 +90,7 @@ def _allowed(passable: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return onward | (stuck & passable[:, None, :])
 
 
-def _best(
-    after: NDArray[np.unsignedinteger], allowed: NDArray[np.bool_], *, nearest: bool
-) -> Masks:
+def _best(after: NDArray[np.unsignedinteger], allowed: Flags, *, nearest: bool) -> Masks:
     """Return (C, 5, C): the allowed moves with the least (or the greatest) distance after."""
     count = len(after)
     best = np.empty((count, 5, count), dtype=np.uint8)
@@ -103,7 +102,7 @@ def _best(
     return best
 
 
-def _masks(moves: NDArray[np.bool_]) -> Masks:
+def _masks(moves: Flags) -> Masks:
     """Return the masks of moves (C, 4, ...), without the second axis."""
     masks: Masks = np.einsum('cm...,m->c...', moves, 1 << np.arange(STAY)).astype(np.uint8)
     return masks
