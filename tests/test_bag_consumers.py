@@ -1,7 +1,6 @@
 """Programs that are not ours read bags: rosbags, the mcap package, Foxglove's for JavaScript."""
 
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,6 @@ from humanopts_teach.bags.reader import Bag, open_bag, Recorded
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.writer import BagWriter, Limits
 from mcap.reader import make_reader
-from mcap.records import Message, Schema
-from mcap_ros2._vendor.rosidl_adapter.parser import InvalidResourceName
-from mcap_ros2.decoder import DecoderFactory
 import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
@@ -178,32 +174,6 @@ def test_mcap_reads_messages_attachments_and_facts_of_several_files(
             assert records['humanopts'] == FACTS
     assert sorted(sequences) == sorted((r.topic, r.sequence) for r in ours)
     assert attached == FILES
-
-
-def test_mcap_ros2_decodes_every_type_but_those_with_underscores_in_their_names(bag: Bag) -> None:
-    refused, decoders = set(), {}
-    for schema, message in _records(bag):
-        if schema.name in refused:
-            continue
-        if schema.name not in decoders:
-            try:
-                decoders[schema.name] = DecoderFactory().decoder_for('cdr', schema)
-            except InvalidResourceName:
-                refused.add(schema.name)
-                continue
-        assert decoders[schema.name](message.data) is not None
-    sent = {topic.type for topic in bag.topics.values() if topic.messages}
-    assert refused == {name for name in sent if '_' in name.rpartition('/')[2]}
-    assert {name.rpartition('_')[2] for name in refused} == {'Event', 'FeedbackMessage'}
-    assert set(decoders) == sent - refused
-
-
-def _records(bag: Bag) -> Iterator[tuple[Schema, Message]]:
-    (path,) = bag.files
-    with path.open('rb') as stream:
-        for schema, _, message in make_reader(stream).iter_messages():
-            assert schema is not None
-            yield schema, message
 
 
 def test_foxglove_decodes_every_message_as_our_reader_does(

@@ -8,6 +8,7 @@ from pathlib import Path
 import resource
 import signal
 import time
+from typing import Any
 
 from graph_support.command import Command
 from graph_support.live import GAME, Graph, module_of, RECORDER
@@ -314,32 +315,19 @@ def test_what_was_learned_is_known_once_all_of_it_has_come_in_any_order(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
-    finished = LessonState(
-        phase=LessonState.PHASE_FINISHED, participant='p01', option_name='go', last_uuid='second'
-    )
-    news = {
-        'lesson': finished,
-        'options': LearnedOptions(publisher_id='learner', sequence=2),
-        'learning': LearningStatus(
-            publisher_id='learner',
-            sequence=2,
-            options=[OptionStatus(participant='p01', option_name='go', last_uuid='second')],
-        ),
-    }
-    early = {
-        'lesson': LessonState(
-            phase=LessonState.PHASE_LEARNING,
-            participant='p01',
-            option_name='go',
-            last_uuid='second',
-        ),
-        'options': LearnedOptions(publisher_id='learner', sequence=1),
-        'learning': LearningStatus(
-            publisher_id='learner',
-            sequence=1,
-            options=[OptionStatus(participant='p01', option_name='go', last_uuid='first')],
-        ),
-    }
+    whose = {'participant': 'p01', 'option_name': 'go'}
+
+    def told(phase: int, sequence: int, uuid: str) -> dict[str, Any]:
+        learned = [OptionStatus(**whose, last_uuid=uuid)]
+        by = {'publisher_id': 'learner', 'sequence': sequence}
+        return {
+            'lesson': LessonState(phase=phase, last_uuid='second', **whose),
+            'options': LearnedOptions(**by),
+            'learning': LearningStatus(**by, options=learned),
+        }
+
+    early = told(LessonState.PHASE_LEARNING, 1, 'first')
+    news = told(LessonState.PHASE_FINISHED, 2, 'second')
     conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=lambda: None)
     try:
         for last in permutations(news):

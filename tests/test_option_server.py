@@ -369,27 +369,22 @@ def test_a_file_that_cannot_be_used_is_reported_and_left_alone(
     assert len(damaged.read_text()) == 200
 
 
-def test_an_option_server_that_is_ended_answers_who_waits(alone: Graph, folder: Path) -> None:
+@pytest.mark.parametrize('begun', [True, False])
+def test_an_option_server_that_is_ended_answers_who_waits(
+    alone: Graph, folder: Path, begun: bool
+) -> None:
+    """For the end of a run, or for the state that it is to begin in."""
     server = alone.start(OPTION_SERVER, options_directory=folder)
     alone.ready('/option_server')
-    goal = Runs(alone).begin(CIRCLE)
+    if begun:
+        goal = Runs(alone).begin(CIRCLE)
+    else:
+        goal = alone.act(ExecuteOption, 'execute_option', option_name='action:south', episode=99)
+        second = alone.ask(RunOption, 'run_option', option_name='action:south').result
+        assert second.status == OptionResult.STATUS_BUSY
     alone.stop(server)
     status, result = goal.result()
     assert status == GoalStatus.STATUS_ABORTED
-    assert (result.status, result.detail) == (
-        OptionResult.STATUS_FAILED,
-        'it failed: option_server stops',
-    )
-
-
-def test_who_waits_for_a_state_is_answered_when_the_option_server_ends(alone: Graph) -> None:
-    server = alone.start(OPTION_SERVER)
-    alone.ready('/option_server')
-    goal = alone.act(ExecuteOption, 'execute_option', option_name='action:south', episode=99)
-    second = alone.ask(RunOption, 'run_option', option_name='action:south').result
-    assert second.status == OptionResult.STATUS_BUSY
-    alone.stop(server)
-    _, result = goal.result()
     assert (result.status, result.detail) == (
         OptionResult.STATUS_FAILED,
         'it failed: option_server stops',

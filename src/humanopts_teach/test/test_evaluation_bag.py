@@ -8,13 +8,12 @@ from typing import Any
 import uuid
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.registry import reference_options
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import GameState, OptionResult
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.files import option_to_json
-from humanopts_learner.ros.convert import demonstration_to_message, status_to_message
+from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.provenance import UNKNOWN
 from humanopts_teach.bags.writer import BagWriter
@@ -26,7 +25,7 @@ from humanopts_teach.evaluation.bag_evaluation import (
     evaluate_bag,
     EvaluationError,
 )
-from humanopts_teach.evaluation.measures import option_block, Settings, settings_from_facts
+from humanopts_teach.evaluation.measures import Settings, settings_from_facts
 from humanopts_teach.evaluation.text import evaluation_text
 import pytest
 from rclpy.serialization import serialize_message
@@ -308,17 +307,6 @@ def test_a_bag_gives_the_numbers_of_its_demonstrations_exactly(
     assert of_bag.blocks[:1] == live.blocks
     assert of_bag.options[0].curve == live.options[0].curve
     assert of_bag.warnings == ()
-
-
-@pytest.mark.heavy
-def test_the_status_message_gives_the_same_block_as_the_bag(
-    taxi: Domain[Any], of_bag: BagEvaluation
-) -> None:
-    for option in of_bag.options:
-        last = option.last
-        status = status_to_message(last.option, last.judgement)
-        reference = reference_options(taxi)[last.block.name]
-        assert option_block(last.option, status, taxi, reference) == last.block
 
 
 def test_a_bag_without_facts_is_evaluated_with_defaults_and_says_so(

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import Demonstration, group_by_option
 from humanopts_learner.options.criteria import judge, Judgement, Thresholds
 from humanopts_learner.options.learn import learn_option
@@ -66,18 +66,6 @@ def test_what_cannot_be_measured_is_null_and_never_nan(
     values = json.loads(json.dumps(asdict(block), allow_nan=False))
     unknown = {name for name, value in values.items() if value is None}
     assert unknown == {name for name in KEYS if name.startswith(('cv_', 'policy_', 'classif'))}
-
-
-@pytest.mark.heavy
-def test_accuracies_are_measured_where_states_cannot_be_listed(
-    pacman_lesson: list[Demonstration],
-) -> None:
-    pacman = make_domain('pacman')
-    option, judgement = learn(pacman, pacman_lesson)
-    block = option_block(option, judgement, pacman, reference_options(pacman)[option.name])
-    assert block.policy_accuracy == 1.0
-    assert block.classification_accuracy_initiation == pytest.approx(1.0, abs=0.01)
-    assert block.classification_accuracy_termination == 1.0
 
 
 def test_a_difference_names_what_differs_and_both_values(

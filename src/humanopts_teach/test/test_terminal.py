@@ -1,13 +1,26 @@
-"""Screens of the terminal: what fits into a window, and what never reaches it."""
+"""The terminal: its keys, its colours, what fits into a window, and what never reaches it."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+import re
 from typing import Any
 
+from humanopts_env import colours
+from humanopts_env.domains.base import Action, Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
+from humanopts_teach.dialogue.keys import Command, key_table
 from humanopts_teach.lesson.requests import Drive, LessonView, Phase
+from humanopts_teach.terminal import drawing
+from humanopts_teach.terminal.device import key_of, usable_colours
 from humanopts_teach.terminal.drawing import frame
+from prompt_toolkit.key_binding.key_processor import KeyPress
+from prompt_toolkit.keys import Keys
 import pytest
+from rich.color import ColorType
+from rich.console import Console
+from rich.style import Style
 from teach_support.person import BOTTOM, CHOSEN, criteria, Person
 
 
@@ -119,3 +132,100 @@ def test_no_escape_sequence_of_a_message_reaches_the_terminal(colours: Any) -> N
     coloured = '\n'.join(frame(person.app, 80, 30, colours))
     assert '\x1b[2J' not in coloured
     assert '\x9b' not in coloured
+
+
+TEACHING = (Command.DONE, Command.START_AGAIN, Command.NOT_HERE, Command.QUIT, Command.HELP)
+
+
+def test_every_key_of_taxi_drives_and_no_command_has_one_of_them(taxi: Domain[Any]) -> None:
+    table = key_table(taxi.actions, TEACHING)
+    assert {table.action(a.key) for a in taxi.actions} == {a.name for a in taxi.actions}
+    assert not table.actions.keys() & table.commands.keys()
+
+
+def test_a_command_moves_to_its_next_key_when_an_action_has_it() -> None:
+    actions = [Action('nap', 'n', 'sleep'), Action('squat', 's', 'sit'), Action('ask', 'a', 'ask')]
+    table = key_table(actions, TEACHING)
+    assert table.action('n') == 'nap'
+    assert table.commands['h'] is Command.NOT_HERE
+    assert Command.START_AGAIN in table.commands.values()
+    assert len(table.commands) == len(TEACHING)
+
+
+def test_capitals_do_the_same_unless_they_have_a_meaning_of_their_own(taxi: Domain[Any]) -> None:
+    table = key_table(taxi.actions, TEACHING)
+    assert table.action('P') == 'pickup'
+    assert table.command('Q') is Command.QUIT
+    both = key_table([Action('up', 'q', ''), Action('down', 'Q', '')], TEACHING)
+    assert (both.action('q'), both.action('Q')) == ('up', 'down')
+    assert both.command('q') is both.command('Q') is None
+
+
+@pytest.mark.parametrize(
+    ('press', 'key'),
+    [
+        (Keys.Up, 'up'),
+        (Keys.ControlM, 'enter'),
+        (Keys.ControlJ, 'enter'),
+        (Keys.ControlH, 'backspace'),
+        (Keys.ControlC, 'ctrl-c'),
+        ('é', 'é'),
+        (Keys.ControlZ, ''),
+        (Keys.F1, ''),
+    ],
+)
+def test_terminal_keys_have_our_names(press: Keys | str, key: str) -> None:
+    assert key_of(KeyPress(press)) == key
+
+
+DOMAINS = ('taxi', 'rooms', 'pacman', 'gymnasium:FrozenLake-v1', 'gymnasium:CliffWalking-v1')
+CONTRAST = 3.5
+
+
+def luminance(red: float, green: float, blue: float) -> float:
+    """Return the relative luminance of WCAG 2 of a colour with parts from 0 to 255."""
+    parts = [c / 255 for c in (red, green, blue)]
+    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrasts(style: Style) -> tuple[float, float]:
+    """Return the contrast of the text with black and with white."""
+    assert style.color is not None
+    found = luminance(*style.color.get_truecolor())
+    return (found + 0.05) / 0.05, 1.05 / (found + 0.05)
+
+
+def styles() -> Iterator[tuple[str, str]]:
+    """Yield each style that is used, with where it is from."""
+    yield from ((name, value) for name, value in vars(colours).items() if name.isupper())
+    yield from ((str(tone), style) for tone, style in drawing.STYLES.items())
+    yield 'key', drawing.KEY
+    for name in DOMAINS:
+        yield from ((f'{name} {g}', s) for g, s in make_domain(name).glyph_styles.items())
+
+
+@pytest.mark.parametrize(('name', 'style'), list(styles()))
+def test_every_colour_can_be_read_on_black_and_on_white(name: str, style: str) -> None:
+    parsed = Style.parse(style)
+    assert parsed.bgcolor is None
+    if parsed.color is None:
+        return  # the terminal's own
+    assert parsed.color.type is ColorType.EIGHT_BIT  # a theme does not change it
+    assert min(contrasts(parsed)) >= CONTRAST, name
+
+
+def test_no_colour_of_a_theme_is_used_in_the_terminal() -> None:
+    folder = Path(drawing.__file__).parent
+    named = re.compile(
+        r"'[a-z ]*\b(white|yellow|cyan|red|green|blue|magenta|bright_\w+)\b[a-z ]*'"
+    )
+    for file in folder.glob('*.py'):
+        assert not named.search(file.read_text()), file.name
+
+
+@pytest.mark.parametrize(('environment', 'colour'), [({}, True), ({'NO_COLOR': '1'}, False)])
+def test_no_color_is_honoured(environment: dict[str, str], colour: bool) -> None:
+    known = {'TERM': 'xterm-256color', **environment}
+    console = Console(force_terminal=True, _environ=known)
+    assert (usable_colours(console) is not None) == colour
