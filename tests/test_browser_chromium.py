@@ -286,26 +286,6 @@ def test_two_people_teach_at_once_by_keys_and_by_buttons(
         assert {demonstration.participant for demonstration in shown} == {code}
 
 
-def test_a_reload_in_mid_demonstration_goes_on_with_it(
-    server: Served, windows: Callable[..., Window]
-) -> None:
-    person = Person(windows(DESKTOP), server.address, 'cleo', keys=True)
-    person.name_option()
-    person.window.see('next: start 1 ')
-    while not person.option.can_start(person.state()):
-        person.act('n', 'not here')
-        person.window.see('next: start 2')
-    if not person.option.ends(person.state()):
-        person.step()
-    where = re.search(r'start \d+, step \d+', person.window.text())
-    person.window.driver.refresh()
-    person.window.see(where.group() if where else 'next: start')
-    while not person.option.ends(person.state()):
-        person.step()
-    person.act('enter', 'done')
-    person.window.see('(1 shown,')
-
-
 def test_closing_in_mid_demonstration_loses_nothing_that_was_finished(
     server: Served, windows: Callable[..., Window]
 ) -> None:
@@ -328,20 +308,6 @@ def test_closing_in_mid_demonstration_loses_nothing_that_was_finished(
     assert not again.window.driver.find_elements(By.CSS_SELECTOR, '[onclick]')
     again.window.click(NASTY)
     again.window.see('Enter shows start 2.')
-
-
-def test_a_second_window_of_a_participant_takes_over_when_it_is_told_to(
-    server: Served, windows: Callable[..., Window]
-) -> None:
-    first, second = windows(DESKTOP), windows(PHONE, dark=True)
-    Person(first, server.address, 'emil', keys=True)
-    first.see('What next?')
-    Person(second, server.address, 'emil', keys=True)
-    second.see('emil teaches in another window just now.')
-    first.press(Keys.ARROW_DOWN)
-    second.click('teach here instead')
-    second.see('What next?')
-    first.see('The lesson goes on in another window.')
 
 
 def test_the_board_and_what_drives_fit_on_a_phone(

@@ -5,7 +5,7 @@ from typing import Any
 
 import gymnasium
 from humanopts_env.contract import DomainContract
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.gymnasium_domain import gymnasium_domain, GymnasiumDomain
 from humanopts_env.domains.registry import domain_from_json, make_domain, parameters_json
 from humanopts_env.seeding import generator
@@ -16,36 +16,17 @@ TABLES = ('Taxi-v4', 'FrozenLake-v1', 'FrozenLake8x8-v1', 'CliffWalking-v1')
 LAKE = gymnasium_domain('FrozenLake-v1')
 
 
-class TestTaxi(DomainContract):
-    """Gymnasium's own Taxi."""
-
-    def make(self) -> Domain[Any]:
-        """Return it."""
-        return gymnasium_domain('Taxi-v4')()
-
-
-class TestFrozenLake(DomainContract):
-    """The slippery lake."""
-
-    def make(self) -> Domain[Any]:
-        """Return it."""
-        return LAKE()
-
-
-class TestCliffWalking(DomainContract):
-    """The cliff."""
-
-    def make(self) -> Domain[Any]:
-        """Return it."""
-        return gymnasium_domain('CliffWalking-v1')()
-
-
-class TestDrawnLake(DomainContract):
-    """A lake of the user's own."""
-
-    def make(self) -> Domain[Any]:
-        """Return it, with arguments."""
-        return LAKE(desc=['SFFG', 'FHFF', 'SFFF'], is_slippery=False)
+GAMES: dict[str, Any] = {
+    'Taxi': lambda: gymnasium_domain('Taxi-v4')(),
+    'FrozenLake': LAKE,
+    'CliffWalking': lambda: gymnasium_domain('CliffWalking-v1')(),
+    'LakeOfTheUsersOwn': lambda: LAKE(desc=['SFFG', 'FHFF', 'SFFF'], is_slippery=False),
+    'NumberedStates': lambda: gymnasium_domain('test/Chain-v0')(),
+}
+for _name, _make in GAMES.items():
+    globals()[f'Test{_name}'] = type(
+        f'Test{_name}', (DomainContract,), {'make': staticmethod(_make)}
+    )
 
 
 class Chain(gymnasium.Env[Any, Any]):
@@ -101,14 +82,6 @@ def chain() -> Iterator[None]:
     gymnasium.register('test/Chain-v0', entry_point=Chain)
     yield
     del gymnasium.registry['test/Chain-v0']
-
-
-class TestChain(DomainContract):
-    """Numbered states."""
-
-    def make(self) -> Domain[Any]:
-        """Return it."""
-        return gymnasium_domain('test/Chain-v0')()
 
 
 @pytest.mark.parametrize('env_id', TABLES)
