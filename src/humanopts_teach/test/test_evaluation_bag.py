@@ -123,7 +123,8 @@ def test_the_learning_curve_ends_at_the_options_block(evaluation: BagEvaluation)
     for option in evaluation.options:
         point, block = option.to_dict()['learning_curve'][-1], asdict(option.last.block)
         assert {name: point[name] for name in block if name in point}.items() <= block.items()
-        assert point['criteria']['initiation']['value'] == block['cv_error_initiation']
+        for name in ('initiation', 'termination'):
+            assert point['criteria'][name]['value'] == block[f'cv_error_{name}']
         counts = [p.option.n_demonstrations + p.option.n_not_here for p in option.curve]
         assert counts == list(range(counts[0], counts[-1] + 1))
 
