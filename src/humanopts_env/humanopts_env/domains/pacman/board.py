@@ -3,10 +3,13 @@
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
+from humanopts_env.arrays import Flags
 from humanopts_env.colours import BLUE, GREEN, MAGENTA, ORANGE, RED, TEAL
 from humanopts_env.domains.base import Feature
-from humanopts_env.domains.pacman.maze import Cell, Maze
+from humanopts_env.domains.pacman.maze import Cell, Maze, WALL
+from humanopts_env.domains.pacman.paths import DELTAS
 from humanopts_env.domains.pacman.state import eaten_names, PacManState
+import numpy as np
 
 PACMAN, FOOD, PILL, FRUIT, LIFE, LOST = 'C', '·', '●', '♣', '♥', '♡'
 GHOSTS, SCARED = 'ΩΨΦΔ', 'ωψφδ'
@@ -126,55 +129,30 @@ def _grid(maze: Maze, things: Sequence[Thing]) -> list[str]:
 
 
 @lru_cache(maxsize=16)
-def _empty(maze: Maze) -> tuple[tuple[str, ...], ...]:
-    """Return the two characters of each cell of the empty maze, border included."""
-    walls = _walls(maze)
-    return tuple(
-        tuple(walls.get((row, col), '  ') for col in range(-1, maze.cols + 1))
-        for row in range(-1, maze.rows + 1)
-    )
+def _empty(maze: Maze) -> list[list[str]]:
+    """
+    Return the two characters of each cell of the empty maze, border included.
 
+    A wall is a line to each wall beside it, unless all cells along that line are walls.
+    """
+    solid = np.array([list(line) for line in maze.text.split('\n')]) == WALL
+    within, around = (np.pad(solid, 1, constant_values=outside) for outside in (False, True))
 
-def _walls(maze: Maze) -> dict[Cell, str]:
-    """Return the two characters of each wall: a line unless all cells around it are walls."""
-    lines = maze.text.split('\n')
-    solid = {
-        (row - 1, col - 1)
-        for row, line in enumerate(lines)
-        for col, character in enumerate(line)
-        if character == '%'
-    }
+    def beside(walls: Flags, down: int, east: int) -> Flags:
+        """Return the walls of the cells that lie so far from each cell."""
+        return walls[1 + down :, 1 + east :][: len(solid), : solid.shape[1]]
 
-    def joined(cell: Cell, down: int, east: int) -> bool:
-        row, col = cell
-        sides = [
-            [
-                (row + east * side, col + down * side),
-                (row + down + east * side, col + east + down * side),
-            ]
-            for side in (-1, 1)
-        ]
-        beside = [[place in solid or not _inside(maze, place) for place in side] for side in sides]
-        return (row + down, col + east) in solid and not all(map(all, beside))
-
-    drawn = {}
-    for cell in solid:
-        mask = sum(
-            joined(cell, *d) << bit for bit, d in enumerate(((-1, 0), (0, -1), (0, 1), (1, 0)))
-        )
-        buried = mask == 0 and _buried(maze, solid, cell)
-        drawn[cell] = '  ' if buried else WALLS[mask] + (WALLS[6] if mask & 4 else ' ')
-    return drawn
-
-
-def _inside(maze: Maze, cell: Cell) -> bool:
-    return -1 <= cell[0] <= maze.rows and -1 <= cell[1] <= maze.cols
-
-
-def _buried(maze: Maze, solid: set[Cell], cell: Cell) -> bool:
-    """Return whether all cells around a wall are walls."""
-    around = [(cell[0] + down, cell[1] + east) for down in (-1, 0, 1) for east in (-1, 0, 1)]
-    return all(place in solid or not _inside(maze, place) for place in around)
+    buried, lines = solid.copy(), np.zeros(solid.shape, dtype=np.intp)
+    for bit, (down, east) in enumerate(DELTAS):
+        along = [(s * east + n * down, s * down + n * east) for s in (-1, 1) for n in (0, 1)]
+        hidden = np.logical_and.reduce([beside(around, *place) for place in along])
+        lines |= (beside(within, down, east) & ~hidden) << bit
+        buried &= hidden
+    drawn = [f'{line}{WALLS[6] if mask & 4 else " "}' for mask, line in enumerate(WALLS)]
+    shown = solid & ((lines > 0) | ~buried)
+    return [
+        [drawn[mask] if wall else '  ' for mask, wall in zip(*row)] for row in zip(lines, shown)
+    ]
 
 
 def _hidden(things: Sequence[Thing]) -> list[str]:

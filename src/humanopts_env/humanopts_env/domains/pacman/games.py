@@ -10,7 +10,6 @@ around Pac-Man, and the direction of each thing that is near enough to matter.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TYPE_CHECKING
 
@@ -45,39 +44,26 @@ WANTS = ('food', 'food', 'pill', 'prey', None)  # aims, each equally likely; Non
 _AIMS = np.array([SOUGHT.index(want) if want else len(SOUGHT) for want in WANTS])
 
 
-@dataclass(frozen=True, slots=True)
-class Bucketed:
-    """A number in buckets: value k holds ``edges[k - 1] <= number < edges[k]``."""
-
-    name: str
-    edges: tuple[int, ...]
-
-    @property
-    def count(self) -> int:
-        """The number of values."""
-        return len(self.edges) + 1
-
-
-ABSTRACT_FEATURES = (
-    Bucketed('danger', (2, 3, 4, 6, AFAR)),  # arrival where Pac-Man is
-    Bucketed('danger_to_food', (2, 3, 4, 6)),  # arrival after the first step to the nearest food
-    Bucketed('danger_to_pill', (2, 3, 4)),
-    Bucketed('danger_to_prey', (2, 3, 4)),
-    Bucketed('danger_in_flight', (2, 3, 4, 6)),  # after the step farthest from dangerous ghosts
-    Bucketed('food_distance', (2, 3, 5, 9)),
-    Bucketed('pill_distance', (2, 4, 7, 11, AFAR)),
-    Bucketed('prey_distance', (2, 4, 7, 11, AFAR)),  # nearest scared ghost
-    Bucketed('prey_time', (0, 3, 8)),  # steps scared beyond those to reach it
-    Bucketed('danger_to_fruit', (2, 3, 4)),
-    Bucketed('fruit_distance', (4, 10, AFAR)),
-    Bucketed('food_left', (6, 36)),
-    Bucketed('pills_left', (1, 2)),
-    Bucketed('lives', (2,)),
-)
+ABSTRACT_FEATURES = {  # numbers in buckets: value k holds ``edges[k - 1] <= number < edges[k]``
+    'danger': (2, 3, 4, 6, AFAR),  # arrival where Pac-Man is
+    'danger_to_food': (2, 3, 4, 6),  # arrival after the first step to the nearest food
+    'danger_to_pill': (2, 3, 4),
+    'danger_to_prey': (2, 3, 4),
+    'danger_in_flight': (2, 3, 4, 6),  # after the step farthest from dangerous ghosts
+    'food_distance': (2, 3, 5, 9),
+    'pill_distance': (2, 4, 7, 11, AFAR),
+    'prey_distance': (2, 4, 7, 11, AFAR),  # nearest scared ghost
+    'prey_time': (0, 3, 8),  # steps scared beyond those to reach it
+    'danger_to_fruit': (2, 3, 4),
+    'fruit_distance': (4, 10, AFAR),
+    'food_left': (6, 36),
+    'pills_left': (1, 2),
+    'lives': (2,),
+}
 _BUCKETS = np.array(  # (P, AFAR + 2) bucket of each number from -1 to AFAR
     [
-        np.searchsorted(feature.edges, range(-1, AFAR + 1), side='right')
-        for feature in ABSTRACT_FEATURES
+        np.searchsorted(edges, range(-1, AFAR + 1), side='right')
+        for edges in ABSTRACT_FEATURES.values()
     ],
     dtype=np.int32,
 )
@@ -145,11 +131,12 @@ class PacManGames(BatchGames):
             near = (NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL)
             ways = [len(edges) * N_DIRECTIONS + 1 for edges in near]
             return Abstraction((16, N_DIRECTIONS, len(NEAR_FOOD) + 1, *ways))
-        names = [feature.name for feature in ABSTRACT_FEATURES]
         return Abstraction(
-            sizes=tuple(feature.count for feature in ABSTRACT_FEATURES),
-            context=tuple(c for c, name in enumerate(names) if name in CONTEXT),
-            mixture=tuple(c for c, name in enumerate(names) if name not in (*CONTEXT, 'lives')),
+            sizes=tuple(len(edges) + 1 for edges in ABSTRACT_FEATURES.values()),
+            context=tuple(c for c, name in enumerate(ABSTRACT_FEATURES) if name in CONTEXT),
+            mixture=tuple(
+                c for c, name in enumerate(ABSTRACT_FEATURES) if name not in (*CONTEXT, 'lives')
+            ),
         )
 
     def abstract_features(
