@@ -4,7 +4,7 @@ What ``humanopts bag info`` prints, found in one pass and shown as text and as J
 These are the facts about a bag: people, options, runs, plans, episodes and loss.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, UTC
 from functools import lru_cache, partial
@@ -278,18 +278,12 @@ def _measured(point: CriterionPoint) -> str:
 
 def summarise(bag: Bag) -> BagInfo:
     """Read a bag once and return what it holds."""
-    collector = _Collector(bag)
-    for recorded in bag.messages():
-        collector.add(recorded)
-    return collector.result()
+    return _Collector(bag).read(bag.topics)
 
 
-def option_rows(bag: Bag) -> list[OptionRow]:
+def option_rows(bag: Bag) -> Sequence[OptionRow]:
     """Return the options that were taught."""
-    collector = _Collector(bag)
-    for recorded in bag.messages(bag.of_type(DEMONSTRATION) + bag.of_type(_STATUS)):
-        collector.add(recorded)
-    return collector.option_rows()
+    return _Collector(bag).read(bag.of_type(DEMONSTRATION) + bag.of_type(_STATUS)).options
 
 
 class _Collector:
@@ -316,20 +310,21 @@ class _Collector:
             **dict.fromkeys(self._results, self._result),
         }
 
-    def add(self, recorded: Recorded) -> None:
-        """Take in one message."""
-        if not self._counter.add(recorded):
-            return
-        if recorded.topic in self._games.topics:
-            self._episode(self._games.add(recorded))
-        if (handler := self._handlers.get(recorded.type)) is not None:
-            self._bag.convert(recorded.topic, recorded.data, partial(handler, recorded))
-
-    def result(self) -> BagInfo:
-        """Return what was collected."""
+    def read(self, topics: Collection[str]) -> BagInfo:
+        """Read some topics, and return what they hold."""
         bag, counter = self._bag, self._counter
+        for recorded in bag.messages(topics):
+            if not counter.add(recorded):
+                continue
+            if recorded.topic in self._games.topics:
+                self._episode(self._games.add(recorded))
+            if (handler := self._handlers.get(recorded.type)) is not None:
+                bag.convert(recorded.topic, recorded.data, partial(handler, recorded))
         for group in self._games.unfinished():
             self._episode(group)
+        taught: dict[tuple[str, str], list[Demonstration]] = {}
+        for demo in each_once(self._demonstrations):
+            taught.setdefault((demo.participant, demo.option_name), []).append(demo)
         return replace(
             self._info,
             recording=bag.recording,
@@ -344,7 +339,7 @@ class _Collector:
                 for name, at in bag.attachments.items()
             ],
             topics=[self._topic_row(topic) for topic in bag.topics.values()],
-            options=self.option_rows(),
+            options=[self._option_row(*key, demos) for key, demos in taught.items()],
             criteria=list(self._criteria.values()),
             streams=list(counter.losses),
         )
@@ -355,13 +350,6 @@ class _Collector:
             missing = [stream.missing for stream in counter.losses if stream.topic == topic.name]
             loss = len(missing), sum(missing)
         return TopicRow(topic.name, topic.type, counter.counts[topic.name], *loss)
-
-    def option_rows(self) -> list[OptionRow]:
-        """Return what was collected of options."""
-        taught: dict[tuple[str, str], list[Demonstration]] = {}
-        for demo in each_once(self._demonstrations):
-            taught.setdefault((demo.participant, demo.option_name), []).append(demo)
-        return [self._option_row(*key, demos) for key, demos in taught.items()]
 
     def _option_row(self, participant: str, name: str, demos: list[Demonstration]) -> OptionRow:
         kept = [demo for demo in demos if not demo.withdrawn]

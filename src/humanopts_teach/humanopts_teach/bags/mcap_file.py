@@ -27,7 +27,6 @@ from mcap.records import (
     Chunk,
     ChunkIndex,
     Footer,
-    Header,
     McapRecord,
     Message,
     Metadata,
@@ -87,7 +86,6 @@ class FileIndex:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, AttachmentIndex] = field(default_factory=dict)  # by name
     damage: list[str] = field(default_factory=list)  # what is wrong with the file, in words
-    library: str = ''  # that wrote the file; empty: not known
     closed: bool = False  # whether its data has an end
     growing: bool = False  # it is being written, so an end is not yet expected
 
@@ -158,12 +156,6 @@ def read_index(
                 _scan(index, stream, on_offset)
                 if damage and not index.damage:
                     index.note(damage)
-            try:
-                opcode, content = stream.record(MAGIC_SIZE)
-                if opcode == Opcode.HEADER:
-                    index.library = Header.read(_parser(content)).library
-            except DAMAGE:
-                pass
             return index
     except OSError as error:
         raise BagError(f'cannot read {path}: {error.strerror}') from error

@@ -19,7 +19,7 @@ from humanopts_teach.bags.mcap_file import (
 )
 from humanopts_teach.bags.rosbag2 import FILE, find_files, load, Topic
 from humanopts_teach.bags.schemas import Decoder, make_decoder
-from humanopts_teach.bags.writer import is_being_written, LIBRARY, RECORD, SELF, SELF_TEXT
+from humanopts_teach.bags.writer import is_being_written, RECORD, SELF, SELF_TEXT
 from mcap.records import Attachment, Message
 
 INTERFACES = 'humanopts_interfaces/'
@@ -77,7 +77,7 @@ class Bag:
         self.files = [file.path for file in files]
         self.metadata = {name: each for file in files for name, each in file.metadata.items()}
         self.attachments = {name: at for file in files for name, at in file.attachments.items()}
-        self.numbered = all(file.library == LIBRARY or RECORD in file.metadata for file in files)
+        self.numbered = all(RECORD in file.metadata for file in files)
         self.recording = any(file.growing for file in files)
         self._files = files
         self._damage = dict.fromkeys([*damage, *(text for file in files for text in file.damage)])

@@ -20,38 +20,29 @@ PLAIN: dict[str, Any] = {  # settings of every Typer app: plain help that fits 8
 _UNITS = {'': 1, 'k': 10**3, 'M': 10**6, 'G': 10**9}
 
 
-def whole(least: int) -> Callable[[str], int]:
-    """Return a parser of whole numbers from ``least`` to 2**31 - 1."""
-
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            raise typer.BadParameter(f'{text!r} is not a whole number') from None
-        if not least <= value < 2**31:
-            raise typer.BadParameter(f'{text} is not from {least} to {2**31 - 1}')
-        return value
-
-    return parse
-
-
-def number(what: str, accepted: Callable[[float], bool]) -> Callable[[str], float]:
+def number(what: str, accepted: Callable[[Any], bool], kind: type = float) -> Callable[[str], Any]:
     """
     Return a parser of numbers.
 
     :param what: the numbers that are accepted, to complete "... is not"; NaN never is.
     """
 
-    def parse(text: str) -> float:
+    def parse(text: str) -> Any:
         try:
-            value = float(text)
+            value = kind(text)
         except ValueError:
-            raise typer.BadParameter(f'{text!r} is not a number') from None
+            called = 'a number' if kind is float else 'a whole number'
+            raise typer.BadParameter(f'{text!r} is not {called}') from None
         if not accepted(value):
             raise typer.BadParameter(f'{text} is not {what}')
         return value
 
     return parse
+
+
+def whole(least: int) -> Callable[[str], int]:
+    """Return a parser of whole numbers from ``least`` to 2**31 - 1."""
+    return number(f'from {least} to {2**31 - 1}', lambda value: least <= value < 2**31, int)
 
 
 def size(text: str) -> int:
