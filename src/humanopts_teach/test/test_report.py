@@ -362,7 +362,10 @@ def test_the_page_has_demonstrations_references_and_intervals(
 def test_people_are_compared_by_option_and_by_their_plans(evaluation: BagEvaluation) -> None:
     others = tuple(replace(option, participant='ben') for option in evaluation.options)
     human, primitive = evaluation.plans
-    worse = replace(human, participant='ben', totals=human.totals - np.arange(len(human.totals)))
+    totals = human.judged.totals
+    lost = np.arange(len(totals))
+    judged = replace(human.judged, totals=totals - lost)
+    worse = replace(human, participant='ben', judged=judged)
     two = replace(
         evaluation,
         options=(*evaluation.options, *others),
@@ -373,7 +376,6 @@ def test_people_are_compared_by_option_and_by_their_plans(evaluation: BagEvaluat
     assert [option.last.block.name for option in taught] == [n for n in TAUGHT for _ in range(2)]
     assert teachers(evaluation) == []
     texts = [finding.text for finding in people_findings(two)]
-    lost = np.arange(len(human.totals))
     half = stats.t.ppf(1 - 0.05 / 3 / 2, len(lost) - 1) * stats.sem(lost)
     limits = f'({number(lost.mean() - half)} to {number(lost.mean() + half)})'
     assert texts[0] == (

@@ -1,8 +1,8 @@
-"""What ``--browser`` serves: a page and a graph for each participant."""
+"""What ``--browser`` serves: a page for each participant, and a graph, or those of a study."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from dataclasses import replace
 from functools import partial
 import json
@@ -12,10 +12,18 @@ import sys
 from typing import Any
 
 from humanopts_teach.browser.pages import serve
-from humanopts_teach.browser.seats import ConditionSeat, GameError, Press, Seat, Seats
+from humanopts_teach.browser.seats import (
+    ConditionSeat,
+    GameError,
+    message,
+    Press,
+    Seat,
+    Seats,
+)
 from humanopts_teach.commands import CommandError, noticed_interrupts
 from humanopts_teach.commands.options import PageOptions
 from humanopts_teach.commands.session import check_folder, new_name
+from humanopts_teach.commands.study_session import Study
 from humanopts_teach.dialogue.panel import View
 from humanopts_teach.launching.processes import processes, Setup
 from humanopts_teach.ros.browser_teleop import BrowserTeleopNode, TeleopThread
@@ -37,23 +45,21 @@ def teach_in_browser(setup: Setup, namespace: str, pages: PageOptions, participa
     :raises CommandError: the address cannot be used.
     """
 
-    def own(seat: Seat) -> Setup:
-        return replace(
+    def open_game(thread: TeleopThread, seat: Seat) -> AbstractAsyncContextManager[Press]:
+        own = replace(
             setup,
             directory=setup.directory / seat.participant,
             participant=seat.participant,
             ask_participant=False,
             bag_name=new_name('bags/teach'),
         )
-
-    def open_game(thread: TeleopThread, seat: Seat) -> AbstractAsyncContextManager[Press]:
-        return game(own(seat), namespace, thread, seat)
+        return _game(own, namespace, thread, seat)
 
     print(f'Each participant has a folder in {setup.directory}.')
-    return serve_seats(setup.domain, open_game, pages, participant)
+    return _serve_seats(setup.domain, open_game, pages, participant)
 
 
-def serve_seats(name: str, open_game: OpenGame, pages: PageOptions, participant: str) -> int:
+def _serve_seats(name: str, open_game: OpenGame, pages: PageOptions, participant: str) -> int:
     """
     Serve pages, each with a seat, until Ctrl-C.
 
@@ -105,7 +111,7 @@ def _name(host: str) -> str:
 
 
 @asynccontextmanager
-async def game(
+async def _game(
     setup: Setup, namespace: str, thread: TeleopThread, seat: Seat | ConditionSeat
 ) -> AsyncIterator[Press]:
     """
@@ -184,3 +190,50 @@ async def _graph(setup: Setup, namespace: str, seat: Seat | ConditionSeat) -> As
         except TimeoutError:
             process.kill()
             await process.wait()
+
+
+def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
+    """
+    Serve pages of a study until Ctrl-C; its participants each have one.
+
+    :param participant: code that is proposed; empty: none.
+    :raises CommandError: the address cannot be used.
+    """
+    print(f'{study.plan.name}: everything is kept in {study.folder.path}.')
+    return _serve_seats(study.plan.name, partial(_all_turns, study), pages, participant)
+
+
+@asynccontextmanager
+async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIterator[Press]:
+    """Keep one game after the other, each of a condition; the last one ends the seat."""
+    press: Press = _nothing
+
+    async def play() -> None:
+        nonlocal press
+        try:
+            participant = study.enter(seat.participant)
+            while (turn := study.next_turn(participant)) is not None:
+                condition = ConditionSeat(seat)
+                async with _game(turn.setup, study.namespace, thread, condition) as pressed:
+                    press = pressed
+                    await condition.over.wait()
+                    press = _nothing
+                    seat.show(message(seat.head, 'The next part is being prepared ...'), 0)
+                if farewell := condition.farewell or study.farewell(participant, turn):
+                    seat.end(farewell)
+                    return
+            seat.end(study.finish(participant))
+        except (CommandError, GameError) as error:
+            seat.end(str(error))
+
+    playing = asyncio.create_task(play())
+    try:
+        yield lambda keys, frame: press(keys, frame)
+    finally:
+        playing.cancel()
+        with suppress(asyncio.CancelledError):
+            await playing
+
+
+def _nothing(keys: list[str], frame: int) -> None:
+    """Take no keys: one condition has ended, and the next one is not ready."""

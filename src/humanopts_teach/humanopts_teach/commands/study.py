@@ -69,7 +69,7 @@ def run(
         _export(study.folder, study.folder.path / 'tables')
         return 0
     if pages.browser:
-        from humanopts_teach.commands.study_browser import study_in_browser
+        from humanopts_teach.commands.browser import study_in_browser
 
         return study_in_browser(study, pages, participant)
     if not (sys.stdin.isatty() and sys.stdout.isatty()):

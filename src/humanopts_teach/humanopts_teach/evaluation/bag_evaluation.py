@@ -9,7 +9,6 @@ from pathlib import Path
 import time
 from typing import Any
 
-from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import (
@@ -132,7 +131,6 @@ class PlanEvaluation:
     plan: AnyPlan
     row: PlanningRow
     judged: Performance = field(compare=False, repr=False)
-    totals: Floats = field(compare=False, repr=False)  # (E,) returns by episode
 
 
 @dataclass(frozen=True)
@@ -278,9 +276,7 @@ def evaluate(
         if isinstance(found, PlanError):
             notes.append(f'no plan with {action_set} actions: {found}')
         else:
-            plan, judged = found
-            row = row_of_plan(plan, judged)
-            plans.append(PlanEvaluation(person, plan, row, judged, judged.totals))
+            plans.append(PlanEvaluation(person, found[0], row_of_plan(*found), found[1]))
     return BagEvaluation(
         domain,
         settings,

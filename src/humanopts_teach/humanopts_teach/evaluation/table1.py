@@ -5,7 +5,7 @@ Section 4: people were asked for buttons that make winning easier and faster, an
 was counted. In a study, people are asked so too; in a lesson, they name what they teach.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 import math
 from typing import Any
@@ -153,34 +153,25 @@ def count_named(named: Sequence[NamedOption], canonical: Mapping[str, str]) -> l
     ]
 
 
-def _table(domain: str, named: Iterable[NamedOption], canonical: Mapping[str, str]) -> ButtonTable:
+def _table(domain: str, named: Sequence[NamedOption], canonical: Mapping[str, str]) -> ButtonTable:
     paper = TABLE_1.get(domain, {})
     names = {_plain(name): name for name in paper}
     names = {**names, **{w: names.get(_plain(name), name) for w, name in canonical.items()}}
-    people: set[str] = set()
+    people = sorted({each.participant for each in named})
     by_option: dict[str, list[NamedOption]] = {name: [] for name in paper}
     for each in named:
-        people.add(each.participant)
         if each.name:
             name = names.setdefault(_plain(each.name), each.name)
             by_option.setdefault(name, []).append(each)
-    rows = [_row(name, found, len(people), paper) for name, found in by_option.items()]
+    rows = []
+    for name, found in by_option.items():
+        who = {each.participant for each in found}
+        share = Interval.of_share(np.arange(len(people)) < len(who))
+        taught = {each.participant for each in found if each.taught}
+        wordings = tuple(dict.fromkeys(each.name for each in found))
+        rows.append(ButtonRow(name, len(who), share, len(taught), paper.get(name), wordings))
     rows.sort(key=lambda row: (row.paper is None, -row.people if row.paper is None else 0))
-    return ButtonTable(domain, tuple(sorted(people)), tuple(rows))
-
-
-def _row(
-    name: str, named: Sequence[NamedOption], people: int, paper: Mapping[str, float]
-) -> ButtonRow:
-    who = {each.participant for each in named}
-    return ButtonRow(
-        name,
-        len(who),
-        Interval.of_share(np.arange(people) < len(who)),
-        len({each.participant for each in named if each.taught}),
-        paper.get(name),
-        tuple(dict.fromkeys(each.name for each in named)),
-    )
+    return ButtonTable(domain, tuple(people), tuple(rows))
 
 
 def table_text(tables: Sequence[ButtonTable]) -> str:

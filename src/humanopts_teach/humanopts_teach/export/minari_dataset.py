@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import chain
 import os
 from pathlib import Path
@@ -36,7 +35,7 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
     Each carries ``options`` for ``reset``: with them, and the recorded actions, our environment
     gives the recorded observations, rewards and ends again.
 
-    :param out: folder that Minari is to look in.
+    :param out: folder that Minari is to look in, from now on in this process.
     :return: id of the dataset, and how many episodes it has; ``Bag.damage`` says what is left out.
     :raises BagError: the bag does not say which domain was played, or it is not installed.
     :raises ExportError: Minari is not installed, there is nothing to write, the domain is no
@@ -68,7 +67,8 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
         for number, one in enumerate(chain([first], whole))
     )
     name = dataset_name(domain, bag.path)
-    with _looking_in(out), warnings.catch_warnings():
+    os.environ[FOLDER] = str(out)
+    with warnings.catch_warnings():
         warnings.simplefilter('ignore', UserWarning)  # that no author is named, and the like
         try:
             minari.create_dataset_from_buffers(
@@ -127,17 +127,3 @@ def _description(domain: Domain[Any]) -> str:
         f'Recorded episodes of {domain.name}. Begin each with '
         'env.reset(options=dataset.storage.get_episode_metadata([id])["options"]).'
     )
-
-
-@contextmanager
-def _looking_in(folder: Path) -> Iterator[None]:
-    """Let Minari keep its datasets in a folder."""
-    before = os.environ.get(FOLDER)
-    os.environ[FOLDER] = str(folder)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[FOLDER]
-        else:
-            os.environ[FOLDER] = before

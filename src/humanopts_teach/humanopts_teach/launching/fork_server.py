@@ -7,9 +7,9 @@ begins as a process of its own does: with its own environment, log, session of R
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 import gc
 from importlib import import_module
+from itertools import count
 import json
 import os
 from pathlib import Path
@@ -20,25 +20,13 @@ import subprocess
 import sys
 import time
 import traceback
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from humanopts_ros.environment import LAUNCHER_PID
 from setproctitle import setproctitle
 
 _LAST_SECONDS = 1.0  # that the server has to end
 _MESSAGE_BYTES = 1 << 20  # at most; an order holds an environment
-
-
-@dataclass(frozen=True)
-class _Order:
-    """What is to be forked."""
-
-    number: int
-    module: str  # whose main is called
-    arguments: list[str]
-    environment: dict[str, str]
-    directory: str
-    log: str  # file that its standard output and error are added to
 
 
 class ForkedProcess:
@@ -107,16 +95,9 @@ class ForkServer:
         self, module: str, arguments: Sequence[str], environment: Mapping[str, str], log: Path
     ) -> ForkedProcess:
         """Start a process that calls ``main`` of a module; it does not wait for it."""
-        order = _Order(
-            len(self._started),
-            module,
-            list(arguments),
-            dict(environment),
-            os.getcwd(),
-            os.path.abspath(log),
-        )
+        order = [module, list(arguments), dict(environment), os.getcwd(), os.path.abspath(log)]
         self._started.append(ForkedProcess(self))
-        self._channel.send(json.dumps(asdict(order)).encode())
+        self._channel.send(json.dumps(order).encode())
         return self._started[-1]
 
     def listen(self, seconds: float | None) -> None:
@@ -162,13 +143,18 @@ def main() -> int:
         import_module(module)
     gc.freeze()  # what all share is not looked through, and so not copied
     if (order := _serve(channel)) is not None:
-        _run(order)
+        _run(*order)
     return 0
 
 
-def _serve(channel: socket.socket) -> _Order | None:
-    """Fork for each order, and tell its number, process and exit status; None: no more come."""
+def _serve(channel: socket.socket) -> list[Any] | None:
+    """
+    Fork for each order, and tell its number, process and exit status.
+
+    :return: in a fork, its order; None: no more come.
+    """
     running: dict[int, tuple[int, int]] = {}  # by descriptor of process: order and process
+    orders = count()
     while True:
         for ready in select.select([channel.fileno(), *running], [], [])[0]:
             if ready in running:
@@ -180,35 +166,37 @@ def _serve(channel: socket.socket) -> _Order | None:
             said = channel.recv(_MESSAGE_BYTES)
             if not said:
                 return None
-            order = _Order(**json.loads(said))
-            pid = os.fork()
+            number, pid = next(orders), os.fork()
             if pid == 0:
                 channel.close()
                 for descriptor in running:
                     os.close(descriptor)
+                order: list[Any] = json.loads(said)
                 return order
-            running[os.pidfd_open(pid)] = order.number, pid
-            channel.send(json.dumps([order.number, pid, None]).encode())
+            running[os.pidfd_open(pid)] = number, pid
+            channel.send(json.dumps([number, pid, None]).encode())
 
 
-def _run(order: _Order) -> NoReturn:
+def _run(
+    module: str, arguments: list[str], environment: dict[str, str], directory: str, log: str
+) -> NoReturn:
     """
-    Be what a new process for the order would be.
+    Be what a new process of these would be, with its output added to a file.
 
     It ends without taking down the modules of Python, whose shared memory that would copy.
     """
     os.setpgid(0, 0)
     os.environ.clear()
-    os.environ.update({**order.environment, LAUNCHER_PID: str(os.getppid())})
-    os.chdir(order.directory)
-    with open(order.log, 'ab') as log:
+    os.environ.update({**environment, LAUNCHER_PID: str(os.getppid())})
+    os.chdir(directory)
+    with open(log, 'ab') as output:
         for standard in (sys.stdout, sys.stderr):
-            os.dup2(log.fileno(), standard.fileno())
-    sys.argv = [order.module, *order.arguments]
+            os.dup2(output.fileno(), standard.fileno())
+    sys.argv = [module, *arguments]
     setproctitle(' '.join([sys.executable, '-m', *sys.argv]))
     status = 1
     try:
-        status = import_module(order.module).main()
+        status = import_module(module).main()
     except BaseException:
         traceback.print_exc()
     finally:

@@ -82,6 +82,15 @@ class RecorderReport:
         little = self.disk_left is not None and self.disk_left < LITTLE_DISK
         return f'{_size(self.disk_left or 0)} are left on the disk' if little else ''
 
+    def to_text(self) -> str:
+        """Return the recording as one line."""
+        rate = '' if self.rate is None else f' ({self.rate:.0f}/s)'
+        left = '' if self.disk_left is None else f', {_size(self.disk_left)} left on the disk'
+        return (
+            f'{self.path}: {self.messages} messages{rate}, {_size(self.bytes)}, '
+            f'lag {self.lag:.3f} s, {self.missing} missing{left}'
+        )
+
 
 @dataclass(frozen=True)
 class GraphReport:
@@ -119,38 +128,20 @@ class GraphReport:
     def to_text(self) -> str:
         """Return the report as plain text."""
         if not self.nodes:
-            return f'no node of humanopts is in {self._where}'
+            place = f'ROS_DOMAIN_ID {self.domain_id}, namespace {self.namespace}'
+            return f'no node of humanopts is in {place}'
         heads = ('node', 'state', 'answers', 'restarts', 'process', 'memory', 'threads', 'says')
         rows = [heads, *map(_row, self.nodes)]
         lines = aligned(rows, [False] * len(heads))
-        lines += ['', *self._game_lines(), *self._recorder_lines()]
-        faults = self.faults
-        lines += [f'fault: {fault}' for fault in faults] or ['all is well']
+        lines.append('')
+        if self.steps_per_second is not None:
+            lines.append(
+                f'{self.game}: episode {self.episode}, step {self.step}, '
+                f'{self.steps_per_second:.1f} steps/s; control: {self.holder or "nobody"}'
+            )
+        lines.append('nothing is recorded' if self.recorder is None else self.recorder.to_text())
+        lines += [f'fault: {fault}' for fault in self.faults] or ['all is well']
         return '\n'.join(lines)
-
-    @property
-    def _where(self) -> str:
-        return f'ROS_DOMAIN_ID {self.domain_id}, namespace {self.namespace}'
-
-    def _game_lines(self) -> list[str]:
-        if self.steps_per_second is None:
-            return []
-        who = self.holder or 'nobody'
-        return [
-            f'{self.game}: episode {self.episode}, step {self.step}, '
-            f'{self.steps_per_second:.1f} steps/s; control: {who}'
-        ]
-
-    def _recorder_lines(self) -> list[str]:
-        bag = self.recorder
-        if bag is None:
-            return ['nothing is recorded']
-        rate = '' if bag.rate is None else f' ({bag.rate:.0f}/s)'
-        left = '' if bag.disk_left is None else f', {_size(bag.disk_left)} left on the disk'
-        return [
-            f'{bag.path}: {bag.messages} messages{rate}, {_size(bag.bytes)}, lag {bag.lag:.3f} s, '
-            f'{bag.missing} missing{left}'
-        ]
 
 
 def _row(node: NodeReport) -> tuple[str, ...]:

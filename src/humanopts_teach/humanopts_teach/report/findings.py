@@ -144,7 +144,8 @@ def _exact_plans(evaluation: BagEvaluation, rows: Mapping[str, PlanningRow]) -> 
             continue
         whose = f' ({name})' if name != HUMAN else ''
         if name in plans and PRIMITIVE in plans:
-            loss = Interval.of_difference(plans[PRIMITIVE].totals, plans[name].totals)
+            totals = plans[PRIMITIVE].judged.totals, plans[name].judged.totals
+            loss = Interval.of_difference(*totals)
             yield Finding(
                 loss.at_most(ALLOWED * abs(primitive.mean_return or 0.0)),
                 f'The plan with the learned options{whose} has a mean return of '

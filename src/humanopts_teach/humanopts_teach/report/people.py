@@ -70,9 +70,10 @@ def people_findings(evaluation: BagEvaluation) -> Iterator[Finding]:
     ]
     pairs = list(combinations(plans, 2))
     for one, other in pairs:
-        if len(one.totals) != len(other.totals):
+        totals = one.judged.totals, other.judged.totals
+        if len(totals[0]) != len(totals[1]):
             continue
-        gain = Interval.of_difference(one.totals, other.totals, level_of_each(len(pairs)))
+        gain = Interval.of_difference(*totals, level_of_each(len(pairs)))
         words = {True: 'better than', False: 'worse than', None: 'not distinguishable from'}
         verdict = 'as good as' if gain.low == gain.high == 0.0 else words[gain.above()]
         yield Finding(

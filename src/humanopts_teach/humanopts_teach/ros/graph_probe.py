@@ -87,7 +87,9 @@ class _Probe:
         self._processes = processes_of_launch(self._namespace)
         there = set(self._processes)
         self._serve(lambda: bool(there) and self._statuses.keys() >= there, _SEARCH)
-        nodes = sorted({*self._statuses, *self._nodes(), *there})
+        found = self._node.get_publishers_info_by_topic('node_status')
+        publish = (str(each.node_name) for each in found if '_NODE' not in each.node_name)
+        nodes = sorted({*self._statuses, *publish, *there})
         began, before = time.monotonic(), dict(self._newest)
         asked = {
             name: self._node.create_client(GetParameters, f'{name}/get_parameters')
@@ -104,7 +106,7 @@ class _Probe:
                 return None
             return max(0, count(last) - count(first)) / passed
 
-        restarts = restarts_in(self._text(CONDUCTOR))
+        restarts = restarts_in(self._status(CONDUCTOR).text)
         state, info = self._newest.get('current_state'), self._newest.get('domain_info')
         control = self._newest.get('control')
         steps = rate('current_state', lambda message: int(message.sequence))
@@ -122,11 +124,6 @@ class _Probe:
             steps_per_second=None if state is None else steps or 0.0,
             holder=control.holder_id if control is not None else '',
         )
-
-    def _nodes(self) -> list[str]:
-        """Return the names of the nodes that publish their life here."""
-        found = self._node.get_publishers_info_by_topic('node_status')
-        return sorted({str(each.node_name) for each in found if '_NODE' not in each.node_name})
 
     def _serve(self, done: Callable[[], bool], seconds: float) -> None:
         end = time.monotonic() + seconds
@@ -152,12 +149,12 @@ class _Probe:
         if stamps[0] >= stamps[1]:
             self._statuses[name] = status
 
-    def _text(self, name: str) -> str:
-        return self._statuses[name].text if name in self._statuses else ''
+    def _status(self, name: str) -> msg.NodeStatus:
+        """Return the newest status of a node; an empty one: it has published none."""
+        return self._statuses.get(name, msg.NodeStatus())
 
     def _node_report(self, name: str, restarts: int) -> NodeReport:
-        status = self._statuses.get(name)
-        process = self._processes.get(name)
+        status, process = self._status(name), self._processes.get(name)
         found: dict[str, Any] = {}
         if process is not None:
             try:
@@ -172,10 +169,10 @@ class _Probe:
                 pass
         return NodeReport(
             name,
-            _STATES.get(status.state, '') if status is not None else '',
+            _STATES.get(status.state, ''),
             self._answers.get(name),
             name != CONDUCTOR,  # it serves the graph only while it waits
-            self._text(name),
+            status.text,
             restarts,
             **found,
         )

@@ -20,18 +20,15 @@ class KeyboardTeleopNode(TeleopNode):
         """Serve the person until they quit, the terminal is gone, or the process is to end."""
         with Device(_FAREWELL) as device:
             while not (stop() or self.app.ended or device.closed):
-                self._turn(executor, device)
+                self.turn(executor, POLL_SECONDS)
+                self.press(device.read())
+                self.go_on()
+                if self.frame_due() or device.resized():
+                    device.draw(partial(frame, self.app))
+                    self.drawn()
         self.send_last_requests()
         while not self.parted:
             self.turn(executor, POLL_SECONDS)
-
-    def _turn(self, executor: Executor, device: Device) -> None:
-        self.turn(executor, POLL_SECONDS)
-        self.press(device.read())
-        self.go_on()
-        if self.frame_due() or device.resized():
-            device.draw(partial(frame, self.app))
-            self.drawn()
 
 
 def main(args: list[str] | None = None) -> int:

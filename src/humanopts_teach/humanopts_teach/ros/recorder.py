@@ -19,7 +19,7 @@ from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
-from humanopts_ros.recording import MOST_BYTES, Selection
+from humanopts_ros.recording import MOST_BYTES
 from humanopts_teach.bags import BagWriteError, SchemaError
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.sequence_numbers import is_stamped, LossCounter, read_stamp
@@ -126,11 +126,8 @@ class Recorder(NodeBase):
             if self._record(self._subscriber.take()):
                 quiet = time.monotonic() + _QUIET
             time.sleep(_PERIOD)
-        for finish in (self._attach, self._bag.close):
-            try:
-                finish()
-            except BagWriteError as error:
-                self._stop(error)
+        self._attempt(self._attach)
+        self._attempt(self._bag.close)
         self.failed = self._stopped != before  # the status reaches no reader any more
 
     def _begin(self) -> BagWriter:
@@ -152,7 +149,13 @@ class Recorder(NodeBase):
             raise StartError('parameter path: name the directory of the bag')
         try:
             bag, before = Path(path), parts(Path(path)) if go_on else []
-            known = {**_facts(facts), **software(), **_selected(self.selection)}
+            selection = self.selection
+            known = {
+                **_facts(facts),
+                **software(),
+                'record_include': json.dumps(selection.include or ['*']),
+                'record_exclude': json.dumps(selection.exclude),
+            }
             if before:
                 bag, known['continues'] = next_part(bag), before[-1].name
             return BagWriter(bag, known, limits=limits)
@@ -246,7 +249,13 @@ class Recorder(NodeBase):
     def _publish_status(self) -> None:
         """Publish how the recording stands, at every change that matters and once a second."""
         now = time.monotonic()
-        self._log_lag(self._lag.behind(now))
+        if (behind := self._lag.behind(now)) != self._behind:
+            self._behind = behind
+            log = self.get_logger()
+            if behind:
+                log.warning(_BEHIND)
+            else:
+                log.info('the recorder keeps up again')
         text = self._stopped or (_BEHIND if self._behind else self._remark())
         state = (self._complete, self._behind, text, self._losses.missing)
         if state == self._published and now - self._published_at < _STATUS_PERIOD:
@@ -256,14 +265,6 @@ class Recorder(NodeBase):
             self._publisher.publish(self._status_message(text))
         except PublishError as error:
             self.get_logger().error(str(error))
-
-    def _log_lag(self, behind: bool) -> None:
-        """Log when the recorder falls behind, and when it no longer is."""
-        if behind and not self._behind:
-            self.get_logger().warning(_BEHIND)
-        if self._behind and not behind:
-            self.get_logger().info('the recorder keeps up again')
-        self._behind = behind
 
     def _remark(self) -> str:
         """Return what of the graph is not recorded; empty: nothing."""
@@ -314,14 +315,6 @@ def _facts(text: str) -> dict[str, str]:
     if not isinstance(values, dict):
         raise StartError(f'parameter metadata is not a JSON object: {text}')
     return {str(k): v if isinstance(v, str) else json.dumps(v) for k, v in values.items()}
-
-
-def _selected(selection: Selection) -> dict[str, str]:
-    """Return which topics are recorded, as facts."""
-    return {
-        'record_include': json.dumps(selection.include or ['*']),
-        'record_exclude': json.dumps(selection.exclude),
-    }
 
 
 main = partial(run_node, Recorder)
