@@ -269,7 +269,10 @@ def test_what_options_lose_is_that_within_episodes(
     luck = 100.0 * np.arange(100)
     human, primitive = evaluation.plans
     row = replace(primitive.row, mean_return=-25.0)
-    plans = replace(human, totals=luck - lost), replace(primitive, row=row, totals=luck)
+    plans = (
+        replace(human, judged=replace(human.judged, totals=luck - lost)),
+        replace(primitive, row=row, judged=replace(primitive.judged, totals=luck)),
+    )
     texts = {f.text: f.good for f in findings(replace(evaluation, plans=plans))}
     (found,) = [text for text in texts if 'from the same start states' in text]
     assert (texts[found], words in found) == (good, True), found

@@ -105,7 +105,17 @@ def domain_parameters(launch: LaunchOptions) -> dict[str, Parameter]:
 
     :raises CommandError: one is not NAME=VALUE.
     """
-    return dict(_parameter(text) for text in launch.parameter)
+    found: dict[str, Parameter] = {}
+    for text in launch.parameter:
+        name, equals, value = text.partition('=')
+        if not (name and equals):
+            raise CommandError(f'--parameter {text!r} is not NAME=VALUE')
+        try:
+            parsed = json.loads(value)
+        except json.JSONDecodeError:
+            parsed = value
+        found[name] = parsed if isinstance(parsed, int | float | bool) else value
+    return found
 
 
 def new_name(prefix: str) -> str:
@@ -129,17 +139,6 @@ def check_place(namespace: str) -> None:
     number = os.environ.get('ROS_DOMAIN_ID') or '0'
     if not (number.isascii() and number.isdigit() and int(number) <= _LAST_DOMAIN_ID):
         raise CommandError(f'ROS_DOMAIN_ID is {number!r}, and must be from 0 to {_LAST_DOMAIN_ID}')
-
-
-def _parameter(text: str) -> tuple[str, Parameter]:
-    name, equals, value = text.partition('=')
-    if not (name and equals):
-        raise CommandError(f'--parameter {text!r} is not NAME=VALUE')
-    try:
-        parsed = json.loads(value)
-    except json.JSONDecodeError:
-        return name, value
-    return name, parsed if isinstance(parsed, int | float | bool) else value
 
 
 @dataclass(frozen=True)

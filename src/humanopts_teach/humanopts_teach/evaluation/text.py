@@ -122,19 +122,22 @@ def _option(option: OptionEvaluation) -> list[str]:
         ]
         for point in (points[i] for i in chosen)
     ]
-    equal = option.reproduced
-    again = [] if equal is None else [f'learned again: {REPRODUCED[equal]}']
-    return [
+    lines = [
         f'{block.name} (by {option.participant or "-"}): {met}',
         f'features: {", ".join(block.features)}',
         f'policy: {METHODS[block.method]}',
-        *again,
+    ]
+    if option.reproduced is not None:
+        lines.append(f'learned again: {REPRODUCED[option.reproduced]}')
+    lines += [
         f'mean return: demonstrations {number(block.mean_return_demonstrations)}, '
         f'policy {number(block.mean_return_policy)}',
         *(f'not met: {_unmet(c)}' for c in judgement.criteria if not c.met),
-        *_more(judgement.more_needed),
-        *table(CURVE_HEAD, rows),
     ]
+    if judgement.more_needed > 0:
+        low, high = likely_range(judgement.more_needed)
+        lines.append(f'perhaps {low} to {high} more demonstrations are needed')
+    return [*lines, *table(CURVE_HEAD, rows)]
 
 
 def _unmet(criterion: Criterion) -> str:
@@ -143,13 +146,6 @@ def _unmet(criterion: Criterion) -> str:
         limit = f'at most {number(criterion.high)} with 95 % confidence'
         is_now = f'{criterion.verdict}: about {is_now}, {limit}'
     return f'{criterion.name} is {is_now}, needs {number(criterion.threshold)} or less'
-
-
-def _more(demonstrations: int) -> list[str]:
-    if demonstrations <= 0:
-        return []
-    low, high = likely_range(demonstrations)
-    return [f'perhaps {low} to {high} more demonstrations are needed']
 
 
 def _plan(name: str, row: PlanningRow) -> list[str]:

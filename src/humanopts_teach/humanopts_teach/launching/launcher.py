@@ -202,7 +202,12 @@ class Launcher:
                     self.check(RECORDER)
                     time.sleep(0.1)
                 self._running.remove(running)
-                return self._terminal_status(running)
+                status = running.process.wait()
+                if status < 0:
+                    raise LaunchError(_end_of(running))
+                if status:
+                    sys.stderr.write(running.log.read_text(encoding='utf-8', errors='replace'))
+                return status
             finally:
                 self._end([entry for entry in self._running if entry.spec.terminal])
 
@@ -219,7 +224,9 @@ class Launcher:
             if running.spec.terminal:
                 continue
             if running.due is not None and now >= running.due:
-                self._start_again(running)
+                running.process = self._process(running.spec, running.log)
+                running.due, running.stopped = None, False
+                running.policy.begin(time.monotonic())
             elif running.runs and (status := running.process.poll()) is not None:
                 self._ended(running, status, now)
             if running.given_up is not None and running.spec.name not in besides:
@@ -253,16 +260,14 @@ class Launcher:
         return running
 
     def _process(self, spec: ProcessSpec, log: Path) -> Process:
-        arguments = ['--ros-args', '-r', f'__ns:={self._namespace}']
-        arguments += [_PARAMETERS, str(self._parameters(spec))]
+        path = self._directory / f'{spec.name}.yaml'
+        tree = {'/**': {'ros__parameters': dict(spec.parameters)}}
+        # JSON, as YAML whose strings are quoted: rcl takes a bare y for true.
+        path.write_text(json.dumps(tree, ensure_ascii=False), encoding='utf-8')
+        arguments = ['--ros-args', '-r', f'__ns:={self._namespace}', _PARAMETERS, str(path)]
         if spec.terminal or self._server is None:
             return _of_terminal(spec.module, arguments, log)
         return self._server.start(spec.module, arguments, os.environ, log)
-
-    def _start_again(self, running: _Running) -> None:
-        running.process = self._process(running.spec, running.log)
-        running.due, running.stopped = None, False
-        running.policy.begin(time.monotonic())
 
     def _ended(self, running: _Running, status: int, now: float) -> None:
         """Plan when a node that ended is started again, and tell that it ended."""
@@ -284,19 +289,15 @@ class Launcher:
             process = running.process
             if not (running.runs and isinstance(process, ForkedProcess) and process.known_pid):
                 continue
-            stopped = _is_stopped(process.known_pid)
+            try:
+                stopped = psutil.Process(process.known_pid).status() == psutil.STATUS_STOPPED
+            except psutil.Error:  # it ended just now
+                continue
             if stopped != running.stopped:
                 running.stopped = stopped
                 name = running.spec.name
                 what = f'is stopped; kill -CONT {process.known_pid} lets it go on'
                 self.report(f'the node {name} {what if stopped else "goes on"}')
-
-    def _parameters(self, spec: ProcessSpec) -> Path:
-        path = self._directory / f'{spec.name}.yaml'
-        tree = {'/**': {'ros__parameters': dict(spec.parameters)}}
-        # JSON, as YAML whose strings are quoted: rcl takes a bare y for true.
-        path.write_text(json.dumps(tree, ensure_ascii=False), encoding='utf-8')
-        return path
 
     def _end(self, entries: Sequence[_Running]) -> list[str]:
         alive = [entry for entry in entries if entry.process.poll() is None]
@@ -317,14 +318,6 @@ class Launcher:
             if entry.process.wait() not in _ENDS_AS_ASKED:
                 problems.append(_end_of(entry))
         return problems
-
-    def _terminal_status(self, running: _Running) -> int:
-        status = running.process.wait()
-        if status < 0:
-            raise LaunchError(_end_of(running))
-        if status:
-            sys.stderr.write(running.log.read_text(encoding='utf-8', errors='replace'))
-        return status
 
 
 @contextmanager
@@ -366,10 +359,3 @@ def _last_lines(log: Path) -> str:
         return ''
     tail = [line for line in lines if line.strip()][-TAIL_LINES:]
     return ''.join(f'\n  {line}' for line in tail)
-
-
-def _is_stopped(pid: int) -> bool:
-    try:
-        return psutil.Process(pid).status() == psutil.STATUS_STOPPED
-    except psutil.Error:  # it ended just now
-        return False

@@ -27,30 +27,18 @@ class TreeRules:
 
 def option_rules(option: LearnedOption, domain: Domain[Any]) -> list[TreeRules]:
     """Return the three trees of an option, the policy last."""
-    trees = {
+    trees: dict[str, tuple[Tree, Sequence[str], Sequence[EncodedFeature]]] = {
         'initiation': (option.initiation, MEMBERS['initiation'], option.encoding),
         'termination': (option.termination, MEMBERS['termination'], option.encoding),
         'policy': (option.policy, option.actions, option.policy_encoding),
     }
-    return [_rules(part, *tree, domain) for part, tree in trees.items()]
-
-
-def _rules(
-    part: str,
-    tree: Tree,
-    classes: Sequence[str],
-    encoding: Sequence[EncodedFeature],
-    domain: Domain[Any],
-) -> TreeRules:
-    lines = tree_lines(tree, classes, encoding, domain)
-    return TreeRules(
-        part,
-        tree.depth,
-        int((tree.left == LEAF).sum()),
-        int(tree.counts[0].sum()),
-        '\n'.join(lines),
-        part != 'policy' and len(lines) <= LINES_SHOWN_OPEN,
-    )
+    found = []
+    for part, (tree, classes, encoding) in trees.items():
+        lines = tree_lines(tree, classes, encoding, domain)
+        leaves, examples = int((tree.left == LEAF).sum()), int(tree.counts[0].sum())
+        is_open = part != 'policy' and len(lines) <= LINES_SHOWN_OPEN
+        found.append(TreeRules(part, tree.depth, leaves, examples, '\n'.join(lines), is_open))
+    return found
 
 
 def tree_lines(
