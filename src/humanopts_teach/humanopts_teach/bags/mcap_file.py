@@ -19,7 +19,7 @@ from humanopts_teach.bags import BagError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE
+from mcap.reader import FOOTER_SIZE, SeekingReader
 from mcap.records import (
     Attachment,
     AttachmentIndex,
@@ -30,11 +30,9 @@ from mcap.records import (
     McapRecord,
     Message,
     Metadata,
-    MetadataIndex,
     Schema,
-    Statistics,
 )
-from mcap.stream_reader import breakup_chunk, MAGIC_SIZE, StreamReader
+from mcap.stream_reader import breakup_chunk, MAGIC_SIZE
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
@@ -267,26 +265,20 @@ def _read_summary(index: FileIndex, stream: McapStream) -> bool:
     content = stream.read(stream.size - footer.summary_start)
     if footer.summary_crc and zlib.crc32(content[: -4 - MAGIC_SIZE]) != footer.summary_crc:
         raise ValueError('it does not fit its checksum')
-    chunks = []
-    for record in StreamReader(BytesIO(content), skip_magic=True).records:
-        if isinstance(record, Schema):
-            index.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            index.channels[record.id] = record
-        elif isinstance(record, Statistics):
-            index.counts.update(record.channel_message_counts)
-        elif isinstance(record, ChunkIndex):
-            chunks.append(record)
-        elif isinstance(record, AttachmentIndex):
-            index.attachments[record.name] = record
-        elif isinstance(record, MetadataIndex):
-            _, found = stream.record(record.offset)
-            metadata = Metadata.read(_parser(found))
-            if metadata.name != record.name:
-                raise ValueError('it names other metadata records')
-            index.metadata[record.name] = metadata.metadata
+    stream.seek(0)
+    summary = SeekingReader(stream).get_summary()
+    if summary is None or summary.statistics is None:
+        return False
+    index.schemas, index.channels = summary.schemas, summary.channels
+    index.counts.update(summary.statistics.channel_message_counts)
+    index.attachments.update((each.name, each) for each in summary.attachment_indexes)
+    for each in summary.metadata_indexes:
+        metadata = Metadata.read(_parser(stream.record(each.offset)[1]))
+        if metadata.name != each.name:
+            raise ValueError('it names other metadata records')
+        index.metadata[each.name] = metadata.metadata
     groups: dict[frozenset[int], frozenset[int]] = {}  # one object for all blocks that have it
-    for chunk in chunks:
+    for chunk in summary.chunk_indexes:
         channels = frozenset(chunk.message_index_offsets or index.channels)
         index.blocks.append(_indexed(stream, chunk, groups.setdefault(channels, channels)))
     return bool(index.blocks and index.counts) and all(map(index.describes, index.counts))

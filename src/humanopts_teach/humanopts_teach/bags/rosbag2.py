@@ -118,7 +118,19 @@ def bag_information(
             'storage_identifier': 'mcap',
             **_times(whole),
             'message_count': whole.messages,
-            'topics_with_message_count': [_topic_information(topic) for topic in topics],
+            'topics_with_message_count': [
+                {
+                    'topic_metadata': {
+                        'name': topic.name,
+                        'type': topic.type,
+                        'serialization_format': 'cdr',
+                        'offered_qos_profiles': profiles(topic.qos),
+                        'type_description_hash': topic.type_hash,
+                    },
+                    'message_count': topic.messages,
+                }
+                for topic in topics
+            ],
             'compression_format': '',  # of whole files or messages; the chunks have their own
             'compression_mode': '',
             'relative_file_paths': list(files),
@@ -141,19 +153,6 @@ def _times(extent: Extent) -> dict[str, Any]:
     return {
         'duration': {'nanoseconds': extent.duration},
         'starting_time': {'nanoseconds_since_epoch': extent.first},
-    }
-
-
-def _topic_information(topic: Topic) -> dict[str, Any]:
-    return {
-        'topic_metadata': {
-            'name': topic.name,
-            'type': topic.type,
-            'serialization_format': 'cdr',
-            'offered_qos_profiles': profiles(topic.qos),
-            'type_description_hash': topic.type_hash,
-        },
-        'message_count': topic.messages,
     }
 
 

@@ -126,94 +126,22 @@ def processes(setup: Setup) -> list[ProcessSpec]:
 
     :raises UnknownNodeError: a node that is to run here is none of the launch.
     """
-    domain_parameters = json.dumps(dict(setup.domain_parameters))
-    recording, turn = setup.recording, setup.study
-    table: list[tuple[bool, str, str, dict[str, Value]]] = [
-        (
-            setup.record,
-            'recorder',
-            'humanopts_teach.ros.recorder',
-            {
-                'path': str(setup.bag),
-                'go_on': True,
-                'metadata': json.dumps(recorded_facts(setup)),
-                'max_bytes': recording.split_bytes,
-                'max_seconds': recording.split_seconds,
-                'attach': [str(setup.options)],
-            },
-        ),
-        (
-            True,
-            'game',
-            'humanopts_env.ros.game_node',
-            {
-                'domain': setup.domain,
-                'domain_parameters': domain_parameters,
-                'seed': setup.seed,
-                'step_period': setup.step_period,
-            },
-        ),
-        (
-            setup.teach,
-            'learner',
-            'humanopts_learner.ros.learner_node',
-            {
-                'directory': str(setup.options),
-                'seed': setup.seed,
-                **asdict(setup.thresholds),
-            },
-        ),
-        (
-            setup.teach,
-            'lesson',
-            'humanopts_teach.ros.lesson_node',
-            {
-                'directory': str(setup.directory / 'demonstrations'),
-                'seed': setup.seed,
-                'strategy': setup.strategy,
-                'learn': setup.learn,
-                'budget': setup.budget,
-            },
-        ),
-        (
-            True,
-            'option_server',
-            'humanopts_learner.ros.option_server',
-            {
-                'options_directory': str(setup.options),
-                'seed': setup.seed,
-                'no_progress_seconds': _PATIENCE + setup.step_period,
-            },
-        ),
-        (True, 'planner', 'humanopts_learner.ros.planner_node', {}),
-        (setup.diagnostics, 'diagnostics', 'humanopts_teach.ros.diagnostics', {}),
-        (setup.views, 'views', 'humanopts_teach.ros.views', {}),
-        (
-            bool(setup.taught),
-            'simulated_teacher',
-            'humanopts_teach.ros.simulated_teacher',
-            {
-                'options': list(setup.taught),
-                'participant': setup.participant,
-                'error_rate': setup.teacher_error_rate,
-                'seed': setup.seed,
-            },
-        ),
-        (
-            setup.keyboard,
-            'keyboard_teleop',
-            'humanopts_teach.ros.keyboard_teleop',
-            {
-                'participant': setup.participant,
-                'ask_participant': setup.ask_participant,
-                'seed': setup.seed,
-                **({'study_parts': turn.parts, 'study_record': str(turn.record)} if turn else {}),
-            },
-        ),
-    ]
+    table = (
+        (setup.record, RECORDER, 'humanopts_teach.ros.recorder'),
+        (True, 'game', 'humanopts_env.ros.game_node'),
+        (setup.teach, 'learner', 'humanopts_learner.ros.learner_node'),
+        (setup.teach, 'lesson', 'humanopts_teach.ros.lesson_node'),
+        (True, 'option_server', 'humanopts_learner.ros.option_server'),
+        (True, 'planner', 'humanopts_learner.ros.planner_node'),
+        (setup.diagnostics, 'diagnostics', 'humanopts_teach.ros.diagnostics'),
+        (setup.views, 'views', 'humanopts_teach.ros.views'),
+        (bool(setup.taught), 'simulated_teacher', 'humanopts_teach.ros.simulated_teacher'),
+        (setup.keyboard, 'keyboard_teleop', 'humanopts_teach.ros.keyboard_teleop'),
+    )
+    own = _own_parameters(setup)
     specs = [
-        ProcessSpec(name, module, {**own, **_common(name, setup)})
-        for wanted, name, module, own in table
+        ProcessSpec(name, module, {**own.get(name, {}), **_common(name, setup)})
+        for wanted, name, module in table
         if wanted
     ]
     if not setup.only:
@@ -224,6 +152,56 @@ def processes(setup: Setup) -> list[ProcessSpec]:
             f'there is no node {unknown[0]!r} in this launch; there are {", ".join(names)}'
         )
     return [spec for spec in specs if spec.terminal or spec.name in setup.only]
+
+
+def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
+    """Return the parameters of each node, besides those that all have."""
+    recording, turn = setup.recording, setup.study
+    return {
+        RECORDER: {
+            'path': str(setup.bag),
+            'go_on': True,
+            'metadata': json.dumps(recorded_facts(setup)),
+            'max_bytes': recording.split_bytes,
+            'max_seconds': recording.split_seconds,
+            'attach': [str(setup.options)],
+        },
+        'game': {
+            'domain': setup.domain,
+            'domain_parameters': json.dumps(dict(setup.domain_parameters)),
+            'seed': setup.seed,
+            'step_period': setup.step_period,
+        },
+        'learner': {
+            'directory': str(setup.options),
+            'seed': setup.seed,
+            **asdict(setup.thresholds),
+        },
+        'lesson': {
+            'directory': str(setup.directory / 'demonstrations'),
+            'seed': setup.seed,
+            'strategy': setup.strategy,
+            'learn': setup.learn,
+            'budget': setup.budget,
+        },
+        'option_server': {
+            'options_directory': str(setup.options),
+            'seed': setup.seed,
+            'no_progress_seconds': _PATIENCE + setup.step_period,
+        },
+        'simulated_teacher': {
+            'options': list(setup.taught),
+            'participant': setup.participant,
+            'error_rate': setup.teacher_error_rate,
+            'seed': setup.seed,
+        },
+        'keyboard_teleop': {
+            'participant': setup.participant,
+            'ask_participant': setup.ask_participant,
+            'seed': setup.seed,
+            **({'study_parts': turn.parts, 'study_record': str(turn.record)} if turn else {}),
+        },
+    }
 
 
 def recorded_facts(setup: Setup) -> dict[str, str]:

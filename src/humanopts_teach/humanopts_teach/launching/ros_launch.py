@@ -33,51 +33,39 @@ class LaunchArgument:
         return json.dumps(self.usual)
 
 
-ARGUMENTS = (
-    LaunchArgument('domain', 'taxi', 'what is played: the name of a registered domain'),
-    LaunchArgument('domain_parameters', {}, 'its parameters as a JSON object, as {"rows": 7}'),
-    LaunchArgument('out', 'runs/launch', 'folder of demonstrations, options and bags'),
-    LaunchArgument('seed', 1, 'of every random draw: a whole number from 0'),
-    LaunchArgument('strategy', Setup.strategy, 'of start states: random, coverage or failures'),
-    LaunchArgument('learn', Setup.learn, 'how options are learned: trees or goal'),
-    LaunchArgument('budget', Setup.budget, 'most start states shown for an option'),
-    LaunchArgument('teach', Setup.teach, 'whether lesson and learner run: true or false'),
-    LaunchArgument(
-        'record', Setup.record, 'whether everything goes into a new bag: true or false'
-    ),
-    LaunchArgument(
-        'record_include', Recording.include, 'topics to record, as "lesson/*;action"; empty: all'
-    ),
-    LaunchArgument('record_exclude', Recording.exclude, 'topics not to record, in the same form'),
-    LaunchArgument(
-        'split_bytes',
-        Recording.split_bytes,
-        'size at which the bag goes on in another file; 0: never',
-    ),
-    LaunchArgument(
-        'split_seconds', Recording.split_seconds, 'and time after which it does; 0: never'
-    ),
-    LaunchArgument(
-        'step_period', Setup.step_period, "seconds between a machine's steps, to watch it"
-    ),
-    LaunchArgument(
-        'diagnostics',
-        Setup.diagnostics,
-        'whether a node publishes /diagnostics: true or false',
-    ),
-    LaunchArgument(
-        'views',
-        Setup.views,
-        'whether a node publishes the game for RViz and Foxglove: true or false',
-    ),
-    LaunchArgument(
-        'only', Setup.only, 'nodes to start on this machine, separated by ";"; empty: all'
-    ),
-    LaunchArgument(
-        'taught',
-        Setup.taught,
-        'options that a simulated teacher teaches, separated by ";"; empty: no teacher',
-    ),
+_OWN: dict[str, Any] = {  # what is usual here; the rest is as in other launches
+    'domain': 'taxi',
+    'domain_parameters': {},
+    'out': 'runs/launch',
+    'seed': 1,
+    'record_include': Recording.include,
+    'record_exclude': Recording.exclude,
+    'split_bytes': Recording.split_bytes,
+    'split_seconds': Recording.split_seconds,
+}
+_DESCRIPTIONS = {
+    'domain': 'what is played: the name of a registered domain',
+    'domain_parameters': 'its parameters as a JSON object, as {"rows": 7}',
+    'out': 'folder of demonstrations, options and bags',
+    'seed': 'of every random draw: a whole number from 0',
+    'strategy': 'of start states: random, coverage or failures',
+    'learn': 'how options are learned: trees or goal',
+    'budget': 'most start states shown for an option',
+    'teach': 'whether lesson and learner run: true or false',
+    'record': 'whether everything goes into a new bag: true or false',
+    'record_include': 'topics to record, as "lesson/*;action"; empty: all',
+    'record_exclude': 'topics not to record, in the same form',
+    'split_bytes': 'size at which the bag goes on in another file; 0: never',
+    'split_seconds': 'and time after which it does; 0: never',
+    'step_period': "seconds between a machine's steps, to watch it",
+    'diagnostics': 'whether a node publishes /diagnostics: true or false',
+    'views': 'whether a node publishes the game for RViz and Foxglove: true or false',
+    'only': 'nodes to start on this machine, separated by ";"; empty: all',
+    'taught': 'options that a simulated teacher teaches, separated by ";"; empty: no teacher',
+}
+ARGUMENTS = tuple(
+    LaunchArgument(name, _OWN[name] if name in _OWN else getattr(Setup, name), text)
+    for name, text in _DESCRIPTIONS.items()
 )
 _WANTED = {
     int: 'a whole number',
