@@ -248,25 +248,17 @@ def evaluate(
     if not groups:
         raise EvaluationError('; '.join(['the bag holds no demonstration to learn from', *notes]))
     requests = list(dict.fromkeys([*((person, HUMAN) for person, _ in groups), ('', PRIMITIVE)]))
-    calls: list[Callable[[], Any]] = [
-        *(partial(_learning_curve, demos, domain, settings) for demos in groups.values()),
-        *(
-            partial(
-                _evaluate_plan,
-                [demos for (taught_by, _), demos in groups.items() if taught_by == person],
-                domain,
-                PlanRequest(action_set, seed=settings.seed),
-                episodes or judged_by(domain),
-            )
-            for person, action_set in requests
-        ),
-    ]
-    names = [
-        *(f'{name}: {len(demos)} demonstrations' for (_, name), demos in groups.items()),
-        *(f'planning with {action_set} actions' for _, action_set in requests),
-    ]
-    costs = [*map(len, groups.values()), *[math.inf for _ in requests]]
-    progress(0, len(calls), f'{len(demonstrations)} demonstrations')
+    work: list[tuple[Callable[[], Any], str, float]] = []  # call, name and cost
+    for (_, name), demos in groups.items():
+        call = partial(_learning_curve, demos, domain, settings)
+        work.append((call, f'{name}: {len(demos)} demonstrations', len(demos)))
+    for person, action_set in requests:
+        taught = [demos for (taught_by, _), demos in groups.items() if taught_by == person]
+        request = PlanRequest(action_set, seed=settings.seed)
+        plan = partial(_evaluate_plan, taught, domain, request, episodes or judged_by(domain))
+        work.append((plan, f'planning with {action_set} actions', math.inf))
+    progress(0, len(work), f'{len(demonstrations)} demonstrations')
+    calls, names, costs = zip(*work)
     results = all_of(calls, names, costs, progress, jobs)
     options = [
         OptionEvaluation(participant, curve) for (participant, _), curve in zip(groups, results)

@@ -37,9 +37,13 @@ class TopicSubscription:
     offers: list[dict[str, Any]]  # QoS of the publishers, as rosbag2's metadata has it
     type_hash: str
     subscription: Subscription
-    reliable: bool
-    latched: bool
+    profile: QoSProfile  # that is asked for
     publishers: int  # on the graph, when the QoS was last compared
+
+    @property
+    def latched(self) -> bool:
+        """Whether every publisher offers its last message to late subscribers."""
+        return bool(self.profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class RawSubscriber:
@@ -90,14 +94,11 @@ class RawSubscriber:
 
     def _adapt(self, known: TopicSubscription, offers: Collection[TopicEndpointInfo]) -> None:
         """Subscribe again where a new publisher offers less than is asked for."""
-        reliable, latched = _common(offers)
         known.publishers = len(offers)
-        if (known.reliable and not reliable) or (known.latched and not latched):
-            known.reliable, known.latched = known.reliable and reliable, known.latched and latched
-            old = known.subscription
-            known.subscription = self._subscription(
-                known.topic, known.kind, known.reliable, known.latched
-            )
+        profile = _common([known.profile, *(offer.qos_profile for offer in offers)])
+        if profile != known.profile:
+            old, known.profile = known.subscription, profile
+            known.subscription = self._subscription(known.topic, known.kind, profile)
             self._left += _take(known, old)
             self._node.destroy_subscription(old)
 
@@ -110,27 +111,20 @@ class RawSubscriber:
         except (ImportError, AttributeError, ValueError):
             self.unknown[topic] = kind
             return None
-        reliable, latched = _common(offers)
+        profile = _common([offer.qos_profile for offer in offers])
         added = self._subscriptions[topic] = TopicSubscription(
             topic,
             kind,
             loaded,
             [qos_to_plain(offer.qos_profile) for offer in offers],
             next((str(o.topic_type_hash) for o in offers), '').replace('INVALID', ''),
-            self._subscription(topic, loaded, reliable, latched),
-            reliable,
-            latched,
+            self._subscription(topic, loaded, profile),
+            profile,
             len(offers),
         )
         return added
 
-    def _subscription(self, topic: str, kind: Any, reliable: bool, latched: bool) -> Subscription:
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-        profile = QoSProfile(
-            history=HistoryPolicy.KEEP_ALL,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=durability,
-        )
+    def _subscription(self, topic: str, kind: Any, profile: QoSProfile) -> Subscription:
         return self._node.create_subscription(
             kind, topic, never_called, profile, callback_group=self._group, raw=True
         )
@@ -190,9 +184,12 @@ def _plain_duration(duration: Duration) -> dict[str, int]:
     return {'sec': seconds, 'nsec': nanoseconds}
 
 
-def _common(offers: Collection[TopicEndpointInfo]) -> tuple[bool, bool]:
-    """Return whether all publishers are reliable, and whether all are latched."""
-    profiles = [offer.qos_profile for offer in offers]
+def _common(profiles: Collection[QoSProfile]) -> QoSProfile:
+    """Return what all profiles offer, to keep every message."""
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
     latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-    return reliable, latched
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_ALL,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
