@@ -183,7 +183,7 @@ def test_info_lists_attached_files_and_what_the_recorder_was_told(tmp_path: Path
         writer.attach('options/p1/fetch.json', b'{"a": 1}')
     info = summarise(open_bag(tmp_path / 'bag'))
     (row,) = info.attached
-    assert (row.name, row.bytes, row.media_type) == (
+    assert (row.name, row.data_size, row.media_type) == (
         'options/p1/fetch.json',
         8,
         'application/json',

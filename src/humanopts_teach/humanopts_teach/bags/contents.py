@@ -246,15 +246,7 @@ class Actors:
         return runs[at - 1].name if at and sequence <= runs[at - 1].last else ''
 
 
-@dataclass(frozen=True, slots=True)
-class Beginning:
-    """The request to reset_game that began an episode."""
-
-    seed: int  # of the start state, where it is drawn, and of the chance in the episode
-    start_state: str  # empty: it was drawn by the seed
-
-
-Beginnings = dict[tuple[str, int, str], Beginning]  # by namespace, number and first state
+Beginnings = dict[tuple[str, int, str], Any]  # by namespace, number and first state
 
 
 def namespace(topic: str) -> str:
@@ -326,7 +318,7 @@ def episode_options(bag: Bag) -> list[tuple[str, ...]]:
 
 
 def read_beginnings(bag: Bag) -> Beginnings:
-    """Return the requests that began episodes, where they were recorded."""
+    """Return the requests to reset_game that began episodes, where they were recorded."""
     requests: dict[tuple[Any, ...], Any] = {}  # that have no response yet, which names the episode
     found: Beginnings = {}
 
@@ -335,9 +327,9 @@ def read_beginnings(bag: Bag) -> Beginnings:
         if event.info.event_type == _REQUEST and event.request:
             requests[call] = event.request[0]
         elif event.info.event_type == _RESPONSE and event.response and call in requests:
-            request, answer = requests.pop(call), event.response[0]
+            answer = event.response[0]
             key = (topic.removesuffix(_EVENTS), answer.episode, answer.state)
-            found[key] = Beginning(int(request.seed), request.start_state)
+            found[key] = requests.pop(call)
 
     for recorded in bag.messages(bag.of_type(RESET_EVENT)):
         bag.convert(recorded.topic, recorded.data, partial(add, recorded.topic))

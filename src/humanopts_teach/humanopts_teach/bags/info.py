@@ -30,6 +30,7 @@ from humanopts_teach.bags.rosbag2 import Topic
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.sequence_numbers import MessageCounter, Stream
 from humanopts_teach.text_table import table
+from mcap.records import AttachmentIndex
 
 NO_TEACHER = 'none: a person taught'  # shown for the simulated teacher's error rate
 _STATUS = 'humanopts_interfaces/msg/LearningStatus'
@@ -104,15 +105,6 @@ class CriterionRow:
         return next((point for point in self.points if point.met), None)
 
 
-@dataclass(frozen=True)
-class AttachedRow:
-    """A file that is attached to the bag."""
-
-    name: str
-    bytes: int
-    media_type: str
-
-
 @dataclass
 class BagInfo:
     """What a bag holds, filled in while it is read."""
@@ -125,7 +117,7 @@ class BagInfo:
     files: int = 0  # MCAP files
     bytes: int = 0  # size of the MCAP files
     facts: Mapping[str, str] = field(default_factory=dict)  # that the recorder was given
-    attached: Sequence[AttachedRow] = ()
+    attached: Sequence[AttachmentIndex] = ()
     domains: list[str] = field(default_factory=list)  # name and parameters
     open_sessions: list[tuple[str, str]] = field(default_factory=list)  # participant, session
     topics: Sequence[TopicRow] = ()
@@ -168,6 +160,10 @@ class BagInfo:
         return {
             'sittings': facts.pop('open_sessions'),  # the key of version 0.1.0
             **facts,
+            'attached': [
+                {'name': file.name, 'bytes': file.data_size, 'media_type': file.media_type}
+                for file in self.attached
+            ],
             'topics': [{name: getattr(t, name) for name in _OF_TOPIC} for t in self.topics],
             'streams': [{name: getattr(s, name) for name in _OF_STREAM} for s in self.streams],
             'messages': self.messages,
@@ -190,7 +186,7 @@ class BagInfo:
             ),
             table(
                 ('attached file', 'bytes', 'type'),
-                [(row.name, row.bytes, row.media_type) for row in self.attached],
+                [(file.name, file.data_size, file.media_type) for file in self.attached],
             ),
             table(
                 (*taught, 'steps', 'seconds', 'criteria met'),
@@ -334,10 +330,7 @@ class _Collector:
             files=len(bag.files),
             bytes=sum(file.stat().st_size for file in bag.files),
             facts=bag.facts,
-            attached=[
-                AttachedRow(name, at.data_size, at.media_type)
-                for name, at in bag.attachments.items()
-            ],
+            attached=list(bag.attachments.values()),
             topics=[self._topic_row(topic) for topic in bag.topics.values()],
             options=[self._option_row(*key, demos) for key, demos in taught.items()],
             criteria=list(self._criteria.values()),

@@ -7,6 +7,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.reference import ReferenceOption
+from humanopts_learner.intervals import Interval
 from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
 from humanopts_learner.options.criteria import INITIATION, TERMINATION, Thresholds
 from humanopts_learner.options.option import LearnedOption
@@ -128,13 +129,9 @@ def finite(value: float | None) -> float | None:
     return float(value) if value is not None and math.isfinite(value) else None
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A mean and its 95 % interval; None where one episode gives none."""
-
-    mean: float
-    low: float | None
-    high: float | None
+def finite_parts(found: Interval) -> dict[str, float | None]:
+    """Return mean, low and high by name; None where the data give none."""
+    return {name: finite(value) for name, value in asdict(found).items()}
 
 
 @dataclass(frozen=True)
@@ -156,7 +153,8 @@ class PlanningRow:
     mean_return_low: float | None = None  # 95 % interval
     mean_return_high: float | None = None
     fallbacks: int | None = None  # in all these episodes
-    outcomes: Mapping[str, Estimate] = field(default_factory=dict)  # the domain's own measures
+    outcomes: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
+    """The domain's own measures: mean, low and high."""
 
     @property
     def seconds(self) -> float:
@@ -181,15 +179,12 @@ def row_of_result(result: Any) -> PlanningRow:
         **means,
         episodes=result.evaluation_episodes,
         fallbacks=result.fallbacks if result.evaluation_episodes else None,
-        outcomes={
-            name: Estimate(mean, finite(low), finite(high)) for name, mean, low, high in bounds
-        },
+        outcomes={name: finite_parts(Interval(*bound)) for name, *bound in bounds},
     )
 
 
 def row_of_plan(plan: AnyPlan, performance: Performance) -> PlanningRow:
     """Return the row of a plan and how it did."""
-    outcomes = performance.outcomes.items()
     return PlanningRow(
         **{name: getattr(plan, name) for name in _OF_PLAN},
         **{name: getattr(plan.solution, name) for name in _OF_SOLUTION},
@@ -199,5 +194,5 @@ def row_of_plan(plan: AnyPlan, performance: Performance) -> PlanningRow:
         mean_return_low=finite(performance.total.low),
         mean_return_high=finite(performance.total.high),
         fallbacks=performance.fallbacks,
-        outcomes={name: Estimate(i.mean, finite(i.low), finite(i.high)) for name, i in outcomes},
+        outcomes={name: finite_parts(each) for name, each in performance.outcomes.items()},
     )

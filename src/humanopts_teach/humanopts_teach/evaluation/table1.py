@@ -16,7 +16,7 @@ from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import DEMONSTRATION, domains_played, LESSON_STATE
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.rosbag2 import load
-from humanopts_teach.evaluation.measures import finite
+from humanopts_teach.evaluation.measures import finite_parts
 from humanopts_teach.study.record import BUTTON, event_of
 from humanopts_teach.text_table import aligned
 import numpy as np
@@ -132,10 +132,7 @@ class ButtonTable:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the table as JSON data; null: the paper has no such row, or nobody was there."""
-        rows = [
-            {**asdict(row), 'share': {end: finite(v) for end, v in asdict(row.share).items()}}
-            for row in self.rows
-        ]
+        rows = [{**asdict(row), 'share': finite_parts(row.share)} for row in self.rows]
         return {'domain': self.domain, 'people': list(self.people), 'rows': rows}
 
 

@@ -37,47 +37,40 @@ class Frame:
     ends_run: bool = False  # the option's run ended here
 
 
-@dataclass(frozen=True)
-class _Run:
-    option: str  # empty: modules
-    first_step: int
-    last_step: int
-
-
 def read_last_episode(bag: Bag) -> list[Frame]:
     """Return the last episode that learned options brought to its end; empty: there is none."""
-    under_way: dict[str, tuple[int, list[_Run]]] = {}  # episode and its runs, of each game
-    game, number, runs = '', 0, list[_Run]()
+    under_way: dict[str, tuple[int, list[Any]]] = {}  # episode and its results, of each game
+    game, number, runs = '', 0, list[Any]()
     for recorded in bag.messages(bag.of_type(_OPTION_RESULT)):
         message = recorded.message
         if message is None or not message.episode:  # damaged, or refused
             continue
-        topic_game, first = namespace(recorded.topic), message.first_step
+        topic_game = namespace(recorded.topic)
         if under_way.get(topic_game, (0,))[0] != message.episode:
             under_way[topic_game] = (message.episode, [])
-        run = _Run(message.option_name, first, first + message.step_count)
-        under_way[topic_game][1].append(run)
+        under_way[topic_game][1].append(message)
         if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):
             game, (number, runs) = topic_game, under_way[topic_game]
     found = read_episodes(bag, chosen=lambda g: (namespace(g.topic), g.number) == (game, number))
     played = [episode for episode in found if episode.complete]
     if not played:
         return []
-    modules = any(not run.option for run in runs)
+    modules = any(not run.option_name for run in runs)
     return _frames(played[-1], runs, actors_in(bag, played[-1]) if modules else Actors())
 
 
-def _frames(episode: Episode, runs: Sequence[_Run], actors: Actors) -> list[Frame]:
+def _frames(episode: Episode, runs: Sequence[Any], actors: Actors) -> list[Frame]:
     """
     Return what is seen, step by step.
 
+    :param runs: messages OptionResult; one without an option's name is of modules.
     :param actors: the modules that sent the commands.
     """
     frames = []
     for at in episode.transitions:
-        run = next((run for run in runs if run.first_step < at.step <= run.last_step), None)
-        option = (run.option or actor_of(at, actors)) if run else ''
-        ended = run is not None and run.last_step == at.step
+        run = next((r for r in runs if 0 < at.step - r.first_step <= r.step_count), None)
+        option = (run.option_name or actor_of(at, actors)) if run else ''
+        ended = run is not None and at.step - run.first_step == run.step_count
         frames.append(Frame(at.state, at.previous_action, at.reward, option, ended))
     return frames
 
