@@ -194,12 +194,15 @@ def test_mcap_ros2_takes_char_to_be_signed_and_refuses_only_names_with_underscor
     }
 
 
-def test_constants_and_defaults_of_every_kind_hinder_no_reader(tmp_path: Path) -> None:
+def test_constants_and_defaults_of_every_kind_hinder_no_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / 'share' / 'some_msgs' / 'msg'
     folder.mkdir(parents=True)
     (folder / 'Thing.msg').write_text(THING)
     (folder / 'Part.msg').write_text('string<=9 name "part"\n')
-    schema = find_schema(SOME, (tmp_path,))
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    schema = find_schema(SOME)
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(schema, SOME))
     part = store.types['some_msgs/msg/Part']('left')

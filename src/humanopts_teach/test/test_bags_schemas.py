@@ -21,13 +21,16 @@ def test_a_schema_holds_every_dependency_once() -> None:
     ]
 
 
-def test_constants_defaults_and_comments_are_kept(tmp_path: Path) -> None:
+def test_constants_defaults_and_comments_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / 'share' / 'some_msgs' / 'msg'
     folder.mkdir(parents=True)
     text = '# A thing.\nuint8 KIND_A=1 # first\nint32 LOW = -2\nuint8 kind 1\nPart[] parts\n'
     (folder / 'Thing.msg').write_text(text)
     (folder / 'Part.msg').write_text('string<=5 name "x"')
-    schema = find_schema('some_msgs/msg/Thing', (tmp_path,))
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    schema = find_schema('some_msgs/msg/Thing')
     assert schema == f'{text}{SEPARATOR}\nMSG: some_msgs/Part\nstring<=5 name "x"\n'
     assert constants(schema, 'KIND_') == {1: 'A'}
     assert constants(schema, '') == {1: 'KIND_A', -2: 'LOW'}

@@ -36,19 +36,17 @@ _SECTIONS = {'srv': ('_Request', '_Response'), 'action': ('_Goal', '_Result', '_
 _EVENTS = {'srv': ('_Event',), 'action': ('_SendGoal_Event', '_GetResult_Event')}
 
 
-def find_schema(type_name: str, prefixes: tuple[Path, ...] | None = None) -> str:
+def find_schema(type_name: str) -> str:
     """
     Return the definition of a type and of all that it depends on, each once, as one text.
 
     :param type_name: package/msg/Name, package/srv/Name_Event, package/action/Name_Feedback
         and so on.
-    :param prefixes: folders with share/, the first that has a file wins; None: those of
-        AMENT_PREFIX_PATH.
-    :raises SchemaError: one of the types is not installed here, or is no such name.
+    :raises SchemaError: one of the types is not below the folders of AMENT_PREFIX_PATH, the first
+        of which that has a file wins, or is no such name.
     """
-    if prefixes is None:
-        paths = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
-        prefixes = tuple(Path(path) for path in paths if path)
+    paths = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+    prefixes = tuple(Path(path) for path in paths if path)
     texts = {type_name: _definition(type_name, prefixes)}
     queue = _dependencies(type_name, texts[type_name])
     for wanted in queue:  # which grows

@@ -25,8 +25,8 @@ class DemoProgress:
     Call it with the graph as often as wanted; it draws only what changed.
     """
 
-    def __init__(self, console: Console | None = None) -> None:
-        self._console = console or Console()
+    def __init__(self) -> None:
+        self._console = Console()
         self._live = Live(console=self._console, refresh_per_second=8)
         self._stage = 'starting the nodes'
         self._said: set[str] = set()
