@@ -83,6 +83,12 @@ def node_names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(',') if name.strip())
 
 
+def _threshold(parser: Callable[[str], Any], metavar: str, what: str) -> Any:
+    """Return the option of a criterion's threshold."""
+    text = f'of an option: {what}; default: usual in the domain'
+    return typer.Option(parser=parser, metavar=metavar, help=text)
+
+
 @dataclass(frozen=True)
 class PageOptions:
     """What the command line says about pages that are served; each field is an option."""
@@ -138,30 +144,13 @@ class LaunchOptions:
     ] = BUDGET
     return_delta: Annotated[
         float | None,
-        typer.Option(
-            parser=any_number,
-            metavar='UNITS',
-            help='of an option: reward units by which its return may fall short; '
-            'default: usual in the domain',
-        ),
+        _threshold(any_number, 'UNITS', 'reward units by which its return may fall short'),
     ] = None
     initiation_error: Annotated[
-        float | None,
-        typer.Option(
-            parser=share,
-            metavar='SHARE',
-            help='of an option: share that its held-out I may get wrong; '
-            'default: usual in the domain',
-        ),
+        float | None, _threshold(share, 'SHARE', 'share that its held-out I may get wrong')
     ] = None
     termination_error: Annotated[
-        float | None,
-        typer.Option(
-            parser=share,
-            metavar='SHARE',
-            help='of an option: share that its held-out β may get wrong; '
-            'default: usual in the domain',
-        ),
+        float | None, _threshold(share, 'SHARE', 'share that its held-out β may get wrong')
     ] = None
     parameter: Annotated[
         list[str],
