@@ -40,13 +40,7 @@ KEYS = {
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }
-OPTIONAL = {
-    'distributed',
-    'minari',
-    'numba',
-    'pyarrow',
-    'quantecon',
-}  # used where they are installed
+OPTIONAL = {'distributed', 'minari', 'numba', 'pyarrow', 'quantecon'}  # where installed
 UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # fields of messages; launch files
 SYSTEMS = ('debian', 'ubuntu')  # that a rule of our own is for
 
@@ -95,19 +89,9 @@ def key_problems(root: Path, manifests: dict[Path, Package]) -> list[str]:
     lines = (root / 'rosdep/rosdistro_keys.txt').read_text(encoding='utf-8').splitlines()
     copied = {line for line in lines if line and not line.startswith('#')}
     own = yaml.safe_load((root / 'rosdep/humanopts.yaml').read_text(encoding='utf-8')) or {}
+    kinds = ('buildtool', 'build', 'build_export', 'buildtool_export', 'exec', 'test', 'doc')
     listed = {
-        package: {
-            depend.name
-            for depend in (
-                *manifest.buildtool_depends,
-                *manifest.build_depends,
-                *manifest.build_export_depends,
-                *manifest.buildtool_export_depends,
-                *manifest.exec_depends,
-                *manifest.test_depends,
-                *manifest.doc_depends,
-            )
-        }
+        package: {depend.name for kind in kinds for depend in getattr(manifest, f'{kind}_depends')}
         for package, manifest in manifests.items()
     }
     used = set[str]().union(*listed.values())

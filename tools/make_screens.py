@@ -7,7 +7,7 @@ what the reference option does.
     make screens
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import StringIO
@@ -88,14 +88,17 @@ class Person:
             return False
         return True
 
+    def wait_until(self, holds: Callable[[], bool], what: str, seconds: float = 0.05) -> None:
+        """Take in what comes until something holds."""
+        deadline = time.monotonic() + PATIENCE
+        while not holds():
+            self.look(seconds)
+            if time.monotonic() > deadline:
+                raise SystemExit(f'waited in vain for {what}:\n{self.text}')
+
     def see(self, *texts: str) -> None:
         """Wait until one of the texts is on the screen."""
-        deadline = time.monotonic() + PATIENCE
-        while not any(text in self.text for text in texts):
-            self.look()
-            if time.monotonic() > deadline:
-                shown = '\n'.join(self.screen.display)
-                raise SystemExit(f'waited in vain for {" or ".join(texts)}:\n{shown}')
+        self.wait_until(lambda: any(text in self.text for text in texts), ' or '.join(texts))
 
     @property
     def text(self) -> str:
@@ -112,8 +115,21 @@ class Person:
         while self.look(STILL):
             pass
 
-    def keep(self, name: str, shown: str) -> None:
-        """Keep pictures of the screen in every size."""
+    def keep(
+        self, name: str, shown: str, *keys: str, choose: str = '', see: Sequence[str] = ()
+    ) -> None:
+        """
+        Press keys, pick an item, wait for one of some texts, and keep pictures in every size.
+
+        :param name: of the pictures.
+        :param shown: what they show.
+        """
+        if keys:
+            self.press(*keys)
+        if choose:
+            self.choose(choose)
+        if see:
+            self.see(*see)
         for width, height in (*SIZES[1:], SIZES[0]):
             self.terminal.setwinsize(height, width)
             self.screen.resize(height, width)
@@ -157,8 +173,9 @@ class Person:
         while began or not self.option.ends(self.state):
             began = False
             action = self.domain.actions[self.option.optimal_actions(self.state)[0]]
+            before = self.newest.step
             self.terminal.send(KEYS.get(action.key, action.key))
-            self._wait_for_step()
+            self.wait_until(lambda: self.newest.step != before, 'a step', 0.01)  # noqa: B023
         self.press(ENTER)
         self.see('next: start', FINISHED)
 
@@ -166,14 +183,6 @@ class Person:
     def state(self) -> Any:
         """The state of the game."""
         return self.domain.decode(self.newest.state)
-
-    def _wait_for_step(self) -> None:
-        before = self.newest.step
-        deadline = time.monotonic() + PATIENCE
-        while self.newest.step == before:
-            self.look(0.01)
-            if time.monotonic() > deadline:
-                raise SystemExit(f'no step was taken:\n{self.text}')
 
     def _on_state(self, message: GameState) -> None:
         self.newest = message
@@ -240,70 +249,54 @@ def teach(name: str, option: str, shown: int) -> list[tuple[str, str]]:
     :return: names of the pictures, and what they show.
     """
     with _person(make_domain(name), option, name, ['teach', name]) as person:
-        person.see('Who teaches?')
-        person.keep('who', 'Who teaches')
-        person.press(ENTER)
-        person.see('What next?')
-        person.keep('begin', 'The menu at the beginning')
-        person.press('?')
-        person.keep('game', 'What the game is about')
-        person.press(ESCAPE)
-        person.choose('Drive freely')
-        person.keep('free', 'Driving freely')
+        person.keep('who', 'Who teaches', see=['Who teaches?'])
+        person.keep('begin', 'The menu at the beginning', ENTER, see=['What next?'])
+        person.keep('game', 'What the game is about', '?')
+        person.keep('free', 'Driving freely', ESCAPE, choose='Drive freely')
         person.press(ESCAPE)
         person.choose('Teach a new option')
-        person.press(option)
-        person.keep('name', 'Naming an option')
-        person.press(ENTER)
-        person.see('question 1 of', 'At yes,')
-        person.keep('question', 'A question')
+        person.keep('name', 'Naming an option', option)
+        person.keep('question', 'A question', ENTER, see=['question 1 of', 'At yes,'])
         person.answer()
-        person.see('Enter shows start 1')
-        person.keep('ready', 'Before the first start')
-        person.press(ENTER)
-        person.see('next: start 1')
-        person.keep('start', 'A start')
-        person.press('?')
-        person.keep('keys', 'What the keys do')
+        person.keep('ready', 'Before the first start', see=['Enter shows start 1'])
+        person.keep('start', 'A start', ENTER, see=['next: start 1'])
+        person.keep('keys', 'What the keys do', '?')
         person.press(ESCAPE)
         if name == 'taxi':
-            person.press('d')
-            person.keep('effect', 'A step without effect')
-            person.press(ENTER)
-            person.see('Does the option end here?')
-            person.keep('confirm', 'Done, after a step without effect')
+            person.keep('effect', 'A step without effect', 'd')
+            ends = ['Does the option end here?']
+            person.keep('confirm', 'Done, after a step without effect', ENTER, see=ends)
             person.press(ESCAPE, BACKSPACE)
         for _ in range(shown):
             person.show()
         person.keep('criteria', f'After {shown} starts')
-        person.press('l')
-        person.see('What was shown')
-        person.keep('list', 'What was shown')
-        person.press('up', ENTER)  # the first that was shown
-        person.see('Delete it')
-        person.keep('one', 'A demonstration')
+        person.keep('list', 'What was shown', 'l', see=['What was shown'])
+        # the first that was shown
+        person.keep('one', 'A demonstration', 'up', ENTER, see=['Delete it'])
         if name == 'taxi':  # in Pac-Man, the food is too near to take over
             person.press(ENTER, until='single step')
             person.press(' ', until='The machine waits.')
-            person.press('.')  # it has taken one step at least
-            person.keep('watched', 'The machine runs the option in a demonstration, and waits')
+            # it has taken one step at least
+            person.keep(
+                'watched', 'The machine runs the option in a demonstration, and waits', '.'
+            )
             person.press(person.domain.actions[0].key, until='You took over')
             person.press(ENTER)
             if 'no effect' in person.text:
                 person.press(ENTER)
-            person.see('Do its steps count')
-            person.keep('counts', 'Whether the steps of the machine count')
+            count = ['Do its steps count']
+            person.keep('counts', 'Whether the steps of the machine count', see=count)
             person.press(ESCAPE, BACKSPACE)
-            person.press('l', 'up', ENTER)
-            person.see('Delete it')
+            person.press('l', 'up', ENTER, until='Delete it')
             person.press(ENTER, until='single step')
             person.press(' ', until='The machine waits.')
             person.press('.')
             person.press(ENTER, until='press the key again')
             person.press(ENTER, until='Do its steps count')
             person.choose('Yes')  # it was no end when it was shown
-            person.see('Shown differently before')
-            person.keep('contradiction', 'What contradicts an earlier demonstration')
+            shown_before = ['Shown differently before']
+            contradicts = 'What contradicts an earlier demonstration'
+            person.keep('contradiction', contradicts, see=shown_before)
             person.choose('Keep the earlier one')
             while FINISHED not in person.text:
                 person.show()
@@ -312,52 +305,33 @@ def teach(name: str, option: str, shown: int) -> list[tuple[str, str]]:
             person.press(ESCAPE, ESCAPE)
         person.press(ESCAPE)
         person.choose('Run a taught option')
-        person.see('Run which option?')
-        person.keep('which', 'Which option to run')
-        person.press('1')
-        person.keep('run', 'Before an option is run')
-        person.press('n', ENTER)
-        person.see('steps, reward', 'step, reward', 'A new start may suit it.')
-        person.keep('ran', 'After an option has run')
+        person.keep('which', 'Which option to run', see=['Run which option?'])
+        person.keep('run', 'Before an option is run', '1')
+        ran = ['steps, reward', 'step, reward', 'A new start may suit it.']
+        person.keep('ran', 'After an option has run', 'n', ENTER, see=ran)
         person.press(ESCAPE)
         person.choose('Change an option')
-        person.press('1')
-        person.see('Rename it')
-        person.keep('change', 'Changing an option')
-        person.choose('Rename it')
-        person.keep('rename', 'Renaming it')
-        person.press(ESCAPE)
-        person.choose('Delete it')
-        person.keep('delete', 'Deleting it')
+        person.keep('change', 'Changing an option', '1', see=['Rename it'])
+        person.keep('rename', 'Renaming it', choose='Rename it')
+        person.keep('delete', 'Deleting it', ESCAPE, choose='Delete it')
         person.press(ESCAPE, ESCAPE, ESCAPE)
         person.choose('Watch the machine play')
-        person.see('Plan with what?')
-        person.keep('plan', 'Plan with what')
-        person.press('1')
-        person.keep('watch', 'Before the machine plays')
+        person.keep('plan', 'Plan with what', see=['Plan with what?'])
+        person.keep('watch', 'Before the machine plays', '1')
         person.press(ENTER, until='single step')
-        person.press(*'+++++')
-        person.see('episodes done')
-        person.keep('played', 'The machine has played')
+        person.keep('played', 'The machine has played', *'+++++', see=['episodes done'])
         if 'what is not covered' in person.text:
-            person.press('c')
-            person.keep('places', 'What the options do not cover')
+            person.keep('places', 'What the options do not cover', 'c')
             person.press(ESCAPE)
-        recorder = _process_of('recorder')
+        recorder = next(
+            child
+            for child in psutil.Process().children(recursive=True)
+            if '.recorder ' in ' '.join(child.cmdline())
+        )
         recorder.suspend()
-        person.see('PAUSED')
-        person.keep('paused', 'Nothing is recorded')
+        person.keep('paused', 'Nothing is recorded', see=['PAUSED'])
         recorder.resume()
         return person.pictures
-
-
-def _process_of(node: str) -> psutil.Process:
-    """Return the process of a node that this process has started."""
-    return next(
-        child
-        for child in psutil.Process().children(recursive=True)
-        if f'.{node} ' in ' '.join(child.cmdline())
-    )
 
 
 def take_part() -> list[tuple[str, str]]:
@@ -369,24 +343,19 @@ def take_part() -> list[tuple[str, str]]:
     plan = 'examples/study/plan.yaml'
     domain, option = make_domain('taxi'), 'go to passenger and pickup'
     with _person(domain, option, 'study', ['study', plan, '--participant', 'p1']) as person:
-        person.see('I agree')
-        person.keep('consent', 'Consent')
-        person.press('y')
-        person.see('go on')
-        person.keep('welcome', 'A page')
+        person.keep('consent', 'Consent', see=['I agree'])
+        person.keep('welcome', 'A page', 'y', see=['go on'])
         while 'go on with the study' not in person.text:
             person.press(ENTER)
         person.keep('play', 'Getting to know the game')
         person.press(ESCAPE)
-        person.see('Which button')
-        person.keep('button', 'A button that would make it easier')
+        button = 'A button that would make it easier'
+        person.keep('button', button, see=['Which button'])
         person.press(ESCAPE)
-        person.see('What next?')
-        person.keep('teach', 'The menu while the person teaches')
+        person.keep('teach', 'The menu while the person teaches', see=['What next?'])
         person.choose('Finish teaching')
         person.see('higher')
-        person.press('right')
-        person.keep('scale', 'A question on a scale')
+        person.keep('scale', 'A question on a scale', 'right')
         return person.pictures
 
 

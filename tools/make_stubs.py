@@ -5,7 +5,7 @@ Write type stubs of ROS interfaces, so that mypy knows the fields of a message.
 ``SHARE/<package>/`` (the share folder of a ROS prefix, or a folder of packages).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 import re
 import sys
@@ -76,44 +76,35 @@ def _is_fixed(kind: Type) -> bool:
     return fixed and _element(kind) in ('int', 'float')
 
 
-def _message(package: str, name: str, text: str) -> Iterator[str]:
-    yield from stub_of_message(name, parse_message_string(package, name, text))
-
-
-def _service(package: str, name: str, text: str) -> Iterator[str]:
-    spec = parse_service_string(package, name, text)
-    yield from _parts(name, {'Request': spec.request, 'Response': spec.response})
-
-
-def _action(package: str, name: str, text: str) -> Iterator[str]:
-    spec = parse_action_string(package, name, text)
-    parts = {'Goal': spec.goal, 'Result': spec.result, 'Feedback': spec.feedback}
-    yield from _parts(name, parts)
-
-
-def _parts(name: str, parts: dict[str, MessageSpecification]) -> Iterator[str]:
+def stub_of_file(kind: str, package: str, name: str, text: str) -> Iterator[str]:
+    """Yield the lines of a .msg file, or of the parts of a .srv or .action file in a class."""
+    if kind == 'msg':
+        yield from stub_of_message(name, parse_message_string(package, name, text))
+        return
+    parse, parts = PARTS[kind]
+    spec = parse(package, name, text)
     yield f'class {name}:'
-    for part, spec in parts.items():
-        yield from (f'    {line}' for line in stub_of_message(part, spec))
+    for part in parts:
+        for line in stub_of_message(part, getattr(spec, part.lower())):
+            yield f'    {line}'
 
 
-STUBS: dict[str, Callable[[str, str, str], Iterator[str]]] = {
-    'msg': _message,
-    'srv': _service,
-    'action': _action,
+PARTS = {
+    'srv': (parse_service_string, ('Request', 'Response')),
+    'action': (parse_action_string, ('Goal', 'Result', 'Feedback')),
 }
 
 
 def write_package(package: Path, out: Path) -> None:
     """Write the stubs of one package."""
-    for kind, stub in STUBS.items():
+    for kind in ('msg', *PARTS):
         files = sorted((package / kind).glob(f'*.{kind}'))
         if not files:
             continue
         lines = [
             line
             for file in files
-            for line in stub(package.name, file.stem, file.read_text('utf-8'))
+            for line in stub_of_file(kind, package.name, file.stem, file.read_text('utf-8'))
         ]
         used = sorted(set(re.findall(r'\w+\.msg(?=\.)', '\n'.join(lines))))
         imports = [f'import {name}' for name in used]

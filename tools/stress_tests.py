@@ -8,7 +8,6 @@ can be run again: ``make test-stress ROUNDS=1 SEED=7 ARGS=tests/test_recorder.py
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 import os
 from pathlib import Path
 import random
@@ -46,17 +45,6 @@ LATE_DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
   </participant>
 </profiles>
 """
-
-
-@dataclass
-class Outcome:
-    """What came of all rounds."""
-
-    runs: int = 0  # of a file
-    failures: list[str] = field(default_factory=list)  # each with its round and seed
-    left_out: list[str] = field(
-        default_factory=list
-    )  # files and rounds that there was no time for
 
 
 def live_files(chosen: Sequence[str]) -> list[str]:
@@ -102,6 +90,8 @@ def run_file(file: str, name: str, profile: Path, seconds: float) -> list[str] |
     :param seconds: that are left; then pytest is interrupted.
     :return: the tests that failed; None: there was not time enough.
     """
+    if seconds <= 0:
+        return None
     log = LOGS / f'{name}.log'
     command = [sys.executable, '-m', 'pytest', '-q', '-rfE', '-p', 'no:cacheprovider']
     command += ['-m', LIVE, file]
@@ -124,32 +114,8 @@ def run_file(file: str, name: str, profile: Path, seconds: float) -> list[str] |
     return [f'{line} (see {log})' for line in failed] or [f'{file} ended with {status}, see {log}']
 
 
-def run_rounds(files: Sequence[str], rounds: int, seed: int, limit: float) -> Outcome:
-    """Run every file once in each round, within a time limit in seconds."""
-    outcome, end = Outcome(), time.monotonic() + limit
-    for number in range(1, rounds + 1):
-        chance = random.Random(seed)
-        order = chance.sample(files, len(files))
-        profile = LOGS / f'discovery-{seed}.xml'
-        print(f'round {number} of {rounds}, seed {seed}: {write_profile(chance, profile)}')
-        for file in order:
-            left = end - time.monotonic()
-            found = None
-            if left > 0:
-                found = run_file(file, f'{seed}-{Path(file).stem}', profile, left)
-            if found is None:
-                outcome.left_out.append(f'{file} in round {number}')
-                continue
-            outcome.runs += 1
-            for failure in found:
-                outcome.failures.append(f'round {number}, seed {seed}: {failure}')
-                print(outcome.failures[-1], flush=True)
-        seed += 1
-    return outcome
-
-
 def main() -> int:
-    """Run the tests and report; the exit status is 1 where a test failed."""
+    """Run every file once in each round and report; the exit status is 1 where a test failed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('files', nargs='*', help='test files; none: all with live tests')
     parser.add_argument('--rounds', type=int, default=10)
@@ -158,16 +124,34 @@ def main() -> int:
     options = parser.parse_args()
     LOGS.mkdir(parents=True, exist_ok=True)
     files = live_files(options.files)
+    runs, end = 0, time.monotonic() + options.limit
+    failures: list[str] = []  # each with its round and seed
+    left_out: list[str] = []  # files and rounds that there was no time for
     with busy_cores():
-        outcome = run_rounds(files, options.rounds, options.seed, options.limit)
-    print(f'{outcome.runs} runs of {len(files)} files, {len(outcome.failures)} failures')
-    if outcome.left_out:
-        shown = ', '.join(outcome.left_out[:5])
-        more = f' and {len(outcome.left_out) - 5} more' if len(outcome.left_out) > 5 else ''
-        print(f'no time in {options.limit:.0f} s for {shown}{more}')
-    for failure in outcome.failures:
+        for number in range(1, options.rounds + 1):
+            seed = options.seed + number - 1
+            chance = random.Random(seed)
+            order = chance.sample(files, len(files))
+            profile = LOGS / f'discovery-{seed}.xml'
+            late = write_profile(chance, profile)
+            print(f'round {number} of {options.rounds}, seed {seed}: {late}')
+            for file in order:
+                left = end - time.monotonic()
+                found = run_file(file, f'{seed}-{Path(file).stem}', profile, left)
+                if found is None:
+                    left_out.append(f'{file} in round {number}')
+                    continue
+                runs += 1
+                for failure in found:
+                    failures.append(f'round {number}, seed {seed}: {failure}')
+                    print(failures[-1], flush=True)
+    print(f'{runs} runs of {len(files)} files, {len(failures)} failures')
+    if left_out:
+        more = f' and {len(left_out) - 5} more' if len(left_out) > 5 else ''
+        print(f'no time in {options.limit:.0f} s for {", ".join(left_out[:5])}{more}')
+    for failure in failures:
         print(failure)
-    return int(bool(outcome.failures))
+    return int(bool(failures))
 
 
 if __name__ == '__main__':
