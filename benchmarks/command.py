@@ -1,6 +1,6 @@
 """``humanopts bench``: how long things take, each beside a yardstick of the same run."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
@@ -10,10 +10,10 @@ import sys
 from typing import Annotated
 
 from humanopts_teach.commands import CommandError
+from humanopts_teach.commands.bag import progress_bar
 from humanopts_teach.commands.options import PLAIN
 import psutil
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 import typer
 
 from benchmarks.measure import machine_facts, Row
@@ -85,12 +85,16 @@ def bench(
     _check(chosen, json, figure)
     larger = _larger_sides(chosen, quick, largest)
     measured: dict[str, list[Row]] = {}
-    with _progress() as show:
+    with progress_bar(lines=True) as bar:
+
+        def show(name: str, share: float, text: str) -> None:
+            bar(len(measured) + share, len(chosen), f'{name}: {text}')
+
         for name in chosen:
             section = import_module(f'benchmarks.{name}')
             sizes = section.QUICK if quick else larger.get(name, ())
             measured[name] = section.measure(partial(show, name), *sizes)
-            show(name, 1.0, 'done')
+            show(name, 0.0, 'done')
     machine = machine_facts()
     console = Console(highlight=False)
     console.width = max(console.width, _LEAST_WIDTH) if console.is_terminal else _FILE_WIDTH
@@ -153,25 +157,3 @@ def _written(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise CommandError(f'cannot write {path}: {error.strerror}') from error
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, float, str], None]]:
-    """Show on standard error how far each section is: as bars on a terminal, else as lines."""
-    console = Console(stderr=True, highlight=False)
-    columns = (TextColumn('{task.fields[name]:8}'), BarColumn(), TimeElapsedColumn())
-    bars = Progress(*columns, TextColumn('{task.description}'), console=console, transient=True)
-    bars.disable = not console.is_terminal
-    tasks: dict[str, TaskID] = {}
-    said: set[tuple[str, str]] = set()
-
-    def show(name: str, share: float, text: str) -> None:
-        if name not in tasks:
-            tasks[name] = bars.add_task('', total=1.0, name=name)
-        bars.update(tasks[name], completed=share, description=text)
-        if bars.disable and (name, text) not in said:
-            said.add((name, text))
-            print(f'{name}: {text} ({share:.0%})', file=sys.stderr, flush=True)
-
-    with bars:
-        yield show

@@ -171,7 +171,7 @@ def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
     bag = open_bag(Path(known.bag))
     domain = read_domain(bag)
     demos = taught_in(bag, domain)[known.participant, known.option]
-    first = next(n for n, demo in enumerate(demos, 1) if demo.kind is Kind.TRAJECTORY)
+    first = next(n for n, demo in enumerate(demos, start=1) if demo.kind is Kind.TRAJECTORY)
     parts = [demos[:count] for count in range(first, len(demos) + 1)]
     lesson: Lesson = [(shown, learn_option(shown, domain, known.seed)) for shown in parts]
     told = {'seconds': sum(demo.seconds for demo in demos), 'cut_short': ''}
@@ -418,11 +418,9 @@ def _compare_accuracies(case: str, points: pd.DataFrame) -> Iterator[report.Comp
     errors = {MEASURES[part]: Interval.of(1 - ends[part].dropna()) for part in parts}
     rises = report.listed(f'{case}, gain within a person from 1 to {last}', gains)
     wrong = report.listed(f'{case}, errors after {most}', errors)
-    yield report.compared(
-        paper.FIGURE_2['rises'], rises, all_hold(g.above() for g in gains.values())
-    )
+    yield report.compared(paper.SAID['rises'], rises, all_hold(g.above() for g in gains.values()))
     verdict = any_holds(error.above(ROUNDING) for error in errors.values())
-    yield report.compared(paper.FIGURE_2['imperfect'], wrong, verdict)
+    yield report.compared(paper.SAID['imperfect'], wrong, verdict)
 
 
 def _compare_needed(
@@ -437,7 +435,7 @@ def _compare_needed(
     """
     about = paper.DEMONSTRATIONS - NEAR, paper.DEMONSTRATIONS + NEAR
     for level in LEVELS:
-        claim, (least, most) = paper.FIGURE_2['forty'], about
+        claim, (least, most) = paper.SAID['forty'], about
         if (strategy, level) in GOALS:
             least, most = 0, GOALS[strategy, level]
             text = f'{level:.0%} policy accuracy takes at most {most} demonstrations.'
@@ -473,7 +471,7 @@ def _compare_minutes(people: pd.DataFrame) -> Iterator[report.Comparison]:
             pace = 'minutes by the clock' if real else 'minutes at an assumed pace'
             verdict = taken.at_most(paper.MINUTES[domain]) if real else report.Mark.NOT_COMPARABLE
             text = report.listed(_game(domain, features), {pace: taken}, '.1f')
-            yield report.compared(paper.FIGURE_2[f'minutes in {domain}'], text, verdict)
+            yield report.compared(paper.SAID[f'minutes_in_{domain}'], text, verdict)
 
 
 def _as_in_paper(group: str, strategy: str) -> bool:

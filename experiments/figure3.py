@@ -188,7 +188,7 @@ def _comparisons(found: Sequence[Mapping[str, Any]]) -> list[Comparison]:
             {'options': float(np.mean(counts)), 'primitive actions': len(taxi.actions)},
         ),
         compared(
-            paper.FIGURE_3['general'],
+            paper.SAID['general'],
             listed('share of states where an option can start', can_start, '.0%'),
             automatic.below(human),
         ),
@@ -202,7 +202,7 @@ def _mostly(said: str, flags: Sequence[bool], more: Mapping[str, Any]) -> Compar
         f'{sum(flags)} of {len(flags)} extractions,': written(share, '.0%'),
         **more,
     }
-    return compared(paper.FIGURE_3[said], listed('found in', found), share.above(0.5))
+    return compared(paper.SAID[said], listed('found in', found), share.above(0.5))
 
 
 def _picture(name: str, first: Mapping[str, Any]) -> Picture:

@@ -193,7 +193,7 @@ def _comparisons(episodes: pd.DataFrame) -> list[report.Comparison]:
             values = {name: Interval.of(each) for name, each in steps.items()}
             case = f'{method}, steps in all {paper.EPISODES} episodes'
             text = report.listed(case, {**values, 'automatic less human': fewer}, ',.0f')
-            found.append(report.compared(paper.FIGURE_4_FASTER, text, fewer.above()))
+            found.append(report.compared(paper.SAID['learning'], text, fewer.above()))
     return found
 
 

@@ -18,57 +18,72 @@ class Statement:
     where: str  # section, figure or table
 
 
-STUDY = {
-    'buttons': Statement(
-        'Asked for buttons that make winning easier and faster, ten volunteers named ten, with '
-        'the shares of table 1.',
+def _said(where: str, **texts: str) -> dict[str, Statement]:
+    return {name: Statement(text, where) for name, text in texts.items()}
+
+
+SAID = {
+    **_said(
         'section 4, table 1',
+        buttons='Asked for buttons that make winning easier and faster, ten volunteers named ten, '
+        'with the shares of table 1.',
     ),
-    'options': Statement(
-        'People break tasks down in a way that fits the framework of options.', 'section 4'
+    **_said(
+        'section 4',
+        options='People break tasks down in a way that fits the framework of options.',
     ),
-    'taught': Statement('Six of the volunteers taught options of one domain each.', 'section 7'),
+    **_said('section 7', taught='Six of the volunteers taught options of one domain each.'),
+    **_said(
+        'section 7.1, figure 2',
+        rises='Accuracy increases with training data, and is acceptable with over 40 trajectories '
+        'in both domains.',
+        imperfect='Classification accuracy does not come to 100 % in either domain: errors of the '
+        'trees, demonstrations that were not optimal, and options that were incomplete.',
+    ),
+    **_said(
+        'section 7.1, figure 2: “acceptable levels with over 40 trajectories”',
+        forty='95% policy accuracy takes about 40.',
+    ),
+    **_said(
+        'section 7.1',
+        minutes_in_taxi='On average no more than 15 minutes to show the most trajectories.',
+        minutes_in_pacman='On average no more than 20 minutes to show the most trajectories.',
+    ),
+    **_said(
+        'section 7.3, figure 3',
+        kinds='Nine automatic options: four that go to a place and pick up, four that go to one '
+        'and drop off, and one that goes to a cell.',
+        centre='That cell is in the centre of the grid.',
+    ),
+    **_said(
+        'section 7.3',
+        more='Three more automatic options than primitive actions.',
+        general='Human options are more general: the same one serves every place of passenger or '
+        'destination.',
+    ),
+    **_said(
+        'section 7.3, figure 4',
+        learning='Learning is faster with human options than with automatic ones.',
+    ),
+    **_said(
+        'section 7.3, table 2',
+        efficient='Human options are more efficient than automatic ones, in time and return.',
+        human_faster='Planning with human options is faster than with primitive actions.',
+        never_as_good='What options come to is never as good as what primitive actions do.',
+    ),
+    **_said(
+        'section 7.3, in words; table 2 has the opposite in Taxi',
+        automatic_faster='Planning with automatic options is faster than with primitive actions.',
+    ),
+    **_said(
+        'section 8',
+        incomplete='With human options alone it is not always possible to learn the best policy; '
+        'it was not in Pac-Man.',
+        interrupted='Human options in Pac-Man rarely should run to their end, and might run as '
+        'modules.',
+    ),
 }
 DEMONSTRATIONS = 40  # section 7.1, figure 2: trajectories for acceptable accuracy, both domains
-FIGURE_2 = {
-    'rises': Statement(
-        'Accuracy increases with training data, and is acceptable with over 40 trajectories in '
-        'both domains.',
-        'section 7.1, figure 2',
-    ),
-    'imperfect': Statement(
-        'Classification accuracy does not come to 100 % in either domain: errors of the trees, '
-        'demonstrations that were not optimal, and options that were incomplete.',
-        'section 7.1, figure 2',
-    ),
-    'forty': Statement(
-        '95% policy accuracy takes about 40.',
-        'section 7.1, figure 2: “acceptable levels with over 40 trajectories”',
-    ),
-    'minutes in taxi': Statement(
-        'On average no more than 15 minutes to show the most trajectories.', 'section 7.1'
-    ),
-    'minutes in pacman': Statement(
-        'On average no more than 20 minutes to show the most trajectories.', 'section 7.1'
-    ),
-}
-FIGURE_3 = {
-    'kinds': Statement(
-        'Nine automatic options: four that go to a place and pick up, four that go to one and '
-        'drop off, and one that goes to a cell.',
-        'section 7.3, figure 3',
-    ),
-    'centre': Statement('That cell is in the centre of the grid.', 'section 7.3, figure 3'),
-    'more': Statement('Three more automatic options than primitive actions.', 'section 7.3'),
-    'general': Statement(
-        'Human options are more general: the same one serves every place of passenger or '
-        'destination.',
-        'section 7.3',
-    ),
-}
-FIGURE_4_FASTER = Statement(
-    'Learning is faster with human options than with automatic ones.', 'section 7.3, figure 4'
-)
 EPISODES = 120  # figure 4
 MOST_STEPS = 300  # figure 4: where its axis ends
 CURVES = ('primitive', 'human', 'automatic')  # figure 4
@@ -105,31 +120,4 @@ WHY_NO_SECONDS = 'seconds of another computer, and the paper does not say of whi
 WHY_NO_RETURN = {  # by domain, why the numbers of the paper cannot be compared
     'taxi': 'the paper does not say how it discounts',
     'pacman': 'the paper gives neither maze nor points, nor how its ghosts move',
-}
-TABLE_2_SAID = {
-    'efficient': Statement(
-        'Human options are more efficient than automatic ones, in time and return.',
-        'section 7.3, table 2',
-    ),
-    'human faster': Statement(
-        'Planning with human options is faster than with primitive actions.',
-        'section 7.3, table 2',
-    ),
-    'automatic faster': Statement(
-        'Planning with automatic options is faster than with primitive actions.',
-        'section 7.3, in words; table 2 has the opposite in Taxi',
-    ),
-    'never as good': Statement(
-        'What options come to is never as good as what primitive actions do.',
-        'section 7.3, table 2',
-    ),
-    'incomplete': Statement(
-        'With human options alone it is not always possible to learn the best policy; it was not '
-        'in Pac-Man.',
-        'section 8',
-    ),
-    'interrupted': Statement(
-        'Human options in Pac-Man rarely should run to their end, and might run as modules.',
-        'section 8',
-    ),
 }

@@ -23,17 +23,12 @@ from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import domain_from_json, parameters_json
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.extract import AutomaticOptions, find_options, to_learned_options
-from humanopts_learner.demonstrations import (
-    check_demonstration,
-    Demonstration,
-    DemonstrationError,
-    group_by_option,
-    Kind,
-)
+from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.learn import learn_option
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.evaluation.bag_evaluation import usable_demonstrations
 from humanopts_teach.evaluation.measures import settings_from_facts
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
@@ -130,7 +125,6 @@ def read_bag_lessons(path: Path) -> list[BagLesson]:
             hashlib.sha256(''.join(demo.uuid for demo in demos).encode()).hexdigest()[:20],
         )
         for (participant, option), demos in taught_in(bag, domain).items()
-        if _trajectories(demos)
     ]
     if not lessons:
         raise BagError(f'{path} holds no demonstration to learn from')
@@ -138,15 +132,9 @@ def read_bag_lessons(path: Path) -> list[BagLesson]:
 
 
 def taught_in(bag: Bag, domain: Domain[Any]) -> dict[tuple[str, str], list[Demonstration]]:
-    """Return the valid demonstrations in a bag by participant and option, as ``bag eval`` does."""
-    valid = []
-    for demo in read_demonstrations(bag):
-        try:
-            check_demonstration(demo, domain)
-        except DemonstrationError:
-            continue  # ``bag eval`` names those
-        valid.append(demo)
-    return group_by_option(valid)
+    """Return what ``bag eval`` learns from, by participant and option."""
+    groups, _ = usable_demonstrations(read_demonstrations(bag), domain)
+    return groups
 
 
 @dataclass(frozen=True)
@@ -162,7 +150,8 @@ class OwnedOptions:
     @property
     def demonstrations(self) -> int | None:
         """How many trajectories were shown; None: nobody showed any."""
-        return _trajectories(self.shown) if self.shown else None
+        count = sum(demo.kind is Kind.TRAJECTORY for demo in self.shown)  # no "not here" answers
+        return count if self.shown else None
 
     def __add__(self, other: 'OwnedOptions') -> 'OwnedOptions':
         """Return what one person taught in two lessons."""
@@ -178,28 +167,25 @@ def owners(study: Study, domain: str) -> dict[str, list[dict[str, Any]]]:
     :return: parameters of ``options_of`` by kind of owner, JSON data. People are those in bags,
         else the varied simulated ones; there are none where those in bags taught something else.
     """
-    people = _teachers(study, domain)
-    count = len(people) or study.participants
+    if study.bags:
+        digests: dict[tuple[str, str, int], list[str]] = {}
+        for lesson in study.bags:
+            if lesson.domain == domain:
+                key = lesson.bag, lesson.participant, lesson.seed
+                digests.setdefault(key, []).append(lesson.digest)
+        teachers: list[dict[str, Any]] = [
+            {'bag': bag, 'participant': code, 'seed': seed, 'digests': found}
+            for (bag, code, seed), found in digests.items()
+        ]
+    else:
+        people = participants(VARIED, study.participants, study.seed)
+        teachers = [{'person': asdict(person)} for person in people]
+    count = len(teachers) or study.participants
     return {
         NOBODY: [{'number': number} for number in range(1, count + 1)],
-        PERSON: [{'teacher': teacher} for teacher in people],
+        PERSON: [{'teacher': teacher} for teacher in teachers],
         MACHINE: [{'extraction': study.seed + number} for number in range(count)],
     }
-
-
-def _teachers(study: Study, domain: str) -> list[dict[str, Any]]:
-    if not study.bags:
-        people = participants(VARIED, study.participants, study.seed)
-        return [{'person': asdict(person)} for person in people]
-    digests: dict[tuple[str, str, int], list[str]] = {}
-    for lesson in study.bags:
-        if lesson.domain == domain:
-            key = lesson.bag, lesson.participant, lesson.seed
-            digests.setdefault(key, []).append(lesson.digest)
-    return [
-        {'bag': bag, 'participant': code, 'seed': seed, 'digests': found}
-        for (bag, code, seed), found in digests.items()
-    ]
 
 
 def owner_seed(parameters: Mapping[str, Any], *key: str) -> int:
@@ -248,17 +234,8 @@ def _from_lesson(
 
 def _from_bag(teacher: Mapping[str, Any]) -> OwnedOptions:
     bag = open_bag(Path(teacher['bag']))
-    domain = read_domain(bag)
-    groups = [
-        demos
-        for (person, _), demos in taught_in(bag, domain).items()
-        if person == teacher['participant'] and _trajectories(demos)
-    ]
-    options = tuple(learn_option(demos, domain, teacher['seed']) for demos in groups)
+    domain, code, seed = read_domain(bag), teacher['participant'], teacher['seed']
+    groups = [demos for (person, _), demos in taught_in(bag, domain).items() if person == code]
+    options = tuple(learn_option(demos, domain, seed) for demos in groups)
     shown = tuple(demo for demos in groups for demo in demos)
     return OwnedOptions(options, sum(demo.seconds for demo in shown) / 60, shown=shown)
-
-
-def _trajectories(demonstrations: Sequence[Demonstration]) -> int:
-    """Return how many are trajectories; the others are "not here" answers."""
-    return sum(demo.kind is Kind.TRAJECTORY for demo in demonstrations)

@@ -49,9 +49,8 @@ class Mark(Enum):
     @property
     def good(self) -> bool | None:
         """Whether the mark is a good one; None: neither good nor bad."""
-        if self in (Mark.UNDECIDED, Mark.NOT_COMPARABLE, Mark.NO_COUNTERPART):
-            return None
-        return self in (Mark.AGREES, Mark.MET)
+        good = {Mark.AGREES: True, Mark.MET: True, Mark.DIFFERS: False, Mark.MISSED: False}
+        return good.get(self)
 
 
 @dataclass(frozen=True)
@@ -256,17 +255,14 @@ def render(data: Reproduction) -> str:
         *(Finding(False, f'Not computed: {text}') for text in data.missing),
     ]
     values: dict[str, Any] = {
+        **vars(data),
         'paper': paper.TITLE,
-        'sections': data.sections,
         'verdicts': verdicts(data.sections),
-        'people': data.people,
-        'study': data.study,
         'bags': list(dict.fromkeys(lesson.bag for lesson in data.study.bags)),
         'findings': findings,
         'title': TITLE,
         'svg_of': _svg_for_page,
         'written': _of_table,
-        'provenance': data.provenance,
     }
     return render_page('experiments', 'page.html', values)
 

@@ -30,7 +30,7 @@ def present() -> Section:
         for button, share in buttons.items()
     ]
     frame = pd.DataFrame(rows, columns=['domain', 'button', "paper's share of people", 'here'])
-    said = [compared(paper.STUDY[key], why, Mark.NO_COUNTERPART) for key, why in WHY.items()]
+    said = [compared(paper.SAID[key], why, Mark.NO_COUNTERPART) for key, why in WHY.items()]
     return Section(
         NAME, TITLE, said, tables=[Table('table1', "The paper's buttons, and ours", frame)]
     )

@@ -68,13 +68,7 @@ AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
 SECTION_7, NAMED, ALSO_FRUIT = 'of section 7', 'named in the paper', 'the fruit too'
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')
 REPEATS = 7  # makings of one exact plan, for its seconds
-COSTS = {  # of a trial, about processor seconds, by domain and kind of owner
-    ('pacman', people.NOBODY): 90.0,
-    ('pacman', people.PERSON): 260.0,
-    ('pacman', people.MACHINE): 150.0,
-    ('taxi', people.PERSON): 6.0,
-    ('taxi', people.MACHINE): 9.0,
-}
+COSTS = {'pacman': 170.0, 'taxi': 5.0}  # of a trial, about processor seconds
 ROUNDING = 1e-9  # reward units
 WANTED_UNIFORM, WANTED_MORE, TENTH = 1900.0, 300.0, 10.0  # points; times as long
 
@@ -193,8 +187,7 @@ def trials(study: people.Study) -> list[Trial]:
                     'whose': whose,
                     **source,
                 }
-                cost = COSTS.get((domain, whose), 1.0)
-                found.append(Trial(NAME, parameters, plan_all_games, cost))
+                found.append(Trial(NAME, parameters, plan_all_games, COSTS[domain]))
     return found
 
 
@@ -505,19 +498,16 @@ def present(done: report.Done) -> report.Section:
         name = f'table2-{re.sub(r"[^a-z]+", "-", game.name.lower())}'
         tables.append(report.Table(name, game.name, summary.loc[game.name].reset_index()))
         pictures.append(_picture(game, name, curves[curves['game'] == game.name]))
-    others = {  # by name: title and rows
-        'acquisition': ('What it cost to get the options, mean of each', cost_table(done)),
-        'executions': (
-            'What the same plan gains over running each option to its end',
-            gain_table(gains),
-        ),
-        'paper': ("The paper's table, and ours", paper_table(summary)),
-        'curves': ('The curves; budgets are sweeps in Taxi, game steps in Pac-Man', curves),
-        'settings': ('Settings that were chosen', setting_table(done)),
-    }
-    for name, (title, frame) in others.items():
-        shown = name not in ('curves', 'settings')
-        tables.append(report.Table(f'table2-{name}', title, frame, shown))
+    costs, stopped, settings = cost_table(done), gain_table(gains), setting_table(done)
+    gained = 'What the same plan gains over running each option to its end'
+    drawn = 'The curves; budgets are sweeps in Taxi, game steps in Pac-Man'
+    tables += [
+        report.Table('table2-acquisition', 'What it cost to get the options, mean of each', costs),
+        report.Table('table2-executions', gained, stopped),
+        report.Table('table2-paper', "The paper's table, and ours", paper_table(summary)),
+        report.Table('table2-curves', drawn, curves, shown=False),
+        report.Table('table2-settings', 'Settings that were chosen', settings, shown=False),
+    ]
     return report.Section(NAME, TITLE, found, pictures, tables, {'effort': asdict(EFFORT)})
 
 
@@ -712,14 +702,14 @@ class Results:
 
 def _claims(results: Results) -> Iterator[report.Comparison]:
     """Yield what the paper says of times and returns, and what planning shall gain over chance."""
-    said, options = paper.TABLE_2_SAID, [*filter(results.has, ('human', 'automatic'))]
+    said, options = paper.SAID, [*filter(results.has, ('human', 'automatic'))]
     if results.has('primitive') and options:
         for each in options:
             time = results.race(each, 'primitive')
-            yield results.says(said[f'{each} faster'], time[1].below(1.0), time)
+            yield results.says(said[f'{each}_faster'], time[1].below(1.0), time)
         losses = [results.more('primitive', each) for each in options]
         worse = all_hold(loss.above(ROUNDING) for _, loss in losses)
-        yield results.says(said['never as good'], worse, *losses)
+        yield results.says(said['never_as_good'], worse, *losses)
     if len(options) > 1:
         first, second = options
         time, more = results.race(first, second), results.more(first, second)
@@ -761,7 +751,7 @@ def _numbers(results: Results) -> Iterator[report.Comparison]:
         claim = Statement(f'{title}, {name}: average reward {known[name][1]:,g}.', 'table 2')
         yield results.says(claim, report.Mark.NOT_COMPARABLE, results.value(own), why=why)
     if not results.game.exact:
-        best = paper.TABLE_2_SAID['incomplete']
+        best = paper.SAID['incomplete']
         yield results.says(best, report.Mark.NO_COUNTERPART, why=paper.NO_BEST_KNOWN)
 
 
@@ -805,7 +795,7 @@ def _gains(game: ComparedGame, gains: pd.DataFrame) -> Iterator[report.Compariso
         more = {name: Interval.of(rows['mean'], level) for name, rows in by_way.items()}
         text = report.listed(f'{game.name}, points more than run to the end', more)
         verdict = any_holds(gain.above() for gain in more.values())
-        claim = paper.TABLE_2_SAID['interrupted']
+        claim = paper.SAID['interrupted']
     if by_way:
         yield report.compared(claim, text, verdict)
 

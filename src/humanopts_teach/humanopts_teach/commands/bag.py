@@ -41,11 +41,13 @@ speed_factor = number('from 1/16 to 64', lambda value: 1 / 16 <= value <= 64)
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[..., None]]:
+def progress_bar(lines: bool = False) -> Iterator[Callable[..., None]]:
     """
     Show a bar on standard error where it is a terminal.
 
     What is yielded takes how much is done, of how much and, where it is known, what is under way.
+
+    :param lines: elsewhere, print a line for each thing that is under way.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -53,13 +55,16 @@ def progress_bar() -> Iterator[Callable[..., None]]:
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task('reading', total=None)
-        shown, due = '', 0.0
+        shown, due, said = '', 0.0, set[str]()
 
         def show(done: float, total: float, text: str = 'reading') -> None:
             nonlocal shown, due
             if text != shown or time.monotonic() >= due:
                 shown, due = text, time.monotonic() + _PERIOD
                 progress.update(task, completed=done, total=total, description=text)
+            if lines and progress.disable and text not in said:
+                said.add(text)
+                print(f'{text} ({done / total:.0%})', file=sys.stderr, flush=True)
 
         yield show
 

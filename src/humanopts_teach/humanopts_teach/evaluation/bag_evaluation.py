@@ -244,7 +244,7 @@ def evaluate(
     :param jobs: processes that do the work; 0: one for each core; 1: this one.
     :raises EvaluationError: there is no demonstration to learn from.
     """
-    groups, notes = _usable(demonstrations, domain)
+    groups, notes = usable_demonstrations(demonstrations, domain)
     if not groups:
         raise EvaluationError('; '.join(['the bag holds no demonstration to learn from', *notes]))
     requests = list(dict.fromkeys([*((person, HUMAN) for person, _ in groups), ('', PRIMITIVE)]))
@@ -279,7 +279,7 @@ def evaluate(
     )
 
 
-def _usable(
+def usable_demonstrations(
     demonstrations: Sequence[Demonstration], domain: Domain[Any]
 ) -> tuple[dict[Key, list[Demonstration]], list[str]]:
     """Group the demonstrations by option; return sentences on those that are left out."""
