@@ -189,14 +189,12 @@ def test_a_domain_that_calls_itself_otherwise_is_refused() -> None:
 
 
 def test_a_thing_that_is_no_domain_is_refused() -> None:
-    """With all that is missing."""
     with pytest.raises(ContractError, match=r'it has no parameters, features, .*render'):
         check_domain(object(), 'thing')  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize('domain', [Taxi(), Rooms()], ids=lambda domain: domain.name)
 def test_a_good_domain_is_checked_in_the_blink_of_an_eye(domain: Any) -> None:
-    """The best of three looks takes less than 50 ms of the processor."""
     times = []
     for _ in range(3):
         began = time.process_time()
@@ -238,7 +236,6 @@ for _name, _make in REFERENCES.items():
     ],
 )
 def test_what_breaks_the_contract_of_options_is_found(test: str, change: dict[str, Any]) -> None:
-    """By the test that is meant to."""
     broken = replace(PICKUP, **change)
 
     class Suite(ReferenceContract):

@@ -134,7 +134,6 @@ def test_a_machine_step_is_the_transition_that_led_to_the_next_state() -> None:
 
 
 def test_a_repeated_machine_command_is_applied_once() -> None:
-    """The second copy answers a step that is past."""
     game = begun()
     assert isinstance(game.command(MACHINE), Accepted)
     again = game.command(MACHINE)
@@ -166,7 +165,6 @@ def test_a_persons_later_keys_do_not_change_control() -> None:
 
 
 def test_an_episode_ends_with_the_delivery() -> None:
-    """The last transition says so, and is not cut off."""
     game = ended()
     assert (game.transition.terminated, game.transition.truncated) == (True, False)
     assert game.transition.reward == 1
@@ -174,13 +172,11 @@ def test_an_episode_ends_with_the_delivery() -> None:
 
 
 def test_an_episode_is_cut_off_at_max_steps() -> None:
-    """The task is not over then."""
     game = cut_off()
     assert (game.transition.terminated, game.transition.truncated) == (False, True)
 
 
 def test_a_delivery_in_the_last_step_is_no_cut() -> None:
-    """The end of the task counts."""
     game = begun('taxi 4,3 passenger aboard destination B', max_steps=1)
     game.command(replace(MACHINE, action='dropoff'))
     assert (game.transition.terminated, game.transition.truncated) == (True, False)
@@ -224,7 +220,6 @@ def test_an_empty_start_state_is_drawn_by_seed() -> None:
     ],
 )
 def test_a_bad_start_state_is_refused_and_the_episode_goes_on(state: str, words: str) -> None:
-    """The reason is said, and nothing is lost."""
     game = begun()
     transition = game.transition
     reply = game.reset(state, 0, Source.MACHINE)
@@ -235,7 +230,6 @@ def test_a_bad_start_state_is_refused_and_the_episode_goes_on(state: str, words:
 
 @pytest.mark.parametrize('source', [0, 3])
 def test_a_reset_by_nobody_is_refused(source: int) -> None:
-    """A reset says whose it is."""
     reply = begun().reset(START, 0, source)
     assert reply.status is ResetStatus.BAD_SOURCE
     assert str(source) in reply.detail
@@ -288,7 +282,6 @@ def test_control_is_taken_and_given_back_by_its_holder_only(
 
 
 def test_machines_drive_again_once_control_is_given_back() -> None:
-    """At the step where the person left it."""
     game = begun()
     game.command(PERSON)
     game.set_control(False, ANNA)
@@ -391,7 +384,6 @@ def test_numbers_are_those_of_the_message(
 
 @pytest.mark.parametrize('message', [ActionCommand, ResetGame.Request])
 def test_sources_of_requests_are_those_of_the_game(message: Any) -> None:
-    """The same number means the same source everywhere."""
     assert message.SOURCE_PERSON == game.Source.PERSON
     assert message.SOURCE_MACHINE == game.Source.MACHINE
 
@@ -405,6 +397,5 @@ def test_sources_of_requests_are_those_of_the_game(message: Any) -> None:
     ],
 )
 def test_fields_are_those_of_the_message(value: Any, message: Any, envelope: set[str]) -> None:
-    """Nothing is lost on the way."""
     names = {field.name for field in fields(value)}
     assert names == message.get_fields_and_field_types().keys() - envelope

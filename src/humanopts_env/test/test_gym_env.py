@@ -23,7 +23,6 @@ def make(name: str = 'humanopts/Taxi-v0', **parameters: Any) -> Any:
 
 @pytest.mark.parametrize('name', ENVIRONMENTS)
 def test_gymnasiums_checker_is_satisfied(name: str) -> None:
-    """Without a single warning, by every environment."""
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         check_env(make(name, render_mode='ansi').unwrapped)
@@ -40,7 +39,6 @@ def test_nothing_is_done_before_the_first_reset(name: str) -> None:
 
 @pytest.mark.parametrize('name', ENVIRONMENTS)
 def test_an_episode_depends_on_its_seed_alone(name: str) -> None:
-    """The same one with the same seed, in another environment too; others with others."""
 
     def played(seed: int) -> list[Any]:
         env, rng = make(name), generator(0, 'gymnasium')
@@ -102,7 +100,6 @@ def test_the_rewards_are_the_papers() -> None:
 
 
 def test_it_takes_the_domains_parameters() -> None:
-    """A grid of another size."""
     env = make(rows=6, cols=7)
     assert env.observation_space.n == 6 * 7 * 20
     with pytest.raises(DomainError, match='rows'):
@@ -150,7 +147,6 @@ def test_pacman_is_observed_by_its_features() -> None:
 
 
 def test_pacman_is_cut_off_after_a_thousand_steps() -> None:
-    """Into a wall, where no ghost is."""
     maze = '%%%%%\n%P .%\n%%%%%'
     env = make('humanopts/PacMan-v0', maze=maze)
     env.reset(seed=0)
@@ -159,7 +155,6 @@ def test_pacman_is_cut_off_after_a_thousand_steps() -> None:
 
 
 def test_games_of_pacman_are_played_side_by_side() -> None:
-    """Gymnasium's vector environments take it as it is."""
     envs = gymnasium.make_vec('humanopts/PacMan-v0', num_envs=3, vectorization_mode='sync')
     observations, _ = envs.reset(seed=4)
     after, rewards, *_ = envs.step(np.array([1, 2, 1]))
@@ -188,7 +183,6 @@ def test_game_seed_gives_the_episode_of_the_node_game(name: str, start: bool) ->
 
 
 def test_domains_with_listed_states_or_a_mask_of_actions_have_an_environment() -> None:
-    """With its own name and parameters; others are refused."""
     chess: Any = SimpleNamespace(name='chess', parameters={})
     with pytest.raises(DomainError, match='no Gymnasium environment of chess'):
         spec_of(chess)

@@ -150,7 +150,6 @@ def test_features_are_those_of_the_states_own_encoding() -> None:
 def test_actions_have_arrows_where_they_are_known_and_digits_otherwise(
     env_id: str, keys: list[str]
 ) -> None:
-    """In the environment's order."""
     domain = gymnasium_domain(env_id)()
     assert [action.key for action in domain.actions] == keys
 
@@ -225,12 +224,10 @@ def test_a_name_with_the_prefix_is_resolved() -> None:
 def test_what_cannot_be_a_domain_is_refused_by_name(
     name: str, parameters: dict[str, Any], text: str
 ) -> None:
-    """With the reason."""
     with pytest.raises(DomainError, match=text) as refusal:
         make_domain(name, parameters)
     assert name in str(refusal.value)
 
 
 def test_without_a_distribution_of_starts_those_that_are_drawn_are_taken() -> None:
-    """The chain begins in 0 or 1."""
     assert gymnasium_domain('test/Chain-v0')().start_states().tolist() == [0, 1]

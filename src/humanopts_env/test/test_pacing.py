@@ -36,7 +36,6 @@ def reasons(results: list[Result]) -> list[tuple[Command, Reason]]:
 
 
 def test_a_command_waits_and_is_carried_out_when_it_is_due(game: Game, pacing: Pacing) -> None:
-    """Once."""
     assert game.transition.step == 0
     (result,) = pacing.due()
     assert isinstance(result, Accepted)
@@ -46,7 +45,6 @@ def test_a_command_waits_and_is_carried_out_when_it_is_due(game: Game, pacing: P
 
 
 def test_another_command_for_the_same_step_is_refused_as_stale(game: Game, pacing: Pacing) -> None:
-    """The first answers the step, as it would without pacing."""
     (refusal,) = pacing.offer(SECOND)
     assert reasons([refusal]) == [(SECOND, Reason.STALE)]
     assert "'north' waits" in refusal.detail
@@ -55,7 +53,6 @@ def test_another_command_for_the_same_step_is_refused_as_stale(game: Game, pacin
 
 
 def test_what_is_refused_in_any_case_does_not_wait(game: Game) -> None:
-    """Nor keep others waiting."""
     pacing = Pacing(game, 0.3)
     wrong = replace(FIRST, action='fly')
     assert reasons(pacing.offer(wrong)) == [(wrong, Reason.NO_SUCH_ACTION)]
@@ -63,7 +60,6 @@ def test_what_is_refused_in_any_case_does_not_wait(game: Game) -> None:
 
 
 def test_a_key_is_not_delayed_and_overtakes_what_waits(game: Game, pacing: Pacing) -> None:
-    """The person holds control from then on."""
     (result,) = pacing.offer(KEY)
     assert isinstance(result, Accepted)
     assert game.transition.previous_action == 'west'
@@ -73,7 +69,6 @@ def test_a_key_is_not_delayed_and_overtakes_what_waits(game: Game, pacing: Pacin
 def test_after_a_reset_a_new_command_takes_the_place_of_the_old(
     game: Game, pacing: Pacing
 ) -> None:
-    """The old one is refused at once, and the new one waits its time."""
     game.reset('', 4, Source.MACHINE)
     new = replace(FIRST, episode=2)
     assert reasons(pacing.offer(new)) == [(FIRST, Reason.STALE)]

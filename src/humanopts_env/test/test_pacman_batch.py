@@ -70,7 +70,6 @@ def test_agreement_is_tested_on_everything_that_can_happen() -> None:
 
 @pytest.mark.parametrize('maze', MAZES)
 def test_states_go_into_a_batch_and_come_out(maze: str) -> None:
-    """Sampled ones, and none at all."""
     domain = PacMan(maze)
     states = domain.sample_states(generator(0, 'states'), 40)
     batch = PacManBatch.from_states(domain.rules, states)
@@ -80,7 +79,6 @@ def test_states_go_into_a_batch_and_come_out(maze: str) -> None:
 
 
 def test_games_that_are_over_stay_as_they_are() -> None:
-    """And earn nothing."""
     rules = PacMan('yard', lives=1).rules
     batch, rng = PacManBatch.begin(rules, 50), generator(0, 'over')
     for _ in range(300):
@@ -93,7 +91,6 @@ def test_games_that_are_over_stay_as_they_are() -> None:
 
 
 def test_chosen_games_are_copied_put_and_begun_again() -> None:
-    """Copies are their own games."""
     rules, rng = PacMan().rules, generator(0, 'chosen')
     batch = sample_games(rules, rng, 6)
     states = batch.states()
@@ -107,7 +104,6 @@ def test_chosen_games_are_copied_put_and_begun_again() -> None:
 
 
 def test_draws_are_all_alike_and_depend_on_the_generator_alone() -> None:
-    """One below 60 for each ghost and game."""
     batch = PacManBatch.begin(PacMan().rules, 30_000)
     draws = batch.draws(generator(3, 'draws'))
     assert draws.shape == (2, 30_000)

@@ -157,7 +157,6 @@ def test_the_drawing_of_a_later_state() -> None:
 
 
 def test_only_what_is_shown_is_drawn() -> None:
-    """The rest of what is shown is said in words."""
     shown = {'pacman_row', 'pacman_col', 'food_row', 'food_col', 'food_direction', 'prey_distance'}
     assert DOMAIN.render(DOMAIN.decode(LATER), shown).splitlines() == [
         '╭───────────╮',
@@ -180,7 +179,6 @@ def test_whether_a_ghost_is_scared_is_drawn_only_where_it_may_be_seen() -> None:
 
 
 def test_what_is_behind_two_things_is_named() -> None:
-    """Nothing is lost from the drawing."""
     text = LATER.replace('ghost 2,3', 'ghost 0,3')
     assert 'hidden: food in row 0, column 3' in DOMAIN.render(DOMAIN.decode(text))
 
@@ -257,7 +255,6 @@ def test_context_is_some_of_the_abstract_features() -> None:
 
 @pytest.mark.parametrize('maze', ['gardens', 'yard', '%%%%%\n%P..%\n%%%%%'])
 def test_abstract_features_are_within_their_buckets(maze: str) -> None:
-    """Whatever the number of ghosts."""
     batch = sample_games(PacMan(maze).rules, generator(0, 'buckets'), 500)
     values = abstract_features(batch)
     assert (

@@ -31,7 +31,6 @@ def surrounded(*rows: str) -> str:
 
 
 def test_a_layout_with_berkeleys_conventions_is_read() -> None:
-    """Row by row; ghosts in the order of their numbers."""
     maze = parse_maze(LAYOUT)
     assert (maze.rows, maze.cols) == (6, 11)
     assert maze.cells[maze.start] == (5, 5)
@@ -111,7 +110,6 @@ def test_a_maze_is_read_from_a_file_and_named_in_errors(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize('bad', ['nowhere', '', '.', 'no\0file'])
 def test_a_maze_that_is_not_there_is_refused(bad: str) -> None:
-    """With the names of ours."""
     with pytest.raises(MazeError, match='gardens'):
         load_maze(bad)
 
@@ -130,7 +128,6 @@ def test_a_maze_that_is_not_there_is_refused(bad: str) -> None:
     ],
 )
 def test_parameters_out_of_range_are_refused(parameters: dict[str, object], reason: str) -> None:
-    """In words that name the parameter."""
     with pytest.raises(DomainError, match=reason):
         PacMan(**parameters)  # type: ignore[arg-type]
 
@@ -166,7 +163,6 @@ def test_distances_and_first_moves_are_those_of_shortest_paths() -> None:
 
 
 def test_every_first_move_comes_one_step_nearer_and_no_other_does() -> None:
-    """In all pairs of cells."""
     paths = maze_paths(load_maze('gardens'))
     for move in range(STAY):
         nearer = paths.distance[paths.step[:, move]] < paths.distance
@@ -174,7 +170,6 @@ def test_every_first_move_comes_one_step_nearer_and_no_other_does() -> None:
 
 
 def test_a_ghost_turns_back_only_in_a_dead_end() -> None:
-    """With no heading it may go anywhere."""
     maze = parse_maze(surrounded('P..', '%.%'))
     paths, number = maze_paths(maze), maze.cells.index
     north, west, east, south = 1, 2, 4, 8

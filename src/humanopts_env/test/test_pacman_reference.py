@@ -40,7 +40,6 @@ def state_text(
 
 
 def test_they_are_the_buttons_of_table_1_and_one_for_the_fruit() -> None:
-    """In the paper's order."""
     assert list(OPTIONS) == [FOOD, AVOID, PILL, EAT, FRUIT]
 
 
@@ -128,7 +127,6 @@ def test_better_players_score_more() -> None:
 
 
 def test_the_same_seed_plays_the_same_baseline_games() -> None:
-    """And another seed plays others."""
     domain = PacMan('yard', max_steps=200)
     runs = [play_heuristic(domain, 20, seed, to_end=True).total for seed in (1, 1, 2)]
     assert np.array_equal(runs[0], runs[1])

@@ -68,7 +68,6 @@ def test_a_scared_ghost_moves_away_at_half_speed() -> None:
 
 
 def test_a_scared_ghost_that_is_met_is_worth_200_and_is_home_and_dangerous() -> None:
-    """The other one is still scared."""
     rules = rules_of('.P  ' + ' ' * 10 + 'GG')
     ghosts = (Ghost(2, STAY, 11), Ghost(9, STAY, 11))
     state = run(rules, replace(rules.start(), ghosts=ghosts), EAST)
@@ -114,7 +113,6 @@ def test_in_the_last_step_of_fear_a_ghost_can_still_be_eaten() -> None:
 
 
 def test_the_last_food_wins_even_beside_a_ghost() -> None:
-    """The maze is cleared first."""
     rules = rules_of('P.   G')
     won = run(rules, replace(rules.start(), ghosts=(Ghost(2, WEST, 0),)), EAST)
     assert rules.is_over(won)
@@ -122,7 +120,6 @@ def test_the_last_food_wins_even_beside_a_ghost() -> None:
 
 
 def test_the_last_life_ends_the_game() -> None:
-    """With food left."""
     rules = rules_of('.P   G')
     state = replace(rules.start(), lives=1, ghosts=(Ghost(3, WEST, 0),))
     lost = run(rules, state, EAST)
@@ -254,7 +251,6 @@ def test_all_parts_of_a_state_are_in_its_text() -> None:
     ],
 )
 def test_text_that_is_no_state_of_the_maze_is_refused(old: str, new: str) -> None:
-    """The refusal says what is wrong."""
     assert START.count(old) >= 1
     with pytest.raises(StateError):
         PacMan().decode(START.replace(old, new, 1))
@@ -274,7 +270,6 @@ def test_our_mazes_can_be_cleared() -> None:
 
 
 def test_moves_are_named_as_on_a_map() -> None:
-    """And pressed with the arrow keys."""
     assert [(a.name, a.key) for a in PacMan().actions] == list(
         zip(MOVES, ('up', 'left', 'right', 'down'))
     )

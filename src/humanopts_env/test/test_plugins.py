@@ -70,7 +70,6 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_domain_of_another_package_is_made_by_its_name() -> None:
-    """With its parameters and its reference options."""
     assert {'cab', 'taxi'} <= set(domain_names())
     domain = make_domain('cab', {'rows': 6})
     assert (domain.name, dict(domain.parameters)) == ('cab', {'rows': 6})
@@ -90,19 +89,16 @@ def test_a_domain_of_another_package_is_made_by_its_name() -> None:
     ],
 )
 def test_what_cannot_be_played_is_refused_by_name(name: str, text: str) -> None:
-    """With the reason."""
     with pytest.raises(DomainError, match=text):
         make_domain(name)
 
 
 def test_parameters_that_it_does_not_take_are_refused() -> None:
-    """As ours refuse them."""
     with pytest.raises(DomainError, match=r'cab does not take the parameters .* it takes '):
         make_domain('cab', {'wheels': 4})
 
 
 def test_reference_options_that_raise_are_refused() -> None:
-    """By the domain's name."""
     domain = Taxi()
     domain.name = 'wide'
     with pytest.raises(DomainError, match='reference options of wide cannot be made: KeyError'):

@@ -89,7 +89,6 @@ def test_the_first_outcome_is_what_was_intended() -> None:
 def test_entering_the_goal_is_worth_one_and_ends_the_task(
     goal: str, cell: tuple[int, int]
 ) -> None:
-    """And nothing else is worth anything."""
     domain = Rooms(goal)
     table, end = domain.transitions(), domain.index(RoomsState(*cell))
     assert (table.reward == (table.successor == end)).all()
@@ -98,7 +97,6 @@ def test_entering_the_goal_is_worth_one_and_ends_the_task(
 
 
 def test_a_goal_that_there_is_not_is_refused() -> None:
-    """By name, with those that there are."""
     with pytest.raises(DomainError, match=r"'G3'.*G1 or G2"):
         Rooms('G3')
 
@@ -137,7 +135,6 @@ def test_the_drawing_is_the_figure() -> None:
 
 
 def test_actions_are_the_arrows() -> None:
-    """As the paper names them."""
     assert [action.name for action in ACTIONS] == ['up', 'down', 'left', 'right']
     assert [action.key for action in ACTIONS] == ['up', 'down', 'left', 'right']
 
@@ -155,7 +152,6 @@ def at(row: int, col: int) -> int:
 
 
 def test_every_room_has_two() -> None:
-    """One for each of its doorways."""
     assert list(OPTIONS) == [
         'north-west room to north doorway',
         'north-west room to west doorway',
@@ -180,7 +176,6 @@ def test_it_starts_in_the_room_and_its_other_doorway_and_ends_outside_the_room()
 
 @pytest.mark.parametrize('goal', ['G1', 'G2'])
 def test_no_option_starts_or_goes_on_at_the_goal(goal: str) -> None:
-    """The task is over there."""
     domain = Rooms(goal)
     for option in reference_options(domain).values():
         assert not (option.initiation & domain.over()).any()

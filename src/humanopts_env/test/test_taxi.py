@@ -100,7 +100,6 @@ def test_features_of_a_waiting_passenger() -> None:
 
 
 def test_aboard_the_passenger_is_where_the_taxi_is() -> None:
-    """And the taxi is at the passenger."""
     values = features_of('taxi 2,3 passenger aboard destination G')
     assert (values['passenger_row'], values['passenger_col']) == ('2', '3')
     assert values['passenger_in_taxi'] == values['taxi_at_passenger'] == 'yes'
@@ -142,14 +141,12 @@ def test_questions_complete_the_sentence() -> None:
     ],
 )
 def test_text_in_another_notation_is_refused(text: str) -> None:
-    """The refusal repeats what was read."""
     with pytest.raises(StateError):
         Taxi().decode(text)
 
 
 @pytest.mark.parametrize('bad', [3, 0, -5, 1001, 5.0, '5', True, None])
 def test_a_size_that_is_no_grid_is_refused(bad: Any) -> None:
-    """In words that name the parameter."""
     with pytest.raises(DomainError, match='rows'):
         Taxi(rows=bad)
     with pytest.raises(DomainError, match='cols'):
@@ -158,7 +155,6 @@ def test_a_size_that_is_no_grid_is_refused(bad: Any) -> None:
 
 @pytest.mark.parametrize('bad', [TaxiState(5, 0, 0, 1), TaxiState(0, -1, 0, 1)])
 def test_a_state_of_another_grid_is_refused(bad: TaxiState) -> None:
-    """It has no number."""
     with pytest.raises(StateError, match='5 x 5'):
         Taxi().index(bad)
 
@@ -188,7 +184,6 @@ def test_ten_by_ten_follows_the_rule() -> None:
 
 
 def test_the_drawing_shows_taxi_passenger_and_destination() -> None:
-    """The original board with everything on it."""
     assert Taxi().render(TaxiState(2, 3, 0, 3)).splitlines() == [
         '┏━━━━━━━┳━━━━━━━━━━━┓',
         '┃☻R   · ┃ ·   ·   G ┃',
@@ -269,7 +264,6 @@ AWAY = 'move away from obstacles'
 
 
 def test_they_are_the_buttons_of_table_1() -> None:
-    """In the paper's order."""
     assert list(OPTIONS) == [PICKUP, DROPOFF, PASSENGER, DESTINATION, EITHER, AWAY]
 
 
@@ -327,7 +321,6 @@ def test_distance_and_optimal_actions(
     ],
 )
 def test_an_option_has_ended_where_it_cannot_start(name: str, state: str) -> None:
-    """No action is asked of it there."""
     option, end = OPTIONS[name], DOMAIN.decode(state)
     assert option.ends(end)
     assert not option.can_start(end)

@@ -157,7 +157,6 @@ def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Executio
 @pytest.mark.heavy
 @pytest.mark.parametrize('execution', Execution)
 def test_a_live_game_is_the_vectorised_one_with_sampled_values(execution: Execution) -> None:
-    """From the start that the seed draws, to the same last state."""
     plan = sampled_plan()
     for seed in range(12):
         first = TaxiGames(TAXI).batch_reset(1, generator(seed, 'play_games'))
@@ -210,7 +209,6 @@ def test_only_interruption_stops_options_and_only_modules_act_as_such(plan: Any)
 
 
 def test_values_that_do_not_fit_the_domain_are_refused() -> None:
-    """With what is missing."""
     options = {option.name: option for option in options_of(TAXI)}
     values = option_values(exact_plan())
     with pytest.raises(PlanError, match='every state of taxi'):

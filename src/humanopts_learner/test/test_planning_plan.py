@@ -227,7 +227,6 @@ def planned(domain: Domain[Any]) -> Any:
 
 
 def test_where_states_can_be_listed_the_plan_is_the_exact_one() -> None:
-    """Whatever is asked of samples."""
     plan = make_plan(ROOMS, HALLWAYS, request(action_set='human'))
     exact = make_plan(ROOMS, HALLWAYS, PlanRequest('human'))
     assert (plan.names, plan.game_steps) == (exact.names, 0)
@@ -236,7 +235,6 @@ def test_where_states_can_be_listed_the_plan_is_the_exact_one() -> None:
 
 @pytest.mark.heavy
 def test_elsewhere_the_plan_is_the_sampled_one_of_the_seed() -> None:
-    """With the number of game steps that were asked for."""
     plan = planned(YARD)
     sampled = make_sampled_plan(YARD, [], PlanRequest('primitive', game_steps=STEPS, seed=SEED))
     assert (plan.names, plan.game_steps) == (sampled.names, STEPS)
@@ -273,7 +271,6 @@ def test_a_sampled_plan_is_judged_as_it_plays() -> None:
 
 @pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
 def test_one_episode_has_a_mean_without_bounds(domain: Domain[Any]) -> None:
-    """And none is refused."""
     plan = planned(domain)
     found = judge_plan(plan, SEED, 1).total
     assert math.isfinite(found.mean)
@@ -286,7 +283,6 @@ def test_one_episode_has_a_mean_without_bounds(domain: Domain[Any]) -> None:
 @pytest.mark.heavy
 @pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
 def test_judging_says_how_far_it_is_and_can_be_canceled(domain: Domain[Any]) -> None:
-    """From its first start state to its last step."""
     plan, seen = planned(domain), list[float]()
 
     def note(stage: str, fraction: float, sweeps: int, residual: float) -> None:

@@ -50,7 +50,6 @@ def check(expected: float, samples: NDArray[np.float64]) -> None:
 
 @pytest.mark.parametrize('goal', ['G1', 'G2'])
 def test_the_ready_options_are_the_reference_options(goal: str) -> None:
-    """In every state in which they can be asked."""
     domain = Rooms(goal)
     for ready, reference in zip(hallway_options(domain), reference_options(domain).values()):
         tables = tabulate(ready, domain)
@@ -124,7 +123,6 @@ def test_planning_over_options_takes_fewer_sweeps() -> None:
 
 
 def test_the_table_says_what_each_sweep_brought() -> None:
-    """Errors fall, and in the end all are settled."""
     table = sweep_table(model('human'), near=1e-3)
     assert [row.sweep for row in table] == list(range(len(table)))
     assert np.isnan(table[0].residual)
@@ -162,7 +160,6 @@ def test_played_returns_agree_with_the_planned_values(action_set: str) -> None:
 
 
 def test_play_is_keyed_by_the_seed_and_the_number_of_the_episode() -> None:
-    """Not by how many others are played."""
     found, starts = plan('human'), episode_starts(ROOMS, 0, 50)
     all_of_them, some = play(found, starts, seed=5), play(found, starts[:20], seed=5)
     assert (some.steps == all_of_them.steps[:20]).all()
@@ -171,7 +168,6 @@ def test_play_is_keyed_by_the_seed_and_the_number_of_the_episode() -> None:
 
 
 def test_play_stops_at_the_step_limit() -> None:
-    """Episodes that are cut off are no successes."""
     returns = play(plan('primitive'), episode_starts(ROOMS, 0, 200), max_steps=5)
     assert returns.steps.max() == 5
     assert 0 < returns.successes.mean() < 0.5

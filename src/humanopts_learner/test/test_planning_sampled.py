@@ -201,7 +201,6 @@ def test_sampling_keeps_to_its_budget() -> None:
 
 
 def test_the_same_seed_gives_the_same_plan_and_another_another() -> None:
-    """Values and states alike."""
     first, again, other = (new_plan('human', 5_000, seed=seed) for seed in (1, 1, 2))
     assert np.array_equal(first.solution.values, again.solution.values)
     assert not np.array_equal(first.solution.values, other.solution.values)
@@ -277,7 +276,6 @@ def test_interruption_gains_where_options_pass_by_the_goal(execution: Execution)
 
 
 def test_a_plan_that_is_sampled_to_the_end_is_played_to_the_end() -> None:
-    """Unless another way is asked for."""
     plan = rooms_plan('human', 20_000)
     assert plan.policy.execution is Execution.RUN_TO_END
     assert np.array_equal(plan.play(3, 50).steps, plan.play(3, 50, Execution.RUN_TO_END).steps)

@@ -25,7 +25,6 @@ from teach_support.lesson import (
     fill_disk,
     met,
     OPTION,
-    spent,
     START,
     Table,
     TAXI,
@@ -112,14 +111,6 @@ def test_a_finished_lesson_takes_another_demonstration_while_the_budget_lasts(
     table.learned(met=True)
     view = table.lesson.view
     assert (view.phase, view.n_demonstrations) == (Phase.FINISHED, 2)
-
-
-def test_a_budget_that_is_spent_stays_spent_until_something_is_taken_back(table: Table) -> None:
-    spent(table)
-    assert table.ask(BeginDemonstration()).status is RequestStatus.BUDGET_SPENT
-    assert table.ask(WithdrawDemonstration()).ok
-    table.lesson.update_progress([])
-    assert table.ask(BeginDemonstration()).ok
 
 
 def test_going_back_opens_the_question_before_again(table: Table) -> None:

@@ -217,6 +217,7 @@ def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
     table: Table,
 ) -> None:
     spent(table)
+    assert table.ask(BeginDemonstration()).status is RequestStatus.BUDGET_SPENT
     assert table.ask(WithdrawDemonstration()).ok
     table.lesson.update_progress([])
     assert table.lesson.phase is Phase.READY
