@@ -1,15 +1,20 @@
-"""A graph on one machine can be reached from no other; one over several waits for an address."""
+"""
+A graph on one machine can be reached from no other; one over several waits for an address. The
+memory of messages is given back.
+"""
 
 from collections.abc import Iterator
 from itertools import chain, repeat
 import os
 from pathlib import Path
 import socket
+import subprocess
+import sys
 from types import SimpleNamespace
 
 from graph_support.live import GAME, Graph, LEARNER
 from humanopts_ros import environment
-from humanopts_ros.environment import PEERS, prepare_discovery, PROFILES, RANGE
+from humanopts_ros.environment import PEERS, prepare_discovery, PROFILES, RANGE, READ_PROFILES
 import psutil
 import pytest
 
@@ -28,6 +33,43 @@ def test_every_socket_of_a_node_is_bound_to_the_loopback_interface(
         assert bound == {'127.0.0.1'}
 
 
+BURST = """
+from humanopts_ros.environment import prepare_discovery
+import psutil
+prepare_discovery()
+import rclpy
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+rclpy.init()
+node, heard, depth = rclpy.create_node('burst'), [], QoSProfile(depth=100)
+publisher = node.create_publisher(String, 'large', depth)
+node.create_subscription(String, 'large', lambda message: heard.append(None), depth)
+while not publisher.get_subscription_count():
+    rclpy.spin_once(node, timeout_sec=0.1)
+memory = psutil.Process().memory_info
+before = memory().rss
+for _ in range(100):
+    publisher.publish(String(data='x' * 1_000_000))
+while len(heard) < 100:
+    rclpy.spin_once(node, timeout_sec=0.1)
+print(memory().rss - before)
+"""
+
+
+@pytest.mark.parametrize('where', ['LOCALHOST', 'SUBNET'])
+def test_a_burst_of_large_messages_leaves_no_memory_in_use(live: Graph, where: str) -> None:
+    environment = {key: value for key, value in os.environ.items() if key not in PROFILES}
+    kept = subprocess.run(
+        [sys.executable, '-c', BURST],
+        env={**environment, RANGE: where},
+        stdout=subprocess.PIPE,
+        check=True,
+        timeout=60,
+    )
+    assert int(kept.stdout) < 30e6, 'of 100 MB that were sent'
+
+
 @pytest.mark.parametrize(
     ('given', 'profile', 'kept'),
     [
@@ -44,7 +86,7 @@ def test_the_profile_follows_from_the_range(
     profile: str | None,
     kept: str | None,
 ) -> None:
-    for name in (*PROFILES, RANGE, PEERS):
+    for name in (*PROFILES, READ_PROFILES, RANGE, PEERS):
         monkeypatch.delenv(name, raising=False)
     for name, value in given.items():
         monkeypatch.setenv(name, value)
@@ -52,7 +94,9 @@ def test_the_profile_follows_from_the_range(
     prepare_discovery()
     found = os.environ.get(PROFILES[0])
     assert (Path(found).name if found else None, os.environ.get(RANGE)) == (profile, kept)
+    assert os.environ.get(READ_PROFILES) == (profile and '1')
     monkeypatch.setenv(PROFILES[0], 'restored')  # so that the test leaves nothing behind
+    monkeypatch.setenv(READ_PROFILES, 'restored')
     monkeypatch.setenv(RANGE, 'restored')
 
 
@@ -74,7 +118,7 @@ def cable(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[bool]]:
     entry = SimpleNamespace(family=socket.AF_INET, address=address)
     monkeypatch.setattr(psutil, 'net_if_stats', stats)
     monkeypatch.setattr(psutil, 'net_if_addrs', lambda: {'cable:1': [entry]})
-    kept = {name: os.environ.pop(name, None) for name in (*PROFILES, RANGE, PEERS)}
+    kept = {name: os.environ.pop(name, None) for name in (*PROFILES, READ_PROFILES, RANGE, PEERS)}
     yield looks
     for name, value in kept.items():
         os.environ.pop(name, None)

@@ -10,6 +10,7 @@ import psutil
 
 LAUNCHER_PID = 'HUMANOPTS_LAUNCHER_PID'  # of the process that started a node; it ends with it
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # Jazzy reads [0]
+READ_PROFILES = 'RMW_FASTRTPS_USE_QOS_FROM_XML'  # '1': what a profile says of memory, too
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 _NETWORK_WAIT = 10.0  # s
 _LOOK_PERIOD = 0.05  # s
@@ -18,7 +19,7 @@ _ANY_PORT = 7400  # nothing is sent to it
 
 def prepare_discovery() -> None:
     """
-    Make Fast DDS announce this process often, unless the user has chosen profiles.
+    Make Fast DDS announce this process often and give memory back, unless the user has profiles.
 
     Where the graph spans machines this waits for their network: a process announces the addresses
     that it has when it joins the graph, and never others.
@@ -33,6 +34,7 @@ def prepare_discovery() -> None:
     profile = 'quick_discovery.xml'
     if os.environ.get(RANGE) == 'LOCALHOST' and not os.environ.get(PEERS):
         profile, os.environ[RANGE] = 'loopback_discovery.xml', 'SYSTEM_DEFAULT'
+    os.environ[READ_PROFILES] = '1'
     os.environ[PROFILES[0]] = str(files('humanopts_ros') / profile)
 
 
