@@ -5,18 +5,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from humanopts_env.domains.capabilities import explanation
+from humanopts_teach.dialogue import keys
 from humanopts_teach.dialogue.app import App, Keys, Screen
-from humanopts_teach.dialogue.keys import (
-    BACKSPACE,
-    CLEAR,
-    DOWN,
-    ENTER,
-    ESCAPE,
-    label,
-    LEFT,
-    RIGHT,
-    UP,
-)
 from humanopts_teach.lesson.requests import Answer, Request
 
 MOST_CHARACTERS = 60
@@ -38,13 +28,13 @@ class TextScreen(Screen):
 
     def press(self, key: str, app: App) -> None:
         kept, self._edited = self.typed if self._edited else '', True
-        if key == ENTER and self.typed.strip():
+        if key == keys.ENTER and self.typed.strip():
             self.submit(self.typed.strip(), app)
-        elif key == ESCAPE and self.back is not None:
+        elif key == keys.ESCAPE and self.back is not None:
             self.back(app)
-        elif key == BACKSPACE:
+        elif key == keys.BACKSPACE:
             self.typed = self.typed[:-1]
-        elif key == CLEAR:
+        elif key == keys.CLEAR:
             self.typed = ''
         elif len(key) == 1 and len(kept) < MOST_CHARACTERS:
             self.typed = kept + key
@@ -53,7 +43,7 @@ class TextScreen(Screen):
         self.answered(request, answer, app)
 
     def keys(self, app: App) -> Keys:
-        back = [(label(ESCAPE), self.back_words)] if self.back is not None else []
+        back = [(keys.label(keys.ESCAPE), self.back_words)] if self.back is not None else []
         return [('Enter', 'accept'), ('Backspace', 'erase'), *back, ('Ctrl-C', 'quit')]
 
 
@@ -86,19 +76,19 @@ class ListScreen(Screen):
 
     def press(self, key: str, app: App) -> None:
         number = self.at - self.at % PAGE + int(key) - 1 if key in set('123456789') else -1
-        if key in (UP, DOWN):
-            self.at, self.step = (self.at + (1 if key == DOWN else -1)) % len(self.items), 0
-        elif key in (LEFT, RIGHT):
+        if key in (keys.UP, keys.DOWN):
+            self.at, self.step = (self.at + (1 if key == keys.DOWN else -1)) % len(self.items), 0
+        elif key in (keys.LEFT, keys.RIGHT):
             last = len(self.items[self.at].states) - 1
-            self.step = max(min(self.step + (1 if key == RIGHT else -1), last), 0)
+            self.step = max(min(self.step + (1 if key == keys.RIGHT else -1), last), 0)
         elif 0 <= number < len(self.items):
             self.at, self.step = number, 0
             self.items[self.at].pick(app)
         elif key == '?':
             show_game(self, app)
-        elif key == ENTER:
+        elif key == keys.ENTER:
             self.items[self.at].pick(app)
-        elif key == ESCAPE and self.back is not None:
+        elif key == keys.ESCAPE and self.back is not None:
             self.back(app)
         elif key in ('q', 'Q'):
             app.end()
@@ -107,8 +97,8 @@ class ListScreen(Screen):
         self.answered(request, answer, app)
 
     def keys(self, app: App) -> Keys:
-        back = [(label(ESCAPE), 'back')] if self.back is not None else []
-        along = [(label(LEFT), 'back'), (label(RIGHT), 'along its way')]
+        back = [(keys.label(keys.ESCAPE), 'back')] if self.back is not None else []
+        along = [(keys.label(keys.LEFT), 'back'), (keys.label(keys.RIGHT), 'along its way')]
         way = along if len(self.items[self.at].states) > 1 else []
         first = [('↑ ↓', 'move'), *way, ('Enter', 'choose'), ('1-9', 'choose'), *back]
         return [*first, ('?', 'the game'), ('q', 'quit')]
@@ -124,7 +114,7 @@ class ConfirmScreen(Screen):
 
     def press(self, key: str, app: App) -> None:
         self.back(app)
-        if key == ENTER:
+        if key == keys.ENTER:
             self.affirm(app)
 
     def keys(self, app: App) -> Keys:
@@ -149,5 +139,5 @@ class HelpScreen(Screen):
 
 def show_game(screen: Screen, app: App) -> None:
     """Show what the game is about, what its signs mean, and what its actions do."""
-    actions = [(label(action.key), action.description) for action in app.domain.actions]
+    actions = [(keys.label(action.key), action.description) for action in app.domain.actions]
     app.show(HelpScreen([*explanation(app.domain), *actions], screen.again, 'The game'))

@@ -7,18 +7,7 @@ import sys
 import time
 from typing import Any, cast
 
-from humanopts_teach.dialogue.keys import (
-    BACKSPACE,
-    CLEAR,
-    DOWN,
-    END_OF_FILE,
-    ENTER,
-    ESCAPE,
-    INTERRUPT,
-    LEFT,
-    RIGHT,
-    UP,
-)
+from humanopts_teach.dialogue import keys
 from humanopts_teach.terminal.drawing import Colours
 from prompt_toolkit.input.vt100 import Vt100Input
 from prompt_toolkit.key_binding.key_processor import KeyPress
@@ -29,17 +18,17 @@ ESCAPE_SECONDS = 0.1  # after which an escape character was the key, not the hea
 _ENTER = '\x1b[?1049h\x1b[?25l\x1b[2J'  # alternate screen, hidden cursor, cleared
 _LEAVE = '\x1b[0m\x1b[?25h\x1b[?1049l'
 _NAMED: Mapping[str, str] = {
-    Keys.Up: UP,
-    Keys.Down: DOWN,
-    Keys.Left: LEFT,
-    Keys.Right: RIGHT,
-    Keys.ControlM: ENTER,
-    Keys.ControlJ: ENTER,
-    Keys.Escape: ESCAPE,
-    Keys.ControlH: BACKSPACE,
-    Keys.ControlC: INTERRUPT,
-    Keys.ControlD: END_OF_FILE,
-    Keys.ControlU: CLEAR,
+    Keys.Up: keys.UP,
+    Keys.Down: keys.DOWN,
+    Keys.Left: keys.LEFT,
+    Keys.Right: keys.RIGHT,
+    Keys.ControlM: keys.ENTER,
+    Keys.ControlJ: keys.ENTER,
+    Keys.Escape: keys.ESCAPE,
+    Keys.ControlH: keys.BACKSPACE,
+    Keys.ControlC: keys.INTERRUPT,
+    Keys.ControlD: keys.END_OF_FILE,
+    Keys.ControlU: keys.CLEAR,
 }
 _HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
 

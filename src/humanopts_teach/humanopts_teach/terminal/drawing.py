@@ -6,21 +6,9 @@ from io import StringIO
 from typing import Literal
 
 from humanopts_env.colours import GREEN, ORANGE, RED, TEAL
+from humanopts_teach.dialogue import panel
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.entry import PAGE
-from humanopts_teach.dialogue.panel import (
-    Block,
-    Choices,
-    Criteria,
-    Features,
-    KeyList,
-    Line,
-    Page,
-    Tone,
-    TypedText,
-    View,
-    view,
-)
 from humanopts_teach.state_drawing import StateDrawing
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -35,12 +23,12 @@ _ROOMY = 24  # rows; above, there is a gap below the head
 Colours = Literal['auto', 'standard', '256', 'truecolor', 'windows']
 KEY = f'bold {TEAL}'  # a key that can be pressed
 STYLES = {
-    Tone.PLAIN: '',
-    Tone.QUIET: 'dim',
-    Tone.NEWS: TEAL,
-    Tone.GOOD: GREEN,
-    Tone.WARNING: ORANGE,
-    Tone.BAD: f'bold {RED}',
+    panel.Tone.PLAIN: '',
+    panel.Tone.QUIET: 'dim',
+    panel.Tone.NEWS: TEAL,
+    panel.Tone.GOOD: GREEN,
+    panel.Tone.WARNING: ORANGE,
+    panel.Tone.BAD: f'bold {RED}',
 }
 
 
@@ -52,7 +40,7 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
     """
     if width < SMALLEST[0] or height < SMALLEST[1]:
         return fit(lines_of(_too_small(width, height), width, colours), height)
-    shown = view(app)
+    shown = panel.view(app)
     rule = Text('─' * width, 'dim')
     foot = Group(rule, drawn(shown.said), *key_bar(shown.keys, width))
     bottom = lines_of(foot, width, colours)
@@ -111,11 +99,11 @@ def _too_small(width: int, height: int) -> Text:
     )
 
 
-def _head(view: View, width: int) -> Text:
+def _head(view: panel.View, width: int) -> Text:
     return Text(set_cell_size(f' {" · ".join(view.head)}', width), 'reverse')
 
 
-def _pause(view: View, height: int) -> list[RenderableType]:
+def _pause(view: panel.View, height: int) -> list[RenderableType]:
     """Return why nothing new can be taught now; in a low window its beginning."""
     if not view.paused:
         return []
@@ -124,7 +112,7 @@ def _pause(view: View, height: int) -> list[RenderableType]:
     return [Padding(why, (0, 1), style=f'color(231) on {RED}')]
 
 
-def _middle(view: View, width: int) -> RenderableType:
+def _middle(view: panel.View, width: int) -> RenderableType:
     beside, below = (Group(*map(drawn, part)) for part in (view.panel.beside, view.panel.below))
     if view.board is None:
         return beside
@@ -163,37 +151,37 @@ def _coloured(lines: Sequence[str], styles: Mapping[str, str], *, alone: bool = 
 
 
 @singledispatch
-def drawn(block: Block) -> RenderableType:
+def drawn(block: panel.Block) -> RenderableType:
     """Draw a part of a panel."""
     raise TypeError(f'{type(block).__name__} cannot be drawn')
 
 
 @drawn.register
-def _page(page: Page) -> RenderableType:
+def _page(page: panel.Page) -> RenderableType:
     from rich.markdown import Markdown  # only studies have such pages
 
     return Markdown(page.text)
 
 
 @drawn.register
-def _line(line: Line) -> RenderableType:
+def _line(line: panel.Line) -> RenderableType:
     text = Text(line.text, _style(line))
     for piece in line.more:
         text.append(piece.text, _style(piece))
     return text
 
 
-def _style(line: Line) -> str:
+def _style(line: panel.Line) -> str:
     return ' '.join(filter(None, (STYLES[line.tone], 'bold' if line.strong else '')))
 
 
 @drawn.register
-def _typed(typed: TypedText) -> RenderableType:
+def _typed(typed: panel.TypedText) -> RenderableType:
     return Text.assemble('> ', (typed.text, 'bold'), ('█', TEAL), overflow='fold')
 
 
 @drawn.register
-def _choices(choices: Choices) -> RenderableType:
+def _choices(choices: panel.Choices) -> RenderableType:
     table, first = Table.grid(), choices.at - choices.at % PAGE
     for number, item in enumerate(choices.items[first : first + PAGE]):
         chosen = first + number == choices.at
@@ -204,7 +192,7 @@ def _choices(choices: Choices) -> RenderableType:
 
 
 @drawn.register
-def _key_table(keys: KeyList) -> RenderableType:
+def _key_table(keys: panel.KeyList) -> RenderableType:
     table = Table.grid(padding=(0, 2))
     for key, words in keys.rows:
         table.add_row(Text(key, KEY, justify='right'), Text(words))
@@ -212,7 +200,7 @@ def _key_table(keys: KeyList) -> RenderableType:
 
 
 @drawn.register
-def _features(features: Features) -> RenderableType:
+def _features(features: panel.Features) -> RenderableType:
     text = Text('depends on: ', 'dim')
     for number, feature in enumerate(features.shown):
         text.append(', ' if number else '', 'dim')
@@ -225,7 +213,7 @@ def _features(features: Features) -> RenderableType:
 
 
 @drawn.register
-def _criteria(criteria: Criteria) -> RenderableType:
+def _criteria(criteria: panel.Criteria) -> RenderableType:
     table = Table.grid(padding=(0, 2, 0, 0))
     for shown in criteria.rows:
         style = STYLES[shown.tone]
