@@ -187,7 +187,6 @@ class Game:
     """
 
     def __init__(self, domain: Domain[Any]) -> None:
-        """Set up the game; no episode is begun."""
         self.domain = domain
         self.transition = Transition()
         self.control = Control(Holder.NOBODY, '', 'the game started')
@@ -356,7 +355,6 @@ class Pacing:
     """
 
     def __init__(self, game: Game, period: float = 0.0) -> None:
-        """Begin without a delayed command."""
         self._game = game
         self.waiting: Command | None = None
         self.period = period

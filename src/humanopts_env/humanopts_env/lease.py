@@ -16,7 +16,6 @@ class Lease:
     """
 
     def __init__(self) -> None:
-        """Begin without a holder."""
         self._holder = ''
         self._silent = 0  # checks since the last sign of the holder
         self._known: OrderedDict[str, None] = OrderedDict()  # publishers of statuses

@@ -285,9 +285,7 @@ class FeatureGroup:
 class HasFeatureGroups(Protocol):
     """A domain with so many features that a person is asked about groups of them first."""
 
-    @property
-    def feature_groups(self) -> Sequence[FeatureGroup]:
-        """The groups; a feature is in one group at most."""
+    feature_groups: Sequence[FeatureGroup]  # a feature is in one group at most
 
 
 def feature_groups(domain: Domain[Any]) -> Sequence[FeatureGroup]:
@@ -299,9 +297,8 @@ def feature_groups(domain: Domain[Any]) -> Sequence[FeatureGroup]:
 class HasExplanation(Protocol):
     """A domain that explains the game to a person."""
 
-    @property
-    def explanation(self) -> Sequence[tuple[str, str]]:
-        """Signs on the board, each with its meaning; the first sign is empty: what to do."""
+    # Signs on the board, each with its meaning; the first sign is empty: what to do.
+    explanation: Sequence[tuple[str, str]]
 
 
 def explanation(domain: Domain[Any]) -> Sequence[tuple[str, str]]:

@@ -18,7 +18,6 @@ class TabularGames(BatchGames):
     """Games of an ``EnumerableDomain``; every state is an abstract state of its own."""
 
     def __init__(self, domain: EnumerableDomain[Any]) -> None:
-        """Take the tables of a domain."""
         self.domain = domain
         self._listed = domain
 

@@ -39,10 +39,7 @@ def domain_to_info(domain: Domain[Any]) -> DomainInfo:
             )
             for feature in domain.features
         ],
-        actions=[
-            ActionInfo(name=action.name, key=action.key, description=action.description)
-            for action in domain.actions
-        ],
+        actions=[ActionInfo(**asdict(action)) for action in domain.actions],
     )
 
 
@@ -79,17 +76,14 @@ def command_from_message(message: ActionCommand) -> Command:
 
 def refusal_to_message(refused: Refused) -> ActionRefusal:
     """Encode a refusal."""
-    command = refused.command
+    command = {f'command_{name}': value for name, value in asdict(refused.command).items()}
+    del command['command_source']  # the topic does not carry it
     return ActionRefusal(
         reason=int(refused.reason),
         detail=refused.detail,
-        command_publisher_id=command.publisher_id,
-        command_sequence=command.sequence,
-        command_episode=command.episode,
-        command_step=command.step,
-        command_action=command.action,
         episode=refused.episode,
         step=refused.step,
+        **command,
     )
 
 

@@ -110,15 +110,12 @@ class GameNode(NodeBase):
 
     def _send_results(self, results: list[Result]) -> None:
         for result in results:
-            self._send_result(result)
-
-    def _send_result(self, result: Result) -> None:
-        if not isinstance(result, Accepted):
-            self._send(self._refusals, refusal_to_message(result))
-            return
-        if result.control is not None:
-            self._send_control(result.control)
-        self._send_transition(result.transition)
+            if not isinstance(result, Accepted):
+                self._send(self._refusals, refusal_to_message(result))
+                continue
+            if result.control is not None:
+                self._send_control(result.control)
+            self._send_transition(result.transition)
 
     def _on_reset(
         self, request: ResetGame.Request, response: ResetGame.Response

@@ -11,7 +11,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.responses import HTMLResponse
 from humanopts_teach.browser.markup import head_html, PARTS, parts
-from humanopts_teach.browser.seats import Press, Seats
+from humanopts_teach.browser.seats import Press, Seats, Window
 from humanopts_teach.dialogue.app import App, MOST_KEYS
 from humanopts_teach.dialogue.entry import TextScreen
 from humanopts_teach.dialogue.menu import opening
@@ -26,7 +26,7 @@ _ANSWER = 1.0  # s that a page has to say that it has everything
 _LOOK = 0.1  # s between looks whether the server is to end
 
 
-class PageWindow:
+class PageWindow(Window):
     """One page: it shows frames, and hands on what is pressed on them."""
 
     def __init__(self) -> None:
@@ -46,15 +46,12 @@ class PageWindow:
         self._frame.set_content(str(frame))
 
     def listen(self, press: Press) -> None:
-        """Hand on from now on what is pressed."""
         self._press = press
 
     def reload(self) -> None:
-        """Load the page again."""
         self._client.run_javascript('location.reload()')
 
     async def taken(self) -> None:
-        """Wait until the page has what was shown last, or seems to be gone."""
         with suppress(TimeoutError):
             async with asyncio.timeout(_ANSWER):
                 await self._client.run_javascript('0', timeout=_ANSWER)

@@ -77,13 +77,11 @@ class Device:
         self._colours = usable_colours(Console())
 
     def __enter__(self) -> 'Device':
-        """Take over the terminal."""
         self._raw.__enter__()
         self._write(_ENTER)
         return self
 
     def __exit__(self, *error: Any) -> None:
-        """Put the terminal back."""
         self._write(_LEAVE)
         self._raw.__exit__(*error)
         if error == (None, None, None) and self._farewell:

@@ -114,7 +114,6 @@ class FeatureReader:
     """Computes all features of many games at once, with tables that it prepares for a maze."""
 
     def __init__(self, rules: Rules) -> None:
-        """Prepare the tables of a maze."""
         self.rules = rules
         maze, paths, groups = rules.maze, rules.paths, len(rules.maze.homes)
         count, none = len(maze.cells), paths.longest + 1  # the value of a distance to nothing

@@ -75,7 +75,6 @@ class PacManGames(BatchGames):
     """Games of Pac-Man; rewards are points."""
 
     def __init__(self, domain: 'PacMan') -> None:
-        """Prepare the tables of a maze."""
         self.domain = domain
         self._rules = domain.rules
         self._read_all = domain.read_all_features

@@ -298,7 +298,6 @@ class PacManBatch:
         return cls(rules, numbers.T.copy(), np.where(left, all_taken.dtype.type(0), all_taken))
 
     def __len__(self) -> int:
-        """Return the number of games."""
         return len(self.pacman)
 
     @property
