@@ -1,9 +1,11 @@
-"""The simulated teacher: what it shows, how it errs, and that a seed decides all of it."""
+"""The simulated teacher: what it shows, how it errs, and a lesson with it in one process."""
 
 from dataclasses import replace
+from typing import Any
 
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.game import Transition
+from humanopts_teach import LessonRules, teach, TeacherSettings
 from humanopts_teach.lesson.requests import (
     AnswerQuestion,
     BeginDemonstration,
@@ -20,7 +22,6 @@ from humanopts_teach.lesson.simulated_teacher import (
     Finish,
     SimulatedTeacher,
     TeacherError,
-    TeacherSettings,
     Wait,
 )
 import numpy as np
@@ -244,3 +245,30 @@ def test_an_episode_that_is_over_too_early_is_discarded(over: str) -> None:
 def test_a_teacher_that_cannot_teach_says_why(settings: TeacherSettings, says: str) -> None:
     with pytest.raises(TeacherError, match=says):
         teacher(settings)
+
+
+OPTION = 'go to passenger and pickup'
+
+
+@pytest.mark.heavy
+def test_it_teaches_until_the_criteria_hold_and_nothing_fails(taxi: Any) -> None:
+    taught = teach(taxi, TeacherSettings((OPTION,), error_rate=0.02))
+    assert [option.name for option in taught.options] == [OPTION]
+    assert taught.options[0].uuids == tuple(d.uuid for d in taught.demonstrations)
+    assert 10 <= len(taught.demonstrations) < LessonRules().budget
+    assert (taught.cut_short, taught.seconds > 60) == ('', True)
+
+
+def test_it_ends_where_the_caller_has_enough_or_the_budget_is_spent(taxi: Any) -> None:
+    rules = LessonRules('random', 7, until_no_failures=False)
+    enough = teach(taxi, TeacherSettings((OPTION,)), rules, lambda shown, option: len(shown) > 4)
+    spent = teach(taxi, TeacherSettings((OPTION,)), rules, lambda shown, option: False)
+    assert (len(enough.demonstrations), len(spent.demonstrations)) == (5, 7)
+    assert enough.demonstrations == spent.demonstrations[:5]  # by the same seeds
+
+
+def test_a_teacher_that_cannot_show_the_option_cuts_the_lesson_short(taxi: Any) -> None:
+    with pytest.raises(TeacherError, match="no reference option 'fly'"):
+        teach(taxi, TeacherSettings(('fly',)))
+    taught = teach(taxi, TeacherSettings((OPTION,), step_limit=1))
+    assert 'did not come to the end' in taught.cut_short
