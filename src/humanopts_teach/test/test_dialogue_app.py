@@ -1,23 +1,34 @@
-"""The dialogue: who teaches, its menu, silent nodes, late keys, and a lesson that is paused."""
+"""The dialogue: its menu, late keys, silent nodes, pauses; the machine plays, runs and plans."""
 
 from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import GOAL
+from humanopts_learner.planning.request import Execution
 from humanopts_teach.dialogue.app import REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import (
     BeginDemonstration,
+    CancelRun,
     DefineOption,
+    Drive,
     EndDemonstration,
+    ListOptions,
+    NewEpisode,
     OpenSession,
+    OptionStatus,
     Phase,
+    PlanOptions,
+    PlayEpisodes,
+    RunOption,
     SetControl,
+    SetExecution,
+    SetPace,
     UNKNOWN,
     Verdict,
 )
 import pytest
-from teach_support.person import CHOSEN, NAME, Person
+from teach_support.person import AT_G, CHOSEN, NAME, Person, START
 
 
 def test_enter_accepts_the_proposed_code_and_leads_to_the_menu(person: Person) -> None:
@@ -157,3 +168,203 @@ def test_while_the_lesson_is_paused_the_next_start_waits_for_a_key(shower: Perso
     assert shower.sees_words('The lesson is paused.')
     assert shower.lesson(Phase.READY, paused='') is None
     assert shower.press('enter') == BeginDemonstration()
+
+
+@pytest.fixture
+def runner(teacher: Person) -> Person:
+    """Somebody in front of the screen that runs an option."""
+    teacher.press('escape')
+    request = teacher.press('3')
+    assert request == ListOptions('p1')
+    teacher.answer(request, option_names=(NAME,))
+    teacher.press('enter')
+    return teacher
+
+
+def test_running_gives_control_back_first(runner: Person) -> None:
+    runner.world.holder = 'me'
+    give_back = runner.press('enter')
+    assert give_back == SetControl(hold=False)
+    runner.world.holder = ''
+    assert runner.answer(give_back) == RunOption(NAME, 'p1')
+
+
+def test_running_begins_an_episode_when_none_is_under_way(runner: Person) -> None:
+    runner.game(terminated=True)
+    new = runner.press('enter')
+    assert isinstance(new, NewEpisode)
+    runner.game(episode=2, terminated=False)
+    assert runner.answer(new, episode=2) == SetControl(hold=False)
+
+
+def started(runner: Person) -> None:
+    """Start a run."""
+    run = runner.answer(runner.press('enter'))
+    assert run == RunOption(NAME, 'p1')
+    assert runner.answer(run) is None
+
+
+def test_an_action_key_takes_over_from_a_run(runner: Person) -> None:
+    started(runner)
+    assert runner.press('left') == Drive('west', 1, 0)
+    runner.game(step=1)
+    runner.run_ends('You took over.')
+    assert runner.sees_words('You took over.')
+
+
+def test_a_key_between_two_episodes_takes_control_all_the_same(runner: Person) -> None:
+    started(runner)
+    runner.game(terminated=True)
+    assert runner.press('left') == SetControl(hold=True)
+
+
+def test_a_step_that_is_refused_while_the_machine_goes_on_takes_control(runner: Person) -> None:
+    started(runner)
+    step = runner.press('left')
+    assert step == Drive('west', 1, 0)
+    assert runner.answer(step, ok=False, text='it is step 1') == SetControl(hold=True)
+
+
+def test_escape_stops_a_run_and_only_then_leaves(runner: Person) -> None:
+    started(runner)
+    assert 'stop it' in runner.sees()
+    runner.answer(runner.press('escape'))
+    assert runner.asked[-1] == CancelRun()
+    runner.run_ends('Stopped.')
+    runner.answer(runner.press('escape'))
+    assert runner.sees_words('What next?')
+
+
+def test_a_run_whose_server_is_gone_ends_in_words(runner: Person) -> None:
+    started(runner)
+    runner.app.lost_server()
+    assert runner.app.run is None
+    assert runner.sees_words('option_server is gone.')
+
+
+def test_stopping_a_run_that_waits_lets_it_go_on_to_its_end(runner: Person) -> None:
+    started(runner)
+    runner.world.paused_by = 'me'
+    goes_on = runner.press('escape')
+    assert goes_on == SetPace(0.0, paused=False)
+    runner.world.paused_by = ''
+    assert runner.answer(goes_on) == CancelRun()
+
+
+def planned(teacher: Person, *keys: str) -> PlayEpisodes:
+    """Press keys, of which the last asks for a plan; return the request to play that follows."""
+    plan = teacher.answer(teacher.press(*keys))
+    assert isinstance(plan, PlanOptions)
+    teacher.answer(plan)
+    teacher.run_ends('Planned.')
+    play = teacher.look()
+    assert isinstance(play, PlayEpisodes)
+    return play
+
+
+def played(teacher: Person, *places: tuple[str, float]) -> None:
+    """Plan with the options, which leave places uncovered, and play to the end."""
+    teacher.world.uncovered = places
+    teacher.answer(planned(teacher, 'escape', '4', '1', 'enter'))
+    teacher.run_ends('played.')
+
+
+def test_watching_plans_first_and_plays_then(teacher: Person) -> None:
+    play = planned(teacher, 'escape', '4', '1', 'enter')
+    assert (play.action_set, play.participant) == ('human', 'p1')
+    teacher.answer(play)
+    teacher.world.running = 'fetch'
+    assert teacher.sees_words('It runs: fetch')
+    teacher.world.running = 'action:north'
+    assert teacher.sees_words('It runs: one step north')
+
+
+@pytest.mark.parametrize(('item', 'named'), [('1', True), ('2', False), ('3', True)])
+def test_a_plan_names_its_options_whose_criteria_do_not_hold(
+    teacher: Person, item: str, named: bool
+) -> None:
+    teacher.world.progress = [
+        OptionStatus(name, who, criteria_met=met)
+        for who, name, met in (('p1', 'a', True), ('p1', 'fetch', False), ('p2', 'b', False))
+    ]
+    planned(teacher, 'escape', '4', item, 'enter')
+    assert teacher.sees_words('Planned. The criteria of fetch do not hold yet.') is named
+
+
+def test_how_the_machine_plays_can_be_chosen_before_and_changed_while(teacher: Person) -> None:
+    teacher.press('escape', '4', '1', 'x')
+    assert teacher.sees_words('Arbitration: options stop where another is worth more.')
+    play = planned(teacher, 'enter')
+    assert play.execution == 'interrupted'
+    teacher.answer(play)
+    teacher.world.execution = 'interrupted'
+    change = teacher.press('X')
+    assert change == SetExecution('modular_mass')
+    teacher.world.execution = 'modular_mass'
+    assert teacher.answer(change) is None
+    assert teacher.sees_words('Arbitration: all options act at once: the greatest mass.')
+    teacher.app.run_ended(play, True, 'RecordedEpisodes.')
+    assert teacher.sees_words('the greatest mass.')
+
+
+def test_the_key_that_changes_how_the_machine_plays_is_on_the_help_line(teacher: Person) -> None:
+    teacher.press('escape', '4', '1')
+    assert 'x other arbitration' in teacher.sees()
+    teacher.press('?')
+    assert teacher.sees_words('x other arbitration')
+
+
+def test_places_that_no_option_covers_are_starts_to_teach_from(teacher: Person) -> None:
+    played(teacher, (AT_G, 0.0), (START, 1.5))
+    assert teacher.sees_words('played. 2 places are not covered: c lists them.')
+    teacher.press('c')
+    assert teacher.sees_words('1 No option can start here')
+    assert teacher.sees_words('2 A single step is worth 1.5 more')
+    first = teacher.sees().split('\n')[1:5]
+    teacher.press('down')
+    assert teacher.sees().split('\n')[1:5] != first  # the board shows the place
+    teacher.press('up', 'enter')
+    define = teacher.press('1')
+    assert define == DefineOption(NAME)
+    teacher.lesson(Phase.READY)
+    teacher.answer(define)
+    begun = teacher.press('enter')
+    assert begun == BeginDemonstration(AT_G)
+    teacher.begins(begun, 3)
+    discard = teacher.press('backspace')
+    teacher.lesson(Phase.READY)
+    assert teacher.answer(discard) == BeginDemonstration()  # the place is taken once
+
+
+def test_a_new_option_can_be_taught_from_a_place_too(teacher: Person) -> None:
+    played(teacher, (AT_G, 0.0))
+    teacher.press('c', 'enter', '2')
+    define = teacher.press(*'deliver', 'enter')
+    assert define == DefineOption('deliver')
+    teacher.lesson(Phase.ASKING, option_name='deliver', question_id=1)
+    teacher.answer(define)
+    teacher.lesson(Phase.READY, question_id=0)
+    assert teacher.press('enter') == BeginDemonstration(AT_G)
+
+
+def test_where_it_is_not_known_what_is_covered_it_is_told(teacher: Person) -> None:
+    played(teacher)
+    teacher.press('c')
+    assert teacher.sees_words('The options cover all that the plan comes to.')
+    teacher.world.uncovered = None
+    teacher.press('c')
+    assert teacher.sees_words('is known of plans with your options alone')
+
+
+def test_modules_say_which_option_won_the_step_that_is_shown(teacher: Person) -> None:
+    teacher.press('escape', '4', '1')
+    screen: Any = teacher.app.screen
+    screen.execution = Execution.MODULAR_MASS
+    release = teacher.press('enter')
+    plan = teacher.answer(release)
+    teacher.answer(plan)
+    teacher.world.acted = {('server', 8): 'deliver', ('server', 7): NAME}
+    teacher.game(step=1, previous_action='north', action_publisher_id='server', action_sequence=7)
+    assert teacher.sees_words(f'{NAME} won this step.')
+    teacher.game(step=2, previous_action='north', action_publisher_id='server', action_sequence=9)
+    assert not teacher.sees_words('won this step')
