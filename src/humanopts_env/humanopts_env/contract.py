@@ -520,11 +520,7 @@ def refuses(call: Any) -> bool:
 QUICK_STEPS = 60  # of the random walk
 SECONDS = 0.025  # after which no more steps are taken
 SMALL = 20_000  # largest number of states whose tables are checked
-FIELDS = ('parameters', 'features', 'actions', 'gamma', 'max_steps', 'glyph_styles')
-METHODS = (
-    'reset', 'step', 'is_over', 'can_follow', 'feature_values', 'encode', 'decode',
-    'sample_states', 'render',
-)  # fmt: skip
+PARTS = [*Domain.__annotations__, *(part for part in vars(Domain) if not part.startswith('_'))]
 
 
 class ContractError(DomainError):
@@ -546,9 +542,9 @@ def check_domain(domain: Domain[Any], name: str) -> None:
     :raises ContractError: the domain breaks the contract, or raises an unexpected error.
     """
     try:
-        missing = [part for part in (*FIELDS, *METHODS) if not hasattr(domain, part)]
+        missing = [part for part in PARTS if not hasattr(domain, part)]
         _expect(not missing, f'it has no {", ".join(missing)}')
-        _expect(getattr(domain, 'name', '') == name, f'it calls itself {domain.name!r}')
+        _expect(domain.name == name, f'it calls itself {domain.name!r}')
         check_form(domain)
         _check_walk(domain)
         check_refusals(domain)

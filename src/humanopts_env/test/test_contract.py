@@ -189,7 +189,7 @@ def test_a_domain_that_calls_itself_otherwise_is_refused() -> None:
 
 
 def test_a_thing_that_is_no_domain_is_refused() -> None:
-    with pytest.raises(ContractError, match=r'it has no parameters, features, .*render'):
+    with pytest.raises(ContractError, match=r'it has no name, parameters, features, .*render'):
         check_domain(object(), 'thing')  # type: ignore[arg-type]
 
 

@@ -99,11 +99,8 @@ class Attempt:
         if verdict is Verdict.DONE and last == 0:
             detail = 'nothing was shown yet: drive first, or say not here, or discard'
             raise RefusalError(RequestStatus.NO_STEPS, detail)
-        if (
-            verdict is Verdict.DONE
-            and last == self.machine_steps
-            and not request.count_machine_steps
-        ):
+        count = request.count_machine_steps
+        if verdict is Verdict.DONE and last == self.machine_steps and not count:
             detail = 'only the machine has moved: drive, or say that its steps count as shown'
             raise RefusalError(RequestStatus.NO_STEPS, detail)
         if verdict is Verdict.NOT_HERE and last > self.machine_steps:

@@ -108,9 +108,7 @@ class History:
         self.options: dict[str, OptionHistory] = {}
         self.sessions: dict[str, str] = {}  # the last option of each; empty: none was named
         self.n_answers = 0
-        self._numbers: dict[
-            str, int
-        ] = {}  # of the next demonstration of options that were deleted
+        self._numbers: dict[str, int] = {}  # of what follows in options that were deleted
         self._features = domain.features
         for entry in entries:
             self.add(entry)

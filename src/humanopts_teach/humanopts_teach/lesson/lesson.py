@@ -218,24 +218,18 @@ class Lesson:
         After OK to ``BeginDemonstration``, the start state is chosen, and the lesson waits for
         ``began`` or ``not_begun``.
         """
+        carry_out: dict[type[LessonRequest], Callable[[Any], Answer]] = {
+            OpenSession: self._open_session,
+            DefineOption: self._define_option,
+            AnswerQuestion: self._answer_question,
+            BeginDemonstration: self._prepare,
+            EndDemonstration: self._end_demonstration,
+            WithdrawDemonstration: self._withdraw,
+            ListDemonstrations: self._list,
+            ChangeOption: self._change_option,
+        }
         try:
-            match request:
-                case OpenSession():
-                    return self._open_session(request)
-                case DefineOption():
-                    return self._define_option(request)
-                case AnswerQuestion():
-                    return self._answer_question(request)
-                case BeginDemonstration():
-                    return self._prepare(request)
-                case EndDemonstration():
-                    return self._end_demonstration(request)
-                case WithdrawDemonstration():
-                    return self._withdraw(request)
-                case ListDemonstrations():
-                    return self._list(request)
-                case ChangeOption():
-                    return self._change_option(request)
+            return carry_out[type(request)](request)
         except RefusalError as refusal:
             return refusal.answer
 

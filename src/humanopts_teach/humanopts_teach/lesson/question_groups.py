@@ -31,9 +31,8 @@ class QuestionGroups:
 
     def open_group(self, domain: Domain[Any], lesson: LessonView) -> FeatureGroup | None:
         """Return the group to ask about now; None: the lesson's own question stands."""
-        self._follow(domain, lesson)
-        group = _group_of(domain, lesson.question_feature)
-        return group if group is not None and group.words not in self._answers else None
+        group, said = self._asked(domain, lesson)
+        return group if said is None else None
 
     def answer(self, group: FeatureGroup, answer: GroupAnswer) -> None:
         """Keep what the person said of a group."""
@@ -41,9 +40,7 @@ class QuestionGroups:
 
     def reply(self, domain: Domain[Any], lesson: LessonView) -> bool | None:
         """Return what the open question is answered without asking; None: the person is asked."""
-        self._follow(domain, lesson)
-        group = _group_of(domain, lesson.question_feature)
-        said = self._answers.get(group.words) if group is not None else None
+        _, said = self._asked(domain, lesson)
         if said is None or said is GroupAnswer.EACH:
             return None
         return said is GroupAnswer.AS_BEFORE and lesson.question_feature in lesson.earlier_features
@@ -52,15 +49,18 @@ class QuestionGroups:
         """Ask about every group again."""
         self._answers.clear()
 
-    def _follow(self, domain: Domain[Any], lesson: LessonView) -> None:
-        """Forget the answers when the questions are those of another option or begin again."""
-        names = [feature.name for feature in domain.features]
-        feature = lesson.question_feature
+    def _asked(
+        self, domain: Domain[Any], lesson: LessonView
+    ) -> tuple[FeatureGroup | None, GroupAnswer | None]:
+        """
+        Return the group of the open question and what was said of it; None: nothing.
+
+        The answers are forgotten when the questions are those of another option or begin again.
+        """
+        names, feature = [each.name for each in domain.features], lesson.question_feature
         number = names.index(feature) if feature in names else 0
         if lesson.option_name != self._option or number < self._latest:
             self.forget()
         self._option, self._latest = lesson.option_name, number
-
-
-def _group_of(domain: Domain[Any], feature: str) -> FeatureGroup | None:
-    return next((group for group in feature_groups(domain) if feature in group.features), None)
+        group = next((each for each in feature_groups(domain) if feature in each.features), None)
+        return group, self._answers.get(group.words) if group is not None else None

@@ -402,10 +402,6 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
     """
     lesson, game = world.lesson, world.game
     match request:
-        case Drive() | CancelRun() | RunOption() | PlanOptions() | PlayEpisodes():
-            return True
-        case ListOptions() | ListDemonstrations():
-            return True
         case SetPace(period, paused):
             return (world.step_period, bool(world.paused_by)) == (period, paused)
         case SetControl(hold):
@@ -428,3 +424,5 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
             return lesson.last_uuid != answer.uuid
         case ChangeOption(name):
             return lesson.option_name != name
+        case _:
+            return True
