@@ -1,6 +1,7 @@
 """Domains and their reference options by name, found through Python entry points."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import EntryPoint
 import inspect
 import json
@@ -28,17 +29,13 @@ def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) ->
         or it breaks the contract of domains.
     """
     factory, ours = _factory(name)
-    try:
-        domain = cast(Domain[Any], factory(**(parameters or {})))
-    except DomainError:
-        raise
-    except TypeError as error:
-        known = ', '.join(inspect.signature(factory).parameters) or 'none'
-        raise DomainError(
-            f'{name} does not take the parameters {parameters}; it takes {known}'
-        ) from error
-    except (Exception, SystemExit) as error:  # whatever a plug-in raises
-        raise DomainError(f'{name} cannot be made: {_said(error)}') from error
+    with _explained(f'{name} cannot be made'):
+        try:
+            domain = cast(Domain[Any], factory(**(parameters or {})))
+        except TypeError as error:
+            known = ', '.join(inspect.signature(factory).parameters) or 'none'
+            text = f'{name} does not take the parameters {parameters}; it takes {known}'
+            raise DomainError(text) from error
     if not ours:
         check_domain(domain, name)
     return domain
@@ -73,13 +70,8 @@ def reference_options(domain: Domain[Any]) -> dict[str, ReferenceOption]:
     point = _entry_point(REFERENCE_OPTIONS, domain.name)
     if point is None:
         return {}
-    try:
+    with _explained(f'the reference options of {domain.name} cannot be made'):
         return dict(_load(point)(domain))
-    except DomainError:
-        raise
-    except (Exception, SystemExit) as error:  # whatever a plug-in raises
-        text = f'the reference options of {domain.name} cannot be made: {_said(error)}'
-        raise DomainError(text) from error
 
 
 def _factory(name: str) -> tuple[Callable[..., Any], bool]:
@@ -105,13 +97,17 @@ def _entry_point(group: str, name: str) -> EntryPoint | None:
 
 
 def _load(point: EntryPoint) -> Callable[..., Any]:
-    try:
+    package = point.dist.name if point.dist else 'an unknown package'
+    with _explained(f'{point.name!r} of {package} cannot be loaded from {point.value}'):
         return cast(Callable[..., Any], point.load())
-    except (Exception, SystemExit) as error:  # whatever a plug-in raises
-        package = point.dist.name if point.dist else 'an unknown package'
-        text = f'{point.name!r} of {package} cannot be loaded from {point.value}: {_said(error)}'
-        raise DomainError(text) from error
 
 
-def _said(error: BaseException) -> str:
-    return f'{type(error).__name__}: {error}'
+@contextmanager
+def _explained(failed: str) -> Iterator[None]:
+    """Have whatever a plug-in raises say what failed."""
+    try:
+        yield
+    except DomainError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise DomainError(f'{failed}: {type(error).__name__}: {error}') from error
