@@ -23,6 +23,11 @@ PERCENTILE = 99
 PACKAGES = ('numpy', 'scipy', 'scikit-learn', 'rclpy', 'quantecon', 'numba')
 
 
+def part_of(progress: OnMeasured, name: str, begun: float, length: float) -> Callable[..., object]:
+    """Return what shows how far a part of the work is, which begins at a share of all of it."""
+    return lambda share, text='': progress(begun + length * share, name + text)
+
+
 def clocks() -> Times:
     """Return what the clocks of this process show."""
     return np.array([time.perf_counter(), time.process_time()])

@@ -41,7 +41,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from benchmarks.measure import clocks, compare, in_turns, OnMeasured, ratios, Row, timed, Times
+from benchmarks.measure import (
+    clocks,
+    compare,
+    in_turns,
+    OnMeasured,
+    part_of,
+    ratios,
+    Row,
+    timed,
+    Times,
+)
 
 SIDES = (5, 25, 50, 100)
 LARGER = (200, 500)  # measured too where one still larger is asked for
@@ -247,17 +257,13 @@ def _discrete_dp(case: TaxiCase) -> Any:
     )
 
 
-GIVEN, EVERYWHERE = (
-    'shortest ways, as tables',
-    'trees fitted to the shortest ways from every state',
-)
-TREES, ALIKE = (
-    'options by composition, trees evaluated',
-    'that every step costs the same, without chance',
-)
+GIVEN = 'shortest ways, as tables'
+FITTED = 'trees fitted to the shortest ways from every state'
+TREES = 'options by composition, trees evaluated'
+ALIKE = 'that every step costs the same, without chance'
 SOLVERS = (
     Solver('options by composition', composed, GIVEN, 'optimal_time'),
-    Solver(TREES, composed_from_trees, EVERYWHERE, 'learned_time', SIDES[-1]),
+    Solver(TREES, composed_from_trees, FITTED, 'learned_time', SIDES[-1]),
     Solver('options by iterated models', iterated, GIVEN, 'optimal_time', SIDES[-1]),
     Solver('primitive value iteration', primitive),
     Solver('breadth-first search backwards', backwards, ALIKE),
@@ -295,8 +301,8 @@ def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
     rows: list[Row] = []
     total, done = sum(side * side for side in sides), 0
     for side in sides:
-        case, part = TaxiCase(side), side * side / total
-        show = partial(_show, progress, side, done / total, part)
+        case, named = TaxiCase(side), f'taxi {side} x {side}: '
+        show = part_of(progress, named, done / total, side * side / total)
         rows += _solver_rows(show, case, side, 1 if side > SIDES[-1] else repeats + 1)
         show(SOLVING, 'single sweeps')
         rows += sweep_rows(case, side, repeats)
@@ -304,12 +310,6 @@ def measure(progress: OnMeasured, sides: Sequence[int] = SIDES, repeats: int = 5
     for row in rows:
         row['compile_seconds'] = compiling if row['solver'] == YARDSTICK else None
     return rows
-
-
-def _show(
-    progress: OnMeasured, side: int, before: float, part: float, share: float, text: str
-) -> None:
-    progress(before + share * part, f'taxi {side} x {side}: {text}')
 
 
 def _solver_rows(progress: OnMeasured, case: TaxiCase, side: int, turns: int) -> list[Row]:

@@ -30,7 +30,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import serialize_message
 
 from benchmarks.bench_reader import KINDS
-from benchmarks.measure import OnMeasured, ratios, Row
+from benchmarks.measure import OnMeasured, part_of, ratios, Row
 from benchmarks.processes import (
     bench_spec,
     Client,
@@ -114,17 +114,12 @@ def measure(progress: OnMeasured, loads: Sequence[Load] = LOADS) -> list[Row]:
     with own_place() as folder:
         for number, (load, _, name) in enumerate(work):
             share, text = load.seconds / total, f'messages {load.name}: {name}'
-            on_sent = partial(_part, progress, text, done / total, share)
+            on_sent = part_of(progress, text, done / total, share)
             on_sent(0.0)
             take = record if name == RECORDER else partial(read, name=name)
             runs[load][name].append(take(load, folder=folder / str(number), on_sent=on_sent))
             done += load.seconds
     return [row for load in loads for row in recording(load, runs[load])]
-
-
-def _part(progress: OnMeasured, text: str, begun: float, length: float, share: float) -> None:
-    """Show how far one part of the work is, as a share of all of it."""
-    progress(begun + share * length, text)
 
 
 def record(load: Load, folder: Path, on_sent: OnSent) -> Run:

@@ -40,7 +40,6 @@ LONGER = 3  # demonstrations after it is right and the criteria hold
 TARGETS = {GOAL: 5, TREES: 25}  # demonstrations until the criteria hold, for the options of Taxi
 KEYS = ['domain', 'option', 'method', 'strategy', 'people']
 UNTIL = ['until the criteria hold', 'until right for good']
-SIZE = (7.6, 5.2)  # inches
 COSTS = {'taxi': 10.0, 'rooms': 30.0}  # of a trial, about processor seconds, by domain
 
 
@@ -130,36 +129,28 @@ def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
     :return: ``KEYS``, count (of people), for both of ``UNTIL`` the median, the most and how many
         people did not get there within the budget, and the most by which criteria came later.
     """
-    rows = []
-    for key, mine in report.grouped(counts, KEYS):
-        row: dict[str, Any] = {**dict(zip(KEYS, key)), 'count': len(mine)}
-        for what in UNTIL:
-            row |= {
-                f'{what}: median': mine[what].median(),
-                f'{what}: most': mine[what].max(),
-                f'{what}: never': int(mine[what].isna().sum()),
-            }
-        row['most in excess'] = (mine[UNTIL[0]] - mine[UNTIL[1]]).max()
-        rows.append(row)
-    return pd.DataFrame(rows)
+    groups = counts.assign(excess=counts[UNTIL[0]] - counts[UNTIL[1]]).groupby(KEYS, sort=False)
+    found = {'count': groups.size()}
+    for what in UNTIL:
+        found |= {
+            f'{what}: median': groups[what].median(),
+            f'{what}: most': groups[what].max(),
+            f'{what}: never': groups.size() - groups[what].count(),
+        }
+    return pd.DataFrame({**found, 'most in excess': groups['excess'].max()}).reset_index()
 
 
 def present(done: report.Done) -> report.Section:
     """Return the section of the report."""
     counts = count_table(done)
-    return report.Section(
-        NAME,
-        TITLE,
-        _comparisons(counts),
-        _pictures(counts),
-        [
-            report.Table(
-                'demonstrations-summary', 'Demonstrations by option', summary_table(counts)
-            ),
-            report.Table('demonstrations-each', 'Each lesson', counts, shown=False),
-        ],
-        {'budget': BUDGET, 'error_rate': ERROR_RATE},
-    )
+    by_option = summary_table(counts)
+    tables = [
+        report.Table('demonstrations-summary', 'Demonstrations by option', by_option),
+        report.Table('demonstrations-each', 'Each lesson', counts, shown=False),
+    ]
+    facts = {'budget': BUDGET, 'error_rate': ERROR_RATE}
+    said, pictures = _comparisons(counts), _pictures(counts)
+    return report.Section(NAME, TITLE, said, pictures, tables, facts)
 
 
 def _comparisons(counts: pd.DataFrame) -> list[report.Comparison]:
@@ -188,7 +179,7 @@ def _pictures(counts: pd.DataFrame) -> list[report.Picture]:
         report.Picture(
             f'demonstrations-{domain}',
             f'Demonstrations until the criteria hold for each option of {domain}',
-            SIZE,
+            (7.6, 5.2),
             partial(_draw, rows),
             f'{domain}: until the criteria hold, with the strategy failures; the dots are people, '
             'careful or with slips, the bars medians. Lessons that did not get there are missing.',

@@ -366,28 +366,19 @@ def present(done: report.Done) -> report.Section:
     curves, people = curve_table(points), person_table(points)
     needed = needed_table(people)
     hidden = ['shown', *(f'start states for {case}' for case in CROSSINGS)]
-    return report.Section(
-        NAME,
-        TITLE,
-        [*_compare_cases(points, people, needed), *_compare_minutes(people)],
-        _pictures(curves),
-        [
-            report.Table('fig2-needed', 'Demonstrations needed for a policy accuracy', needed),
-            report.Table('fig2-last', 'After the last demonstration', last_table(curves)),
-            report.Table(
-                'fig2-learners',
-                'Best actions of other classifiers from the same demonstrations',
-                learner_table(done, points),
-            ),
-            report.Table('fig2-curves', 'The curves', curves, shown=False),
-            report.Table('fig2-people', 'Each person', people.drop(columns=hidden), shown=False),
-        ],
-        {
-            'shown': {f'{game.domain}, {game.features}': game.shown for game in GAMES},
-            'pace': PACE,
-            'longest': LONGEST,
-        },
-    )
+    each, others = people.drop(columns=hidden), learner_table(done, points)
+    same = 'Best actions of other classifiers from the same demonstrations'
+    tables = [
+        report.Table('fig2-needed', 'Demonstrations needed for a policy accuracy', needed),
+        report.Table('fig2-last', 'After the last demonstration', last_table(curves)),
+        report.Table('fig2-learners', same, others),
+        report.Table('fig2-curves', 'The curves', curves, shown=False),
+        report.Table('fig2-people', 'Each person', each, shown=False),
+    ]
+    said = [*_compare_cases(points, people, needed), *_compare_minutes(people)]
+    shown = {f'{game.domain}, {game.features}': game.shown for game in GAMES}
+    facts = {'shown': shown, 'pace': PACE, 'longest': LONGEST}
+    return report.Section(NAME, TITLE, said, _pictures(curves), tables, facts)
 
 
 def _compare_cases(

@@ -167,19 +167,14 @@ def summary_table(episodes: pd.DataFrame) -> pd.DataFrame:
 def present(done: report.Done) -> report.Section:
     """Return the section of the report."""
     episodes = episode_table(done)
-    summary = summary_table(episodes)
     curves = report.mean_intervals(episodes, [*KEYS, 'episode'], 'steps', least=1.0)
-    return report.Section(
-        NAME,
-        TITLE,
-        _comparisons(episodes),
-        _pictures(curves),
-        [
-            report.Table('fig4-summary', 'Steps while learning', summary),
-            report.Table('fig4-curves', 'The curves', curves, shown=False),
-        ],
-        {'episodes': paper.EPISODES, 'limit': LIMIT, 'rates tried': TRIED},
-    )
+    tables = [
+        report.Table('fig4-summary', 'Steps while learning', summary_table(episodes)),
+        report.Table('fig4-curves', 'The curves', curves, shown=False),
+    ]
+    facts = {'episodes': paper.EPISODES, 'limit': LIMIT, 'rates tried': TRIED}
+    said, pictures = _comparisons(episodes), _pictures(curves)
+    return report.Section(NAME, TITLE, said, pictures, tables, facts)
 
 
 def _comparisons(episodes: pd.DataFrame) -> list[report.Comparison]:

@@ -39,7 +39,6 @@ MAZES = 2  # for each seed of the study
 STEPS, GAMES = 100_000, 150  # game steps of a plan; games that each way to play is judged by
 COST = 60.0
 KEYS = ['game', 'way to play']
-SIZE = (7.6, 3.8)  # inches
 INTERRUPTED = re.compile('human,.*interrupted')  # names of plans with options alone
 
 
@@ -122,18 +121,14 @@ def present(done: report.Done) -> report.Section:
     """Return the section of the report."""
     scores = score_table(done)
     mazes = pd.DataFrame([(p['number'], p['maze']) for p, _ in done], columns=['maze', 'text'])
-    return report.Section(
-        NAME,
-        TITLE,
-        _comparisons(scores),
-        _pictures(scores),
-        [
-            report.Table('transfer-summary', 'Mean scores over the mazes', summary_table(scores)),
-            report.Table('transfer-scores', 'Scores by maze', scores, shown=False),
-            report.Table('transfer-mazes', 'The mazes', mazes, shown=False),
-        ],
-        {'steps': STEPS, 'games': GAMES},
-    )
+    summary = summary_table(scores)
+    tables = [
+        report.Table('transfer-summary', 'Mean scores over the mazes', summary),
+        report.Table('transfer-scores', 'Scores by maze', scores, shown=False),
+        report.Table('transfer-mazes', 'The mazes', mazes, shown=False),
+    ]
+    facts, pictures = {'steps': STEPS, 'games': GAMES}, _pictures(scores)
+    return report.Section(NAME, TITLE, _comparisons(scores), pictures, tables, facts)
 
 
 def _by_maze(rows: pd.DataFrame) -> dict[str, pd.Series]:
@@ -167,7 +162,7 @@ def _pictures(scores: pd.DataFrame) -> list[report.Picture]:
         report.Picture(
             f'transfer-{game.rpartition("=")[2]}',
             f'Scores by maze of every way to play Pac-Man, {game}',
-            SIZE,
+            (7.6, 3.8),
             partial(_draw, _by_maze(rows), game),
             f'{game}: the dots are mazes, the bars means over the mazes with 95 % intervals.',
         )
